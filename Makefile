@@ -1,0 +1,75 @@
+# Everything is installed into .venv, with the versions of .ci/constraints.txt. `make` lists the targets.
+
+PYTHON ?= python3
+VENV := .venv
+PY := $(VENV)/bin/python
+CONSTRAINTS := .ci/constraints.txt
+EXTRAS := neural,baselines,app,distributed,dev
+PIP_INSTALL := -m pip install -qq
+# More arguments for pytest, e.g. `make test ARGS='-m "not slow"'`.
+ARGS ?=
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.NOTPARALLEL:
+.PHONY: help install demo test lint types constraints clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+install: $(VENV)/.full ## install the package with all extras and the development tools into .venv
+	@echo "phsi_opt is installed in $(VENV)."
+
+demo: $(VENV)/.core ## run the demonstration; needs, and installs where missing, the core alone
+	@$(PY) problems/demo.py
+
+test: $(VENV)/.full ## run the tests
+	@$(PY) -m pytest $(ARGS)
+
+lint: $(VENV)/.full ## check style and formatting
+	@$(PY) -m ruff check .
+	@$(PY) -m ruff format --check .
+
+types: $(VENV)/.full ## check types
+	@$(PY) -m mypy
+
+constraints: ## write .ci/constraints.txt anew, with the newest versions that pyproject.toml allows
+	@tmp=$$(mktemp -d) && trap 'rm -rf "$$tmp"' EXIT && set -e; \
+	echo "Resolving all dependencies in a fresh environment; this may take some minutes."; \
+	$(PYTHON) -m venv "$$tmp/venv"; \
+	"$$tmp/venv/bin/python" $(PIP_INSTALL) --upgrade pip setuptools; \
+	"$$tmp/venv/bin/python" $(PIP_INSTALL) --no-build-isolation -e '.[$(EXTRAS)]'; \
+	"$$tmp/venv/bin/python" -m pip freeze --all --exclude-editable > "$$tmp/frozen"; \
+	{ echo "# The exact version of every distribution in .venv: core, all extras and development tools."; \
+	  echo "# Written by 'make constraints' (pip freeze in a fresh environment, local version labels cut off)."; \
+	  sed -n 's/^\([A-Za-z0-9._-]*==[^+ ]*\).*/\1/p' "$$tmp/frozen"; } > "$$tmp/constraints.txt"; \
+	cp "$$tmp/constraints.txt" $(CONSTRAINTS)
+
+clean: ## remove caches and build products; .venv stays
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -path ./$(VENV) -prune -o -type d -name __pycache__ -exec rm -rf {} +
+
+# The stamps say what .venv holds. The full installation contains the core, so it renews both stamps, and
+# `make demo` after `make test` installs nothing.
+
+$(VENV)/.created:
+	@command -v $(PYTHON) > /dev/null || \
+		{ echo "$(PYTHON) was not found: install Python 3.11 or newer, or name it: make PYTHON=/path/to/python"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "phsi_opt needs Python 3.11 or newer, but $(PYTHON) is $$($(PYTHON) -V 2>&1): make PYTHON=/path/to/python"; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.core: pyproject.toml $(CONSTRAINTS) | $(VENV)/.created
+	@echo "Installing the core of phsi_opt into $(VENV); this may take some minutes."
+	@$(PY) $(PIP_INSTALL) -c $(CONSTRAINTS) pip setuptools
+	@$(PY) $(PIP_INSTALL) -c $(CONSTRAINTS) --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/.full: pyproject.toml $(CONSTRAINTS) | $(VENV)/.created
+	@echo "Installing phsi_opt with all extras and development tools into $(VENV); this may take some minutes."
+	@$(PY) $(PIP_INSTALL) -c $(CONSTRAINTS) pip setuptools
+	@$(PY) $(PIP_INSTALL) -c $(CONSTRAINTS) --no-build-isolation -e '.[$(EXTRAS)]'
+	@touch $(VENV)/.core $@

@@ -1,0 +1,164 @@
+"""Formulas as text: one whitelist, read into CasADi, SymPy or NumPy.
+
+Text is parsed into Python's own syntax tree and walked; nothing is ever evaluated as code, so a model file is data.
+What may stand in a formula: numbers, names, ``+ - * / **``, brackets and the functions of `FUNCTIONS`. The same walk
+serves every backend, so what is solved, what is printed and what is exported cannot drift apart.
+"""
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import sympy as sp
+
+from phsi_opt.errors import ModelError, did_you_mean
+
+# name: (CasADi, SymPy, NumPy)
+FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]] = {
+    "sin": (ca.sin, sp.sin, np.sin),
+    "cos": (ca.cos, sp.cos, np.cos),
+    "tan": (ca.tan, sp.tan, np.tan),
+    "atan": (ca.atan, sp.atan, np.arctan),
+    "exp": (ca.exp, sp.exp, np.exp),
+    "log": (ca.log, sp.log, np.log),
+    "sqrt": (ca.sqrt, sp.sqrt, np.sqrt),
+    "tanh": (ca.tanh, sp.tanh, np.tanh),
+    "abs": (ca.fabs, sp.Abs, np.abs),
+    "sign": (ca.sign, sp.sign, np.sign),
+    "min": (ca.fmin, sp.Min, np.minimum),
+    "max": (ca.fmax, sp.Max, np.maximum),
+}
+CASADI, SYMPY, NUMPY = 0, 1, 2
+CONSTANTS = {"pi": (math.pi, sp.pi, math.pi)}
+TWO_ARGUMENTS = {"min", "max"}
+OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+LONGEST = 10_000  # characters; a formula is written by a person, a longer one is a mistake or an attack
+LARGEST_EXPONENT = 64
+
+
+@lru_cache(maxsize=4096)
+def parse(text: str) -> ast.expr:
+    """Read a formula; raise `ModelError` that shows what is not allowed in it."""
+    if not isinstance(text, str) or not text.strip():
+        raise ModelError(f"formula {text!r} is not text; expected an expression such as 'k*q**2/2'.")
+    if len(text) > LONGEST:
+        raise ModelError(f"a formula of {len(text)} characters is too long (limit {LONGEST}); split it into terms.")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        _check(tree, text)
+    except SyntaxError as error:
+        hint = " Write a power as **." if "^" in text else ""
+        raise ModelError(f"formula {text!r} cannot be read: {error.msg} at column {error.offset}.{hint}") from None
+    except (RecursionError, MemoryError):
+        raise ModelError(f"formula {text[:60]!r}... is nested too deeply; split it into terms.") from None
+    return tree
+
+
+def _check(node: ast.AST, text: str) -> None:
+    if isinstance(node, ast.BinOp):
+        _check_operator(node, text)
+        _check(node.left, text)
+        _check(node.right, text)
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        _check(node.operand, text)
+    elif isinstance(node, ast.Call):
+        _check_call(node, text)
+        for argument in node.args:
+            _check(argument, text)
+    elif isinstance(node, ast.Constant):
+        if isinstance(node.value, bool) or not isinstance(node.value, int | float) or not math.isfinite(node.value):
+            raise ModelError(f"{node.value!r} in formula {text!r} is not a finite number.")
+    elif not isinstance(node, ast.Name):
+        raise ModelError(
+            f"{_source(node, text)!r} in formula {text!r} is not allowed; a formula holds numbers, names, + - * / **, "
+            f"brackets and the functions {', '.join(FUNCTIONS)}."
+        )
+
+
+def _source(node: ast.AST, text: str) -> str:
+    return ast.get_source_segment(text.strip(), node) or type(node).__name__
+
+
+def _check_operator(node: ast.BinOp, text: str) -> None:
+    if type(node.op) not in OPERATORS:
+        hint = " Write a power as **." if isinstance(node.op, ast.BitXor) else ""
+        raise ModelError(f"the operator in {_source(node, text)!r} of formula {text!r} is not allowed.{hint}")
+    if isinstance(node.op, ast.Pow) and not names_of(node.right):
+        if any(isinstance(part, ast.Pow) for part in ast.walk(node.right)):
+            raise ModelError(f"the exponent in {_source(node, text)!r} is itself a power; write its value.")
+        numbers = [abs(part.value) for part in ast.walk(node.right) if isinstance(part, ast.Constant)]
+        if any(isinstance(value, int | float) and value > LARGEST_EXPONENT for value in numbers):
+            raise ModelError(f"the exponent in {_source(node, text)!r} is beyond {LARGEST_EXPONENT}; rescale the term.")
+
+
+def _check_call(node: ast.Call, text: str) -> None:
+    if not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS:
+        called = _source(node.func, text)
+        hint = did_you_mean(called, FUNCTIONS)
+        raise ModelError(
+            f"function {called!r} in formula {text!r} is not known; expected one of {', '.join(FUNCTIONS)}.{hint}"
+        )
+    expected = 2 if node.func.id in TWO_ARGUMENTS else 1
+    if node.keywords or len(node.args) != expected:
+        raise ModelError(f"{_source(node, text)!r} in formula {text!r}: {node.func.id} takes {expected} argument(s).")
+
+
+def names_of(node: ast.AST | str) -> set[str]:
+    """Names that a formula uses: states, inputs, parameters, the time (not its functions, not pi)."""
+    tree = parse(node) if isinstance(node, str) else node
+    called = {id(part.func) for part in ast.walk(tree) if isinstance(part, ast.Call)}
+    found = {part.id for part in ast.walk(tree) if isinstance(part, ast.Name) and id(part) not in called}
+    return found - set(CONSTANTS)
+
+
+def evaluate(text: str, names: Mapping[str, Any], backend: int = CASADI) -> Any:
+    """Value of the formula with ``names`` replaced, in CasADi (default), SymPy or NumPy."""
+    return _walk(parse(text), names, backend, text)
+
+
+def _walk(node: ast.expr, names: Mapping[str, Any], backend: int, text: str) -> Any:
+    if isinstance(node, ast.BinOp):
+        left, right = _walk(node.left, names, backend, text), _walk(node.right, names, backend, text)
+        try:
+            return OPERATORS[type(node.op)](left, right)
+        except (ZeroDivisionError, OverflowError) as error:
+            raise ModelError(f"formula {text!r} has no finite value: {error}.") from None
+    if isinstance(node, ast.UnaryOp):
+        operand = _walk(node.operand, names, backend, text)
+        return -operand if isinstance(node.op, ast.USub) else operand
+    if isinstance(node, ast.Call):
+        assert isinstance(node.func, ast.Name)  # parse() let nothing else through
+        return FUNCTIONS[node.func.id][backend](*(_walk(part, names, backend, text) for part in node.args))
+    if isinstance(node, ast.Name):
+        return _lookup(node.id, names, backend, text)
+    assert isinstance(node, ast.Constant) and isinstance(node.value, int | float)
+    return sp.sympify(node.value) if backend == SYMPY else float(node.value)
+
+
+def _lookup(name: str, names: Mapping[str, Any], backend: int, text: str) -> Any:
+    if name in names:
+        return names[name]
+    if name in CONSTANTS:
+        return CONSTANTS[name][backend]
+    hint = did_you_mean(name, names) or f" Give it a value: formula({text!r}, {name}=Parameter(...))."
+    raise ModelError(f"name {name!r} in formula {text!r} is unknown; known are {', '.join(sorted(names))}.{hint}")
+
+
+def renamed(text: str, names: Mapping[str, str]) -> str:
+    """The formula with names exchanged."""
+    tree = ast.parse(text.strip(), mode="eval")
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node.id in names:
+            node.id = names[node.id]
+    return ast.unparse(tree)

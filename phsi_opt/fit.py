@@ -1,0 +1,270 @@
+"""The result of `identify`: a frozen record with its tables, equations, exports and file format.
+
+A file holds numbers and formulas as text; loading one reads the text through the whitelist of `expressions`.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+import sympy as sp
+
+from phsi_opt.errors import DataError, PhsiOptError
+from phsi_opt.expressions import SYMPY
+from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian, place_of
+from phsi_opt.simulate import simulate
+from phsi_opt.solver import Outcome
+from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term
+
+FORMAT = "phsi_opt fit 1"
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted model.
+
+    Attributes:
+        model: with the fitted values as values of its parameters.
+        loss: name of the loss; loss_value: its value at the solution, without the L1 terms.
+        covariance: of the free parameters, in the order of ``model.free``; NaN where it is not known.
+        noise: standard deviation of the measurement noise per state (empty for `PHSILoss`).
+        bic: Bayesian information criterion (NaN for `PHSILoss`, whose residuals are not independent).
+        removed: terms that pruning removed, in order. warnings: what to know before the numbers are used.
+        states: estimated states per trajectory, (n_samples, n_states) at the samples; empty for a loaded fit.
+    """
+
+    model: Model
+    loss: str
+    loss_value: float
+    covariance: np.ndarray
+    noise: Mapping[str, float]
+    outcome: Outcome
+    n_values: int
+    bic: float = np.nan
+    hold: str = "linear"
+    units: Mapping[str, str] = field(default_factory=dict)
+    removed: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    states: tuple[np.ndarray, ...] = ()
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value of every parameter by name."""
+        return self.model.values
+
+    @cached_property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error by name; NaN where fixed, at a bound, or not known."""
+        known = dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)), strict=True))
+        return {name: float(known.get(name, np.nan)) for name in self.model.entries}
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Table: name, slot, equation, value, std_error, lower, upper, unit, fixed."""
+        rows = [
+            (name, e.slot, e.equation, self.values[name], self.std_errors[name], e.parameter.lower, e.parameter.upper,
+             e.parameter.unit, e.parameter.fixed)
+            for name, e in self.model.entries.items()
+        ]  # fmt: skip
+        return pd.DataFrame(
+            rows, columns=["name", "slot", "equation", "value", "std_error", "lower", "upper", "unit", "fixed"]
+        )
+
+    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
+        """States (n_samples, n_states) from x0 at t[0], by SciPy; inputs u are held as the measurements declared."""
+        return simulate(self.model, t, x0, u, hold=self.hold)
+
+    def sympy(self) -> dict[str, sp.Expr]:
+        """SymPy expressions with the fitted numbers: 'H', 'R_<state>', 'F_<state>' and 'd<state>/dt'."""
+        x, u, t = sp.symbols(self.model.states), sp.symbols(self.model.inputs), sp.Symbol("t")
+        values = {name: sp.Float(value) for name, value in self.values.items()}
+        e = self.model.expressions(x, u, t, values, SYMPY)
+        result = {"H": sp.sympify(e.energy)}
+        for i, name in enumerate(self.model.states):
+            exchange = sum((sp.Float(s) * e.efforts[j] for j, s in enumerate(self.model.S[i]) if s), start=sp.Integer(0))
+            result[f"R_{name}"], result[f"F_{name}"] = sp.sympify(e.loss[i]), sp.sympify(e.force[i])
+            result[f"d{name}/dt"] = sp.expand(exchange - e.loss[i] * e.efforts[i] + e.force[i])
+        return result
+
+    def casadi(self) -> ca.Function:
+        """CasADi function (x, u, t) -> dx/dt with the fitted numbers."""
+        x, u, t = ca.SX.sym("x", self.model.n_states), ca.SX.sym("u", self.model.n_inputs), ca.SX.sym("t")
+        theta = [self.values[name] for name in self.model.free]
+        return ca.Function("fitted", [x, u, t], [self.model.rhs()(x, u, t, theta)], ["x", "u", "t"], ["dx"])
+
+    def equations(self) -> list[str]:
+        """The right-hand sides with every fitted number (6 digits), one text per state; no term is left out."""
+        exact = self.sympy()
+        return [f"d{name}/dt = {sp.sstr(exact[f'd{name}/dt'].n(6))}" for name in self.model.states]
+
+    def latex(self) -> str:
+        """The right-hand sides as an aligned LaTeX block."""
+        exact = self.sympy()
+        rows = [rf"\dot{{{sp.latex(sp.Symbol(n))}}} &= {sp.latex(exact[f'd{n}/dt'].n(6))}" for n in self.model.states]
+        return "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
+
+    def save(self, path: str | Path) -> None:
+        """Write the fit as JSON: model, values, covariance, outcome, provenance (not the estimated states)."""
+        text = json.dumps(to_json(self), indent=1, allow_nan=True)
+        Path(path).write_text(text + "\n", encoding="utf-8")
+
+    @staticmethod
+    def load(path: str | Path) -> "Fit":
+        """Read a fit that `save` wrote; raises `DataError` for anything else. Never runs code from the file."""
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+            raise DataError(f"{path} cannot be read as a fit: {error}.") from None
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise DataError(f"{path} is not a file of the format {FORMAT!r}; write one with fit.save(path).")
+        try:
+            return from_json(content)
+        except PhsiOptError as error:
+            raise DataError(f"{path} holds a model that is not valid: {error}") from None
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise DataError(f"{path} is damaged: {type(error).__name__} {error}. Write it again with fit.save.") from None
+
+    def __str__(self) -> str:
+        return report(self)
+
+    __repr__ = __str__
+
+
+def report(fit: Fit) -> str:
+    """The fit as text: equations with +- standard errors, what to know, and the solver's outcome in words."""
+    lines = [f"Fit of {type(fit.model).__name__} by {fit.loss}: {', '.join(fit.model.states)}"]
+    lines += [f"  {row}" for row in _structure_rows(fit.model)]
+    for slot, equation in _places(fit.model):
+        terms = fit.model.H if slot == "H" else getattr(fit.model, slot)[equation]
+        lines.append(f"  {place_of(slot, equation)} = " + " + ".join(_term(fit, term, slot, equation) for term in terms))
+    lines += [f"  {name} = {fit.values[name]:.6g} {e.parameter.unit}".rstrip() + " (fixed)"
+              for name, e in fit.model.entries.items() if e.parameter.fixed]  # fmt: skip
+    if fit.noise:
+        lines.append("  noise: " + ", ".join(f"{n} {s:.3g} {fit.units.get(n, '')}".rstrip() for n, s in fit.noise.items()))
+    if fit.removed:
+        lines.append(f"  removed: {', '.join(fit.removed)}")
+    lines.append(f"  loss {fit.loss_value:.6g} over {fit.n_values} values; solver: {fit.outcome}")
+    return "\n".join(lines + [f"  note: {warning}" for warning in fit.warnings])
+
+
+def _structure_rows(model: Model) -> list[str]:
+    rows = []
+    for i, name in enumerate(model.states):
+        parts = [f"{'+' if s > 0 else '-'} {'' if abs(s) == 1 else f'{abs(s):g}*'}dH_d{model.states[j]}"
+                 for j, s in enumerate(model.S[i]) if s]  # fmt: skip
+        if name in model.R:
+            parts.append(f"- R_{name}*" + (f"dH_d{name}" if model.H.terms else name))
+        if name in model.F:
+            parts.append(f"+ F_{name}")
+        text = " ".join(parts) or "0"
+        rows.append(f"d{name}/dt = {text[2:] if text.startswith('+ ') else text}")
+    return rows
+
+
+def _places(model: Model) -> list[tuple[str, str]]:
+    return list(dict.fromkeys((slot, equation) for slot, equation, _ in model.placed()))
+
+
+def _term(fit: Fit, term: Term, slot: str, equation: str) -> str:
+    place = place_of(slot, equation)
+    names = {name: term.inner_name(name, place) for name in term.inner}
+
+    def number(match: re.Match[str]) -> str:
+        return f"({_with_error(fit, names[match[0]])})" if match[0] in names else match[0]
+
+    body = re.sub(r"[A-Za-z_]\w*", number, term.body)
+    if term.is_formula:
+        return body
+    coefficient = f"({_with_error(fit, term.coefficient_name(place))})"
+    return coefficient if body == "1" else f"{coefficient}*{body}"
+
+
+def _with_error(fit: Fit, name: str) -> str:
+    entry, error = fit.model.entries[name], fit.std_errors[name]
+    text = f"{fit.values[name]:.6g}"
+    if np.isfinite(error):
+        text += f" +- {error:.2g}"
+    return text + (f" {entry.parameter.unit}" if entry.parameter.unit else "")
+
+
+def to_json(fit: Fit) -> dict[str, Any]:
+    """The fit as numbers, text, lists and dictionaries."""
+    model = fit.model
+    return {
+        "format": FORMAT,
+        "model": {
+            "kind": type(model).__name__,
+            "states": list(model.states),
+            "inputs": list(model.inputs),
+            "S": [list(row) for row in model.S],
+            "H": [_term_json(term) for term in model.H],
+            "R": {name: [_term_json(term) for term in terms] for name, terms in model.R.items()},
+            "F": {name: [_term_json(term) for term in terms] for name, terms in model.F.items()},
+        },
+        "loss": fit.loss,
+        "loss_value": fit.loss_value,
+        "covariance": fit.covariance.tolist(),
+        "noise": dict(fit.noise),
+        "outcome": {**vars(fit.outcome), "at_bounds": list(fit.outcome.at_bounds)},
+        "n_values": fit.n_values,
+        "bic": fit.bic,
+        "hold": fit.hold,
+        "units": dict(fit.units),
+        "removed": list(fit.removed),
+        "warnings": list(fit.warnings),
+        "provenance": dict(fit.provenance),
+    }
+
+
+def _term_json(term: Term) -> dict[str, Any]:
+    return {
+        "body": term.body,
+        "coefficient": None if term.coefficient is None else _parameter_json(term.coefficient),
+        "inner": {name: _parameter_json(parameter) for name, parameter in term.inner.items()},
+        "name": term.name,
+    }
+
+
+def _parameter_json(p: Parameter) -> dict[str, Any]:
+    guess = None if p.guess is None else [type(p.guess).__name__, *vars(p.guess).values()]
+    return {"value": p.value, "lower": p.lower, "upper": p.upper, "unit": p.unit, "fixed": p.fixed, "guess": guess}
+
+
+def from_json(content: dict[str, Any]) -> Fit:
+    """The fit that `to_json` wrote."""
+    m = content["model"]
+    slots = {slot: {name: _dictionary(terms) for name, terms in m[slot].items()} for slot in ("R", "F")}
+    common = {"states": m["states"], "inputs": m["inputs"], **slots}
+    kinds = {"PseudoHamiltonian": PseudoHamiltonian, "FirstOrder": FirstOrder}
+    energy = {"S": m["S"], "H": _dictionary(m["H"])} if m["kind"] == "PseudoHamiltonian" else {}
+    model: Model = kinds[m["kind"]](**common, **energy)  # type: ignore[operator]
+    covariance = np.array(content["covariance"], dtype=float).reshape(len(model.free), len(model.free))
+    outcome = Outcome(**{**content["outcome"], "at_bounds": tuple(content["outcome"]["at_bounds"])})
+    plain = {k: content[k] for k in ("loss", "loss_value", "noise", "n_values", "bic", "hold", "units", "provenance")}
+    lists = {key: tuple(content[key]) for key in ("removed", "warnings")}
+    return Fit(model=model, covariance=covariance, outcome=outcome, **plain, **lists)
+
+
+def _dictionary(terms: list[dict[str, Any]]) -> Dictionary:
+    return Dictionary(tuple(_term_from(term) for term in terms))
+
+
+def _term_from(content: dict[str, Any]) -> Term:
+    inner = {name: _parameter_from(p) for name, p in content["inner"].items()}
+    coefficient = None if content["coefficient"] is None else _parameter_from(content["coefficient"])
+    return Term(content["body"], coefficient, inner, content["name"])
+
+
+def _parameter_from(content: dict[str, Any]) -> Parameter:
+    guesses = {"Scan": Scan, "Share": Share}
+    guess = content["guess"]
+    made = None if guess is None else guesses[guess[0]](*guess[1:])
+    return Parameter(**{**content, "guess": made})

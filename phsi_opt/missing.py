@@ -1,0 +1,163 @@
+"""The missing force: what a model lacks, as an unknown function of time, estimated from the data.
+
+The states and the force are found by one program (`losses.MissingForce`); how large the force is, and how large the
+noise, is chosen by marginal likelihood at the linearised solution (Laplace's approximation). The updates are MacKay's:
+each variance becomes its sum of squares over the number of its well-determined directions, whose trace is taken with
+fixed random probes, so that the result is deterministic.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import block_diag, bmat, csc_matrix, diags
+from scipy.sparse.linalg import SuperLU, splu
+
+from phsi_opt.errors import SolveError
+from phsi_opt.grid import Grid
+from phsi_opt.losses import ForcePrior, MissingForce, Point
+from phsi_opt.model import Model
+from phsi_opt.solver import Settings, solve
+
+N_PROBES = 24
+LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
+
+
+@dataclass(frozen=True, eq=False)
+class ForceEstimate:
+    """States x (n_nodes, n_states), force w (n_intervals, n_forced), noise per state, prior, and their evidence."""
+
+    x: np.ndarray
+    w: np.ndarray
+    sigma: np.ndarray
+    prior: ForcePrior
+    log_evidence: float
+    grid: Grid
+
+
+def positions(model: Model) -> tuple[int, ...]:
+    """States that are positions of a canonical pair: their equation dq/dt = dH/dp is kinematics and lacks no force."""
+    S = np.array(model.S)
+    found = []
+    for i, row in enumerate(S):
+        (partners,) = np.nonzero(row)
+        if len(partners) == 1 and row[partners[0]] > 0 and np.count_nonzero(S[partners[0]]) == 1:
+            found.append(i)
+    return tuple(found)
+
+
+def forced_rows(model: Model) -> tuple[int, ...]:
+    """Equations in which a force may be missing: all but those of positions."""
+    return tuple(i for i in range(model.n_states) if i not in positions(model))
+
+
+def default_prior(model: Model, grid: Grid, point: Point) -> ForcePrior:
+    """A generous prior: sizes from the states' own rates, correlation time a fraction of the records."""
+    rows = forced_rows(model)
+    last = np.r_[grid.first[1:] - 1, grid.n_nodes - 1]
+    duration = float(np.mean(grid.t[last] - grid.t[grid.first]))
+    rate = np.sqrt(np.mean(np.diff(point.x, axis=0) ** 2, axis=0)) / np.median(grid.h)
+    size = np.maximum(rate, point.x_scale / duration)[list(rows)]
+    return ForcePrior(rows, size, duration / 10)
+
+
+def estimate_force(
+    model: Model, grid: Grid, point: Point, sigma: np.ndarray, *, rounds: int = 3, known_noise: bool = False,
+    prior: ForcePrior | None = None, integrator: str = "srk4",
+) -> ForceEstimate:  # fmt: skip
+    """Estimate states and missing force of ``model`` at ``point.theta``, with noise and force size by evidence."""
+    prior = prior or default_prior(model, grid, point)
+    loss, settings = MissingForce(integrator), Settings(tolerance=1e-6, max_iterations=200)
+    evidence = -np.inf
+    for _ in range(rounds):
+        program = loss.program(model, grid, point, prior, sigma)
+        solution = solve(program, settings, raise_on_failure=False)
+        if not solution.outcome.success and solution.outcome.infeasibility > 1e-3:
+            raise SolveError(f"The missing force could not be estimated: {solution.outcome}")
+        x = solution.values["x"].reshape(point.x.shape)
+        w = solution.values["w"].reshape(grid.n_intervals, len(prior.rows))
+        jacobian = solution.kkt.jacobian @ diags(1 / program.scale)
+        point = replace(point, x=x, w=w)
+        sigma, prior, evidence = _update(grid, point, csc_matrix(jacobian), sigma, prior, known_noise)
+    assert point.w is not None
+    return ForceEstimate(point.x, point.w, sigma, prior, evidence, grid)
+
+
+def _update(
+    grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior, known_noise: bool
+) -> tuple[np.ndarray, ForcePrior, float]:
+    """Noise and force size of largest marginal likelihood in the problem linearised at the point."""
+    evidence = -np.inf
+    for _ in range(8):
+        linear = Linearised(grid, point, jacobian, sigma, prior)
+        evidence = linear.log_evidence()
+        new_sigma, new_size = linear.improved(known_noise)
+        step = max(np.max(np.abs(np.log(new_sigma / sigma))), np.max(np.abs(np.log(new_size / prior.size))))
+        sigma, prior = new_sigma, replace(prior, size=new_size)
+        if step < 0.02:
+            break
+    return sigma, prior, evidence
+
+
+class Linearised:
+    """The missing-force problem linearised at a point: one factorisation, then means, variances and evidence."""
+
+    def __init__(self, grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior) -> None:
+        assert point.w is not None
+        self.grid, self.point, self.sigma, self.prior = grid, point, sigma, prior
+        self.n_x, self.n_w = point.x.size, point.w.size
+        self.whiteners = [prior.whitener(grid, k) for k in range(len(prior.rows))]
+        n_forced = len(prior.rows)
+        order = np.arange(self.n_w).reshape(-1, n_forced).T.ravel()  # from force-major to interval-major
+        self.L = block_diag(self.whiteners, format="csc")[:, np.argsort(order)]
+        seen = grid.measured
+        self.weight = np.where(seen, 1 / np.tile(sigma, (grid.n_nodes, 1)), 0.0).ravel()
+        hessian = block_diag([diags(self.weight**2), self.L.T @ self.L], format="csc")
+        self.factor = _factor(bmat([[hessian, jacobian.T], [jacobian, None]], format="csc"))
+        residual = np.where(seen, grid.y - point.x, 0.0).ravel()
+        gradient = np.r_[-(self.weight**2) * residual, self.L.T @ (self.L @ point.w.ravel())]
+        step = self.factor.solve(np.r_[-gradient, np.zeros(jacobian.shape[0])])
+        self.residual = residual - step[: self.n_x]
+        self.innovations = self.L @ (point.w.ravel() + step[self.n_x : self.n_x + self.n_w])
+
+    def log_evidence(self) -> float:
+        """log p(y | noise, force size), up to a constant of the linearisation point."""
+        misfit = np.sum((self.weight * self.residual) ** 2) + np.sum(self.innovations**2)
+        log_det = np.sum(np.log(np.abs(self.factor.U.diagonal())))
+        log_noise = np.sum(np.log(self.weight[self.weight > 0]))
+        log_prior = sum(np.sum(np.log(L.diagonal())) for L in self.whiteners)
+        return float(-misfit / 2 - log_det / 2 + log_noise + log_prior)
+
+    def improved(self, known_noise: bool) -> tuple[np.ndarray, np.ndarray]:
+        """MacKay's update of the noise and of the force size."""
+        determined_y, determined_w = self._well_determined()
+        sigma = self.sigma.copy()
+        if not known_noise:
+            seen, squares = self.grid.measured, self.residual.reshape(self.grid.y.shape) ** 2
+            for k in np.flatnonzero(seen.any(axis=0)):
+                free = max(seen[:, k].sum() - determined_y[k], 1.0)
+                sigma[k] = np.sqrt(max(squares[:, k].sum() / free, 1e-300))
+        per_force = self.innovations.reshape(len(self.prior.rows), -1)
+        ratio = np.array([np.sum(r**2) for r in per_force]) / np.maximum(determined_w, 1e-3)
+        size = self.prior.size * np.sqrt(np.clip(ratio, 1 / LARGEST_CHANGE, LARGEST_CHANGE))
+        return np.clip(sigma, self.sigma / LARGEST_CHANGE, self.sigma * LARGEST_CHANGE), size
+
+    def _well_determined(self) -> tuple[np.ndarray, np.ndarray]:
+        """Number of well-determined directions per measured channel and per force."""
+        rng = np.random.default_rng(0)
+        n_total = self.factor.shape[0]
+        signs_y = rng.choice([-1.0, 1.0], (self.n_x, N_PROBES)) * (self.weight > 0)[:, None]
+        signs_w = rng.choice([-1.0, 1.0], (self.n_w, N_PROBES))
+        right = np.zeros((n_total, 2 * N_PROBES))
+        right[: self.n_x, :N_PROBES] = self.weight[:, None] * signs_y
+        right[self.n_x : self.n_x + self.n_w, N_PROBES:] = self.L.T @ signs_w
+        left = self.factor.solve(right)
+        along_y = signs_y * self.weight[:, None] * left[: self.n_x, :N_PROBES]
+        along_w = signs_w * (self.L @ left[self.n_x : self.n_x + self.n_w, N_PROBES:])
+        n_forced = len(self.prior.rows)
+        determined_y = along_y.mean(axis=1).reshape(self.grid.y.shape).sum(axis=0)
+        determined_w = self.n_w / n_forced - along_w.mean(axis=1).reshape(n_forced, -1).sum(axis=1)
+        return determined_y, determined_w
+
+
+def _factor(matrix: csc_matrix) -> SuperLU:
+    return splu(matrix)

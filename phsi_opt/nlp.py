@@ -1,0 +1,154 @@
+"""One nonlinear program, assembled from named blocks.
+
+    minimise   1/2 sum r(z)^2 + linear cost      subject to   lower <= g(z) <= upper,   bounds on z
+
+Variables are scaled where they enter, so that the solver sees numbers near one and its tolerance means the same for
+every block. The Hessian is the Gauss-Newton one, J'J of the residuals: it leaves out the curvature of the defects, which
+is nearly all of the cost of the exact Hessian and little of its use (docs/design.md). No solver is named here.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from phsi_opt.errors import ModelError
+
+
+@dataclass(frozen=True)
+class Block:
+    """A named part of the variables or constraints; ``label(i)`` names its entry i in messages."""
+
+    name: str
+    start: int
+    stop: int
+    label: Callable[[int], str]
+
+    @property
+    def slice(self) -> slice:
+        """Where the block stands in the whole vector."""
+        return slice(self.start, self.stop)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A finished nonlinear program in scaled variables z; ``scale * z`` are the values."""
+
+    variables: dict[str, Block]
+    constraints: dict[str, Block]
+    z: ca.MX
+    objective: ca.MX
+    residual: ca.MX
+    g: ca.MX
+    hessian: ca.Function
+    start: np.ndarray
+    scale: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    g_lower: np.ndarray
+    g_upper: np.ndarray
+
+    def values(self, z: np.ndarray) -> dict[str, np.ndarray]:
+        """Unscaled values of every block of variables."""
+        return {name: (z * self.scale)[block.slice] for name, block in self.variables.items()}
+
+    def name_of(self, index: int, blocks: dict[str, Block]) -> str:
+        """Name of one entry, such as 'defect[trajectory=2, interval=17]'."""
+        block = next(b for b in blocks.values() if b.start <= index < b.stop)
+        return f"{block.name}[{block.label(index - block.start)}]"
+
+
+@dataclass
+class Assembly:
+    """Collects blocks; `finish` closes it into a `Program`."""
+
+    _symbols: list[ca.MX] = field(default_factory=list)
+    _variables: dict[str, Block] = field(default_factory=dict)
+    _constraints: dict[str, Block] = field(default_factory=dict)
+    _numbers: dict[str, list[np.ndarray]] = field(
+        default_factory=lambda: {n: [] for n in ("start", "scale", "lower", "upper", "g_lower", "g_upper")}
+    )
+    _g: list[ca.MX] = field(default_factory=list)
+    _residuals: list[tuple[ca.MX, Callable[[ca.MX], ca.MX] | None]] = field(default_factory=list)
+    _linear: list[ca.MX] = field(default_factory=list)
+
+    def variable(
+        self,
+        name: str,
+        start: np.ndarray,
+        lower: float | np.ndarray = -np.inf,
+        upper: float | np.ndarray = np.inf,
+        scale: float | np.ndarray = 1.0,
+        label: Callable[[int], str] = str,
+    ) -> ca.MX:
+        """Add a block of variables and return it, unscaled, as a column."""
+        begin = np.ravel(np.asarray(start, dtype=float))
+        if not np.all(np.isfinite(begin)):
+            raise ModelError(f"the start of {name} has {np.sum(~np.isfinite(begin))} values that are not finite.")
+        size = np.broadcast_to(np.asarray(scale, dtype=float), begin.shape)
+        symbol = ca.MX.sym(name, begin.size)
+        offset = sum(s.numel() for s in self._symbols)
+        self._symbols.append(symbol)
+        self._variables[name] = Block(name, offset, offset + begin.size, label)
+        self._numbers["scale"].append(size)
+        for key, value in (("start", begin), ("lower", lower), ("upper", upper)):
+            self._numbers[key].append(np.broadcast_to(np.asarray(value, dtype=float), begin.shape) / size)
+        return symbol * ca.DM(size)
+
+    def constrain(
+        self,
+        name: str,
+        expression: ca.MX,
+        lower: float = 0.0,
+        upper: float = 0.0,
+        label: Callable[[int], str] = str,
+    ) -> None:
+        """Add lower <= expression <= upper; the caller scales the expression to numbers near one."""
+        column = ca.vec(expression)
+        offset = sum(g.numel() for g in self._g)
+        self._g.append(column)
+        self._constraints[name] = Block(name, offset, offset + column.numel(), label)
+        self._numbers["g_lower"].append(np.full(column.numel(), float(lower)))
+        self._numbers["g_upper"].append(np.full(column.numel(), float(upper)))
+
+    def residual(self, expression: ca.MX, jacobian: Callable[[ca.MX], ca.MX] | None = None) -> None:
+        """Add 1/2 sum(expression^2) to the objective; ``jacobian(z)`` where the caller knows a cheaper one."""
+        self._residuals.append((ca.vec(expression), jacobian))
+
+    def cost(self, expression: ca.MX) -> None:
+        """Add a cost that is linear in the variables."""
+        self._linear.append(expression)
+
+    def l1(self, name: str, expression: ca.MX, weight: np.ndarray, start: np.ndarray, scale: np.ndarray) -> None:
+        """Add sum(weight |expression|) through slack variables: -s <= expression <= s, cost weight s."""
+        slack = self.variable(f"slack_{name}", np.abs(start) + 0.1 * scale, lower=0.0, scale=scale)
+        inverse = ca.DM(1 / scale)
+        self.constrain(f"l1_upper_{name}", (slack - expression) * inverse, 0.0, np.inf)
+        self.constrain(f"l1_lower_{name}", (slack + expression) * inverse, 0.0, np.inf)
+        self.cost(ca.dot(ca.DM(weight), slack))
+
+    def finish(self) -> Program:
+        """Close the program: objective, constraints and Gauss-Newton Hessian in the scaled variables."""
+        z = ca.vertcat(*self._symbols)
+        # One symbol for the solver; the blocks become slices of it.
+        whole = ca.MX.sym("z", z.numel())
+        offsets = np.cumsum([0] + [s.numel() for s in self._symbols]).tolist()
+        parts = [whole[a:b] for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+        residual, linear, g = (
+            ca.graph_substitute([ca.vertcat(*column)], self._symbols, parts)[0] if column else ca.MX(0, 1)
+            for column in ([r for r, _ in self._residuals], self._linear, self._g)
+        )
+        objective = ca.sumsqr(residual) / 2 + (ca.sum1(linear) if self._linear else 0)
+        numbers = {key: np.concatenate(rows) if rows else np.zeros(0) for key, rows in self._numbers.items()}
+        return Program(
+            self._variables, self._constraints, whole, objective, residual, g,
+            self._hessian(whole, residual, g.numel(), parts), **numbers,
+        )  # fmt: skip
+
+    def _hessian(self, z: ca.MX, residual: ca.MX, n_constraints: int, parts: list[ca.MX]) -> ca.Function:
+        factor, lam = ca.MX.sym("factor"), ca.MX.sym("lam", n_constraints)
+        known = [jacobian(z) for _, jacobian in self._residuals if jacobian is not None]
+        jacobian = ca.vertcat(*known) if len(known) == len(self._residuals) else ca.jacobian(residual, z)
+        hessian = ca.triu(factor * ca.mtimes(jacobian.T, jacobian))
+        return ca.Function("gauss_newton", [z, ca.MX(0, 1), factor, lam], [hessian])

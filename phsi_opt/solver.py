@@ -1,0 +1,188 @@
+"""The one file that names IPOPT: it solves a `Program` and says in words what came out.
+
+It turns symbols into NumPy arrays; nothing symbolic leaves it but the program's own functions.
+"""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from phsi_opt.errors import SolveError
+from phsi_opt.nlp import Program
+
+# IPOPT's return status: (is the point usable, what it means, what to do)
+MEANINGS = {
+    "Solve_Succeeded": (True, "a local optimum was found", ""),
+    "Solved_To_Acceptable_Level": (
+        True,
+        "a local optimum was found to the looser, acceptable tolerance",
+        "Check the standard errors, or scale the data.",
+    ),
+    "Infeasible_Problem_Detected": (
+        False,
+        "no states satisfy the model exactly",
+        "Check signs and bounds of the model, or start from other values.",
+    ),
+    "Search_Direction_Becomes_Too_Small": (
+        False,
+        "the iteration stalled before an optimum",
+        "A term may not be smooth enough; widen its transition or use more steps per sample.",
+    ),
+    "Diverging_Iterates": (False, "the iterates grew without limit", "Bound the parameters; the model may be unstable."),
+    "Maximum_Iterations_Exceeded": (
+        False,
+        "the iteration limit was reached before an optimum",
+        "Raise max_iterations, or give starting values nearer to the solution.",
+    ),
+    "Maximum_CpuTime_Exceeded": (False, "the time limit was reached", "Raise max_seconds or use fewer samples."),
+    "Maximum_WallTime_Exceeded": (False, "the time limit was reached", "Raise max_seconds or use fewer samples."),
+    "Restoration_Failed": (
+        False,
+        "no feasible states could be found",
+        "Start from other values, or use more steps per sample.",
+    ),
+    "Invalid_Number_Detected": (
+        False,
+        "the model gave NaN or infinity",
+        "Look for a division by zero, a logarithm or root of a negative number, or a missing bound.",
+    ),
+    "Not_Enough_Degrees_Of_Freedom": (False, "there are more equations than unknowns", "Free a parameter."),
+    "User_Requested_Stop": (False, "the solve was interrupted", "Run it again to finish."),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How hard to try: tolerance on the scaled optimality conditions, and limits."""
+
+    tolerance: float = 1e-8
+    max_iterations: int = 500
+    max_seconds: float = 600.0
+    show: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the solver said, in words and numbers."""
+
+    success: bool
+    status: str
+    sentence: str
+    advice: str
+    iterations: int
+    seconds: float
+    objective: float
+    infeasibility: float
+    at_bounds: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        text = f"{self.sentence} ({self.status}, {self.iterations} iterations, {self.seconds:.2f} s)"
+        if self.at_bounds:
+            text += f"; at a bound: {', '.join(self.at_bounds)}"
+        return text + (f". {self.advice}" if self.advice else "")
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The optimal point: unscaled values per block, multipliers per block, scaled vector, outcome."""
+
+    values: dict[str, np.ndarray]
+    multipliers: dict[str, np.ndarray]
+    z: np.ndarray
+    residual: np.ndarray
+    outcome: Outcome
+    kkt: "KKT" = field(repr=False)
+
+
+@dataclass(frozen=True)
+class KKT:
+    """Second-order information at a point, in scaled variables: Gauss-Newton Hessian and constraint Jacobian."""
+
+    hessian: Any  # scipy.sparse CSC
+    jacobian: Any
+
+
+def solve(program: Program, settings: Settings | None = None, raise_on_failure: bool = True) -> Solution:
+    """Solve with IPOPT; raises `SolveError` if it ends without an optimum and ``raise_on_failure``."""
+    settings = settings or Settings()
+    solver = ca.nlpsol("program", "ipopt", {"x": program.z, "f": program.objective, "g": program.g}, _options(program, settings))
+    began = time.perf_counter()
+    result = solver(
+        x0=program.start, lbx=program.lower, ubx=program.upper, lbg=program.g_lower, ubg=program.g_upper
+    )
+    seconds = time.perf_counter() - began
+    z = np.array(result["x"]).ravel()
+    outcome = _outcome(program, solver.stats(), z, result, seconds)
+    if outcome.status == "User_Requested_Stop":
+        raise KeyboardInterrupt
+    if raise_on_failure and not outcome.success:
+        raise SolveError(f"The solver failed: {outcome}")
+    multipliers = np.array(result["lam_g"]).ravel()
+    return Solution(
+        program.values(z),
+        {name: multipliers[block.slice] for name, block in program.constraints.items()},
+        z,
+        np.array(ca.Function("r", [program.z], [program.residual])(z)).ravel(),
+        outcome,
+        kkt(program, z),
+    )
+
+
+def _options(program: Program, settings: Settings) -> dict[str, Any]:
+    return {
+        "hess_lag": program.hessian,
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "record_time": True,
+        "ipopt": {
+            "print_level": 5 if settings.show else 0,
+            "sb": "yes",
+            "tol": settings.tolerance,
+            "acceptable_tol": 100 * settings.tolerance,
+            "max_iter": settings.max_iterations,
+            "max_wall_time": settings.max_seconds,
+            # The program is scaled already; a second scaling would change what the tolerance means.
+            "nlp_scaling_method": "none",
+            # Bounds are physics: they are not relaxed, and a start on a bound is moved only a little inside.
+            "bound_relax_factor": 0.0,
+            "bound_push": 1e-4,
+            "bound_frac": 1e-4,
+            "mu_strategy": "adaptive",
+        },
+    }
+
+
+def kkt(program: Program, z: np.ndarray) -> KKT:
+    """Gauss-Newton Hessian and constraint Jacobian at z."""
+    upper = program.hessian(z, [], 1.0, np.zeros(program.g.numel())).sparse()
+    full = upper + upper.T
+    full.setdiag(upper.diagonal())
+    jacobian = ca.Function("jacobian", [program.z], [ca.jacobian(program.g, program.z)])
+    return KKT(full.tocsc(), jacobian(z).sparse().tocsc())
+
+
+def _outcome(program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float) -> Outcome:
+    status = str(stats["return_status"])
+    usable, sentence, advice = MEANINGS.get(status, (False, f"the solver stopped: {status}", "Try other starting values."))
+    g = np.array(result["g"]).ravel()
+    outside = np.maximum(program.g_lower - g, g - program.g_upper)
+    worst = int(np.argmax(outside)) if outside.size else 0
+    infeasibility = max(float(outside[worst]), 0.0) if outside.size else 0.0
+    if not usable and infeasibility > 1e-6:
+        sentence += f"; the largest violation is {infeasibility:.1e} in {program.name_of(worst, program.constraints)}"
+    return Outcome(
+        usable, status, sentence, advice, int(stats["iter_count"]), seconds, float(result["f"]), infeasibility,
+        _at_bounds(program, z),
+    )  # fmt: skip
+
+
+def _at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
+    if "theta" not in program.variables:
+        return ()
+    block = program.variables["theta"]
+    close = np.minimum(z - program.lower, program.upper - z)[block.slice] < 1e-6
+    return tuple(block.label(int(i)) for i in np.flatnonzero(close))

@@ -1,0 +1,259 @@
+"""Starting values: states by smoothing, linear coefficients by a convex program, frequencies by a scan.
+
+The loss with the midpoint rule is convex in the coefficients that enter linearly while R is fixed, so CVXPY solves it to
+its global optimum. A frequency is a needle that no local solver finds: it is scanned, with the amplitudes (linear once the
+frequency is fixed) solved at every step of the scan.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import cvxpy as cp
+import numpy as np
+
+from phsi_opt.grid import Grid, defect, defect_jacobian, defects
+from phsi_opt.losses import Point, complete, rate_size
+from phsi_opt.missing import ForceEstimate, estimate_force
+from phsi_opt.model import Model, place_of
+from phsi_opt.noise import difference_noise
+from phsi_opt.measurements import Measurements
+from phsi_opt.terms import Scan, Share
+
+SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
+N_STARTS = 3  # frequencies of the scan that are tried
+
+
+def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
+    """Noise per state to start from: the given one, else from differences of the data; 1 where nothing was measured."""
+    guess = difference_noise(data) if given is None else given
+    spread = np.array([np.nanstd(np.concatenate([r.x[:, k] for r in data.trajectories])) if name in data.measured else 1.0
+                       for k, name in enumerate(data.states)])  # fmt: skip
+    guess = np.where(np.isfinite(guess), guess, 0.1 * spread)
+    # Clean data: a noise of zero would make every weight infinite.
+    return np.where([name in data.measured for name in data.states], np.maximum(guess, 1e-6 * spread), 1.0)
+
+
+def first_point(model: Model, grid: Grid) -> Point:
+    """Measured states interpolated, others zero, with the size of every state taken from the data."""
+    x, scale = np.zeros(grid.y.shape), np.full(model.n_states, np.nan)
+    for k in range(model.n_states):
+        for run in range(grid.trajectory[-1] + 1):
+            node = grid.trajectory == run
+            seen = node & grid.measured[:, k]
+            if seen.any():
+                x[node, k] = np.interp(grid.t[node], grid.t[seen], grid.y[seen, k])
+        if grid.measured[:, k].any():
+            spread = np.nanstd(grid.y[:, k])
+            scale[k] = spread if spread > 0 else max(abs(float(np.nanmean(grid.y[:, k]))), 1e-12)
+    theta = np.array([model.values[name] for name in model.free])
+    scale = _unmeasured_scale(model, grid, theta, x, scale)
+    return Point(theta, x, theta_scale(model, grid, theta, x, scale), scale)
+
+
+def _unmeasured_scale(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Size of a state that nobody measured: what the measured rates say through the model, else one."""
+    if np.all(np.isfinite(scale)):
+        return scale
+    known = np.isfinite(scale)
+    rate = np.sqrt(np.mean(np.square(_smooth_rates(grid, x)), axis=0))
+    slopes = np.abs(_state_slopes(model, grid, theta, x))
+    result = scale.copy()
+    for k in np.flatnonzero(~known):
+        ratios = [rate[i] / slopes[i, k] for i in np.flatnonzero(known) if slopes[i, k] > 0]
+        result[k] = min(ratios) if ratios else 1.0
+    return result
+
+
+def _smooth_rates(grid: Grid, x: np.ndarray) -> np.ndarray:
+    """Rates over longer stretches, where the noise of a sample no longer dominates."""
+    stride = max(1, grid.n_nodes // 200)
+    same = grid.trajectory[:-stride] == grid.trajectory[stride:]
+    span = (grid.t[stride:] - grid.t[:-stride])[same]
+    return (x[stride:] - x[:-stride])[same] / span[:, None] if same.any() else grid.rates(x)
+
+
+def _state_slopes(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
+    rhs = model.rhs()
+    jacobian = rhs.jacobian()
+    rows = np.linspace(0, grid.n_nodes - 1, 25).astype(int)
+    # Away from the origin, where a higher-order term has no slope.
+    shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
+    slopes = [np.array(jacobian(shifted[i], grid.u[i], grid.t[i], theta, 0)[0]) for i in rows]
+    return np.sqrt(np.mean(np.nan_to_num(np.square(slopes)), axis=0))
+
+
+def theta_scale(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, x_scale: np.ndarray) -> np.ndarray:
+    """Size of each parameter: the change that moves some equation by the size of its own rate. Follows the units."""
+    if not len(theta):
+        return np.ones(0)
+    rate = np.sqrt(np.mean(np.square(_smooth_rates(grid, x)), axis=0))
+    rate = np.where(rate > 0, rate, x_scale)
+    jacobian = np.array(defect_jacobian(model, grid, SCHEME)(x.T, theta))
+    per_equation = np.sqrt(np.nanmean(jacobian.reshape(grid.n_intervals, -1, len(theta)) ** 2, axis=0)) / rate[:, None]
+    strength = np.nan_to_num(per_equation.max(axis=0))
+    fallback = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
+    scale = np.where(strength > 0, 1 / np.maximum(strength, 1e-300), fallback)
+    # A parameter far from its start in units of its effect would meet the solver as a huge number.
+    return np.maximum(scale, 1e-3 * np.abs(theta))
+
+
+def smoothed(model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: bool) -> ForceEstimate:
+    """States, also unmeasured ones, by the missing-force program at the model's present values."""
+    return estimate_force(model, grid, first_point(model, grid), sigma, integrator=integrator, known_noise=known_noise)
+
+
+def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
+    """The model with every `Share` guess replaced by its value over the states x."""
+    for slot, equation, term in model.placed():
+        for inner, parameter in term.inner.items():
+            if isinstance(parameter.guess, Share) and parameter.value is None:
+                size = root_mean_square(model, grid, x, parameter.guess.of)
+                name = term.inner_name(inner, place_of(slot, equation))
+                model = model.with_values({name: parameter.guess.share * size})
+    return model
+
+
+def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:
+    """Root mean square of a formula over the nodes; 1 where it vanishes."""
+    theta = np.array([model.values[name] for name in model.free])
+    values = np.array(model.function(expression).map(grid.n_nodes)(x.T, grid.u.T, grid.t[None, :], ca.repmat(theta, 1, grid.n_nodes)))
+    size = float(np.sqrt(np.mean(values[np.isfinite(values)] ** 2))) if np.isfinite(values).any() else 0.0
+    return size if size > 0 else 1.0
+
+
+def starting_values(model: Model, grid: Grid, l1: dict[str, float]) -> list[np.ndarray]:
+    """Starting points of theta (best first) for data whose states are all known (``grid.y``)."""
+    grid = complete(model, grid)
+    theta = np.array([model.values[name] for name in model.free])
+    groups = _linear_groups(model, grid)
+    scans = _scans(model)
+    theta = _convex_rounds(model, grid, theta, groups, l1, rounds=1)
+    starts = [theta]
+    for name, amplitudes, variable in scans:
+        scanned = []
+        for start in starts:
+            for omega in _best_frequencies(model, grid, start, groups, name, amplitudes, variable):
+                moved = start.copy()
+                moved[model.free.index(name)] = omega
+                scanned.append(moved)
+        starts = scanned[:N_STARTS]
+    return [_convex_rounds(model, grid, start, groups, l1, rounds=2) for start in starts]
+
+
+def _linear_groups(model: Model, grid: Grid) -> list[list[int]]:
+    """Groups of parameters that enter the right-hand side linearly while the others are fixed: H and F, then R."""
+    rhs = model.rhs()
+    arguments = [ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(rhs.n_in())]
+    theta, dx = arguments[-1], rhs(*arguments)
+    entries = [model.entries[name] for name in model.free]
+    has_start = [e.parameter.value is not None and not e.prunable for e in entries]
+    groups = []
+    for slots in (("H", "F"), ("R",)):
+        members = [i for i, e in enumerate(entries) if e.slot in slots and not has_start[i]]
+        members = [i for i, curved in zip(members, _curved(dx, theta, members), strict=True) if not curved]
+        groups.append(members)
+    return [group for group in groups if group]
+
+
+def _curved(dx: ca.SX, theta: ca.SX, members: list[int]) -> list[bool]:
+    if not members:
+        return []
+    chosen = theta[members]
+    return list(np.atleast_1d(ca.which_depends(dx, chosen, 2, False)))
+
+
+def _convex_rounds(
+    model: Model, grid: Grid, theta: np.ndarray, groups: list[list[int]], l1: dict[str, float], rounds: int
+) -> np.ndarray:
+    for _ in range(rounds):
+        for group in groups:
+            theta = convex(model, grid, theta, group, l1)
+    return theta
+
+
+def convex(
+    model: Model, grid: Grid, theta: np.ndarray, group: list[int], l1: dict[str, float], scheme: str = SCHEME,
+) -> np.ndarray:  # fmt: skip
+    """The PHSI loss over the coefficients ``group``, others fixed, as a convex program; exact where the loss is convex."""
+    jacobian = np.array(defect_jacobian(model, grid, scheme)(grid.y.T, theta))[:, group]
+    d = np.array(defects(model, grid, scheme, ca.DM(grid.y.T), theta)).T.ravel()
+    usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
+    weight = np.sqrt(1 / (rate_size(grid) * grid.n_intervals))
+    entries = [model.entries[model.free[i]] for i in group]
+    scale = 1 / np.maximum(np.linalg.norm(weight * jacobian[usable], axis=0), 1e-12)
+    A, b = weight * jacobian[usable] * scale, weight * (jacobian[usable] @ theta[group] - d[usable])
+    q, r = np.linalg.qr(A)
+    z = cp.Variable(len(group))
+    lam = np.array([l1.get(e.slot, 0.0) if e.prunable else 0.0 for e in entries]) / rate_size(grid)
+    objective = cp.sum_squares(r @ z - q.T @ b) + cp.sum(cp.multiply(lam * scale, cp.abs(z)))
+    limits = [(z[i] >= e.parameter.lower / scale[i]) for i, e in enumerate(entries) if np.isfinite(e.parameter.lower)]
+    limits += [(z[i] <= e.parameter.upper / scale[i]) for i, e in enumerate(entries) if np.isfinite(e.parameter.upper)]
+    cp.Problem(cp.Minimize(objective), limits).solve(
+        solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
+    )
+    result = theta.copy()
+    if z.value is not None and np.all(np.isfinite(z.value)):
+        bounds = np.array([(e.parameter.lower, e.parameter.upper) for e in entries])
+        result[group] = np.clip(z.value * scale, bounds[:, 0], bounds[:, 1])
+    return result
+
+
+def _scans(model: Model) -> list[tuple[str, list[str], str]]:
+    """Frequencies to scan: name, names of the amplitudes that share it, variable."""
+    found: dict[str, tuple[str, list[str], str]] = {}
+    for slot, equation, term in model.placed():
+        for inner, parameter in term.inner.items():
+            if isinstance(parameter.guess, Scan) and parameter.value is None and term.coefficient is not None:
+                place = place_of(slot, equation)
+                name = term.inner_name(inner, place)
+                found.setdefault(name, (name, [], parameter.guess.variable))[1].append(term.coefficient_name(place))
+    return list(found.values())
+
+
+def frequencies(grid: Grid, variable: np.ndarray) -> np.ndarray:
+    """Frequencies worth trying: half a period over the record up to the Nyquist frequency, half a resolution apart."""
+    span = float(np.ptp(variable))
+    steps = np.abs(np.diff(variable)[np.diff(grid.trajectory) == 0])
+    step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else span
+    lowest = np.pi / span
+    return np.arange(lowest, max(0.9 * np.pi / step, 2 * lowest), lowest / 2)[:4000]
+
+
+def _best_frequencies(
+    model: Model, grid: Grid, theta: np.ndarray, groups: list[list[int]], name: str, amplitudes: list[str], variable: str
+) -> list[float]:
+    """The frequencies with the deepest local minima of the squared defects, amplitudes and all linear terms free."""
+    order = list(model.free)
+    own = [order.index(a) for a in amplitudes]
+    others = [i for group in groups for i in group if i not in own]
+    start = theta.copy()
+    start[own] = 0.0
+    d = np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), start)).T.ravel()
+    base = np.array(defect_jacobian(model, grid, SCHEME)(grid.y.T, start))[:, others]
+    keep, _ = np.linalg.qr(base) if others else (np.zeros((len(d), 0)), None)
+    d = d - keep @ (keep.T @ d)
+    along = np.array(model.function(variable).map(grid.n_nodes)(grid.y.T, grid.u.T, grid.t[None, :], ca.repmat(start, 1, grid.n_nodes))).ravel()
+    grid_omega = frequencies(grid, along)
+    columns = defect_jacobian(model, grid, SCHEME, own)
+    drop = np.array([_explained(d, keep, np.array(columns(grid.y.T, _moved(start, order.index(name), w)))) for w in grid_omega])
+    padded = np.r_[-np.inf, drop, -np.inf]
+    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+    return [float(grid_omega[i]) for i in peaks[np.argsort(-drop[peaks])][:N_STARTS]]
+
+
+def _moved(theta: np.ndarray, index: int, value: float) -> np.ndarray:
+    result = theta.copy()
+    result[index] = value
+    return result
+
+
+def _explained(d: np.ndarray, keep: np.ndarray, columns: np.ndarray) -> float:
+    """How much of |d|^2 the columns explain beyond the space ``keep``."""
+    columns = columns - keep @ (keep.T @ columns)
+    solution = np.linalg.lstsq(columns, d, rcond=1e-8)[0]
+    return float(np.sum((columns @ solution) ** 2))
+
+
+def with_states(grid: Grid, x: np.ndarray) -> Grid:
+    """The grid as if x had been measured at every node."""
+    return replace(grid, y=x)

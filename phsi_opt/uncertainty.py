@@ -1,0 +1,103 @@
+"""Standard errors: what the data say about each parameter, and which directions they say nothing about."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import bmat, csc_matrix, diags
+from scipy.sparse.linalg import splu
+
+from phsi_opt.grid import Grid, defect_jacobian, defects
+from phsi_opt.model import Model
+from phsi_opt.nlp import Program
+from phsi_opt.solver import Solution
+
+RIDGE = 1e-10  # information, per scaled parameter, that makes the matrix regular where the data say nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Covariance of theta (NaN where it is not known) and sentences about what cannot be identified."""
+
+    covariance: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def std_errors(self) -> np.ndarray:
+        """Standard errors in the order of theta."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def unknown(n: int, why: str) -> Uncertainty:
+    """No standard error is given, and why."""
+    return Uncertainty(np.full((n, n), np.nan), (why,))
+
+
+def of_likelihood(model: Model, program: Program, solution: Solution, n_residuals: int) -> Uncertainty:
+    """Inverse of the information that is left for theta when the states follow it: the reduced Hessian's inverse."""
+    block = program.variables["theta"]
+    used = _without_slacks(program)
+    hessian = solution.kkt.hessian[used][:, used] * (n_residuals / 2)  # the objective is 2/N times the likelihood's
+    jacobian = solution.kkt.jacobian[program.constraints["defect"].slice][:, used]
+    held = [i for i in range(block.stop - block.start) if block.label(i) in solution.outcome.at_bounds]
+    ridge = np.zeros(len(used))
+    ridge[block.slice] = RIDGE
+    ridge[np.array(held, dtype=int) + block.start] = 1e12  # a parameter at its bound does not move
+    matrix = bmat([[hessian + diags(ridge), jacobian.T], [jacobian, None]], format="csc")
+    unit = np.zeros((matrix.shape[0], block.stop - block.start))
+    unit[np.arange(block.start, block.stop), np.arange(block.stop - block.start)] = 1.0
+    scaled = splu(csc_matrix(matrix)).solve(unit)[block.slice]
+    return _finished(model, (scaled + scaled.T) / 2, program.scale[block.slice], held)
+
+
+def _without_slacks(program: Program) -> np.ndarray:
+    kept = [np.arange(b.start, b.stop) for name, b in program.variables.items() if not name.startswith("slack_")]
+    return np.concatenate(kept)
+
+
+def of_defects(
+    model: Model, grid: Grid, scheme: str, theta: np.ndarray, scale: np.ndarray, at_bounds: tuple[str, ...]
+) -> Uncertainty:
+    """Sandwich covariance of the PHSI loss: neighbouring defects share a noisy sample, so they are not independent."""
+    n = model.n_states
+    jacobian = np.array(defect_jacobian(model, grid, scheme)(grid.y.T, theta)) * scale
+    d = np.array(defects(model, grid, scheme, grid.y.T, theta)).T.ravel()
+    held = [i for i, name in enumerate(model.free) if name in at_bounds]
+    scores = (jacobian * d[:, None]).reshape(grid.n_intervals, n, -1).sum(axis=1)
+    neighbours = np.flatnonzero(np.diff(grid.begin) == 1)
+    lagged = scores[neighbours].T @ scores[neighbours + 1]
+    meat = scores.T @ scores + lagged + lagged.T
+    # Near-cancelling sums can leave a negative variance; it is raised to zero, never hidden in a root.
+    values, vectors = np.linalg.eigh(meat)
+    meat = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    size = np.trace(jacobian.T @ jacobian) / max(len(theta), 1)
+    bread = np.linalg.inv(jacobian.T @ jacobian + RIDGE * size * np.eye(len(theta)))
+    weak = _weak_directions(model, np.linalg.inv(jacobian.T @ jacobian / size + RIDGE * np.eye(len(theta))), held)
+    covariance = bread @ meat @ bread * np.outer(scale, scale)
+    covariance[held, :] = covariance[:, held] = np.nan
+    return Uncertainty(covariance, weak)
+
+
+def _finished(model: Model, scaled: np.ndarray, scale: np.ndarray, held: list[int]) -> Uncertainty:
+    weak = _weak_directions(model, scaled, held)
+    covariance = scaled * np.outer(scale, scale)
+    covariance[held, :] = covariance[:, held] = np.nan
+    return Uncertainty(covariance, weak)
+
+
+def _weak_directions(model: Model, scaled: np.ndarray, held: list[int]) -> tuple[str, ...]:
+    """A sentence for every direction of theta on which the data are silent (only the ridge holds it)."""
+    moving = [i for i in range(len(scaled)) if i not in held]
+    if not moving:
+        return ()
+    values, vectors = np.linalg.eigh(scaled[np.ix_(moving, moving)])
+    sentences = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value > 0.01 / RIDGE:
+            parts = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1 * np.max(np.abs(vector))]
+            names = ", ".join(model.free[moving[i]] for i in parts)
+            sentences.append(
+                f"the data cannot tell {names} apart: fix one of them to a known value"
+                if len(parts) > 1
+                else f"the data say nothing about {names}: fix it to a known value or remove it"
+            )
+    return tuple(sentences)
