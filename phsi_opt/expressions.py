@@ -45,6 +45,7 @@ OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 }
 LONGEST = 10_000  # characters; a formula is written by a person, a longer one is a mistake or an attack
 LARGEST_EXPONENT = 64
+DEEPEST = 200  # operations and functions inside one another; the walks are recursive
 
 
 @lru_cache(maxsize=4096)
@@ -65,25 +66,36 @@ def parse(text: str) -> ast.expr:
     return tree
 
 
-def _check(node: ast.AST, text: str) -> None:
+def _check(node: ast.AST, text: str, depth: int = 0) -> None:
+    if depth > DEEPEST:
+        raise RecursionError
     if isinstance(node, ast.BinOp):
+        _check(node.left, text, depth + 1)
+        _check(node.right, text, depth + 1)
         _check_operator(node, text)
-        _check(node.left, text)
-        _check(node.right, text)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
-        _check(node.operand, text)
+        _check(node.operand, text, depth + 1)
     elif isinstance(node, ast.Call):
         _check_call(node, text)
         for argument in node.args:
-            _check(argument, text)
+            _check(argument, text, depth + 1)
     elif isinstance(node, ast.Constant):
-        if isinstance(node.value, bool) or not isinstance(node.value, int | float) or not math.isfinite(node.value):
-            raise ModelError(f"{node.value!r} in formula {text!r} is not a finite number.")
+        if not _is_finite(node.value):
+            raise ModelError(f"{_source(node, text)[:60]!r} in formula {text[:60]!r} is not a finite number.")
     elif not isinstance(node, ast.Name):
         raise ModelError(
             f"{_source(node, text)!r} in formula {text!r} is not allowed; a formula holds numbers, names, + - * / **, "
             f"brackets and the functions {', '.join(FUNCTIONS)}."
         )
+
+
+def _is_finite(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond the floats
+        return False
 
 
 def _source(node: ast.AST, text: str) -> str:
@@ -94,12 +106,21 @@ def _check_operator(node: ast.BinOp, text: str) -> None:
     if type(node.op) not in OPERATORS:
         hint = " Write a power as **." if isinstance(node.op, ast.BitXor) else ""
         raise ModelError(f"the operator in {_source(node, text)!r} of formula {text!r} is not allowed.{hint}")
-    if isinstance(node.op, ast.Pow) and not names_of(node.right):
-        if any(isinstance(part, ast.Pow) for part in ast.walk(node.right)):
-            raise ModelError(f"the exponent in {_source(node, text)!r} is itself a power; write its value.")
-        numbers = [abs(part.value) for part in ast.walk(node.right) if isinstance(part, ast.Constant)]
-        if any(isinstance(value, int | float) and value > LARGEST_EXPONENT for value in numbers):
-            raise ModelError(f"the exponent in {_source(node, text)!r} is beyond {LARGEST_EXPONENT}; rescale the term.")
+    if isinstance(node.op, ast.Pow) and abs(_number(node.right, text) or 0.0) > LARGEST_EXPONENT:
+        raise ModelError(f"the exponent in {_source(node, text)!r} is beyond {LARGEST_EXPONENT}; rescale the term.")
+    # In floats a tower of powers overflows at once; in the whole numbers of SymPy it would fill the memory.
+    _number(node, text)
+
+
+def _number(node: ast.expr, text: str) -> float | None:
+    """Value of a part without names, which must be finite; None for a part with names."""
+    if names_of(node):
+        return None
+    with np.errstate(all="ignore"):
+        value = _walk(node, {}, NUMPY, text)
+    if isinstance(value, complex) or not math.isfinite(value):
+        raise ModelError(f"{_source(node, text)!r} in formula {text!r} has no finite value.")
+    return float(value)
 
 
 def _check_call(node: ast.Call, text: str) -> None:

@@ -84,15 +84,20 @@ class Fit:
 
     def sympy(self) -> dict[str, sp.Expr]:
         """SymPy expressions with the fitted numbers: 'H', 'R_<state>', 'F_<state>' and 'd<state>/dt'."""
-        x, u, t = sp.symbols(self.model.states), sp.symbols(self.model.inputs), sp.Symbol("t")
+        # Real while it differentiates, or |q| has no simple derivative; plain names in the result.
+        x, u = (sp.symbols(names, real=True) for names in (self.model.states, self.model.inputs))
+        t = sp.Symbol("t", real=True)
         values = {name: sp.Float(value) for name, value in self.values.items()}
         e = self.model.expressions(x, u, t, values, SYMPY)
         result = {"H": sp.sympify(e.energy)}
         for i, name in enumerate(self.model.states):
-            exchange = sum((sp.Float(s) * e.efforts[j] for j, s in enumerate(self.model.S[i]) if s), start=sp.Integer(0))
+            exchange = sum(
+                (sp.Float(s) * e.efforts[j] for j, s in enumerate(self.model.S[i]) if s), start=sp.Integer(0)
+            )
             result[f"R_{name}"], result[f"F_{name}"] = sp.sympify(e.loss[i]), sp.sympify(e.force[i])
             result[f"d{name}/dt"] = sp.expand(exchange - e.loss[i] * e.efforts[i] + e.force[i])
-        return result
+        plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t)}
+        return {name: expression.xreplace(plain) for name, expression in result.items()}
 
     def casadi(self) -> ca.Function:
         """CasADi function (x, u, t) -> dx/dt with the fitted numbers."""
@@ -121,7 +126,7 @@ class Fit:
         """Read a fit that `save` wrote; raises `DataError` for anything else. Never runs code from the file."""
         try:
             content = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise DataError(f"{path} cannot be read as a fit: {error}.") from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise DataError(f"{path} is not a file of the format {FORMAT!r}; write one with fit.save(path).")
@@ -129,8 +134,10 @@ class Fit:
             return from_json(content)
         except PhsiOptError as error:
             raise DataError(f"{path} holds a model that is not valid: {error}") from None
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise DataError(f"{path} is damaged: {type(error).__name__} {error}. Write it again with fit.save.") from None
+        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise DataError(
+                f"{path} is damaged: {type(error).__name__} {error}. Write it again with fit.save."
+            ) from None
 
     def __str__(self) -> str:
         return report(self)
@@ -144,11 +151,15 @@ def report(fit: Fit) -> str:
     lines += [f"  {row}" for row in _structure_rows(fit.model)]
     for slot, equation in _places(fit.model):
         terms = fit.model.H if slot == "H" else getattr(fit.model, slot)[equation]
-        lines.append(f"  {place_of(slot, equation)} = " + " + ".join(_term(fit, term, slot, equation) for term in terms))
+        lines.append(
+            f"  {place_of(slot, equation)} = " + " + ".join(_term(fit, term, slot, equation) for term in terms)
+        )
     lines += [f"  {name} = {fit.values[name]:.6g} {e.parameter.unit}".rstrip() + " (fixed)"
               for name, e in fit.model.entries.items() if e.parameter.fixed]  # fmt: skip
     if fit.noise:
-        lines.append("  noise: " + ", ".join(f"{n} {s:.3g} {fit.units.get(n, '')}".rstrip() for n, s in fit.noise.items()))
+        lines.append(
+            "  noise: " + ", ".join(f"{n} {s:.3g} {fit.units.get(n, '')}".rstrip() for n, s in fit.noise.items())
+        )
     if fit.removed:
         lines.append(f"  removed: {', '.join(fit.removed)}")
     lines.append(f"  loss {fit.loss_value:.6g} over {fit.n_values} values; solver: {fit.outcome}")
@@ -242,15 +253,36 @@ def from_json(content: dict[str, Any]) -> Fit:
     """The fit that `to_json` wrote."""
     m = content["model"]
     slots = {slot: {name: _dictionary(terms) for name, terms in m[slot].items()} for slot in ("R", "F")}
-    common = {"states": m["states"], "inputs": m["inputs"], **slots}
-    kinds = {"PseudoHamiltonian": PseudoHamiltonian, "FirstOrder": FirstOrder}
+    common: dict[str, Any] = {"states": m["states"], "inputs": m["inputs"], **slots}
     energy = {"S": m["S"], "H": _dictionary(m["H"])} if m["kind"] == "PseudoHamiltonian" else {}
-    model: Model = kinds[m["kind"]](**common, **energy)  # type: ignore[operator]
+    model: Model = {"PseudoHamiltonian": PseudoHamiltonian, "FirstOrder": FirstOrder}[m["kind"]](**common, **energy)
     covariance = np.array(content["covariance"], dtype=float).reshape(len(model.free), len(model.free))
-    outcome = Outcome(**{**content["outcome"], "at_bounds": tuple(content["outcome"]["at_bounds"])})
-    plain = {k: content[k] for k in ("loss", "loss_value", "noise", "n_values", "bic", "hold", "units", "provenance")}
-    lists = {key: tuple(content[key]) for key in ("removed", "warnings")}
-    return Fit(model=model, covariance=covariance, outcome=outcome, **plain, **lists)
+    if content["hold"] not in ("linear", "zero"):
+        raise DataError(f"hold={content['hold']!r} is unknown; expected 'linear' or 'zero'.")
+    return Fit(
+        model=model,
+        loss=str(content["loss"]),
+        loss_value=float(content["loss_value"]),
+        covariance=covariance,
+        noise={str(name): float(value) for name, value in content["noise"].items()},
+        outcome=_outcome_from(content["outcome"]),
+        n_values=int(content["n_values"]),
+        bic=float(content["bic"]),
+        hold=content["hold"],
+        units={str(name): str(unit) for name, unit in content["units"].items()},
+        removed=tuple(str(name) for name in content["removed"]),
+        warnings=tuple(str(warning) for warning in content["warnings"]),
+        provenance=dict(content["provenance"]),
+    )
+
+
+def _outcome_from(content: dict[str, Any]) -> Outcome:
+    texts = {key: str(content[key]) for key in ("status", "sentence", "advice")}
+    numbers = {key: float(content[key]) for key in ("seconds", "objective", "infeasibility")}
+    at_bounds = tuple(str(name) for name in content["at_bounds"])
+    return Outcome(
+        bool(content["success"]), **texts, iterations=int(content["iterations"]), **numbers, at_bounds=at_bounds
+    )
 
 
 def _dictionary(terms: list[dict[str, Any]]) -> Dictionary:

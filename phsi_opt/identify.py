@@ -183,11 +183,21 @@ def _by_defects(task: _Task, loss: PHSILoss, start: Fit | None) -> _State:
     used = complete(task.model, grid)
     model = starting.resolved(task.model, used, np.nan_to_num(used.y))
     thetas = [_from_fit(model, start)] if start else starting.starting_values(model, used, task.l1)
-    states = [_solve_defects(task, loss, model, grid, theta, task.l1) for theta in thetas]
-    best = min(states, key=lambda s: (not s.solution.outcome.success, s.solution.outcome.objective))
-    if len(states) > 1:
-        best = replace(best, notes=(_agreement(states),))
-    return _pruned(best, lambda s, m, theta, l1: _solve_defects(task, loss, m, grid, theta, l1))
+    states = [
+        _pruned(
+            _solve_defects(task, loss, model, grid, theta, task.l1),
+            lambda s, m, theta, l1: _solve_defects(task, loss, m, grid, theta, l1),
+        )
+        for theta in thetas
+    ]
+    best = min(states, key=_preference)
+    return replace(best, notes=(_agreement(states),)) if len(states) > 1 else best
+
+
+def _preference(state: _State) -> tuple[bool, float]:
+    """Which of several starts to keep: the smaller loss, a term more only where it pays (BIC, as a rule of thumb)."""
+    loss, n = max(state.solution.outcome.objective, 1e-300), state.n_values
+    return not state.solution.outcome.success, n * np.log(loss) + len(state.model.free) * np.log(n)
 
 
 def _solve_defects(
@@ -270,18 +280,20 @@ def _likelihood_start(task: _Task, loss: MaximumLikelihood, sigma: np.ndarray, k
             sigma = np.array([start.noise.get(name, 1.0) for name in task.model.states])
         model = starting.resolved(task.model, grid, np.concatenate(start.states))
         return model, _from_fit(model, start), start.states, sigma, ()
-    task.say("starting values: states and noise by smoothing")
-    model, notes = task.model, ()
-    x, sigma = _smooth(model, grid, sigma, known, loss)
+    task.say("starting values")
+    model, notes, complete_data = task.model, (), bool(grid.measured.all())
+    x = grid.y
+    if not complete_data:
+        x, sigma = _smooth(model, grid, sigma, known, loss)
     for _ in range(2):
         model = starting.resolved(model, grid, x)
         by_defects = replace(task, model=model, l1=task.l1, pruning=None, say=_silent)
         first = _from_states(by_defects, loss, grid, x)
         notes = first.notes
         model = model.with_values(first.values)
-        x, sigma = _smooth(model, grid, sigma, known, loss)
-        if grid.measured.all():
+        if complete_data:
             break
+        x, sigma = _smooth(model, grid, sigma, known, loss)
     theta = np.array([model.values[name] for name in model.free])
     return model, theta, _split(grid, x), sigma, notes
 
@@ -346,7 +358,7 @@ def _noise_of(grid: Grid, x: np.ndarray, sigma: np.ndarray, n_theta: int) -> np.
     result = sigma.copy()
     for k in np.flatnonzero(seen.any(axis=0)):
         rms = np.sqrt(np.mean((grid.y[seen[:, k], k] - x[seen[:, k], k]) ** 2))
-        floor = 1e-9 * max(float(np.nanstd(grid.y[:, k])), 1e-300)
+        floor = starting.CLEANEST * max(float(np.nanstd(grid.y[:, k])), 1e-300)
         result[k] = max(rms / np.sqrt(share), floor)
     return result
 

@@ -74,9 +74,7 @@ class MaximumLikelihood:
     integrator: str = "srk4"
     steps: int | None = None
 
-    def program(
-        self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float], sigma: np.ndarray
-    ) -> Program:
+    def program(self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float], sigma: np.ndarray) -> Program:
         """The program in theta, x and the slacks. ``sigma`` (n_states,): noise of each channel."""
         build = Assembly()
         theta = _theta(build, model, point)
@@ -188,7 +186,9 @@ def _theta(build: Assembly, model: Model, point: Point) -> ca.MX:
 def _states(build: Assembly, grid: Grid, point: Point) -> ca.MX:
     n = point.x.shape[1]
     label = lambda i: f"trajectory={grid.trajectory[i // n]}, t={grid.t[i // n]:g}, state={i % n}"  # noqa: E731
-    return ca.reshape(build.variable("x", point.x.ravel(), scale=np.tile(point.x_scale, grid.n_nodes), label=label), n, -1)
+    return ca.reshape(
+        build.variable("x", point.x.ravel(), scale=np.tile(point.x_scale, grid.n_nodes), label=label), n, -1
+    )
 
 
 def _scaled(d: ca.MX, grid: Grid, point: Point) -> ca.MX:
@@ -202,9 +202,7 @@ def _misfit(x: ca.MX, grid: Grid, sigma: np.ndarray) -> ca.MX:
     return (ca.DM(grid.y.ravel()[seen]) - ca.vec(x)[seen]) * ca.DM(weight)
 
 
-def _add_l1(
-    build: Assembly, model: Model, theta: ca.MX, point: Point, l1: Mapping[str, float], factor: float
-) -> None:
+def _add_l1(build: Assembly, model: Model, theta: ca.MX, point: Point, l1: Mapping[str, float], factor: float) -> None:
     entries = model.entries
     chosen = [i for i, name in enumerate(model.free) if entries[name].prunable and l1.get(entries[name].slot, 0) > 0]
     if chosen:

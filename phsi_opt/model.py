@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.expressions import CASADI, FUNCTIONS, evaluate, names_of
+from phsi_opt.expressions import CASADI, CONSTANTS, FUNCTIONS, evaluate, names_of
 from phsi_opt.terms import Dictionary, Parameter, Term, with_values
 
 
@@ -59,12 +59,21 @@ class Model:
             object.__setattr__(self, slot, self._equations(getattr(self, slot), slot))
         self._check_names()
 
+    def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
+        return {**vars(self), "R": dict(self.R), "F": dict(self.F)}
+
+    def __setstate__(self, parts: dict[str, Any]) -> None:
+        for name, value in parts.items():
+            object.__setattr__(self, name, MappingProxyType(value) if name in ("R", "F") else value)
+
     def _equations(self, dictionaries: Mapping[str, Dictionary], slot: str) -> Mapping[str, Dictionary]:
         if not isinstance(dictionaries, Mapping):
             raise ModelError(f"{slot}={dictionaries!r} must map a state to its terms, such as {{'p': formula('u')}}.")
         for name in dictionaries:
             self.index(name, f"equation of {slot}")
-        ordered = {name: _dictionary(dictionaries[name], f"{slot}[{name!r}]") for name in self.states if name in dictionaries}
+        ordered = {
+            name: _dictionary(dictionaries[name], f"{slot}[{name!r}]") for name in self.states if name in dictionaries
+        }
         return MappingProxyType(ordered)
 
     def _check_names(self) -> None:
@@ -146,7 +155,8 @@ class Model:
         self.index(effect.equation, f"equation of effect {effect.name!r}:")
         old = getattr(self, effect.slot)
         new = old.get(effect.equation, Dictionary()) + effect.term
-        return replace(self, **{effect.slot: {**old, effect.equation: new}})
+        changed: dict[str, Any] = {effect.slot: {**old, effect.equation: new}}
+        return replace(self, **changed)
 
     def without(self, names: set[str]) -> "Model":
         """A new model without the terms whose coefficients are named."""
@@ -155,7 +165,7 @@ class Model:
             place = place_of(slot, equation)
             return Dictionary(tuple(t for t in terms if t.is_formula or t.coefficient_name(place) not in names))
 
-        slots = {
+        slots: dict[str, Any] = {
             slot: {name: d for name, terms in getattr(self, slot).items() if len(d := kept(slot, name, terms))}
             for slot in ("R", "F")
         }
@@ -170,8 +180,20 @@ class Model:
         def with_new(slot: str, equation: str, terms: Dictionary) -> Dictionary:
             return Dictionary(tuple(with_values(term, place_of(slot, equation), values) for term in terms))
 
-        slots = {s: {name: with_new(s, name, terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")}
+        slots: dict[str, Any] = {
+            s: {name: with_new(s, name, terms) for name, terms in getattr(self, s).items()}
+            for s in ("R", "F")
+        }
         return replace(self, H=with_new("H", "", self.H), **slots)
+
+    def frozen(self) -> "Model":
+        """A new model with every parameter fixed at its present value."""
+
+        def fixed(terms: Dictionary) -> Dictionary:
+            return Dictionary(tuple(_fixed(term) for term in terms))
+
+        slots = {s: {name: fixed(terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")}
+        return replace(self, H=fixed(self.H), **slots)
 
     def expressions(self, x: Any, u: Any, t: Any, values: Mapping[str, Any], backend: int = CASADI) -> "Expressions":
         """H, the diagonal of R and F as expressions of the states x, inputs u, time t and parameter values."""
@@ -183,7 +205,9 @@ class Model:
         force = [self._sum(self.F.get(n, Dictionary()), place_of("F", n), known, values, backend) for n in self.states]
         return Expressions(energy, efforts, loss, force)
 
-    def _sum(self, terms: Dictionary, place: str, known: Mapping[str, Any], values: Mapping[str, Any], backend: int) -> Any:
+    def _sum(
+        self, terms: Dictionary, place: str, known: Mapping[str, Any], values: Mapping[str, Any], backend: int
+    ) -> Any:
         total = 0
         for term in terms:
             inner = {name: values[term.inner_name(name, place)] for name in term.inner}
@@ -273,8 +297,12 @@ class FirstOrder(Model):
         F: Mapping[str, Dictionary],
         inputs: Sequence[str] = (),
         R: Mapping[str, Dictionary] | None = None,
-        **no_energy: Any,
+        *,
+        S: Any = None,
+        H: Dictionary | None = None,
     ) -> None:
+        if H or np.any(S):  # `dataclasses.replace` passes them on, empty
+            raise ModelError("a FirstOrder model has no S and no H; use PseudoHamiltonian, or put the terms into F.")
         parts = {"states": states, "F": F, "inputs": inputs, "R": R or {}, "S": None, "H": Dictionary()}
         for name, value in parts.items():
             object.__setattr__(self, name, value)
@@ -298,6 +326,14 @@ def canonical(n: int) -> np.ndarray:
     return np.block([[zero, one], [-one, zero]])
 
 
+def _fixed(term: Term) -> Term:
+    def hold(parameter: Parameter) -> Parameter:
+        return replace(parameter, value=parameter.start, fixed=True)
+
+    coefficient = None if term.coefficient is None else hold(term.coefficient)
+    return replace(term, coefficient=coefficient, inner={name: hold(p) for name, p in term.inner.items()})
+
+
 def place_of(slot: str, equation: str) -> str:
     """Name of a slot of an equation: 'H', 'R_p', 'F_p'."""
     return f"{slot}_{equation}" if equation else slot
@@ -308,8 +344,10 @@ def _names(names: Sequence[str], what: str, empty: bool = False) -> tuple[str, .
         raise ModelError(f"{what}={names!r} must be a list of names, such as [{names!r}].")
     listed = tuple(names)
     for name in listed:
-        if not isinstance(name, str) or not name.isidentifier() or name == "t" or name in FUNCTIONS:
-            raise ModelError(f"{name!r} in {what} cannot be a name here; use letters, digits and _, and not t or a function.")
+        if not isinstance(name, str) or not name.isidentifier() or name == "t" or name in (*FUNCTIONS, *CONSTANTS):
+            raise ModelError(
+                f"{name!r} in {what} cannot be a name here; use letters, digits and _, and not t or a function."
+            )
     if len(set(listed)) != len(listed) or (not listed and not empty):
         raise ModelError(f"{what}={list(listed)!r} must name at least one, and each only once.")
     return listed
@@ -333,7 +371,9 @@ def _structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:
 
 def _dictionary(terms: Any, where: str) -> Dictionary:
     if not isinstance(terms, Dictionary):
-        raise ModelError(f"{where}={terms!r} is not a dictionary of terms; write formula('...') or polynomials([...], n).")
+        raise ModelError(
+            f"{where}={terms!r} is not a dictionary of terms; write formula('...') or polynomials([...], n)."
+        )
     return terms
 
 

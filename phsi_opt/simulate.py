@@ -1,6 +1,7 @@
 """Independent integration of a model by SciPy: no program, no SRK4, so it can check both."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.model import Model
 
 RTOL, ATOL = 1e-8, 1e-10  # ATOL is relative to the size of the starting state
+MOST_REFUSED = 100  # evaluations that are not finite, before a simulation is given up
 
 
 def simulate(
@@ -33,19 +35,38 @@ def simulate(
     states[0] = x0
     atol = ATOL * max(float(np.max(np.abs(x0))), 1e-3)
     for first, last, value, longest in pieces:
+        guarded = _Guarded(f, value)
         with np.errstate(all="ignore"):
             piece = solve_ivp(
-                lambda at, x, value=value: f(at, x, value(at)), (t[first], t[last]), states[first], method,
+                guarded, (t[first], t[last]), states[first], method,
                 t_eval=t[first + 1 : last + 1], rtol=RTOL, atol=atol, max_step=longest,
             )  # fmt: skip
         if not piece.success or not np.all(np.isfinite(piece.y)) or piece.y.shape[1] < last - first:
-            reached = piece.t[-1] if len(piece.t) else t[first]
-            raise SolveError(
-                f"the simulation cannot be continued beyond t={reached:g}: {piece.message} "
-                "The model may be unstable there; check the signs of its terms or simulate a shorter time."
-            )
+            raise _stopped(piece.t[-1] if len(piece.t) else t[first], piece.message)
         states[first + 1 : last + 1] = piece.y.T
     return states
+
+
+class _Guarded:
+    """The right-hand side along one input; stops a solver that would call it for ever where it is not finite."""
+
+    def __init__(self, f: Callable[..., np.ndarray], value: Callable[[float], np.ndarray]) -> None:
+        self.f, self.value, self.refused = f, value, 0
+
+    def __call__(self, at: float, x: np.ndarray) -> np.ndarray:
+        dx = self.f(at, x, self.value(at))
+        if not np.isfinite(dx).all():  # a trial step may go too far, and is taken back
+            self.refused += 1
+            if self.refused > MOST_REFUSED:
+                raise _stopped(at, "The model gives NaN or infinity.")
+        return dx
+
+
+def _stopped(at: float, why: str) -> SolveError:
+    return SolveError(
+        f"the simulation cannot be continued beyond t={at:g}: {why} "
+        "The model may be unstable there; check the signs of its terms or simulate a shorter time."
+    )
 
 
 def _checked_times(t: Any) -> np.ndarray:
@@ -58,15 +79,22 @@ def _checked_times(t: Any) -> np.ndarray:
 def _checked_start(model: Model, x0: Any) -> np.ndarray:
     start = np.asarray(x0, dtype=float)
     if start.shape != (model.n_states,) or not np.all(np.isfinite(start)):
-        raise DataError(f"x0={x0!r} must be {model.n_states} finite numbers, one per state ({', '.join(model.states)}).")
+        raise DataError(
+            f"x0={x0!r} must be {model.n_states} finite numbers, one per state ({', '.join(model.states)})."
+        )
     return start
 
 
 def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
     if callable(u):
+        size = np.size(u(t[0]))
+        if size != model.n_inputs:
+            raise DataError(f"the function u gave {size} numbers; expected {model.n_inputs}, one per input.")
         return u
     if u is None and model.n_inputs:
-        raise DataError(f"the model has inputs ({', '.join(model.inputs)}); give u of shape ({len(t)}, {model.n_inputs}).")
+        raise DataError(
+            f"the model has inputs ({', '.join(model.inputs)}); give u of shape ({len(t)}, {model.n_inputs})."
+        )
     values = np.zeros((len(t), 0)) if u is None else np.asarray(u, dtype=float)
     if values.ndim == 1 and model.n_inputs == 1:
         values = values[:, None]
@@ -85,7 +113,7 @@ def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[tuple[int, int, Callab
     elif hold == "zero":
         changes = np.flatnonzero(np.any(np.diff(u[:-1], axis=0) != 0, axis=1)) + 1
         for first, last in zip([0, *changes], [*changes, end], strict=True):
-            yield int(first), int(last), lambda at, value=u[first]: value, np.inf
+            yield int(first), int(last), partial(_constant, u[first]), np.inf
     elif hold == "linear":
         # No step may be longer than a sample, or a short pulse is stepped over.
         yield 0, end, lambda at: np.array([np.interp(at, t, column) for column in u.T]), step
@@ -93,16 +121,23 @@ def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[tuple[int, int, Callab
         raise DataError(f"hold={hold!r} is unknown; expected 'linear' or 'zero'.")
 
 
+def _constant(value: np.ndarray, at: float) -> np.ndarray:
+    return value
+
+
 def _right_hand_side(model: Model) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray]:
     """The right-hand side on NumPy buffers, without the cost of converting each call."""
-    buffer, evaluate = model.rhs().buffer()
+    made: Any = model.rhs().buffer()  # CasADi's own types say less than what it takes
+    buffer, evaluate = made
     x, u, t, dx = np.zeros(model.n_states), np.zeros(max(model.n_inputs, 1)), np.zeros(1), np.zeros(model.n_states)
     theta = np.array([model.values[name] for name in model.free] or [0.0])
-    for i, array in enumerate((x, u, t, theta)):
+    arrays: list[Any] = [x, u, t, theta, dx]
+    for i, array in enumerate(arrays[:-1]):
         buffer.set_arg(i, memoryview(array))
-    buffer.set_res(0, memoryview(dx))
+    buffer.set_res(0, memoryview(arrays[-1]))
 
-    def f(at: float, state: np.ndarray, value: np.ndarray) -> np.ndarray:
+    # CasADi holds bare pointers: ``alive`` keeps what nothing else refers to from being freed under it.
+    def f(at: float, state: np.ndarray, value: np.ndarray, alive: Any = (buffer, theta)) -> np.ndarray:
         x[:], t[0] = state, at
         u[: len(value)] = value
         evaluate()

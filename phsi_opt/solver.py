@@ -31,7 +31,11 @@ MEANINGS = {
         "the iteration stalled before an optimum",
         "A term may not be smooth enough; widen its transition or use more steps per sample.",
     ),
-    "Diverging_Iterates": (False, "the iterates grew without limit", "Bound the parameters; the model may be unstable."),
+    "Diverging_Iterates": (
+        False,
+        "the iterates grew without limit",
+        "Bound the parameters; the model may be unstable.",
+    ),
     "Maximum_Iterations_Exceeded": (
         False,
         "the iteration limit was reached before an optimum",
@@ -108,11 +112,11 @@ class KKT:
 def solve(program: Program, settings: Settings | None = None, raise_on_failure: bool = True) -> Solution:
     """Solve with IPOPT; raises `SolveError` if it ends without an optimum and ``raise_on_failure``."""
     settings = settings or Settings()
-    solver = ca.nlpsol("program", "ipopt", {"x": program.z, "f": program.objective, "g": program.g}, _options(program, settings))
-    began = time.perf_counter()
-    result = solver(
-        x0=program.start, lbx=program.lower, ubx=program.upper, lbg=program.g_lower, ubg=program.g_upper
+    solver = ca.nlpsol(
+        "program", "ipopt", {"x": program.z, "f": program.objective, "g": program.g}, _options(program, settings)
     )
+    began = time.perf_counter()
+    result = solver(x0=program.start, lbx=program.lower, ubx=program.upper, lbg=program.g_lower, ubg=program.g_upper)
     seconds = time.perf_counter() - began
     z = np.array(result["x"]).ravel()
     outcome = _outcome(program, solver.stats(), z, result, seconds)
@@ -167,7 +171,9 @@ def kkt(program: Program, z: np.ndarray) -> KKT:
 
 def _outcome(program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float) -> Outcome:
     status = str(stats["return_status"])
-    usable, sentence, advice = MEANINGS.get(status, (False, f"the solver stopped: {status}", "Try other starting values."))
+    usable, sentence, advice = MEANINGS.get(
+        status, (False, f"the solver stopped: {status}", "Try other starting values.")
+    )
     g = np.array(result["g"]).ravel()
     outside = np.maximum(program.g_lower - g, g - program.g_upper)
     worst = int(np.argmax(outside)) if outside.size else 0

@@ -21,6 +21,7 @@ from phsi_opt.terms import Scan, Share
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
 N_STARTS = 3  # frequencies of the scan that are tried
+CLEANEST = 1e-5  # least noise that is assumed, as a share of the spread of a channel: weights stay within double precision
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
@@ -30,7 +31,7 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
                        for k, name in enumerate(data.states)])  # fmt: skip
     guess = np.where(np.isfinite(guess), guess, 0.1 * spread)
     # Clean data: a noise of zero would make every weight infinite.
-    return np.where([name in data.measured for name in data.states], np.maximum(guess, 1e-6 * spread), 1.0)
+    return np.where([name in data.measured for name in data.states], np.maximum(guess, CLEANEST * spread), 1.0)
 
 
 def first_point(model: Model, grid: Grid) -> Point:
@@ -132,12 +133,12 @@ def starting_values(model: Model, grid: Grid, l1: dict[str, float]) -> list[np.n
     for name, amplitudes, variable in scans:
         scanned = []
         for start in starts:
-            for omega in _best_frequencies(model, grid, start, groups, name, amplitudes, variable):
-                moved = start.copy()
-                moved[model.free.index(name)] = omega
-                scanned.append(moved)
-        starts = scanned[:N_STARTS]
-    return [_convex_rounds(model, grid, start, groups, l1, rounds=2) for start in starts]
+            for omega in _candidate_frequencies(model, grid, start, groups, name, amplitudes, variable):
+                moved = _moved(start, model.free.index(name), omega)
+                # The start carries what the polynomials explained before the wave was there; begin again beside it.
+                scanned.append(_convex_rounds(model, grid, moved, groups, l1, rounds=2))
+        starts = sorted(scanned, key=lambda s: _squared_defects(model, grid, s))[:N_STARTS]
+    return starts
 
 
 def _linear_groups(model: Model, grid: Grid) -> list[list[int]]:
@@ -149,9 +150,14 @@ def _linear_groups(model: Model, grid: Grid) -> list[list[int]]:
     has_start = [e.parameter.value is not None and not e.prunable for e in entries]
     groups = []
     for slots in (("H", "F"), ("R",)):
-        members = [i for i, e in enumerate(entries) if e.slot in slots and not has_start[i]]
-        members = [i for i, curved in zip(members, _curved(dx, theta, members), strict=True) if not curved]
-        groups.append(members)
+        members: list[int] = []
+        inside = [i for i, e in enumerate(entries) if e.slot in slots and not has_start[i]]
+        # Coefficients first: a frequency beside them would make its amplitudes look curved.
+        for tried in ([i for i in inside if entries[i].prunable], [i for i in inside if not entries[i].prunable]):
+            both = members + tried
+            curved = _curved(dx, theta, both)
+            members = [i for i, bent in zip(both, curved, strict=True) if not bent or i in members]
+        groups.append(sorted(members))
     return [group for group in groups if group]
 
 
@@ -159,7 +165,8 @@ def _curved(dx: ca.SX, theta: ca.SX, members: list[int]) -> list[bool]:
     if not members:
         return []
     chosen = theta[members]
-    return list(np.atleast_1d(ca.which_depends(dx, chosen, 2, False)))
+    slopes = ca.jacobian(dx, chosen)
+    return [ca.depends_on(slopes[:, i], chosen) for i in range(len(members))]
 
 
 def _convex_rounds(
@@ -219,15 +226,34 @@ def frequencies(grid: Grid, variable: np.ndarray) -> np.ndarray:
     return np.arange(lowest, max(0.9 * np.pi / step, 2 * lowest), lowest / 2)[:4000]
 
 
-def _best_frequencies(
+def _candidate_frequencies(
     model: Model, grid: Grid, theta: np.ndarray, groups: list[list[int]], name: str, amplitudes: list[str], variable: str
+) -> list[float]:
+    """Peaks of two scans: beside all other terms, and beside those of H and R alone.
+
+    Over a short record a polynomial in the time imitates a slow wave, so beside it only fast waves stand out.
+    """
+    beside_all = [i for group in groups for i in group]
+    inner = [i for i in beside_all if model.entries[model.free[i]].slot != "F"]
+    found = []
+    for others in [beside_all] if inner == beside_all else [inner, beside_all]:
+        found += _best_frequencies(model, grid, theta, others, name, amplitudes, variable)[: N_STARTS - 1]
+    return list(dict.fromkeys(found))
+
+
+def _squared_defects(model: Model, grid: Grid, theta: np.ndarray) -> float:
+    return float(np.nansum(np.square(np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), theta)))))
+
+
+def _best_frequencies(
+    model: Model, grid: Grid, theta: np.ndarray, beside: list[int], name: str, amplitudes: list[str], variable: str
 ) -> list[float]:
     """The frequencies with the deepest local minima of the squared defects, amplitudes and all linear terms free."""
     order = list(model.free)
     own = [order.index(a) for a in amplitudes]
-    others = [i for group in groups for i in group if i not in own]
+    others = [i for i in beside if i not in own]
     start = theta.copy()
-    start[own] = 0.0
+    start[[i for i, n in enumerate(order) if model.entries[n].slot == "F" and i not in others]] = 0.0
     d = np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), start)).T.ravel()
     base = np.array(defect_jacobian(model, grid, SCHEME)(grid.y.T, start))[:, others]
     keep, _ = np.linalg.qr(base) if others else (np.zeros((len(d), 0)), None)

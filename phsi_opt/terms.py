@@ -5,7 +5,7 @@ of terms. Bodies are read by `expressions`, so values, names, LaTeX and files sh
 is the model's business.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
 from types import MappingProxyType
@@ -69,8 +69,8 @@ class Parameter:
 def _number(value: Any, name: str, infinite: bool) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
-        raise ModelError(f"parameter {name}={value!r} is not a number.") from None
+    except (TypeError, ValueError, OverflowError):
+        raise ModelError(f"parameter {name}={str(value)[:60]} is not a number.") from None
     if np.isnan(number) or (np.isinf(number) and not infinite):
         raise ModelError(f"parameter {name}={number} is not finite.")
     return number
@@ -95,6 +95,9 @@ class Term:
         for name in self.inner:
             if name not in used:
                 raise ModelError(f"parameter {name!r} does not occur in {self.body!r}; remove it or correct its name.")
+
+    def __reduce__(self) -> tuple[Any, ...]:  # a mappingproxy cannot be pickled
+        return Term, (self.body, self.coefficient, dict(self.inner), self.name)
 
     @property
     def is_formula(self) -> bool:
@@ -134,7 +137,7 @@ class Dictionary:
     def __len__(self) -> int:
         return len(self.terms)
 
-    def __iter__(self):  # type: ignore[no-untyped-def]
+    def __iter__(self) -> Iterator[Term]:
         return iter(self.terms)
 
 

@@ -65,10 +65,8 @@ def of_defects(
     scores = (jacobian * d[:, None]).reshape(grid.n_intervals, n, -1).sum(axis=1)
     neighbours = np.flatnonzero(np.diff(grid.begin) == 1)
     lagged = scores[neighbours].T @ scores[neighbours + 1]
-    meat = scores.T @ scores + lagged + lagged.T
-    # Near-cancelling sums can leave a negative variance; it is raised to zero, never hidden in a root.
-    values, vectors = np.linalg.eigh(meat)
-    meat = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    # Bartlett's weight of one half keeps the sum positive; neighbours correlate negatively, so it errs on the safe side.
+    meat = scores.T @ scores + (lagged + lagged.T) / 2
     size = np.trace(jacobian.T @ jacobian) / max(len(theta), 1)
     bread = np.linalg.inv(jacobian.T @ jacobian + RIDGE * size * np.eye(len(theta)))
     weak = _weak_directions(model, np.linalg.inv(jacobian.T @ jacobian / size + RIDGE * np.eye(len(theta))), held)

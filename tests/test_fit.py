@@ -1,0 +1,250 @@
+"""What a Fit promises: its forms agree with each other, its file gives it back, and a bad file is refused and never run."""
+
+import json
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from phsi_opt import DataError, FirstOrder, Fit, Parameter, PseudoHamiltonian, canonical, damping, formula, polynomials
+from phsi_opt.expressions import NUMPY, evaluate
+from phsi_opt.fit import to_json
+from phsi_opt.model import Model
+from phsi_opt.solver import Outcome
+from phsi_opt.terms import Scan, Share, trigonometric
+
+OUTCOME = Outcome(True, "Solve_Succeeded", "a local optimum was found", "", 7, 0.25, 1.5, 1e-12, ("R_p",))
+
+
+def fit_of(model: Model, **values: float) -> Fit:
+    model = model.with_values(values)
+    n = len(model.free)
+    covariance = np.diag(np.linspace(0.01, 0.1, n) ** 2)
+    covariance[-1, -1] = np.nan
+    return Fit(
+        model, "MaximumLikelihood", 1.25, covariance, {"q": 0.01}, OUTCOME, 320, bic=-12.5, hold="zero",
+        units={"q": "m", "t": "s"}, removed=("H[p]",), warnings=("take care",), provenance={"phsi_opt": "0.1.0"},
+    )  # fmt: skip
+
+
+def rich_fit() -> Fit:
+    """Every kind of part: formula, dictionary, damping, trigonometric, efforts, an input, guesses and bounds."""
+    model = PseudoHamiltonian(
+        states=("q", "p"),
+        inputs=("u",),
+        S=canonical(1),
+        H=formula("k*abs(q)**3 + p**2/(2*m)", k=Parameter(2.0, lower=0.0, unit="N/m^2"), m=2.5) + polynomials(["q"], 2),
+        R=damping("p"),
+        F={
+            "p": formula("b*u - c*tanh(dH_dp/eps)", b=1.5, c=Parameter(0.3), eps=Parameter(guess=Share("dH_dp", 0.05)))
+            + trigonometric("t")
+        },
+    )
+    return fit_of(
+        model, **{"k": 1.875, "R_p": 0.7, "c": 0.3, "eps": 0.1, "H[q]": 1e-9, "H[q**2]": -0.2,
+                  "F_p[sin(omega_t*t)]": 0.9, "F_p[cos(omega_t*t)]": -0.4, "F_p.omega_t": 3.1}
+    )  # fmt: skip
+
+
+def points(n: int = 20) -> list[tuple[np.ndarray, np.ndarray, float]]:
+    rng = np.random.default_rng(0)
+    return [(rng.normal(size=2), rng.normal(size=1), float(rng.uniform(0, 5))) for _ in range(n)]
+
+
+def rate(fit: Fit, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
+    theta = [fit.values[name] for name in fit.model.free]
+    return np.array(fit.model.rhs()(x, u, t, theta)).ravel()
+
+
+# ---- forms -----------------------------------------------------------------------------------------------------------
+
+
+def test_sympy_and_casadi_give_the_right_hand_side_of_the_model() -> None:
+    fit = rich_fit()
+    exact, function = fit.sympy(), fit.casadi()
+    symbols = sp.symbols(["q", "p", "u", "t"])
+    numeric = sp.lambdify(symbols, [exact["dq/dt"], exact["dp/dt"]])
+    for x, u, t in points():
+        expected = rate(fit, x, u, t)
+        # The same formula in another order of operations: rounding only.
+        np.testing.assert_allclose(numeric(*x, *u, t), expected, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(np.array(function(x, u, t)).ravel(), expected, rtol=1e-14)
+
+
+def test_the_parts_in_sympy_add_up_to_the_equations() -> None:
+    exact = rich_fit().sympy()
+    q, p = sp.symbols("q p")
+    efforts = {s: exact["H"].subs(sp.Abs(q), sp.Symbol("a")).diff(s) for s in (p,)}
+    assert sp.simplify(exact["dq/dt"] - efforts[p]) == 0
+    assert exact["R_q"] == 0
+    assert exact["F_q"] == 0
+    assert exact["R_p"] == sp.Float(0.7)
+
+
+def test_equations_keep_every_term_however_small() -> None:
+    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 4))
+    values = {name: 10.0 ** -(k + 1) for k, name in enumerate(model.free)}
+    fit = fit_of(model, **values)
+    dq, dp = fit.equations()
+    q, p = np.array([0.7, -1.3]), np.array([0.4, 0.9])
+    for text, row in ((dq, 0), (dp, 1)):
+        assert text.startswith(("dq/dt = ", "dp/dt = ")[row])
+        # One monomial per coefficient whose derivative does not vanish: 10 of the 14.
+        assert len(re.findall(r" [+-] ", text.split(" = ")[1])) + 1 == 10
+        for at in zip(q, p, strict=True):
+            found = float(evaluate(text.split(" = ")[1], {"q": at[0], "p": at[1]}, NUMPY))
+            # Six digits are printed.
+            assert found == pytest.approx(rate(fit, np.array(at), np.zeros(0), 0.0)[row], rel=2e-6)
+
+
+def test_latex_holds_the_same_numbers_as_the_equations() -> None:
+    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=2.5))
+    fit = fit_of(replace_free(model))
+    rows = re.findall(r"\\dot\{(\w)\} &= (.*?)(?: \\\\)?\n", fit.latex())
+    assert [name for name, _ in rows] == ["q", "p"]
+    x = np.array([0.3, -0.8])
+    found = [
+        float(evaluate(re.sub(r"(\d) ([a-z])", r"\1*\2", row), {"q": x[0], "p": x[1]}, NUMPY)) for _, row in rows
+    ]
+    np.testing.assert_allclose(found, rate(fit, x, np.zeros(0), 0.0), rtol=1e-5)  # six digits are printed
+
+
+def replace_free(model: PseudoHamiltonian) -> PseudoHamiltonian:
+    return PseudoHamiltonian(states=model.states, S=model.S, H=model.H, R=damping("p")).with_values({"R_p": 0.0})  # type: ignore[return-value]
+
+
+def test_the_report_names_every_parameter_with_its_standard_error_and_every_warning() -> None:
+    text = str(rich_fit())
+    for part in ("1.875 +- ", "N/m^2", "H[p]", "take care", "R_p", "b = 1.5 (fixed)", "q 0.01 m", "local optimum"):
+        assert part in text
+
+
+def test_the_parameter_table_has_a_row_per_parameter() -> None:
+    fit = rich_fit()
+    table = fit.parameters.set_index("name")
+    assert list(table.index) == list(fit.model.entries)
+    assert table.loc["k", "value"] == 1.875
+    assert table.loc["k", "unit"] == "N/m^2"
+    assert bool(table.loc["m", "fixed"])
+    assert np.isnan(table.loc["m", "std_error"])
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
+def first_order_fit() -> Fit:
+    model = FirstOrder(states=("q", "v"), F={"q": formula("v"), "v": polynomials(["q", "v"], 3, constant=True)})
+    return fit_of(model, **{"F_v[q]": -4.0})
+
+
+@pytest.mark.parametrize("make", [rich_fit, first_order_fit])
+def test_a_saved_fit_comes_back_equal(make: Any, tmp_path: Path) -> None:
+    fit = make()
+    fit.save(tmp_path / "fit.json")
+    again = Fit.load(tmp_path / "fit.json")
+    assert again.model == fit.model
+    assert type(again.model) is type(fit.model)
+    np.testing.assert_array_equal(again.covariance, fit.covariance)  # exact: JSON keeps every digit of a float
+    assert again.outcome == fit.outcome
+    for name in ("loss", "loss_value", "noise", "n_values", "bic", "hold", "units", "removed", "warnings", "provenance"):
+        assert getattr(again, name) == getattr(fit, name), name
+    assert str(again) == str(fit)
+    assert again.equations() == fit.equations()
+
+
+def test_a_guess_survives_the_file(tmp_path: Path) -> None:
+    rich_fit().save(tmp_path / "fit.json")
+    entries = Fit.load(tmp_path / "fit.json").model.entries
+    assert entries["F_p.omega_t"].parameter.guess == Scan("t")
+    assert entries["eps"].parameter.guess == Share("dH_dp", 0.05)
+
+
+@pytest.mark.parametrize("make", [rich_fit, first_order_fit])
+def test_a_fit_can_be_sent_to_another_process(make: Any) -> None:
+    fit = make()
+    again = pickle.loads(pickle.dumps(fit))
+    assert again.model == fit.model
+    assert str(again) == str(fit)
+
+
+def damaged(tmp_path: Path, change: Any) -> Path:
+    content = json.loads(json.dumps(to_json(rich_fit())))
+    change(content)
+    path = tmp_path / "fit.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def body(text: str) -> Any:
+    return lambda content: content["model"]["H"][0].update(body=text, inner={})
+
+
+@pytest.mark.parametrize(
+    "attack",
+    [
+        "__import__('os').system('touch ran')",
+        "().__class__.__bases__",
+        "exec('open(\"ran\", \"w\")')",
+        "q.real",
+        "q[0]",
+        "(lambda: q)()",
+        "9**64**64**64",
+        "((9**64)**64)**64",
+        "2**(64*64*64*64*64)",
+        "q" + "+q" * 3000,
+        "sin(" * 150 + "q" + ")" * 150 + "+" + "-" * 900 + "q",
+        "9" * 400 + "*q",
+        "q if q else p",
+        "f'{q}'",
+    ],
+)
+def test_a_formula_that_is_not_a_formula_is_refused_and_never_run(
+    attack: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(DataError, match="holds a model that is not valid"):
+        Fit.load(damaged(tmp_path, body(attack)))
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: c.pop("covariance"),
+        lambda c: c.update(covariance=[[1.0]]),
+        lambda c: c.update(loss_value="a lot"),
+        lambda c: c.update(noise={"q": "small"}),
+        lambda c: c.update(noise=[1.0]),
+        lambda c: c.update(hold="cubic"),
+        lambda c: c.update(outcome={}),
+        lambda c: c["outcome"].update(seconds=None),
+        lambda c: c["model"].update(kind="os"),
+        lambda c: c["model"].update(states="qp"),
+        lambda c: c["model"].update(S=[[0.0, 1.0], [1.0, 0.0]]),
+        lambda c: c["model"]["H"][0].update(body=5),
+        lambda c: c["model"]["H"][0]["inner"]["k"].update(value="x"),
+        lambda c: c["model"]["H"][0]["inner"]["k"].update(value=10**400),
+        lambda c: c["model"]["H"][0]["inner"]["k"].update(guess=["Popen", "ls"]),
+        lambda c: c["model"]["H"][0]["inner"]["k"].update(extra=1),
+        lambda c: c["model"].update(R={"x": []}),
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"fit\.json (is damaged|holds a model that is not valid)"):
+        Fit.load(damaged(tmp_path, change))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": "other"}', "\x00", "[" * 100_000, "9" * 5000])
+def test_a_file_that_is_not_a_fit_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "fit.json").write_text(text)
+    with pytest.raises(DataError, match=r"fit\.json (cannot be read as a fit|is not a file of the format)"):
+        Fit.load(tmp_path / "fit.json")
+
+
+def test_a_file_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="cannot be read as a fit"):
+        Fit.load(tmp_path / "none.json")
