@@ -8,8 +8,9 @@ from phsi_opt.missing import forced_rows, positions
 from phsi_opt.model import FirstOrder, Model
 from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term
 
-# Dry friction turns over within this share of the typical velocity: sharp beside the motion, smooth for the solver.
-TURNOVER = 0.03
+# Dry friction turns over within this share of the typical velocity: sharp beside the motion, smooth for the solver. The
+# fourth powers make its plateau flat, so that the share costs no friction at the velocities beyond it.
+TURNOVER = 0.06
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def _position_of(model: Model) -> dict[str, str]:
 def _losses(model: Model, name: str) -> list[Effect]:
     effort = name if isinstance(model, FirstOrder) else f"dH_d{name}"
     turnover = Parameter(None, lower=0.0, fixed=True, guess=Share(effort, TURNOVER))
-    dry = f"1/sqrt({effort}**2 + v0**2)"
+    dry = f"({effort}**4 + v0**4)**(-0.25)"
 
     def loss(kind: str, body: str, inner: dict[str, Parameter] | None = None) -> Effect:
         term = Term(body, Parameter(None, lower=0.0), inner or {}, f"{kind.replace(' ', '_')}_{name}")

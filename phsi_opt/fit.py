@@ -277,12 +277,10 @@ def from_json(content: dict[str, Any]) -> Fit:
 
 
 def _outcome_from(content: dict[str, Any]) -> Outcome:
-    texts = {key: str(content[key]) for key in ("status", "sentence", "advice")}
-    numbers = {key: float(content[key]) for key in ("seconds", "objective", "infeasibility")}
+    texts = (str(content[key]) for key in ("status", "sentence", "advice"))
+    numbers = (float(content[key]) for key in ("seconds", "objective", "infeasibility"))
     at_bounds = tuple(str(name) for name in content["at_bounds"])
-    return Outcome(
-        bool(content["success"]), **texts, iterations=int(content["iterations"]), **numbers, at_bounds=at_bounds
-    )
+    return Outcome(bool(content["success"]), *texts, int(content["iterations"]), *numbers, at_bounds)
 
 
 def _dictionary(terms: list[dict[str, Any]]) -> Dictionary:

@@ -63,6 +63,7 @@ def integrator(name: str) -> Integrator:
     """The scheme of that name; raises `ModelError` otherwise."""
     if name not in INTEGRATORS:
         raise ModelError(
-            f"integrator {name!r} is unknown; expected one of {', '.join(INTEGRATORS)}.{did_you_mean(str(name), INTEGRATORS)}"
+            f"integrator {name!r} is unknown; expected one of {', '.join(INTEGRATORS)}."
+            f"{did_you_mean(str(name), INTEGRATORS)}"
         )
     return INTEGRATORS[name]

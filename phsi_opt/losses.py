@@ -1,11 +1,12 @@
 """The three losses: one family of problems that differ in where the noise is assumed to be.
 
-| loss                | states             | defects                | objective                                            |
-| PHSILoss            | the data           | minimised              | mean of squared defects + L1 (thesis Eq. 5.6)        |
-| MaximumLikelihood   | decision variables | equal to zero          | mean of squared residuals over sigma^2 + L1          |
-| MissingForce        | decision variables | decision variables w   | squared residuals over sigma^2 + smoothness of w     |
+| loss                | states             | defects                | objective |
+| PHSILoss            | the data           | minimised              | mean of squared defects + L1 (thesis Eq. 5.6) |
+| MaximumLikelihood   | decision variables | equal to zero          | mean of squared residuals over sigma^2 + L1 |
+| MissingForce        | decision variables | decision variables w   | squared residuals over sigma^2 + smoothness of w |
 
-Each makes a `Program` from a model, a grid and a starting point; what is done with the program is `identify`'s business.
+Each makes a `Program` from a model, a grid and a starting point; what is done with the program is the business of
+`identify`.
 """
 
 from collections.abc import Mapping
@@ -22,7 +23,7 @@ from phsi_opt.nlp import Assembly, Program
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point to start from, with the size of each quantity: theta in the order of `Model.free`, x (n_nodes, n_states)."""
+    """A point to start from, with each quantity's size: theta in the order of `Model.free`, x (n_nodes, n_states)."""
 
     theta: np.ndarray
     x: np.ndarray
@@ -33,11 +34,11 @@ class Point:
 
 @dataclass(frozen=True)
 class PHSILoss:
-    """(1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2 + sum_j lambda_j |xi_j|  (thesis Eq. 5.6, mean for sum).
+    """(1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2 + sum_j lambda_j |xi_j| (thesis Eq. 5.6, mean for sum).
 
-    The states are the data, so every state must be measured; an interval with a missing end is left out. Fast, and convex
-    where Psi is one evaluation of g and R is fixed. The noise in the states biases it: final estimates with measured data
-    are `MaximumLikelihood`'s.
+    The states are the data, so every state must be measured; an interval with a missing end is left out. Fast, and
+    convex where Psi is one evaluation of g and R is fixed. The noise in the states biases it: final estimates with
+    measured data are `MaximumLikelihood`'s.
     """
 
     integrator: str = "srk4"
@@ -65,9 +66,9 @@ class PHSILoss:
 class MaximumLikelihood:
     """Minimise (1/N) sum ((y - x)/sigma)^2 + sum lambda |xi| over states and parameters, subject to zero defects.
 
-    States that nobody measured and missing samples are no obstacle. ``noise`` are standard deviations by state name; None
-    estimates them. ``steps`` intervals are put between neighbouring samples (None: as many as the integration error asks
-    for).
+    States that nobody measured and missing samples are no obstacle. ``noise`` are standard deviations by state name;
+    None estimates them. ``steps`` intervals are put between neighbouring samples (None: as many as the integration
+    error asks for).
     """
 
     noise: Mapping[str, float] | None = None
@@ -158,13 +159,13 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
 
 def complete(model: Model, grid: Grid) -> Grid:
     """The grid with only the intervals whose two ends are completely measured; raises `DataError` if there are none."""
-    never = [name for name, seen in zip(model.states, grid.measured.any(axis=0), strict=True) if not seen]
+    never = [name for name, seen in zip(model.states, grid.measured.T, strict=True) if not np.any(seen)]
     if never:
         raise DataError(
             f"state {never[0]!r} was never measured, but PHSILoss takes the states from the data; use "
             "MaximumLikelihood(), where the states are decision variables."
         )
-    full = grid.measured.all(axis=1)
+    full = np.asarray(grid.measured.all(axis=1))
     keep = np.flatnonzero(full[grid.begin] & full[grid.begin + 1])
     if not len(keep):
         raise DataError("no two neighbouring samples are complete, so there is no defect; use MaximumLikelihood().")
@@ -172,7 +173,7 @@ def complete(model: Model, grid: Grid) -> Grid:
 
 
 def rate_size(grid: Grid) -> float:
-    """Mean square of the rates: the objective is divided by it, so that a tolerance does not depend on the data's units."""
+    """Mean square of the rates: the objective is divided by it, so that a tolerance does not depend on units."""
     size = float(np.mean(np.sum(grid.rates(grid.y) ** 2, axis=1)))
     return size if size > 0 else 1.0
 

@@ -32,6 +32,7 @@ class ForceEstimate:
     prior: ForcePrior
     log_evidence: float
     grid: Grid
+    linear: "Linearised"
 
 
 def positions(model: Model) -> tuple[int, ...]:
@@ -77,14 +78,14 @@ def estimate_force(
         w = solution.values["w"].reshape(grid.n_intervals, len(prior.rows))
         jacobian = solution.kkt.jacobian @ diags(1 / program.scale)
         point = replace(point, x=x, w=w)
-        sigma, prior, evidence = _update(grid, point, csc_matrix(jacobian), sigma, prior, known_noise)
+        sigma, prior, evidence, linear = _update(grid, point, csc_matrix(jacobian), sigma, prior, known_noise)
     assert point.w is not None
-    return ForceEstimate(point.x, point.w, sigma, prior, evidence, grid)
+    return ForceEstimate(point.x, point.w, sigma, prior, evidence, grid, linear)
 
 
 def _update(
     grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior, known_noise: bool
-) -> tuple[np.ndarray, ForcePrior, float]:
+) -> "tuple[np.ndarray, ForcePrior, float, Linearised]":
     """Noise and force size of largest marginal likelihood in the problem linearised at the point."""
     evidence = -np.inf
     for _ in range(8):
@@ -95,7 +96,21 @@ def _update(
         sigma, prior = new_sigma, replace(prior, size=new_size)
         if step < 0.02:
             break
-    return sigma, prior, evidence
+    return sigma, prior, evidence, linear
+
+
+def force_deviation(estimate: ForceEstimate, most: int = 400) -> np.ndarray:
+    """Standard deviation of the force, (n_intervals, n_forced): exact at up to ``most`` intervals, interpolated between."""
+    linear, (n_intervals, n_forced) = estimate.linear, estimate.w.shape
+    chosen = np.unique(np.linspace(0, n_intervals - 1, min(most, n_intervals)).astype(int))
+    result = np.zeros((n_intervals, n_forced))
+    for k in range(n_forced):
+        at = linear.n_x + chosen * n_forced + k
+        unit = np.zeros((linear.factor.shape[0], len(chosen)))
+        unit[at, np.arange(len(chosen))] = 1.0
+        variance = linear.factor.solve(unit)[at, np.arange(len(chosen))]
+        result[:, k] = np.interp(np.arange(n_intervals), chosen, np.sqrt(np.maximum(variance, 0.0)))
+    return result
 
 
 class Linearised:

@@ -1,7 +1,7 @@
 """Models: dx/dt = (S - R(x)) grad H(x) + F(x, t, u), and dx/dt = F(x, t, u) without structure.
 
-A model is a frozen record of states, inputs and the dictionaries of its slots; every change makes a new model. This file
-also turns a model into CasADi functions. It knows nothing of data, losses or solvers.
+A model is a frozen record of states, inputs and the dictionaries of its slots; every change makes a new model. This
+file also turns a model into CasADi functions. It knows nothing of data, losses or solvers.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,10 +20,14 @@ from phsi_opt.terms import Dictionary, Parameter, Term, with_values
 class Addition(Protocol):
     """What `Model.add` needs of an effect."""
 
-    name: str
-    slot: str
-    equation: str
-    term: Dictionary
+    @property
+    def name(self) -> str: ...
+    @property
+    def slot(self) -> str: ...
+    @property
+    def equation(self) -> str: ...
+    @property
+    def term(self) -> Dictionary: ...
 
 
 @dataclass(frozen=True)
@@ -181,8 +185,7 @@ class Model:
             return Dictionary(tuple(with_values(term, place_of(slot, equation), values) for term in terms))
 
         slots: dict[str, Any] = {
-            s: {name: with_new(s, name, terms) for name, terms in getattr(self, s).items()}
-            for s in ("R", "F")
+            s: {name: with_new(s, name, terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")
         }
         return replace(self, H=with_new("H", "", self.H), **slots)
 

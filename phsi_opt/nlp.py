@@ -3,12 +3,13 @@
     minimise   1/2 sum r(z)^2 + linear cost      subject to   lower <= g(z) <= upper,   bounds on z
 
 Variables are scaled where they enter, so that the solver sees numbers near one and its tolerance means the same for
-every block. The Hessian is the Gauss-Newton one, J'J of the residuals: it leaves out the curvature of the defects, which
-is nearly all of the cost of the exact Hessian and little of its use (docs/design.md). No solver is named here.
+every block. The Hessian is the Gauss-Newton one, J'J of the residuals: it leaves out the curvature of the defects,
+which is nearly all of the cost of the exact Hessian and little of its use (docs/design.md). No solver is named here.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -134,7 +135,7 @@ class Assembly:
         # One symbol for the solver; the blocks become slices of it.
         whole = ca.MX.sym("z", z.numel())
         offsets = np.cumsum([0] + [s.numel() for s in self._symbols]).tolist()
-        parts = [whole[a:b] for a, b in zip(offsets[:-1], offsets[1:], strict=True)]
+        parts = [whole[a:b] for a, b in pairwise(offsets)]
         residual, linear, g = (
             ca.graph_substitute([ca.vertcat(*column)], self._symbols, parts)[0] if column else ca.MX(0, 1)
             for column in ([r for r, _ in self._residuals], self._linear, self._g)

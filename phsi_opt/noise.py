@@ -1,7 +1,7 @@
 """A first guess of the measurement noise, from the data alone.
 
-Each sample is predicted by the cubic through its four neighbours; what is left is noise (and curvature that the sampling
-does not resolve, which is why this is only a first guess: `missing` estimates the noise with a model).
+Each sample is predicted by the cubic through its four neighbours; what is left is noise (and curvature that the
+sampling does not resolve, which is why this is only a first guess: `missing` estimates the noise with a model).
 """
 
 import numpy as np

@@ -10,8 +10,8 @@ from phsi_opt.model import Model
 class Pruning:
     """Remove terms with |coefficient| < ``threshold`` and solve again, until none is left to remove.
 
-    Acts in ``slots`` (damping stays by default: a small damping is still one). ``debias`` solves the last time without L1,
-    which shrinks every coefficient that it keeps.
+    Acts in ``slots`` (damping stays by default: a small damping is still one). ``debias`` solves the last time without
+    L1, which shrinks every coefficient that it keeps.
     """
 
     threshold: float = 0.05

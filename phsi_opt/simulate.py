@@ -11,7 +11,7 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.model import Model
 
 RTOL, ATOL = 1e-8, 1e-10  # ATOL is relative to the size of the starting state
-MOST_REFUSED = 100  # evaluations that are not finite, before a simulation is given up
+LONGEST_WAIT = 10_000  # evaluations without progress in time, before a simulation is given up
 
 
 def simulate(
@@ -48,18 +48,18 @@ def simulate(
 
 
 class _Guarded:
-    """The right-hand side along one input; stops a solver that would call it for ever where it is not finite."""
+    """The right-hand side along one input; stops a solver that calls it for ever where the solution ends."""
 
     def __init__(self, f: Callable[..., np.ndarray], value: Callable[[float], np.ndarray]) -> None:
-        self.f, self.value, self.refused = f, value, 0
+        self.f, self.value, self.furthest, self.waited = f, value, -np.inf, 0
 
     def __call__(self, at: float, x: np.ndarray) -> np.ndarray:
-        dx = self.f(at, x, self.value(at))
-        if not np.isfinite(dx).all():  # a trial step may go too far, and is taken back
-            self.refused += 1
-            if self.refused > MOST_REFUSED:
-                raise _stopped(at, "The model gives NaN or infinity.")
-        return dx
+        if at > self.furthest:
+            self.furthest, self.waited = at, 0
+        self.waited += 1
+        if self.waited > LONGEST_WAIT:
+            raise _stopped(at, "The steps became too small.")
+        return self.f(at, x, self.value(at))
 
 
 def _stopped(at: float, why: str) -> SolveError:

@@ -1,8 +1,8 @@
 """Terms, parameters and dictionaries: what a model is made of.
 
-A term is a body (a formula as text) times a coefficient, with inner parameters such as a frequency. A dictionary is a sum
-of terms. Bodies are read by `expressions`, so values, names, LaTeX and files share one table. Where a term acts (H, R, F)
-is the model's business.
+A term is a body (a formula as text) times a coefficient, with inner parameters such as a frequency. A dictionary is a
+sum of terms. Bodies are read by `expressions`, so values, names, LaTeX and files share one table. Where a term acts
+(H, R, F) is the model's business.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,8 +36,8 @@ class Share:
 class Parameter:
     """A named number of the model.
 
-    ``value`` is the start, or the value itself if ``fixed``; None lets the data choose the start (by ``guess``, otherwise
-    zero). Bounds are kept by the solver. The unit is text that is printed.
+    ``value`` is the start, or the value itself if ``fixed``; None lets the data choose the start (by ``guess``,
+    otherwise zero). Bounds are kept by the solver. The unit is text that is printed.
     """
 
     value: float | None = None
@@ -80,8 +80,8 @@ def _number(value: Any, name: str, infinite: bool) -> float:
 class Term:
     """``coefficient * body``, or the body alone (a formula) where ``coefficient`` is None.
 
-    ``inner`` are the parameters inside the body. Those of a formula are known to the whole model by their name; those of
-    a dictionary term belong to the place where it stands. ``name`` replaces the automatic name of the coefficient.
+    ``inner`` are the parameters inside the body. Those of a formula are known to the whole model by their name; those
+    of a dictionary term belong to the place where it stands. ``name`` replaces the automatic name of the coefficient.
     """
 
     body: str
@@ -124,8 +124,8 @@ class Dictionary:
         for term in self.terms:
             if not term.is_formula and (term.body, term.name) in seen:
                 raise ModelError(
-                    f"term {term.body!r} stands in the dictionary twice, so its coefficients cannot be told apart; keep "
-                    "one (several frequencies: trigonometric('t', n=2))."
+                    f"term {term.body!r} stands in the dictionary twice, so its coefficients cannot be told apart; "
+                    "keep one (several frequencies: trigonometric('t', n=2))."
                 )
             seen.add((term.body, term.name))
 
@@ -156,7 +156,7 @@ def _parameter(value: Parameter | float) -> Parameter:
 
 
 def polynomials(variables: Sequence[str], degree: int, constant: bool = False) -> Dictionary:
-    """All monomials of total degree 1 to ``degree`` in the variables (and 1, if ``constant``), each with a coefficient."""
+    """All monomials of total degree 1 to ``degree`` in the variables (and 1 if ``constant``), each with a coefficient."""
     names = _variables(variables)
     if not isinstance(degree, int) or degree < 1:
         raise ModelError(f"degree={degree!r} of polynomials is not a whole number of at least 1.")

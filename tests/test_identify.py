@@ -6,27 +6,16 @@ import numpy as np
 import pytest
 
 import phsi_opt
-from phsi_opt import (
-    DataError,
-    FirstOrder,
-    Fit,
-    MaximumLikelihood,
-    Measurements,
-    ModelError,
-    Parameter,
-    PHSILoss,
-    Pruning,
-    PseudoHamiltonian,
-    Settings,
-    SolveError,
-    canonical,
-    damping,
-    formula,
-    identify,
-    polynomials,
-    simulate,
-    trigonometric,
-)
+from phsi_opt.errors import DataError, ModelError, SolveError
+from phsi_opt.fit import Fit
+from phsi_opt.identify import identify
+from phsi_opt.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.measurements import Measurements
+from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
+from phsi_opt.pruning import Pruning
+from phsi_opt.simulate import simulate
+from phsi_opt.solver import Settings
+from phsi_opt.terms import Parameter, damping, formula, polynomials, trigonometric
 
 K, M, D = 40.0, 2.5, 0.8  # N/m, kg, kg/s
 
@@ -126,7 +115,7 @@ def test_pruning_recovers_the_support_of_a_driven_spring_from_clean_data() -> No
 
 
 def test_measuring_in_millimetres_changes_only_the_units(position_fit: Fit) -> None:
-    # q in mm and p in g m/s leaves k in N/m and m in kg in H/1e-6 J: the numbers k, m and d are the same.
+    # q in mm, p in kg mm/s and H in uJ: the numbers of k, m and d stay the same.
     fit = identify(spring(), positions_only(scale=1e3, unit="mm"))
     for name in ("k", "R_p"):
         # The solver stops at 1e-8 of the scaled conditions and the noise rounds at 0.5 %; both leave 1e-5 at most.
@@ -205,7 +194,7 @@ def test_a_solve_that_is_cut_short_raises_and_says_what_to_do() -> None:
         states=("q", "v"), F={"q": formula("v"), "v": formula("-a*sin(b*q)", a=Parameter(2.0), b=Parameter(0.5))}
     )
     data = Measurements.from_arrays([t], [x], states=["q", "v"])
-    with pytest.raises(SolveError, match="iteration limit was reached.*Raise max_iterations"):
+    with pytest.raises(SolveError, match=r"iteration limit was reached.*Raise max_iterations"):
         identify(model, data, PHSILoss(), settings=Settings(max_iterations=1))
     fit = identify(model, data, PHSILoss(), settings=Settings(max_iterations=1), raise_on_failure=False)
     assert not fit.outcome.success
@@ -216,7 +205,7 @@ def test_pruning_everything_away_is_refused() -> None:
     t = np.linspace(0.0, 5.0, 101)
     data = Measurements.from_arrays([t], [np.column_stack([np.cos(t), -np.sin(t)])], states=["q", "p"])
     model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 2))
-    with pytest.raises(ModelError, match="removes every term|no term"):
+    with pytest.raises(ModelError, match=r"removes every term|no term"):
         identify(model, data, PHSILoss(), pruning=Pruning(threshold=1e3))
 
 

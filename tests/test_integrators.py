@@ -51,7 +51,7 @@ def test_halving_the_step_divides_the_defect_of_srk4_by_sixteen_on_a_driven_pend
     ).y.T  # fmt: skip
     start, ends = solution[0], {0.05: solution[1], 0.1: solution[2], 0.2: solution[3]}
     sizes = [defect(INTEGRATORS["srk4"], pendulum, 0.5, h, start, ends[h]) for h in (0.2, 0.1, 0.05)]
-    # 16 up to the next term of the expansion (O(h) relative); the reference's 1e-13 / h is far below the smallest defect.
+    # 16 up to the next term of the expansion, O(h); the reference's 1e-13 / h is far below the smallest defect.
     assert sizes[-1] > 1e-10
     assert 12 < sizes[0] / sizes[1] < 20
     assert 14 < sizes[1] / sizes[2] < 18

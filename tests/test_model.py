@@ -87,7 +87,8 @@ def test_a_first_order_model_takes_its_states_as_efforts() -> None:
 
 
 def test_an_energy_that_is_a_number_pushes_nothing() -> None:
-    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=formula("3"), F={"p": formula("c", c=Parameter(1.0))})
+    force = {"p": formula("c", c=Parameter(1.0))}
+    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=formula("3"), F=force)
     np.testing.assert_array_equal(rate(model, [1.0, 1.0]), [0.0, 1.0])
 
 
