@@ -1,0 +1,76 @@
+"""Pictures of comparisons, missing forces and histories; each takes ``ax`` and says in its title what to see."""
+
+from typing import TYPE_CHECKING
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+if TYPE_CHECKING:
+    from phsi_opt.compare import Comparison
+    from phsi_opt.diagnose import Diagnosis
+
+MEASURED, MODEL, FLOOR = "0.55", "C0", "C2"
+
+
+def plot_comparison(comparison: "Comparison", ax: Axes | None = None, trajectory: int = 0) -> Axes:
+    """Measurements and free run of one trajectory; the title gives the error beside the noise floor."""
+    ax = _axes(ax, (8.0, 3.6))
+    run, x = comparison.data.trajectories[trajectory], comparison.simulated[trajectory]
+    seen = [k for k, name in enumerate(comparison.model.states) if name in comparison.data.measured]
+    for n, k in enumerate(seen):
+        name = comparison.model.states[k]
+        ax.plot(run.t, run.x[:, k], ".", ms=3, color=MEASURED if n == 0 else f"C{n + 3}", label=f"{name} measured")
+        ax.plot(run.t, x[:, k], "-", lw=1.4, color=MODEL if n == 0 else f"C{n}", label=f"{name} free run")
+    units = {comparison.data.units.get(comparison.model.states[k], "") for k in seen}
+    ax.set(xlabel=_label("t", comparison.data.units.get("t", "")), title=_verdict(comparison, run.name))
+    ax.set_ylabel(_label(", ".join(comparison.model.states[k] for k in seen), units.pop() if len(units) == 1 else ""))
+    ax.margins(y=0.2)
+    ax.legend(loc="upper right", frameon=False, ncols=2)
+    return ax
+
+
+def plot_missing_force(diagnosis: "Diagnosis", ax: Axes | None = None, trajectory: int = 0) -> Axes:
+    """The missing force with two standard deviations: where the band leaves zero, the model lacks something."""
+    ax = _axes(ax, (8.0, 3.6))
+    frame = diagnosis.missing_force
+    part = frame[frame["trajectory"] == trajectory]
+    for n, row in enumerate(diagnosis.estimate.prior.rows):
+        name = diagnosis.fit.model.states[row]
+        w, s = part[name].to_numpy(), part[f"std_{name}"].to_numpy()
+        ax.plot(part["t"], w, color=f"C{n}", lw=1.4, label=f"missing in d{name}/dt")
+        ax.fill_between(part["t"], w - 2 * s, w + 2 * s, color=f"C{n}", alpha=0.2, lw=0, label="two standard deviations")
+    ax.axhline(0, color="0.3", lw=0.8)
+    units = diagnosis.base.data.units
+    ax.set(xlabel=_label("t", units.get("t", "")), ylabel="missing force", title="Where the band leaves zero, a force is missing")
+    ax.margins(y=0.2)
+    ax.legend(loc="upper right", frameon=False, ncols=2)
+    return ax
+
+
+def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") -> Axes:
+    """Free-run error per step: training, held out, and the noise floor it can fall to."""
+    ax = _axes(ax, (7.0, 3.8))
+    steps = history["step"].to_numpy()
+    ax.plot(steps, history["train_rmse"], "o--", color=MEASURED, label="training")
+    if np.isfinite(history["held_out_rmse"]).any():
+        ax.plot(steps, history["held_out_rmse"], "o-", color=MODEL, label="held out")
+    ax.plot(steps, history["noise_floor"], ":", color=FLOOR, label="noise floor", marker="_", ms=14)
+    ax.set_xticks(steps, [("" if i == 0 else "+ ") + str(name) for i, name in enumerate(history["effect"])])
+    ax.set(ylabel=_label("free-run rmse", unit), title="Free-run error after each added effect", ylim=(0, None))
+    ax.margins(x=0.2)
+    ax.legend(frameon=False)
+    return ax
+
+
+def _axes(ax: Axes | None, size: tuple[float, float]) -> Axes:
+    return plt.subplots(figsize=size, layout="constrained")[1] if ax is None else ax
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
+
+
+def _verdict(comparison: "Comparison", run: str) -> str:
+    return f"Free run of {run}: rmse {comparison.rmse:.3g}, noise floor {comparison.noise_floor:.3g} (all runs)"

@@ -1,0 +1,149 @@
+"""The loop: compare, diagnose, add, watch the error fall; stop when nothing more is significant, and say why."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from phsi_opt.compare import Comparison, compare
+from phsi_opt.diagnose import NAMED, Diagnosis, best_candidate, diagnose
+from phsi_opt.effects import Effect, effect_named
+from phsi_opt.errors import ModelError
+from phsi_opt.fit import Fit
+from phsi_opt.identify import identify, matched
+from phsi_opt.losses import MaximumLikelihood
+from phsi_opt.measurements import Measurements
+from phsi_opt.model import Model
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One step of a study: the effect that was added (None at the beginning), the fit, and both comparisons."""
+
+    effect: Effect | None
+    fit: Fit
+    train: Comparison
+    held_out: Comparison | None
+
+
+class Study:
+    """A model, the measurements it is fitted to, and the effects added so far.
+
+    Args:
+        model: the base model. train: measurements to fit. held_out: measurements to judge by (recommended).
+        loss: how to fit, default `MaximumLikelihood`. progress: called with a line of text as the work goes on.
+
+    The model given is never changed; ``study.model`` is the present one. Every error is the root mean square of the
+    free-run residual over the measured channels, in the channel's unit where there is one, else in standard deviations.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        train: Measurements,
+        held_out: Measurements | None = None,
+        *,
+        loss: MaximumLikelihood | None = None,
+        progress: Callable[[str], None] | None = None,
+    ) -> None:
+        self.train = matched(model, train)
+        self.held_out = None if held_out is None else matched(model, held_out)
+        self._loss, self._say = loss or MaximumLikelihood(), progress or (lambda line: None)
+        self._diagnoses: dict[int, Diagnosis] = {}
+        self.stopped = ""
+        self._say("fitting the base model")
+        self.steps: list[Step] = [self._step(None, identify(model, self.train, self._loss))]
+
+    @property
+    def fit(self) -> Fit:
+        """The present fit."""
+        return self.steps[-1].fit
+
+    @property
+    def model(self) -> Model:
+        """The present model, with its fitted values."""
+        return self.fit.model
+
+    def compare(self) -> Comparison:
+        """The present model against the data held out (the training data where none were)."""
+        return self.steps[-1].held_out or self.steps[-1].train
+
+    def diagnose(self) -> Diagnosis:
+        """What the present model lacks; worked out once per step."""
+        key = len(self.steps)
+        if key not in self._diagnoses:
+            self._diagnoses[key] = diagnose(self.fit, self.train, self.held_out, progress=self._say)
+        return self._diagnoses[key]
+
+    def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
+        """Add an effect (by its name in the catalogue and the equation, or an `Effect`), re-fit, and return the fit."""
+        if isinstance(effect, str):
+            if equation is None:
+                raise ModelError(f"which equation does {effect!r} act in? Write study.add({effect!r}, '<state>').")
+            effect = effect_named(self.model, effect, equation)
+        known = self._diagnoses.get(len(self.steps))
+        done = None if known is None else next((c.fit for c in known.ranked if c.effect == effect and c.fit), None)
+        self._say(f"adding {effect}")
+        fit = done or identify(self.model.add(effect), self.train, self._loss, start=self.fit)
+        self.steps.append(self._step(effect, fit))
+        return fit
+
+    def undo(self) -> Fit:
+        """Take back the last effect and return the fit before it."""
+        if len(self.steps) == 1:
+            raise ModelError("there is nothing to undo: the study is at its base model.")
+        self._diagnoses.pop(len(self.steps), None)
+        self.steps.pop()
+        self.stopped = ""
+        return self.fit
+
+    def auto(self, max_steps: int = 4) -> str:
+        """Diagnose and add while an effect is significant; returns (and keeps in ``stopped``) why it stopped."""
+        for _ in range(max_steps):
+            diagnosis = self.diagnose()
+            self._say(f"{diagnosis.verdict}: {diagnosis.reason}")
+            candidate = best_candidate(diagnosis)
+            if diagnosis.verdict != NAMED or candidate is None:
+                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}"
+                return self.stopped
+            self.add(candidate.effect)
+        self.stopped = f"the limit of {max_steps} steps was reached; call auto again to go on"
+        return self.stopped
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """step, effect, train_rmse, held_out_rmse, noise_floor, bic (`held_out_rmse` is NaN without held-out data)."""
+        rows = []
+        for number, step in enumerate(self.steps):
+            judged = step.held_out or step.train
+            held_out = float("nan") if step.held_out is None else step.held_out.rmse
+            name = "base model" if step.effect is None else str(step.effect)
+            rows.append((number, name, step.train.rmse, held_out, judged.noise_floor, step.fit.bic))
+        return pd.DataFrame(rows, columns=["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"])
+
+    def plot_history(self, ax: "Axes | None" = None) -> "Axes":
+        """Training and held-out error per step, with the noise floor."""
+        from phsi_opt.plotting import plot_history
+
+        return plot_history(self.history, ax, self.unit)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the errors: that of the channel where one is measured."""
+        measured = self.train.measured
+        return self.train.units.get(measured[0], "") if len(measured) == 1 else "standard deviations"
+
+    def report(self, path: str | Path) -> Path:
+        """Write the study as text (Markdown, ``.md`` or ``.txt``): equations, history, verdict; returns the path."""
+        from phsi_opt.report import write_report
+
+        return write_report(self, Path(path))
+
+    def _step(self, effect: Effect | None, fit: Fit) -> Step:
+        held_out = None if self.held_out is None else compare(fit, self.held_out)
+        return Step(effect, fit, compare(fit, self.train), held_out)

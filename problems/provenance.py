@@ -1,0 +1,31 @@
+"""What every result says of itself: command, commit, machine."""
+
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "results"
+
+
+def provenance() -> str:
+    """One line for the head of a result."""
+    command = " ".join(["python", *[str(Path(a).resolve().relative_to(ROOT)) if Path(a).exists() else a for a in sys.argv]])
+    try:
+        run = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+        commit = run.stdout.strip() or "unknown"
+    except OSError:
+        commit = "unknown"
+    machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
+    return f"command: {command}; commit: {commit}; machine: {machine}"
+
+
+def write(name: str, text: str) -> Path:
+    """Write a text result under results/."""
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / name
+    path.write_text(f"<!-- {provenance()} -->\n\n{text.rstrip()}\n", encoding="utf-8")
+    return path
