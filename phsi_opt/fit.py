@@ -277,10 +277,17 @@ def from_json(content: dict[str, Any]) -> Fit:
 
 
 def _outcome_from(content: dict[str, Any]) -> Outcome:
-    texts = (str(content[key]) for key in ("status", "sentence", "advice"))
-    numbers = (float(content[key]) for key in ("seconds", "objective", "infeasibility"))
-    at_bounds = tuple(str(name) for name in content["at_bounds"])
-    return Outcome(bool(content["success"]), *texts, int(content["iterations"]), *numbers, at_bounds)
+    return Outcome(
+        success=bool(content["success"]),
+        status=str(content["status"]),
+        sentence=str(content["sentence"]),
+        advice=str(content["advice"]),
+        iterations=int(content["iterations"]),
+        seconds=float(content["seconds"]),
+        objective=float(content["objective"]),
+        infeasibility=float(content["infeasibility"]),
+        at_bounds=tuple(str(name) for name in content["at_bounds"]),
+    )
 
 
 def _dictionary(terms: list[dict[str, Any]]) -> Dictionary:

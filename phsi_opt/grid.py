@@ -115,7 +115,7 @@ def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
 
 
 def defect_jacobian(model: Model, grid: Grid, scheme: str, only: list[int] | None = None) -> ca.Function:
-    """Function (x, theta) -> dd/dtheta: a row per (interval, equation), a column per parameter (or those of ``only``)."""
+    """Function (x, theta) -> dd/dtheta: a row per (interval, equation), a column per parameter (or of ``only``)."""
     one = defect(model, scheme)
     arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
     chosen = list(range(len(model.free))) if only is None else only

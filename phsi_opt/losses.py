@@ -34,7 +34,7 @@ class Point:
 
 @dataclass(frozen=True)
 class PHSILoss:
-    """(1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2 + sum_j lambda_j |xi_j| (thesis Eq. 5.6, mean for sum).
+    """(1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2 + sum_j lambda_j |xi_j| (thesis Eq. 5.6 as a mean).
 
     The states are the data, so every state must be measured; an interval with a missing end is left out. Fast, and
     convex where Psi is one evaluation of g and R is fixed. The noise in the states biases it: final estimates with

@@ -195,7 +195,9 @@ class Model:
         def fixed(terms: Dictionary) -> Dictionary:
             return Dictionary(tuple(_fixed(term) for term in terms))
 
-        slots = {s: {name: fixed(terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")}
+        slots: dict[str, Any] = {
+            s: {name: fixed(terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")
+        }
         return replace(self, H=fixed(self.H), **slots)
 
     def expressions(self, x: Any, u: Any, t: Any, values: Mapping[str, Any], backend: int = CASADI) -> "Expressions":

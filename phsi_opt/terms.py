@@ -156,7 +156,7 @@ def _parameter(value: Parameter | float) -> Parameter:
 
 
 def polynomials(variables: Sequence[str], degree: int, constant: bool = False) -> Dictionary:
-    """All monomials of total degree 1 to ``degree`` in the variables (and 1 if ``constant``), each with a coefficient."""
+    """All monomials of total degree 1 to ``degree`` in the variables (and 1 if ``constant``), with coefficients."""
     names = _variables(variables)
     if not isinstance(degree, int) or degree < 1:
         raise ModelError(f"degree={degree!r} of polynomials is not a whole number of at least 1.")

@@ -65,7 +65,8 @@ def of_defects(
     scores = (jacobian * d[:, None]).reshape(grid.n_intervals, n, -1).sum(axis=1)
     neighbours = np.flatnonzero(np.diff(grid.begin) == 1)
     lagged = scores[neighbours].T @ scores[neighbours + 1]
-    # Bartlett's weight of one half keeps the sum positive; neighbours correlate negatively, so it errs on the safe side.
+    # Bartlett's weight of one half keeps the sum positive; neighbours correlate negatively, so it errs on the safe
+    # side.
     meat = scores.T @ scores + (lagged + lagged.T) / 2
     size = np.trace(jacobian.T @ jacobian) / max(len(theta), 1)
     bread = np.linalg.inv(jacobian.T @ jacobian + RIDGE * size * np.eye(len(theta)))
