@@ -100,7 +100,7 @@ def _update(
 
 
 def force_deviation(estimate: ForceEstimate, most: int = 400) -> np.ndarray:
-    """Standard deviation of the force, (n_intervals, n_forced): exact at up to ``most`` intervals, else interpolated."""
+    """Standard deviation of the force, (n_intervals, n_forced): exact up to ``most`` intervals, else interpolated."""
     linear, (n_intervals, n_forced) = estimate.linear, estimate.w.shape
     chosen = np.unique(np.linspace(0, n_intervals - 1, min(most, n_intervals)).astype(int))
     result = np.zeros((n_intervals, n_forced))

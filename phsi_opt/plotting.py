@@ -43,7 +43,9 @@ def plot_missing_force(diagnosis: "Diagnosis", ax: Axes | None = None, trajector
         ax.fill_between(part["t"], w - 2 * s, w + 2 * s, color=f"C{n}", alpha=0.2, lw=0, label="two standard deviations")
     ax.axhline(0, color="0.3", lw=0.8)
     units = diagnosis.base.data.units
-    ax.set(xlabel=_label("t", units.get("t", "")), ylabel="missing force", title="Where the band leaves zero, a force is missing")
+    states = {units.get(diagnosis.fit.model.states[row], "") for row in diagnosis.estimate.prior.rows}
+    unit = f"{states.pop()}/{units['t']}" if len(states) == 1 and "" not in states and units.get("t") else ""
+    ax.set(xlabel=_label("t", units.get("t", "")), ylabel=_label("missing force", unit), title="Where the band leaves zero, a force is missing")
     ax.margins(y=0.2)
     ax.legend(loc="upper right", frameon=False, ncols=2)
     return ax
@@ -58,7 +60,8 @@ def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") 
         ax.plot(steps, history["held_out_rmse"], "o-", color=MODEL, label="held out")
     ax.plot(steps, history["noise_floor"], ":", color=FLOOR, label="noise floor", marker="_", ms=14)
     ax.set_xticks(steps, [("" if i == 0 else "+ ") + str(name) for i, name in enumerate(history["effect"])])
-    ax.set(ylabel=_label("free-run rmse", unit), title="Free-run error after each added effect", ylim=(0, None))
+    ax.set(ylabel=_label("free-run rmse", unit), title="Free-run error after each added effect")
+    ax.set_ylim(0, 1.25 * float(np.nanmax(history[["train_rmse", "held_out_rmse", "noise_floor"]].to_numpy())))
     ax.margins(x=0.2)
     ax.legend(frameon=False)
     return ax

@@ -21,7 +21,7 @@ import phsi_opt as ph
 TRUTH = {"H[q**2]": 0.5, "H[p**2]": 0.5, "R_p": 0.3, "F_p[sin(omega_t*t)]": 2.0, "F_p.omega_t": 0.5}
 C, ALPHA, OMEGA = 0.3, 2.0, 0.5
 TIMES = np.linspace(0.0, 10.0, 101)
-L1 = {"H": 1e-3, "F": 1e-3}
+L1 = {"H": 1e-2, "F": 1e-2}
 PRUNING = ph.Pruning(threshold=0.05)
 
 

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.sparse import csc_matrix, diags
 
 from phsi_opt.grid import grid_of
-from phsi_opt.losses import ForcePrior, Point
+from phsi_opt.losses import ForcePrior, MissingForce, Point
 from phsi_opt.measurements import Measurements
-from phsi_opt.missing import ForceEstimate, estimate_force, forced_rows, positions
+from phsi_opt.missing import ForceEstimate, Linearised, estimate_force, forced_rows, positions
 from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
 from phsi_opt.noise import difference_noise
+from phsi_opt.solver import solve
 from phsi_opt.terms import damping, formula, polynomials
 
 K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02
@@ -73,11 +75,6 @@ def test_the_evidence_is_larger_for_the_right_size_of_the_force_than_for_far_one
     grid, prior, sigma = estimate.grid, estimate.prior, estimate.sigma
     point = Point(np.array([D]), estimate.x, np.ones(1), np.array([0.5, 5.0]), estimate.w)
     assert 0.3 * FRICTION < prior.size[0] < 3 * FRICTION  # of the order of the friction
-    from scipy.sparse import csc_matrix, diags
-
-    from phsi_opt.losses import MissingForce
-    from phsi_opt.missing import Linearised
-    from phsi_opt.solver import solve
 
     def evidence(factor: float) -> float:
         other = ForcePrior(prior.rows, prior.size * factor, prior.time)
