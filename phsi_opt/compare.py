@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from phsi_opt.errors import SolveError
 from phsi_opt.fit import Fit
 from phsi_opt.grid import grid_of
-from phsi_opt.identify import matched
+from phsi_opt.identify import data_digest, matched
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import Model
 from phsi_opt.simulate import simulate
@@ -29,8 +29,8 @@ WORST_OF_NOISE = 4.0  # standard deviations of noise beyond which a single resid
 class Comparison:
     """A free run beside the measurements.
 
-    ``simulated`` and ``residuals`` hold one array (n_samples, n_states) per trajectory; ``noise`` is the measurement noise
-    per state, estimated with a free missing force, so that a wrong model does not inflate it.
+    ``simulated`` and ``residuals`` hold one array (n_samples, n_states) per trajectory; ``noise`` is the measurement
+    noise per state, estimated with a free missing force, so that a wrong model does not inflate it.
     """
 
     model: Model
@@ -43,7 +43,17 @@ class Comparison:
     def table(self) -> pd.DataFrame:
         """Per measured state: unit, fit %, rmse, noise_floor, chi2_dof, whiteness (p-value), horizon, n_samples."""
         rows = [self._row(k, name) for k, name in enumerate(self.model.states) if name in self.data.measured]
-        columns = ["state", "unit", "fit_percent", "rmse", "noise_floor", "chi2_dof", "whiteness", "horizon", "n_samples"]
+        columns = [
+            "state",
+            "unit",
+            "fit_percent",
+            "rmse",
+            "noise_floor",
+            "chi2_dof",
+            "whiteness",
+            "horizon",
+            "n_samples",
+        ]
         return pd.DataFrame(rows, columns=columns)
 
     def _row(self, k: int, name: str) -> tuple[Any, ...]:
@@ -76,7 +86,7 @@ class Comparison:
 
     @property
     def weights(self) -> np.ndarray:
-        """Scale of each state in `rmse`: one where a single channel is measured, else one over its standard deviation."""
+        """Scale of each state in `rmse`: one where a single channel is measured, else 1/(its standard deviation)."""
         seen = [name in self.data.measured for name in self.model.states]
         if sum(seen) == 1:
             return np.where(seen, 1.0, 0.0)
@@ -121,7 +131,8 @@ class Comparison:
 
     def __str__(self) -> str:
         return (
-            f"Free run against {self.data.n_samples} samples: rmse {self.rmse:.4g}, noise floor {self.noise_floor:.4g}\n"
+            f"Free run against {self.data.n_samples} samples: rmse {self.rmse:.4g}, "
+            f"noise floor {self.noise_floor:.4g}\n"
             + self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}")
         )
 
@@ -135,18 +146,21 @@ def compare(fit: Fit, data: Measurements) -> Comparison:
     grid = grid_of(data)
     known = None if data.noise is None else np.array([data.noise.get(n, np.nan) for n in model.states])
     estimate = smoothed(model, grid, initial_noise(data, known), "srk4", known_noise=known is not None)
+    # The starting states of a fit to these very measurements are its own; others are estimated from the record.
+    own = bool(fit.states) and fit.provenance.get("data_sha256") == data_digest(data)
     simulated = []
     for i, run in enumerate(data.trajectories):
-        guess = estimate.x[grid.trajectory == i][0]
-        simulated.append(free_run(model, run.t, run.x, run.u, guess, estimate.sigma, data.hold))
+        guess = fit.states[i][0] if own else estimate.x[grid.trajectory == i][0]
+        simulated.append(free_run(model, run.t, run.x, run.u, guess, estimate.sigma, data.hold, search=not own))
     residuals = tuple(run.x - x for run, x in zip(data.trajectories, simulated, strict=True))
     return Comparison(model, data, tuple(simulated), residuals, estimate.sigma)
 
 
 def free_run(
-    model: Model, t: np.ndarray, y: np.ndarray, u: np.ndarray, guess: np.ndarray, sigma: np.ndarray, hold: str
-) -> np.ndarray:
-    """The simulation whose starting state fits the record best, found by least squares from ``guess``."""
+    model: Model, t: np.ndarray, y: np.ndarray, u: np.ndarray, guess: np.ndarray, sigma: np.ndarray, hold: str,
+    search: bool = True,
+) -> np.ndarray:  # fmt: skip
+    """The simulation whose starting state fits the record best, found by least squares from ``guess`` if ``search``."""
     seen = np.isfinite(y)
 
     def residual(x0: np.ndarray) -> np.ndarray:
@@ -157,11 +171,11 @@ def free_run(
         return np.clip(((x - y) / sigma)[seen], -LOST * 10, LOST * 10)
 
     size = np.maximum(np.abs(guess), 1e-3 * np.max(np.abs(guess)) + 1e-12)
-    best = least_squares(residual, guess, x_scale=size, diff_step=1e-6, max_nfev=15, ftol=1e-8, xtol=1e-8)
+    start = least_squares(residual, guess, x_scale=size, diff_step=1e-5, max_nfev=8, ftol=1e-6).x if search else guess
     try:
-        return simulate(model, t, best.x, u, hold=hold)
+        return simulate(model, t, start, u, hold=hold)
     except SolveError:
-        return np.where(np.arange(len(t))[:, None] == 0, best.x, LOST * np.nanstd(np.where(seen, y, np.nan)))
+        return np.where(np.arange(len(t))[:, None] == 0, start, LOST * np.nanstd(np.where(seen, y, np.nan)))
 
 
 def _energy_balance(model: Model, x: np.ndarray, t: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:

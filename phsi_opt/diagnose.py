@@ -3,8 +3,8 @@
 1. The missing force along every trajectory, with the states it implies (`missing`).
 2. Every effect of the catalogue is screened on the whole record: the likelihood linearised at those states, one
    factorisation for all, one right-hand side per candidate. Frequencies are scanned in the same way.
-3. The best few are re-fitted by maximum likelihood and judged by BIC, with residuals that are correlated counted for the
-   independent ones they are worth, and by the free run on data held out.
+3. The best few are re-fitted by maximum likelihood and judged by BIC, with residuals that are correlated counted for
+   the independent ones they are worth, and by the free run on data held out.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from phsi_opt.compare import Comparison, compare
 from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.fit import Fit
-from phsi_opt.grid import Grid, defect_jacobian, defects, grid_of
+from phsi_opt.grid import defect_jacobian, defects, grid_of
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
@@ -84,7 +84,7 @@ class Diagnosis:
 
     @property
     def candidates(self) -> pd.DataFrame:
-        """Best first: effect, slot, equation, coefficient, std_error, p_value, delta_bic, held_out_rmse, confusable_with.
+        """The candidates, best first, as a table with the columns named below.
 
         p_value, delta_bic and held_out_rmse are those of the re-fit, NaN for candidates that screening ruled out.
         """
@@ -153,10 +153,11 @@ def diagnose(
     listed = catalogue(fit.model) if effects is None else effects
     say(f"screening {len(listed)} candidate effects")
     ranked = _screened(fit.model, estimate, listed)
+    trained = compare(fit, data)
     refitted = []
     for candidate in ranked[:N_REFITS]:
         say(f"re-fitting with {candidate.effect}")
-        refitted.append(_refitted(candidate, fit, estimate, data, held_out, len(listed)))
+        refitted.append(_refitted(candidate, fit, trained, estimate, data, held_out, len(listed)))
     refitted.sort(key=lambda c: (c.fit is None, np.nan_to_num(c.delta_bic, nan=np.inf)))
     everyone = tuple(refitted) + tuple(ranked[N_REFITS:])
     verdict, reason = _verdict(everyone, base, held_out is not None)
@@ -181,7 +182,8 @@ def _confusable(candidate: Candidate, others: list[Candidate]) -> tuple[str, ...
 class _ScoreTest:
     """The likelihood of the whole record linearised at the states of the missing-force estimate.
 
-    minimise 1/2 |r - C dx|^2 subject to d + A dx + B dtheta + Phi c = 0: base parameters move along, c is the candidate's.
+    minimise 1/2 |r - C dx|^2 subject to d + A dx + B dtheta + Phi c = 0: base parameters move
+    along, c is the candidate's.
     """
 
     def __init__(self, model: Model, estimate: ForceEstimate) -> None:
@@ -221,13 +223,15 @@ class _ScoreTest:
         return self.weight[:, None] * self.factor.solve(right)[: self.n_x]
 
     def candidate(self, effect: Effect) -> Candidate | None:
-        """The effect's expected coefficient, its standard error and the expected fall of the misfit; None if it has none."""
+        """Expected coefficient, its standard error, expected fall of the misfit; None for an effect without trace."""
         try:
             model = resolved(self.model.add(effect), self.grid, self.estimate.x)
         except PhsiOptError:
             return None
         coefficients = [n for n, e in model.entries.items() if n not in self.model.entries and e.prunable]
-        scanned = [n for n, e in model.entries.items() if n not in self.model.entries and isinstance(e.parameter.guess, Scan)]
+        scanned = [
+            n for n, e in model.entries.items() if n not in self.model.entries and isinstance(e.parameter.guess, Scan)
+        ]
         values: dict[str, float] = {}
         if scanned and coefficients:
             columns = defect_jacobian(model, self.grid, SCHEME, [model.free.index(n) for n in coefficients])
@@ -251,7 +255,9 @@ class _ScoreTest:
         traces = self.traces(columns)
         # residual(c) = residual - traces c
         information = traces.T @ traces
-        information = information + 1e-12 * np.trace(information) * np.eye(len(information)) + 1e-300 * np.eye(len(information))
+        information = (
+            information + 1e-12 * np.trace(information) * np.eye(len(information)) + 1e-300 * np.eye(len(information))
+        )
         c = np.linalg.solve(information, traces.T @ self.residual)
         return c, information, float(c @ information @ c), traces
 
@@ -267,13 +273,17 @@ class _ScoreTest:
         left = max(float(self.residual @ self.residual) - drop, 1.0) / max(int(self.grid.measured.sum()) - len(c), 1)
         error = np.sqrt(np.diag(np.linalg.inv(information)) * max(left, 1.0))
         size = float(np.hypot(*c)) if len(c) == 2 else float(c[0])
-        start = {**values, **{n: float(np.clip(v, p.lower, p.upper)) for n, v, p in zip(names, c, allowed, strict=True)}}
+        start = {
+            **values,
+            **{n: float(np.clip(v, p.lower, p.upper)) for n, v, p in zip(names, c, allowed, strict=True)},
+        }
         return Candidate(effect, size, float(np.max(error)), drop, traces @ c, start)
 
 
 def _refitted(
-    candidate: Candidate, fit: Fit, estimate: ForceEstimate, data: Measurements, held_out: Measurements | None, tried: int
-) -> Candidate:
+    candidate: Candidate, fit: Fit, before: Comparison, estimate: ForceEstimate, data: Measurements,
+    held_out: Measurements | None, tried: int,
+) -> Candidate:  # fmt: skip
     """The candidate re-fitted by maximum likelihood from the states of the missing-force estimate, and judged."""
     grid = estimate.grid
     states = tuple(estimate.x[(grid.trajectory == i) & grid.sample] for i in range(data.n_trajectories))
@@ -288,7 +298,7 @@ def _refitted(
         return candidate
     names = [n for n, e in new.model.entries.items() if n not in fit.model.entries and not e.parameter.fixed]
     size, error = _size(new, [n for n in names if new.model.entries[n].prunable] or names)
-    bic, p_value = _evidence(compare(fit, data), trained, len(names))
+    bic, p_value = _evidence(before, trained, len(names))
     return replace(
         candidate, coefficient=size, std_error=error, fit=new, comparison=comparison, delta_bic=bic,
         p_value=min(1.0, p_value * tried),
@@ -327,7 +337,7 @@ def independent_samples(comparison: Comparison) -> float:
 
 
 def falls(old: Comparison, new: Comparison) -> bool:
-    """Whether the error of ``new`` on the same data is significantly below that of ``old`` (blocks of residuals, paired)."""
+    """Whether the error of ``new`` on the same data is significantly below ``old``'s (blocks of residuals, paired)."""
     difference = old.squares - new.squares
     n_blocks = int(np.clip(min(independent_samples(old), independent_samples(new)) / 2, 4, 40))
     means = np.array([block.mean() for block in np.array_split(difference, n_blocks)])
@@ -369,7 +379,9 @@ def _where(diagnosis: Diagnosis, k: int, row: int) -> tuple[Any, ...]:
     windows = []
     for run in range(int(grid.trajectory[-1]) + 1):
         of_run = np.flatnonzero(grid.trajectory[grid.begin] == run)
-        windows += [(float(np.sqrt(np.mean(w[part] ** 2))), run, part) for part in np.array_split(of_run, 10) if len(part)]
+        windows += [
+            (float(np.sqrt(np.mean(w[part] ** 2))), run, part) for part in np.array_split(of_run, 10) if len(part)
+        ]
     _, run, part = max(windows, key=lambda window: window[0])
     span = f"{grid.t[grid.begin[part[0]]]:.3g} to {grid.t[grid.begin[part[-1]] + 1]:.3g}"
     strong = np.abs(w) >= np.quantile(np.abs(w), 0.75)
@@ -383,4 +395,3 @@ def _where(diagnosis: Diagnosis, k: int, row: int) -> tuple[Any, ...]:
 def _range(name: str, values: np.ndarray) -> str:
     low, high = np.quantile(values, [0.1, 0.9])
     return f"{name} {low:.3g} to {high:.3g}"
-

@@ -49,8 +49,8 @@ def identify(
         raise_on_failure: False returns the fit with an outcome that says what went wrong.
         progress: called with a line of text as the work goes on, such as ``print``.
 
-    Raises `DataError` if model and data do not match, `ModelError` for a model that cannot be solved, `SolveError` if the
-    solver fails.
+    Raises `DataError` if model and data do not match, `ModelError` for a model that cannot be solved, `SolveError` if
+    the solver fails.
     """
     loss = MaximumLikelihood() if loss is None else loss
     if not model.free:
@@ -128,13 +128,13 @@ class _State:
         uncertain = self._uncertainty()
         model = self.model.with_values(self.values)
         likelihood = isinstance(self.loss, MaximumLikelihood)
-        names = zip(self.model.states, self.sigma, self.grid.measured.any(axis=0), strict=True)
+        names = zip(self.model.states, self.sigma, self.grid.measured.T, strict=True)
         return Fit(
             model=model,
             loss=type(self.loss).__name__,
             loss_value=self._loss_value(),
             covariance=uncertain.covariance,
-            noise={name: float(s) for name, s, seen in names if seen} if likelihood else {},
+            noise={name: float(s) for name, s, seen in names if seen.any()} if likelihood else {},
             outcome=self.solution.outcome,
             n_values=self.n_values,
             bic=self._bic() if likelihood else np.nan,
@@ -151,7 +151,9 @@ class _State:
         if not self.solution.outcome.success:
             return uncertainty.unknown(n, "no standard errors: the solver did not reach an optimum")
         if any(self.l1.values()):
-            return uncertainty.unknown(n, "no standard errors: the L1 term shrinks the coefficients (prune with debias)")
+            return uncertainty.unknown(
+                n, "no standard errors: the L1 term shrinks the coefficients (prune with debias)"
+            )
         if isinstance(self.loss, MaximumLikelihood):
             return uncertainty.of_likelihood(self.model, self.program, self.solution, self.n_values)
         used = complete(self.model, self.grid)
@@ -173,9 +175,7 @@ class _State:
 
     def _states(self) -> tuple[np.ndarray, ...]:
         x = self.solution.values["x"].reshape(self.grid.y.shape)
-        return tuple(
-            x[(self.grid.trajectory == k) & self.grid.sample] for k in range(self.task.data.n_trajectories)
-        )
+        return tuple(x[(self.grid.trajectory == k) & self.grid.sample] for k in range(self.task.data.n_trajectories))
 
 
 def _by_defects(task: _Task, loss: PHSILoss, start: Fit | None) -> _State:
@@ -251,7 +251,9 @@ def _by_likelihood(task: _Task, loss: MaximumLikelihood, start: Fit | None) -> _
     while loss.steps is None and steps < MOST_STEPS and state.solution.outcome.success and _is_coarse(state):
         steps *= 2
         task.say(f"integration error is visible beside the noise: {steps} steps per sample")
-        state = _solve_likelihood(task, loss, model, steps, state.solution.values["theta"], state._states(), state.sigma, task.l1)
+        state = _solve_likelihood(
+            task, loss, model, steps, state.solution.values["theta"], state._states(), state.sigma, task.l1
+        )
     state = replace(state, notes=notes)
     return _pruned(
         state,
@@ -265,14 +267,18 @@ def _given_noise(loss: MaximumLikelihood, data: Measurements) -> np.ndarray | No
         return None
     for name in data.measured:
         if name not in noise or not (np.isfinite(noise[name]) and noise[name] > 0):
-            raise DataError(f"noise of the measured state {name!r} is {noise.get(name)!r}; expected a number above zero.")
+            raise DataError(
+                f"noise of the measured state {name!r} is {noise.get(name)!r}; expected a number above zero."
+            )
     return np.array([noise.get(name, 1.0) for name in data.states])
 
 
 Started = tuple[Model, np.ndarray, tuple[np.ndarray, ...], np.ndarray, tuple[str, ...]]
 
 
-def _likelihood_start(task: _Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bool, start: Fit | None) -> Started:
+def _likelihood_start(
+    task: _Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bool, start: Fit | None
+) -> Started:
     """Model with guesses resolved, theta, states at the samples, noise, notes."""
     grid = grid_of(task.data)
     if start is not None and len(start.states) == task.data.n_trajectories:
@@ -281,7 +287,8 @@ def _likelihood_start(task: _Task, loss: MaximumLikelihood, sigma: np.ndarray, k
         model = starting.resolved(task.model, grid, np.concatenate(start.states))
         return model, _from_fit(model, start), start.states, sigma, ()
     task.say("starting values")
-    model, notes, complete_data = task.model, (), bool(grid.measured.all())
+    notes: tuple[str, ...] = ()
+    model, complete_data = task.model, bool(grid.measured.all())
     x = grid.y
     if not complete_data:
         x, sigma = _smooth(model, grid, sigma, known, loss)
@@ -298,7 +305,9 @@ def _likelihood_start(task: _Task, loss: MaximumLikelihood, sigma: np.ndarray, k
     return model, theta, _split(grid, x), sigma, notes
 
 
-def _smooth(model: Model, grid: Grid, sigma: np.ndarray, known: bool, loss: MaximumLikelihood) -> tuple[np.ndarray, np.ndarray]:
+def _smooth(
+    model: Model, grid: Grid, sigma: np.ndarray, known: bool, loss: MaximumLikelihood
+) -> tuple[np.ndarray, np.ndarray]:
     estimate = starting.smoothed(model, grid, sigma, loss.integrator, known)
     return estimate.x, estimate.sigma
 
@@ -364,7 +373,7 @@ def _noise_of(grid: Grid, x: np.ndarray, sigma: np.ndarray, n_theta: int) -> np.
 
 
 def _is_coarse(state: _State) -> bool:
-    """Whether an independent integration from the estimated start leaves the states by more than a tenth of the noise."""
+    """Whether an independent integration leaves the estimated states by more than a tenth of the noise."""
     model = state.model.with_values(state.values)
     seen = state.grid.measured.any(axis=0)
     try:
@@ -378,11 +387,16 @@ def _is_coarse(state: _State) -> bool:
     return False
 
 
-def _provenance(state: _State) -> dict[str, Any]:
+def data_digest(data: Measurements) -> str:
+    """A fingerprint of the numbers of the measurements."""
     digest = hashlib.sha256()
-    for run in state.task.data.trajectories:
+    for run in data.trajectories:
         for array in (run.t, run.x, run.u):
             digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def _provenance(state: _State) -> dict[str, Any]:
     try:
         release = version("phsi_opt")
     except PackageNotFoundError:
@@ -392,7 +406,7 @@ def _provenance(state: _State) -> dict[str, Any]:
         "loss": repr(state.loss),
         "l1": dict(state.task.l1),
         "pruning": repr(state.task.pruning),
-        "data_sha256": digest.hexdigest(),
+        "data_sha256": data_digest(state.task.data),
         "n_trajectories": state.task.data.n_trajectories,
         "n_samples": state.task.data.n_samples,
     }

@@ -40,12 +40,18 @@ def plot_missing_force(diagnosis: "Diagnosis", ax: Axes | None = None, trajector
         name = diagnosis.fit.model.states[row]
         w, s = part[name].to_numpy(), part[f"std_{name}"].to_numpy()
         ax.plot(part["t"], w, color=f"C{n}", lw=1.4, label=f"missing in d{name}/dt")
-        ax.fill_between(part["t"], w - 2 * s, w + 2 * s, color=f"C{n}", alpha=0.2, lw=0, label="two standard deviations")
+        ax.fill_between(
+            part["t"], w - 2 * s, w + 2 * s, color=f"C{n}", alpha=0.2, lw=0, label="two standard deviations"
+        )
     ax.axhline(0, color="0.3", lw=0.8)
     units = diagnosis.base.data.units
     states = {units.get(diagnosis.fit.model.states[row], "") for row in diagnosis.estimate.prior.rows}
     unit = f"{states.pop()}/{units['t']}" if len(states) == 1 and "" not in states and units.get("t") else ""
-    ax.set(xlabel=_label("t", units.get("t", "")), ylabel=_label("missing force", unit), title="Where the band leaves zero, a force is missing")
+    ax.set(
+        xlabel=_label("t", units.get("t", "")),
+        ylabel=_label("missing force", unit),
+        title="Where the band leaves zero, a force is missing",
+    )
     ax.margins(y=0.2)
     ax.legend(loc="upper right", frameon=False, ncols=2)
     return ax

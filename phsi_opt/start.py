@@ -1,8 +1,8 @@
 """Starting values: states by smoothing, linear coefficients by a convex program, frequencies by a scan.
 
-The loss with the midpoint rule is convex in the coefficients that enter linearly while R is fixed, so CVXPY solves it to
-its global optimum. A frequency is a needle that no local solver finds: it is scanned, with the amplitudes (linear once the
-frequency is fixed) solved at every step of the scan.
+The loss with the midpoint rule is convex in the coefficients that enter linearly while R is fixed, so CVXPY solves it
+to its global optimum. A frequency is a needle that no local solver finds: it is scanned, with the amplitudes (linear once
+the frequency is fixed) solved at every step of the scan.
 """
 
 from dataclasses import replace
@@ -11,24 +11,27 @@ import casadi as ca
 import cvxpy as cp
 import numpy as np
 
-from phsi_opt.grid import Grid, defect, defect_jacobian, defects
+from phsi_opt.grid import Grid, defect_jacobian, defects
 from phsi_opt.losses import Point, complete, rate_size
+from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, estimate_force
 from phsi_opt.model import Model, place_of
 from phsi_opt.noise import difference_noise
-from phsi_opt.measurements import Measurements
 from phsi_opt.terms import Scan, Share
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
 N_STARTS = 3  # frequencies of the scan that are tried
-CLEANEST = 1e-5  # least noise that is assumed, as a share of the spread of a channel: weights stay within double precision
+CLEANEST = (
+    1e-5  # least noise that is assumed, as a share of the spread of a channel: weights stay within double precision
+)
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
     """Noise per state to start from: the given one, else from differences of the data; 1 where nothing was measured."""
     guess = difference_noise(data) if given is None else given
-    spread = np.array([np.nanstd(np.concatenate([r.x[:, k] for r in data.trajectories])) if name in data.measured else 1.0
-                       for k, name in enumerate(data.states)])  # fmt: skip
+    y = np.concatenate([run.x for run in data.trajectories])
+    seen = [name in data.measured for name in data.states]
+    spread = np.array([np.nanstd(y[:, k]) if seen[k] else 1.0 for k in range(len(seen))])
     guess = np.where(np.isfinite(guess), guess, 0.1 * spread)
     # Clean data: a noise of zero would make every weight infinite.
     return np.where([name in data.measured for name in data.states], np.maximum(guess, CLEANEST * spread), 1.0)
@@ -117,7 +120,9 @@ def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
 def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:
     """Root mean square of a formula over the nodes; 1 where it vanishes."""
     theta = np.array([model.values[name] for name in model.free])
-    values = np.array(model.function(expression).map(grid.n_nodes)(x.T, grid.u.T, grid.t[None, :], ca.repmat(theta, 1, grid.n_nodes)))
+    values = np.array(
+        model.function(expression).map(grid.n_nodes)(x.T, grid.u.T, grid.t[None, :], ca.repmat(theta, 1, grid.n_nodes))
+    )
     size = float(np.sqrt(np.mean(values[np.isfinite(values)] ** 2))) if np.isfinite(values).any() else 0.0
     return size if size > 0 else 1.0
 
@@ -181,7 +186,7 @@ def _convex_rounds(
 def convex(
     model: Model, grid: Grid, theta: np.ndarray, group: list[int], l1: dict[str, float], scheme: str = SCHEME,
 ) -> np.ndarray:  # fmt: skip
-    """The PHSI loss over the coefficients ``group``, others fixed, as a convex program; exact where the loss is convex."""
+    """The PHSI loss over the coefficients ``group``, others fixed, as a convex program; exact where it is convex."""
     jacobian = np.array(defect_jacobian(model, grid, scheme)(grid.y.T, theta))[:, group]
     d = np.array(defects(model, grid, scheme, ca.DM(grid.y.T), theta)).T.ravel()
     usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
@@ -227,7 +232,13 @@ def frequencies(grid: Grid, variable: np.ndarray) -> np.ndarray:
 
 
 def _candidate_frequencies(
-    model: Model, grid: Grid, theta: np.ndarray, groups: list[list[int]], name: str, amplitudes: list[str], variable: str
+    model: Model,
+    grid: Grid,
+    theta: np.ndarray,
+    groups: list[list[int]],
+    name: str,
+    amplitudes: list[str],
+    variable: str,
 ) -> list[float]:
     """Peaks of two scans: beside all other terms, and beside those of H and R alone.
 
@@ -258,10 +269,16 @@ def _best_frequencies(
     base = np.array(defect_jacobian(model, grid, SCHEME)(grid.y.T, start))[:, others]
     keep, _ = np.linalg.qr(base) if others else (np.zeros((len(d), 0)), None)
     d = d - keep @ (keep.T @ d)
-    along = np.array(model.function(variable).map(grid.n_nodes)(grid.y.T, grid.u.T, grid.t[None, :], ca.repmat(start, 1, grid.n_nodes))).ravel()
+    along = np.array(
+        model.function(variable).map(grid.n_nodes)(
+            grid.y.T, grid.u.T, grid.t[None, :], ca.repmat(start, 1, grid.n_nodes)
+        )
+    ).ravel()
     grid_omega = frequencies(grid, along)
     columns = defect_jacobian(model, grid, SCHEME, own)
-    drop = np.array([_explained(d, keep, np.array(columns(grid.y.T, _moved(start, order.index(name), w)))) for w in grid_omega])
+    drop = np.array(
+        [_explained(d, keep, np.array(columns(grid.y.T, _moved(start, order.index(name), w)))) for w in grid_omega]
+    )
     padded = np.r_[-np.inf, drop, -np.inf]
     peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
     return [float(grid_omega[i]) for i in peaks[np.argsort(-drop[peaks])][:N_STARTS]]

@@ -13,7 +13,16 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 TRUTH = {"k": 40.0, "m": 2.5, "c": 0.8, "f": 2.0}  # N/m, kg, N s/m, N
-STARTS = [(0.05, 8.0), (-0.9, 0.0), (0.6, 5.0), (0.9, -4.0), (0.3, 9.0), (-1.0, -2.0), (1.1, 0.0), (-0.7, 6.0)]  # m, kg m/s
+STARTS = [
+    (0.05, 8.0),
+    (-0.9, 0.0),
+    (0.6, 5.0),
+    (0.9, -4.0),
+    (0.3, 9.0),
+    (-1.0, -2.0),
+    (1.1, 0.0),
+    (-0.7, 6.0),
+]  # m, kg m/s
 TIMES = np.linspace(0.0, 5.0, 201)  # s
 NOISE = 0.02  # of the range of the position
 CSV = Path(__file__).parent / "data" / "friction_spring.csv"

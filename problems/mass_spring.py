@@ -3,8 +3,8 @@
     dq/dt = p
     dp/dt = -q - c p + alpha sin(omega t),   c = 0.3, alpha = 2, omega = 0.5;  H = q^2/2 + p^2/2
 
-50 trajectories from 0 to 10 with step 0.1, starts in a ring of radius 1 to 4.5; noise 0.2 in the noisy set. Dictionary: H
-all polynomials of degree 3 in q and p, damping on p, F polynomials of degree 3 in t and a wave of free frequency and phase.
+50 trajectories from 0 to 10 with step 0.1, starts in a ring of radius 1 to 4.5; noise 0.2 in the noisy set. Dictionary:
+H all polynomials of degree 3 in q and p, damping on p, F polynomials of degree 3 in t and a wave of free frequency.
 
     python problems/mass_spring.py [--quick]
 """

@@ -11,7 +11,9 @@ RESULTS = ROOT / "results"
 
 def provenance() -> str:
     """One line for the head of a result."""
-    command = " ".join(["python", *[str(Path(a).resolve().relative_to(ROOT)) if Path(a).exists() else a for a in sys.argv]])
+    command = " ".join(
+        ["python", *[str(Path(a).resolve().relative_to(ROOT)) if Path(a).exists() else a for a in sys.argv]]
+    )
     try:
         run = subprocess.run(
             ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False

@@ -1,8 +1,8 @@
 """The ball and hoop drive: which effect does a linear model of the hoop's speed lack?
 
 Data: one speed signal (V) and the motor command (-1 to 1), 0.1 s; random steps to fit, fixed steps and a closed loop to
-test. Base model: one state, linear loss, input gain. The last part of the random steps judges the candidates; the two test
-files are looked at only to report.
+test. Base model: one state, linear loss, input gain. The last part of the random steps judges the candidates; the two
+test files are looked at only to report.
 
     python problems/measured/ball_and_hoop.py [FOLDER]
 """
@@ -50,7 +50,9 @@ def main(path: Path) -> dict[str, list[float]]:
     study.auto()
     errors = {name: [ph.compare(step.fit, load(path / f"{name}.mat")).rmse for step in study.steps] for name in TESTS}
     lines = ["# Ball and hoop drive", "", str(study.fit), "", study.history.to_string(index=False), ""]
-    lines += [f"free-run rmse on {name} (V), per step: " + ", ".join(f"{e:.3f}" for e in row) for name, row in errors.items()]
+    lines += [
+        f"free-run rmse on {name} (V), per step: " + ", ".join(f"{e:.3f}" for e in row) for name, row in errors.items()
+    ]
     lines += ["", f"stopped: {study.stopped}"]
     text = "\n".join(lines)
     print(text)
