@@ -1,8 +1,8 @@
 """Starting values: states by smoothing, linear coefficients by a convex program, frequencies by a scan.
 
 The loss with the midpoint rule is convex in the coefficients that enter linearly while R is fixed, so CVXPY solves it
-to its global optimum. A frequency is a needle that no local solver finds: it is scanned, with the amplitudes (linear once
-the frequency is fixed) solved at every step of the scan.
+to its global optimum. A frequency is a needle that no local solver finds: it is scanned, with the amplitudes (linear
+once the frequency is fixed) solved at every step of the scan.
 """
 
 from dataclasses import replace

@@ -1,0 +1,162 @@
+"""The loop, from a hidden effect to a better model: comparison, diagnosis, study, effects, pictures."""
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+from demo import model as spring
+from friction_spring import CSV, TIMES, table
+
+import phsi_opt as ph
+from phsi_opt.effects import effect_named
+
+HISTORY = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"]
+CANDIDATES = ["effect", "slot", "equation", "coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]
+
+
+def measurements(friction: float, seed: int) -> ph.Measurements:
+    frame = table(seed, friction)
+    kept = frame[frame["run"].isin([f"run {i}" for i in (1, 2, 3, 4, 5)])]
+    return ph.Measurements.from_dataframe(
+        kept, time="t_s", states={"q": "position_m", "p": None}, trajectory="run", units={"q": "m", "t": "s"}
+    )
+
+
+@pytest.fixture(scope="module")
+def hidden() -> ph.Study:
+    study = ph.Study(spring(), *measurements(2.0, seed=3).split(0.6))
+    study.auto()
+    return study
+
+
+@pytest.fixture(scope="module")
+def complete() -> ph.Study:
+    study = ph.Study(spring(), *measurements(0.0, seed=4).split(0.6))
+    study.auto()
+    return study
+
+
+def test_the_csv_file_of_the_demonstration_is_what_its_script_writes() -> None:
+    # 1e-6: the file is rounded to six digits
+    pd.testing.assert_frame_equal(pd.read_csv(CSV), table(seed=0).round(6), atol=2e-6, rtol=0)
+
+
+def test_a_hidden_friction_is_named_added_and_brings_the_held_out_error_to_the_noise_floor(hidden: ph.Study) -> None:
+    assert list(hidden.history["effect"]) == ["base model", "coulomb friction on p"]
+    assert list(hidden.history.columns) == HISTORY
+    first, last = hidden.history.iloc[0], hidden.history.iloc[-1]
+    assert first["held_out_rmse"] > 1.2 * first["noise_floor"]
+    # 1.1: two held-out runs of 201 samples know an error to 1/sqrt(2*402) = 3.5 %, so this is three standard errors
+    assert last["held_out_rmse"] < 1.1 * last["noise_floor"]
+
+
+def test_the_coefficient_of_the_friction_lies_within_three_standard_errors(hidden: ph.Study) -> None:
+    row = hidden.fit.parameters.set_index("name").loc["coulomb_friction_p"]
+    assert abs(row["value"] - 2.0) < 3 * row["std_error"]
+    assert 0 < row["std_error"] < 0.2  # a tenth of the friction: far below what would hide a wrong value
+
+
+def test_with_nothing_hidden_the_study_says_nothing_missing_and_adds_nothing(complete: ph.Study) -> None:
+    assert complete.diagnose().verdict == "nothing missing"
+    assert list(complete.history["effect"]) == ["base model"]
+    assert complete.stopped.startswith("nothing missing")
+
+
+def test_the_diagnosis_tells_where_and_ranks_candidates(hidden: ph.Study) -> None:
+    base = ph.Study(spring(), hidden.train, hidden.held_out)
+    found = base.diagnose()
+    assert found.verdict == "missing: named"
+    assert found.effects[0].name == "coulomb friction"
+    assert list(found.candidates.columns) == [*CANDIDATES, "confusable_with"]
+    assert list(found.where["equation"]) == ["p"]
+    assert set(found.missing_force.columns) == {"trajectory", "t", "p", "std_p"}
+    assert (found.missing_force["std_p"] > 0).all()
+    before = base.fit
+    base.add(found.effects[0])
+    assert base.fit is not before and "coulomb_friction_p" in base.fit.values
+    assert base.undo() is before
+    with pytest.raises(ph.ModelError, match="nothing to undo"):
+        base.undo()
+
+
+def test_add_by_a_wrong_name_suggests_the_right_one(complete: ph.Study) -> None:
+    with pytest.raises(ph.ModelError, match="Did you mean 'coulomb friction'"):
+        complete.add("coulom friction", "p")
+    with pytest.raises(ph.ModelError, match="is not a state"):
+        complete.add("coulomb friction", "v")
+
+
+def test_adding_an_effect_leaves_the_model_as_it_was() -> None:
+    model = spring()
+    larger = model.add(effect_named(model, "quadratic drag", "p"))
+    assert "quadratic_drag_p" in larger.entries and "quadratic_drag_p" not in model.entries
+
+
+def test_the_catalogue_knows_slots_and_leaves_out_what_the_model_has() -> None:
+    listed = {(e.name, e.slot, e.equation) for e in ph.catalogue(spring())}
+    assert ("coulomb friction", "R", "p") in listed and ("cubic stiffness", "H", "p") in listed
+    assert ("harmonic force", "F", "p") in listed
+    assert not any(name == "viscous damping" for name, _, _ in listed)  # the model has it
+    assert not any(equation == "q" for _, _, equation in listed)  # dq/dt = dH/dp is kinematics
+    first_order = ph.FirstOrder(["v"], {"v": ph.polynomials(["v"], 1)})
+    assert {e.slot for e in ph.catalogue(first_order)} == {"R", "F"}  # no energy to change
+
+
+def test_comparison_of_the_true_model_shows_the_noise(complete: ph.Study) -> None:
+    comparison = complete.compare()
+    noise = 0.02 * np.ptp(np.concatenate([x[:, 0] for x in _truth()]))
+    row = comparison.table.iloc[0]
+    # 10 %: the error of 402 samples is known to 3.5 %
+    assert comparison.rmse == pytest.approx(noise, rel=0.1)
+    assert row["noise_floor"] == pytest.approx(noise, rel=0.1)
+    assert row["horizon"] == pytest.approx(TIMES[-1])
+    assert row["whiteness"] > 0.001
+
+
+def _truth() -> list[np.ndarray]:
+    from friction_spring import simulated
+
+    return simulated(0.0)
+
+
+def test_the_energy_of_a_free_run_balances(hidden: ph.Study) -> None:
+    balance = hidden.compare().energy
+    scale = balance["dissipated"].abs().max()
+    # 2 %: trapezoids over 60 samples per period, with the corner of the friction between samples
+    assert np.allclose(balance["change"], balance["supplied"] - balance["dissipated"], atol=0.02 * scale)
+
+
+def test_quadratic_drag_is_found_in_a_one_state_drive_with_held_input() -> None:
+    rng = np.random.default_rng(5)
+    t = 0.1 * np.arange(600)
+    u = np.repeat(rng.uniform(-1, 1, 30), 20)[:, None]
+    truth = ph.PseudoHamiltonian(
+        states=["v"], inputs=["u"], S=[[0.0]], H=ph.formula("v**2/2"),
+        R={"v": ph.formula("0.4 + 0.3*abs(dH_dv)")}, F={"v": ph.formula("5*u")},
+    )  # fmt: skip
+    v = ph.simulate(truth, t, [0.0], u, hold="zero") + 0.05 * rng.normal(size=(600, 1))
+    data = ph.Measurements.from_arrays(t, v, u, states=["v"], inputs=["u"], hold="zero")
+    base = ph.PseudoHamiltonian(
+        states=["v"], inputs=["u"], S=[[0.0]], H=ph.formula("v**2/2"), R=ph.damping("v"),
+        F={"v": ph.formula("b*u", b=ph.Parameter(1.0))},
+    )  # fmt: skip
+    study = ph.Study(base, *data.split(0.7))
+    study.auto()
+    assert list(study.history["effect"]) == ["base model", "quadratic drag on v"]
+    row = study.fit.parameters.set_index("name").loc["quadratic_drag_v"]
+    assert abs(row["value"] - 0.3) < 3 * row["std_error"]
+
+
+def test_pictures_use_the_axes_given_and_the_report_is_text(hidden: ph.Study, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    _, ax = plt.subplots()
+    assert hidden.compare().plot(ax) is ax
+    assert hidden.diagnose().plot().get_xlabel() == "t (s)"
+    assert "m" in hidden.plot_history().get_ylabel()
+    plt.close("all")
+    text = hidden.report(tmp_path / "study.md").read_text(encoding="utf-8")
+    assert "coulomb friction on p" in text and "noise floor" in text
+    with pytest.raises(ph.DataError, match=r"\.md or \.txt"):
+        hidden.report(tmp_path / "study.html")
