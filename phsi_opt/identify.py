@@ -85,7 +85,7 @@ def matched(model: Model, data: Measurements) -> Measurements:
     runs = tuple(replace(run, x=run.x[:, columns], u=run.u[:, inputs]) for run in data.trajectories)
     kept = {"t", *model.states, *model.inputs}
     units = {name: unit for name, unit in data.units.items() if name in kept}
-    return replace(data, trajectories=runs, states=model.states, inputs=model.inputs, units=units)
+    return replace(data, trajectories=runs, states=tuple(model.states), inputs=tuple(model.inputs), units=units)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,8 +45,8 @@ class Entry:
 class Model:
     """What every model has: states, inputs, loss R and force F per equation. See `PseudoHamiltonian`, `FirstOrder`."""
 
-    states: tuple[str, ...]
-    inputs: tuple[str, ...] = ()
+    states: Sequence[str]  # a tuple once checked
+    inputs: Sequence[str] = ()
     R: Mapping[str, Dictionary] = field(default_factory=dict)
     F: Mapping[str, Dictionary] = field(default_factory=dict)
     S: Any = None

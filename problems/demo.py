@@ -44,9 +44,10 @@ def pictures(study: ph.Study, before: ph.Comparison, diagnosis: ph.Diagnosis) ->
         "demo_4_history": study.plot_history,
     }
     for name, plot in plots.items():
-        ax = plot()
-        ax.figure.savefig(RESULTS / f"{name}.png", dpi=110)
-        plt.close(ax.figure)
+        figure, ax = plt.subplots(figsize=(8.0, 3.8), layout="constrained")
+        plot(ax)
+        figure.savefig(RESULTS / f"{name}.png", dpi=110)
+        plt.close(figure)
 
 
 def main() -> ph.Study:

@@ -52,7 +52,7 @@ def test_without_loss_and_force_the_energy_does_not_change() -> None:
     rng = np.random.default_rng(0)
     a = rng.normal(size=(4, 4))
     names = ["q1", "q2", "p1", "p2"]
-    model = PseudoHamiltonian(states=names, S=a - a.T, H=polynomials(names, 3))  # type: ignore[arg-type]
+    model = PseudoHamiltonian(states=names, S=a - a.T, H=polynomials(names, 3))
     model = model.with_values({name: float(rng.normal()) for name in model.free})  # type: ignore[assignment]
     theta = [model.values[name] for name in model.free]
     for _ in range(5):

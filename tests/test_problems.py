@@ -1,6 +1,10 @@
 """The scripts under problems/, small."""
 
+from pathlib import Path
+
 import pytest
+
+from phsi_opt.effects import Effect, effect_named
 
 
 def test_the_mass_spring_is_found_from_its_dictionary_on_clean_data() -> None:
@@ -12,7 +16,9 @@ def test_the_mass_spring_is_found_from_its_dictionary_on_clean_data() -> None:
     assert clean["error"].max() < 1e-3
 
 
-def test_the_ball_and_hoop_script_says_where_it_looked_for_its_data(capsys, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_the_ball_and_hoop_script_says_where_it_looked_for_its_data(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     from measured.ball_and_hoop import main
 
     assert main(tmp_path / "absent") == {}
@@ -37,9 +43,7 @@ def test_the_ball_and_hoop_study_reaches_the_reference() -> None:
     assert rest.n_samples > train.n_samples
 
 
-def _drag():  # type: ignore[no-untyped-def]
+def _drag() -> Effect:
     from measured.ball_and_hoop import model
-
-    from phsi_opt.effects import effect_named
 
     return effect_named(model(), "quadratic drag", "y")

@@ -1,5 +1,7 @@
 """The loop, from a hidden effect to a better model: comparison, diagnosis, study, effects, pictures."""
 
+from pathlib import Path
+
 import matplotlib
 
 matplotlib.use("Agg")
@@ -150,7 +152,7 @@ def test_quadratic_drag_is_found_in_a_one_state_drive_with_held_input() -> None:
     assert abs(row["value"] - 0.3) < 3 * row["std_error"]
 
 
-def test_pictures_use_the_axes_given_and_the_report_is_text(hidden: ph.Study, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_pictures_use_the_axes_given_and_the_report_is_text(hidden: ph.Study, tmp_path: Path) -> None:
     _, ax = plt.subplots()
     assert hidden.compare().plot(ax) is ax
     assert hidden.diagnose().plot().get_xlabel() == "t (s)"
