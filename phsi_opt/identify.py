@@ -13,7 +13,7 @@ from phsi_opt import uncertainty
 from phsi_opt.errors import DataError, ModelError, SolveError
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, grid_of
-from phsi_opt.losses import MaximumLikelihood, PHSILoss, Point, complete, l1_weights, rate_size
+from phsi_opt.losses import MaximumLikelihood, MissingForce, PHSILoss, Point, complete, l1_weights, rate_size
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import Model
 from phsi_opt.nlp import Program
@@ -67,7 +67,10 @@ def loss_methods(loss: Loss) -> Callable[["_Task", Any, Fit | None], "_State"]:
     for kind, method in ((PHSILoss, _by_defects), (MaximumLikelihood, _by_likelihood)):
         if isinstance(loss, kind):
             return method
-    raise ModelError(f"loss={loss!r} is not a loss; expected PHSILoss() or MaximumLikelihood().")
+    hint = (
+        " A missing force is estimated by diagnose(fit, data).missing_force." if isinstance(loss, MissingForce) else ""
+    )
+    raise ModelError(f"loss={loss!r} does not identify parameters; expected PHSILoss() or MaximumLikelihood().{hint}")
 
 
 def matched(model: Model, data: Measurements) -> Measurements:
