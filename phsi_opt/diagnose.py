@@ -134,13 +134,14 @@ def diagnose(
     held_out: Measurements | None = None,
     *,
     effects: list[Effect] | None = None,
+    loss: MaximumLikelihood | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Estimate what the fitted model lacks on ``data`` and name it, if the data allow (see the module's text).
 
     Args:
         held_out: measurements not used for fitting; without them the verdict rests on the training record alone.
-        effects: candidates; default: `catalogue` of the model.
+        effects: candidates; default: `catalogue` of the model. loss: how candidates are re-fitted.
         progress: called with a line of text as the work goes on.
     """
     say = progress or (lambda line: None)
@@ -157,7 +158,9 @@ def diagnose(
     refitted = []
     for candidate in ranked[:N_REFITS]:
         say(f"re-fitting with {candidate.effect}")
-        refitted.append(_refitted(candidate, fit, trained, estimate, data, held_out, len(listed)))
+        refitted.append(
+            _refitted(candidate, fit, trained, estimate, data, held_out, len(listed), loss or MaximumLikelihood())
+        )
     refitted.sort(key=lambda c: (c.fit is None, np.nan_to_num(c.delta_bic, nan=np.inf)))
     everyone = tuple(refitted) + tuple(ranked[N_REFITS:])
     verdict, reason = _verdict(everyone, base, held_out is not None)
@@ -282,7 +285,7 @@ class _ScoreTest:
 
 def _refitted(
     candidate: Candidate, fit: Fit, before: Comparison, estimate: ForceEstimate, data: Measurements,
-    held_out: Measurements | None, tried: int,
+    held_out: Measurements | None, tried: int, loss: MaximumLikelihood,
 ) -> Candidate:  # fmt: skip
     """The candidate re-fitted by maximum likelihood from the states of the missing-force estimate, and judged."""
     grid = estimate.grid
@@ -291,7 +294,7 @@ def _refitted(
     noise = {name: float(s) for name, s in zip(model.states, estimate.sigma, strict=True) if name in data.measured}
     start = replace(fit, model=model.with_values(candidate.values), states=states, noise=noise)
     try:
-        new = identify(model.with_values(candidate.values), data, MaximumLikelihood(), start=start)
+        new = identify(model.with_values(candidate.values), data, loss, start=start)
         comparison = compare(new, data if held_out is None else held_out)
         trained = compare(new, data)
     except PhsiOptError:

@@ -1,7 +1,8 @@
 """The catalogue of physical effects: a named phenomenon is a term in a slot of an equation."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.missing import forced_rows, positions
@@ -108,8 +109,31 @@ def _forces(p: str, model: Model) -> list[Effect]:
 
 
 def _is_in(model: Model, effect: Effect) -> bool:
-    """Whether a term of the same body stands in the effect's slot already."""
+    """Whether the model can do already what the effect does: a term of the same body, or the same change of dx/dt."""
     terms = model.H if effect.slot == "H" else getattr(model, effect.slot).get(effect.equation, Dictionary())
     bodies = {term.body for term in terms}
-    known: Callable[[Term], bool] = lambda term: term.body in bodies or term.name in model.entries  # noqa: E731
-    return any(known(term) for term in effect.term)
+    if any(term.body in bodies or term.name in model.entries for term in effect.term):
+        return True
+    scanned = any(isinstance(p.guess, Scan) for term in effect.term for p in term.inner.values())
+    return bool(model.free) and not scanned and _is_spanned(model, effect)
+
+
+def _is_spanned(model: Model, effect: Effect) -> bool:
+    """Whether the slope of dx/dt in the effect's coefficient is a sum of slopes in the model's own parameters.
+
+    Looked at in random states and at random parameter values (fixed seed): an identity holds in all of them.
+    """
+    larger = model.add(effect)
+    rng = np.random.default_rng(0)
+    slopes = larger.rhs().jacobian()
+    # The same values for the whole test: the model's parameters must explain the effect at one point of theta.
+    theta = np.array([model.values.get(n) or rng.uniform(0.5, 1.5) for n in larger.free])
+    rows = []
+    for _ in range(4 * len(theta) + 20):
+        x, u, t = rng.normal(size=model.n_states), rng.normal(size=model.n_inputs), rng.uniform(0, 3)
+        rows.append(np.array(slopes(x, u, t, theta, np.zeros(model.n_states))[3]))
+    columns = np.nan_to_num(np.vstack(rows))
+    new = [i for i, name in enumerate(larger.free) if name not in model.entries]
+    own = columns[:, [i for i in range(len(theta)) if i not in new]]
+    left = columns[:, new] - own @ np.linalg.lstsq(own, columns[:, new], rcond=None)[0]
+    return bool(np.linalg.norm(left) < 1e-8 * np.linalg.norm(columns[:, new]))

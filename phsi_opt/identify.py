@@ -70,7 +70,9 @@ def loss_methods(loss: Loss) -> Callable[["_Task", Any, Fit | None], "_State"]:
     hint = (
         " A missing force is estimated by diagnose(fit, data).missing_force." if isinstance(loss, MissingForce) else ""
     )
-    raise ModelError(f"loss={loss!r} does not identify parameters; expected PHSILoss() or MaximumLikelihood().{hint}")
+    raise ModelError(
+        f"loss={loss!r} is not a loss that finds parameters; expected PHSILoss() or MaximumLikelihood().{hint}"
+    )
 
 
 def matched(model: Model, data: Measurements) -> Measurements:
@@ -246,6 +248,7 @@ def _pruned(state: _State, solver: Solver) -> _State:
 
 
 def _by_likelihood(task: _Task, loss: MaximumLikelihood, start: Fit | None) -> _State:
+    _check_enough(task)
     given = _given_noise(loss, task.data)
     sigma = starting.initial_noise(task.data, given)
     steps = loss.steps or 1
@@ -262,6 +265,16 @@ def _by_likelihood(task: _Task, loss: MaximumLikelihood, start: Fit | None) -> _
         state,
         lambda s, m, th, l1: _solve_likelihood(task, loss, m, steps, th, s._states(), s.sigma, l1),
     )
+
+
+def _check_enough(task: _Task) -> None:
+    n_values = sum(int(np.isfinite(run.x).sum()) for run in task.data.trajectories)
+    n_unknown = len(task.model.free) + task.data.n_trajectories * task.model.n_states
+    if n_values <= n_unknown:
+        raise DataError(
+            f"{n_values} measured values are too few for {n_unknown} unknowns ({len(task.model.free)} parameters and "
+            f"the starting states of {task.data.n_trajectories} trajectories); measure more, or fix parameters."
+        )
 
 
 def _given_noise(loss: MaximumLikelihood, data: Measurements) -> np.ndarray | None:

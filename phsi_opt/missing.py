@@ -175,4 +175,10 @@ class Linearised:
 
 
 def _factor(matrix: csc_matrix) -> SuperLU:
-    return splu(matrix)
+    try:
+        return splu(matrix)
+    except RuntimeError as error:  # SuperLU's word for a singular matrix
+        raise SolveError(
+            f"The missing force could not be estimated: {error}. A state may neither be measured nor act on one "
+            "that is; measure it, or take it out of the model."
+        ) from None

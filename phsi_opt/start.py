@@ -11,6 +11,7 @@ import casadi as ca
 import cvxpy as cp
 import numpy as np
 
+from phsi_opt.errors import DataError
 from phsi_opt.grid import Grid, defect_jacobian, defects
 from phsi_opt.losses import Point, complete, rate_size
 from phsi_opt.measurements import Measurements
@@ -31,7 +32,13 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     guess = difference_noise(data) if given is None else given
     y = np.concatenate([run.x for run in data.trajectories])
     seen = [name in data.measured for name in data.states]
+    if not any(np.nanmax(y[:, k]) > np.nanmin(y[:, k]) for k in range(len(seen)) if seen[k]):
+        raise DataError(
+            f"every measured value of {', '.join(data.measured)} is the same ({np.nanmax(y):g}): nothing moves, so "
+            "nothing can be identified. Check the columns, or measure while the system moves."
+        )
     spread = np.array([np.nanstd(y[:, k]) if seen[k] else 1.0 for k in range(len(seen))])
+    spread = np.where(spread > 0, spread, np.maximum(np.abs(np.nan_to_num(y)).max(axis=0), 1e-12))
     guess = np.where(np.isfinite(guess), guess, 0.1 * spread)
     # Clean data: a noise of zero would make every weight infinite.
     return np.where([name in data.measured for name in data.states], np.maximum(guess, CLEANEST * spread), 1.0)

@@ -77,7 +77,7 @@ class Study:
         """What the present model lacks; worked out once per step."""
         key = len(self.steps)
         if key not in self._diagnoses:
-            self._diagnoses[key] = diagnose(self.fit, self.train, self.held_out, progress=self._say)
+            self._diagnoses[key] = diagnose(self.fit, self.train, self.held_out, loss=self._loss, progress=self._say)
         return self._diagnoses[key]
 
     def add(self, effect: str | Effect, equation: str | None = None) -> Fit:

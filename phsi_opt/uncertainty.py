@@ -70,33 +70,38 @@ def of_defects(
     meat = scores.T @ scores + (lagged + lagged.T) / 2
     size = np.trace(jacobian.T @ jacobian) / max(len(theta), 1)
     bread = np.linalg.inv(jacobian.T @ jacobian + RIDGE * size * np.eye(len(theta)))
-    weak = _weak_directions(model, np.linalg.inv(jacobian.T @ jacobian / size + RIDGE * np.eye(len(theta))), held)
-    covariance = bread @ meat @ bread * np.outer(scale, scale)
-    covariance[held, :] = covariance[:, held] = np.nan
-    return Uncertainty(covariance, weak)
+    weak, silent = _weak_directions(
+        model, np.linalg.inv(jacobian.T @ jacobian / size + RIDGE * np.eye(len(theta))), held
+    )
+    return Uncertainty(_known(bread @ meat @ bread * np.outer(scale, scale), held + silent), weak)
 
 
 def _finished(model: Model, scaled: np.ndarray, scale: np.ndarray, held: list[int]) -> Uncertainty:
-    weak = _weak_directions(model, scaled, held)
-    covariance = scaled * np.outer(scale, scale)
-    covariance[held, :] = covariance[:, held] = np.nan
-    return Uncertainty(covariance, weak)
+    weak, silent = _weak_directions(model, scaled, held)
+    return Uncertainty(_known(scaled * np.outer(scale, scale), held + silent), weak)
 
 
-def _weak_directions(model: Model, scaled: np.ndarray, held: list[int]) -> tuple[str, ...]:
-    """A sentence for every direction of theta on which the data are silent (only the ridge holds it)."""
+def _known(covariance: np.ndarray, not_known: list[int]) -> np.ndarray:
+    """No number is given for a parameter at its bound, or one that the data do not pin down."""
+    covariance[not_known, :] = covariance[:, not_known] = np.nan
+    return covariance
+
+
+def _weak_directions(model: Model, scaled: np.ndarray, held: list[int]) -> tuple[tuple[str, ...], list[int]]:
+    """A sentence per direction of theta on which the data are silent (only the ridge holds it), and its members."""
     moving = [i for i in range(len(scaled)) if i not in held]
     if not moving:
-        return ()
+        return (), []
     values, vectors = np.linalg.eigh(scaled[np.ix_(moving, moving)])
-    sentences = []
+    sentences, silent = [], []
     for value, vector in zip(values, vectors.T, strict=True):
         if value > 0.01 / RIDGE:
             parts = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1 * np.max(np.abs(vector))]
+            silent += [moving[i] for i in parts]
             names = ", ".join(model.free[moving[i]] for i in parts)
             sentences.append(
                 f"the data cannot tell {names} apart: fix one of them to a known value"
                 if len(parts) > 1
                 else f"the data say nothing about {names}: fix it to a known value or remove it"
             )
-    return tuple(sentences)
+    return tuple(sentences), sorted(set(silent))

@@ -84,6 +84,12 @@ def test_the_diagnosis_tells_where_and_ranks_candidates(hidden: ph.Study) -> Non
         base.undo()
 
 
+def test_the_noise_given_to_a_study_holds_for_the_candidates_too(hidden: ph.Study) -> None:
+    study = ph.Study(spring(), hidden.train, loss=ph.MaximumLikelihood(noise={"q": 0.08}))
+    study.diagnose()
+    assert study.add("coulomb friction", "p").noise == {"q": 0.08}
+
+
 def test_add_by_a_wrong_name_suggests_the_right_one(complete: ph.Study) -> None:
     with pytest.raises(ph.ModelError, match="Did you mean 'coulomb friction'"):
         complete.add("coulom friction", "p")
@@ -102,9 +108,15 @@ def test_the_catalogue_knows_slots_and_leaves_out_what_the_model_has() -> None:
     assert ("coulomb friction", "R", "p") in listed and ("cubic stiffness", "H", "p") in listed
     assert ("harmonic force", "F", "p") in listed
     assert not any(name == "viscous damping" for name, _, _ in listed)  # the model has it
+    assert not any(name == "linear stiffness" for name, _, _ in listed)  # k of its formula does the same
     assert not any(equation == "q" for _, _, equation in listed)  # dq/dt = dH/dp is kinematics
     first_order = ph.FirstOrder(["v"], {"v": ph.polynomials(["v"], 1)})
-    assert {e.slot for e in ph.catalogue(first_order)} == {"R", "F"}  # no energy to change
+    assert {(e.name, e.slot) for e in ph.catalogue(first_order)} == {
+        ("coulomb friction", "R"),
+        ("quadratic drag", "R"),
+        ("constant force", "F"),
+        ("harmonic force", "F"),
+    }  # no energy to change, and viscous damping is its linear term
 
 
 def test_comparison_of_the_true_model_shows_the_noise(complete: ph.Study) -> None:
@@ -162,3 +174,16 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(hidden: ph.Study, tm
     assert "coulomb friction on p" in text and "noise floor" in text
     with pytest.raises(ph.DataError, match=r"\.md or \.txt"):
         hidden.report(tmp_path / "study.html")
+
+
+def test_measurements_in_which_nothing_moves_are_refused() -> None:
+    t = np.linspace(0.0, 5.0, 50)
+    still = ph.Measurements.from_arrays(t, np.column_stack([np.ones(50), np.full(50, np.nan)]), states=["q", "p"])
+    with pytest.raises(ph.DataError, match="nothing moves"):
+        ph.identify(spring(), still)
+
+
+def test_fewer_values_than_unknowns_are_refused() -> None:
+    few = ph.Measurements.from_arrays([0.0, 0.1, 0.2], [[1.0, np.nan], [0.9, np.nan], [0.7, np.nan]], states=["q", "p"])
+    with pytest.raises(ph.DataError, match="3 measured values are too few for 4 unknowns"):
+        ph.identify(spring(), few)
