@@ -352,9 +352,8 @@ def _verdict(ranked: tuple[Candidate, ...], base: Comparison, is_held_out: bool)
     where = "held-out" if is_held_out else "training"
     ratio = base.rmse / base.noise_floor
     errors = f"{where} error {base.rmse:.4g}, noise floor {base.noise_floor:.4g}"
-    for c in ranked:
-        if c.comparison is None or not (c.p_value < P_VALUE and c.delta_bic < 0 and falls(base, c.comparison)):
-            continue
+    c = _significant(ranked, base)
+    if c is not None:
         tie = f"; not told apart from {', '.join(c.confusable_with)}" if c.confusable_with else ""
         return NAMED, (
             f"{c.effect}, coefficient {c.coefficient:.4g} +- {c.std_error:.2g}; the {where} error falls from "
@@ -367,12 +366,15 @@ def _verdict(ranked: tuple[Candidate, ...], base: Comparison, is_held_out: bool)
 
 def best_candidate(diagnosis: Diagnosis) -> Candidate | None:
     """The candidate that the verdict names."""
-    if diagnosis.verdict != NAMED:
-        return None
-    return next(
-        c for c in diagnosis.ranked
-        if c.comparison is not None and c.p_value < P_VALUE and c.delta_bic < 0 and falls(diagnosis.base, c.comparison)
-    )  # fmt: skip
+    return _significant(diagnosis.ranked, diagnosis.base)
+
+
+def _significant(ranked: tuple[Candidate, ...], base: Comparison) -> Candidate | None:
+    """The first candidate whose BIC and p-value hold and with which the error on the judging data falls."""
+    for c in ranked:
+        if c.comparison is not None and c.p_value < P_VALUE and c.delta_bic < 0 and falls(base, c.comparison):
+            return c
+    return None
 
 
 def _where(diagnosis: Diagnosis, k: int, row: int) -> tuple[Any, ...]:

@@ -14,6 +14,7 @@ from friction_spring import CSV, NOISE, TRUTH
 from provenance import RESULTS, write
 
 import phsi_opt as ph
+from phsi_opt.report import report_text
 
 
 def measurements() -> ph.Measurements:
@@ -70,8 +71,7 @@ def main() -> ph.Study:
             print(f"{name}: {row.value:.4g} +- {row.std_error:.2g}, true {truth:g}, "
                   f"{abs(row.value - truth) / row.std_error:.1f} standard errors away")  # fmt: skip
     pictures(study, before, diagnosis)
-    study.report(RESULTS / "demo.md")
-    write("demo.md", (RESULTS / "demo.md").read_text(encoding="utf-8") + f"\nTrue noise: {NOISE:.0%} of the range.\n")
+    write("demo.md", f"{report_text(study)}\nTrue noise: {NOISE:.0%} of the range.")
     print(f"report and pictures: results/demo*; {time.perf_counter() - began:.0f} s")
     return study
 
