@@ -11,36 +11,30 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
-import pandas as pd
-import sympy as sp
 
 from phsi_opt.errors import DataError, PhsiOptError
-from phsi_opt.expressions import SYMPY
+from phsi_opt.identified import Identified
 from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian, place_of
-from phsi_opt.simulate import simulate
 from phsi_opt.solver import Outcome
 from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term
 
 FORMAT = "phsi_opt fit 1"
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fit(Identified):
     """A fitted model.
 
-    Attributes:
-        model: with the fitted values as values of its parameters.
+    Attributes (beside those of `Identified`):
         loss: name of the loss; loss_value: its value at the solution, without the L1 terms.
         covariance: of the free parameters, in the order of ``model.free``; NaN where it is not known.
         noise: standard deviation of the measurement noise per state (empty for `PHSILoss`).
         bic: Bayesian information criterion (NaN for `PHSILoss`, whose residuals are not independent).
-        removed: terms that pruning removed, in order. warnings: what to know before the numbers are used.
+        warnings: what to know before the numbers are used.
         states: estimated states per trajectory, (n_samples, n_states) at the samples; empty for a loaded fit.
     """
 
-    model: Model
     loss: str
     loss_value: float
     covariance: np.ndarray
@@ -48,73 +42,16 @@ class Fit:
     outcome: Outcome
     n_values: int
     bic: float = np.nan
-    hold: str = "linear"
     units: Mapping[str, str] = field(default_factory=dict)
-    removed: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     states: tuple[np.ndarray, ...] = ()
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Value of every parameter by name."""
-        return self.model.values
 
     @cached_property
     def std_errors(self) -> dict[str, float]:
         """Standard error by name; NaN where fixed, at a bound, or not known."""
         known = dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)), strict=True))
         return {name: float(known.get(name, np.nan)) for name in self.model.entries}
-
-    @property
-    def parameters(self) -> pd.DataFrame:
-        """Table: name, slot, equation, value, std_error, lower, upper, unit, fixed."""
-        rows = [
-            (name, e.slot, e.equation, self.values[name], self.std_errors[name], e.parameter.lower, e.parameter.upper,
-             e.parameter.unit, e.parameter.fixed)
-            for name, e in self.model.entries.items()
-        ]  # fmt: skip
-        return pd.DataFrame(
-            rows, columns=["name", "slot", "equation", "value", "std_error", "lower", "upper", "unit", "fixed"]
-        )
-
-    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
-        """States (n_samples, n_states) from x0 at t[0], by SciPy; inputs u are held as the measurements declared."""
-        return simulate(self.model, t, x0, u, hold=self.hold)
-
-    def sympy(self) -> dict[str, sp.Expr]:
-        """SymPy expressions with the fitted numbers: 'H', 'R_<state>', 'F_<state>' and 'd<state>/dt'."""
-        # Real while it differentiates, or |q| has no simple derivative; plain names in the result.
-        x, u = (sp.symbols(names, real=True) for names in (self.model.states, self.model.inputs))
-        t = sp.Symbol("t", real=True)
-        values = {name: sp.Float(value) for name, value in self.values.items()}
-        e = self.model.expressions(x, u, t, values, SYMPY)
-        result = {"H": sp.sympify(e.energy)}
-        for i, name in enumerate(self.model.states):
-            exchange = sum(
-                (sp.Float(s) * e.efforts[j] for j, s in enumerate(self.model.S[i]) if s), start=sp.Integer(0)
-            )
-            result[f"R_{name}"], result[f"F_{name}"] = sp.sympify(e.loss[i]), sp.sympify(e.force[i])
-            result[f"d{name}/dt"] = sp.expand(exchange - e.loss[i] * e.efforts[i] + e.force[i])
-        plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t)}
-        return {name: expression.xreplace(plain) for name, expression in result.items()}
-
-    def casadi(self) -> ca.Function:
-        """CasADi function (x, u, t) -> dx/dt with the fitted numbers."""
-        x, u, t = ca.SX.sym("x", self.model.n_states), ca.SX.sym("u", self.model.n_inputs), ca.SX.sym("t")
-        theta = [self.values[name] for name in self.model.free]
-        return ca.Function("fitted", [x, u, t], [self.model.rhs()(x, u, t, theta)], ["x", "u", "t"], ["dx"])
-
-    def equations(self) -> list[str]:
-        """The right-hand sides with every fitted number (6 digits), one text per state; no term is left out."""
-        exact = self.sympy()
-        return [f"d{name}/dt = {sp.sstr(exact[f'd{name}/dt'].n(6))}" for name in self.model.states]
-
-    def latex(self) -> str:
-        """The right-hand sides as an aligned LaTeX block."""
-        exact = self.sympy()
-        rows = [rf"\dot{{{sp.latex(sp.Symbol(n))}}} &= {sp.latex(exact[f'd{n}/dt'].n(6))}" for n in self.model.states]
-        return "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON: model, values, covariance, outcome, provenance (not the estimated states)."""
@@ -228,6 +165,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
         "n_values": fit.n_values,
         "bic": fit.bic,
         "hold": fit.hold,
+        "seconds": fit.seconds,
         "units": dict(fit.units),
         "removed": list(fit.removed),
         "warnings": list(fit.warnings),
@@ -269,6 +207,7 @@ def from_json(content: dict[str, Any]) -> Fit:
         n_values=int(content["n_values"]),
         bic=float(content["bic"]),
         hold=content["hold"],
+        seconds=float(content.get("seconds", np.nan)),
         units={str(name): str(unit) for name, unit in content["units"].items()},
         removed=tuple(str(name) for name in content["removed"]),
         warnings=tuple(str(warning) for warning in content["warnings"]),

@@ -1,6 +1,7 @@
 """The verb: start -> program -> solve -> prune -> repeat, until there is a `Fit`."""
 
 import hashlib
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -52,6 +53,7 @@ def identify(
     Raises `DataError` if model and data do not match, `ModelError` for a model that cannot be solved, `SolveError` if
     the solver fails.
     """
+    began = time.perf_counter()
     loss = MaximumLikelihood() if loss is None else loss
     if not model.free:
         raise ModelError("the model has no free parameter, so there is nothing to identify; use compare or simulate.")
@@ -59,7 +61,8 @@ def identify(
     state = loss_methods(loss)(task, loss, start)
     if raise_on_failure and not state.solution.outcome.success:
         raise SolveError(f"The solver failed: {state.solution.outcome}")
-    return state.fit()
+    fit = state.fit()
+    return replace(fit, seconds=time.perf_counter() - began)
 
 
 def loss_methods(loss: Loss) -> Callable[["_Task", Any, Fit | None], "_State"]:

@@ -26,7 +26,8 @@ def fit_of(model: Model, **values: float) -> Fit:
     covariance = np.diag(np.linspace(0.01, 0.1, n) ** 2)
     covariance[-1, -1] = np.nan
     return Fit(
-        model, "MaximumLikelihood", 1.25, covariance, {"q": 0.01}, OUTCOME, 320, bic=-12.5, hold="zero",
+        model=model, loss="MaximumLikelihood", loss_value=1.25, covariance=covariance, noise={"q": 0.01},
+        outcome=OUTCOME, n_values=320, bic=-12.5, hold="zero", seconds=0.5,
         units={"q": "m", "t": "s"}, removed=("H[p]",), warnings=("take care",), provenance={"phsi_opt": "0.1.0"},
     )  # fmt: skip
 
