@@ -1,0 +1,295 @@
+"""The four systems of the thesis: truth, data, candidate models and its own training settings.
+
+| system         | states            | training data                               | noise |
+| henon_heiles   | q1 q2 p1 p2       | 3000 pairs, step 0.1                        | 0.02, each end on its own |
+| schrodinger    | q1 q2 p1 p2       | 50 x 100 steps of 0.01, starts 0.2 (-1, 1)  | 5e-4 |
+| mass_spring    | q p               | 50 x 100 steps of 0.1, starts in a ring     | 0.2 |
+| tanks          | phi1..5, mu1..4   | 60 x 50 steps of 0.01, starts (-1, 1)       | 0.005 |
+
+Where the text of the thesis and its code disagree, the code is followed, because its data are what its results were
+made from (docs/thesis.md lists every choice). `System.data` draws new data from the same distributions with any seed;
+`System.thesis_data` reads the data of the thesis where they are present.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from measured.paths import folder
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+
+Vector = np.ndarray
+
+
+@dataclass(frozen=True)
+class Descent:
+    """How the thesis trains: Adam in batches of 32, pruning every ``prune_every`` epochs."""
+
+    learning_rate: float
+    epochs: int
+    prune_every: int
+    threshold: float
+    weight_decay: float
+    l1: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class System:
+    """One system with its truth.
+
+    ``truth`` are the coefficients of the pseudo-Hamiltonian dictionary that are not zero, ``truth_first_order`` those
+    of the dictionary of right-hand sides. ``step`` and ``n_steps`` describe one training trajectory, ``test_time`` the
+    length of a test trajectory (101 samples).
+    """
+
+    name: str
+    title: str
+    states: tuple[str, ...]
+    rhs: Callable[[float, Vector], Vector]
+    start: Callable[[np.random.Generator], Vector]
+    n_trajectories: int
+    n_steps: int
+    step: float
+    noise: float
+    test_time: float
+    truth: Mapping[str, float]
+    truth_first_order: Mapping[str, float]
+    model: Callable[[], ph.PseudoHamiltonian]
+    first_order: Callable[[], ph.FirstOrder]
+    descent: Descent
+    descent_noisy: Descent
+    l1: Mapping[str, float] = field(default_factory=dict)
+    threshold: float = 0.05
+
+    def solve(self, x0: Vector, t: Vector) -> Vector:
+        """The true states (n_samples, n_states)."""
+        return solve_ivp(self.rhs, (t[0], t[-1]), x0, "DOP853", t, rtol=1e-12, atol=1e-13).y.T
+
+    def data(self, seed: int, noise: float | None = None, n: int | None = None, refine: int = 1) -> ph.Measurements:
+        """Training data as the thesis draws them: ``n`` trajectories, ``refine`` times as many steps in the same time.
+
+        The starts and the standard normal numbers of the noise depend on the seed alone, not on the noise level.
+        """
+        rng = np.random.default_rng(seed)
+        sigma = self.noise if noise is None else noise
+        t = np.linspace(0.0, self.n_steps * self.step, self.n_steps * refine + 1)
+        runs = []
+        for _ in range(n or self.n_trajectories):
+            x = self.solve(self.start(rng), t)
+            runs.append(x + sigma * rng.normal(size=x.shape))
+        return ph.Measurements.from_arrays([t] * len(runs), runs, states=self.states)
+
+    def thesis_data(self, kind: str) -> ph.Measurements:
+        """The data of the thesis, ``kind`` "clean" or "noisy" (two different draws)."""
+        with np.load(folder("thesis") / f"{self.name}.npz") as stored:
+            pairs = (stored[f"x_start_{kind}"], stored[f"x_end_{kind}"], stored["t_start"], stored["t_end"])
+            return ph.Measurements.from_pairs(*pairs, states=self.states)
+
+    def tests(self, n: int = 10, seed: int = 1_000_003) -> tuple[Vector, Vector]:
+        """Times (101,) and noise-free trajectories (n, 101, n_states) from unseen starts, beyond the training time."""
+        rng = np.random.default_rng(seed)
+        t = np.linspace(0.0, self.test_time, 101)
+        return t, np.array([self.solve(self.start(rng), t) for _ in range(n)])
+
+
+def thesis_data_present() -> bool:
+    """Whether the thesis' own data can be read."""
+    return folder("thesis").is_dir()
+
+
+# --- Henon-Heiles: H = (q1^2 + q2^2 + p1^2 + p2^2)/2 + q1^2 q2 - q2^3/3
+
+
+def _henon_heiles(t: float, x: Vector) -> Vector:
+    q1, q2, p1, p2 = x
+    return np.array([p1, p2, -q1 - 2 * q1 * q2, -q2 - q1**2 + q2**2])
+
+
+def _henon_heiles_start(rng: np.random.Generator) -> Vector:
+    """q1, p1, p2 in (-1, 1), q2 in (-0.5, 1), kept where 1/12 <= H <= 1/6: bounded orbits."""
+    while True:
+        q1, q2, p1, p2 = x = rng.uniform([-1, -0.5, -1, -1], 1.0)
+        if 1 / 12 <= (q1**2 + q2**2 + p1**2 + p2**2) / 2 + q1**2 * q2 - q2**3 / 3 <= 1 / 6:
+            return x
+
+
+# --- Schroedinger, d = 2: H = ((q1^2 + p1^2)^2 + (q2^2 + p2^2)^2)/4 - q1^2 q2^2 - p1^2 p2^2 + ... (thesis Eq. 6.3)
+
+
+def _schrodinger(t: float, x: Vector) -> Vector:
+    q1, q2, p1, p2 = x
+    h_q1 = q1 * (q1**2 + p1**2) - 2 * q1 * q2**2 + 2 * q1 * p2**2 - 4 * q2 * p1 * p2
+    h_q2 = q2 * (q2**2 + p2**2) - 2 * q1**2 * q2 + 2 * q2 * p1**2 - 4 * q1 * p1 * p2
+    h_p1 = p1 * (q1**2 + p1**2) - 2 * p1 * p2**2 + 2 * p1 * q2**2 - 4 * q1 * q2 * p2
+    h_p2 = p2 * (q2**2 + p2**2) - 2 * p1**2 * p2 + 2 * p2 * q1**2 - 4 * q1 * q2 * p1
+    return np.array([h_p1, h_p2, -h_q1, -h_q2])
+
+
+# --- mass-spring: dp/dt = -q - c p + alpha sin(omega t)
+
+C, ALPHA, OMEGA = 0.3, 2.0, 0.5
+
+
+def _mass_spring(t: float, x: Vector) -> Vector:
+    return np.array([x[1], -x[0] - C * x[1] + ALPHA * np.sin(OMEGA * t)])
+
+
+def _ring(rng: np.random.Generator) -> Vector:
+    radius, angle = 1 + 3.5 * np.sqrt(rng.random()), 2 * np.pi * rng.random()
+    return radius * np.array([np.cos(angle), np.sin(angle)])
+
+
+# --- tanks and pipes: pipes join tanks (1,2) (2,3) (3,4) (1,3) (1,4); tank 4 leaks
+
+FLOWS, LEVELS = tuple(f"phi{i}" for i in range(1, 6)), tuple(f"mu{i}" for i in range(1, 5))
+PIPES = ((1, 2), (2, 3), (3, 4), (1, 3), (1, 4))
+DENSITY, GRAVITY, INERTIA, AREA = 1.0, 9.81, 0.02, 1.0
+DAMPING = np.array([0.03, 0.03, 0.09, 0.05, 0.05])
+LEAK_SLOPE, LEAK_LIMIT = 10.0, 0.3
+
+
+def incidence() -> Vector:
+    """Oriented incidence matrix B (4 tanks x 5 pipes): -1 at the tank named first, +1 at the other."""
+    B = np.zeros((4, 5))
+    for pipe, (first, second) in enumerate(PIPES):
+        B[first - 1, pipe], B[second - 1, pipe] = -1.0, 1.0
+    return B
+
+
+def tank_structure() -> Vector:
+    """S = [[0, B'], [-B, 0]] as in the code of the thesis: a flow counts from the second tank of a pipe to the first."""
+    B = incidence()
+    return np.block([[np.zeros((5, 5)), B.T], [-B, np.zeros((4, 4))]])
+
+
+def leak(level: Vector | float) -> Vector | float:
+    """Flow out of tank 4: 10 times its level, limited to +-3. (The text prints a constant; its code means this.)"""
+    return -LEAK_SLOPE * np.clip(level, -LEAK_LIMIT, LEAK_LIMIT)
+
+
+_TANK_MATRIX = (tank_structure() - np.diag(np.r_[DAMPING, np.zeros(4)])) @ np.diag(
+    np.r_[np.full(5, 1 / INERTIA), np.full(4, DENSITY * GRAVITY / AREA)]
+)
+
+
+def _tanks(t: float, x: Vector) -> Vector:
+    dx = _TANK_MATRIX @ x
+    dx[8] += leak(x[8])
+    return dx
+
+
+def closed_tanks(t: float, x: Vector) -> Vector:
+    """The tanks with the leak shut."""
+    return _TANK_MATRIX @ x
+
+
+def tank_model(force: ph.terms.Dictionary | None = None) -> ph.PseudoHamiltonian:
+    """All polynomials of degree 2 in the nine states, damping in the five pipes; ``force`` on tank 4."""
+    states = FLOWS + LEVELS
+    return ph.PseudoHamiltonian(
+        states=states, S=tank_structure(), H=ph.polynomials(states, degree=2), R=ph.damping(*FLOWS),
+        F={} if force is None else {"mu4": force},
+    )  # fmt: skip
+
+
+def known_leak() -> ph.terms.Dictionary:
+    """The leak with its form known and its size unknown."""
+    return ph.formula(
+        "-slope*min(max(mu4, -limit), limit)",
+        slope=ph.Parameter(5.0, lower=0.0), limit=ph.Parameter(0.5, lower=0.01, upper=2.0),
+    )  # fmt: skip
+
+
+# --- candidate models and truths by coefficient
+
+
+def _polynomial_energy(states: tuple[str, ...], degree: int) -> Callable[[], ph.PseudoHamiltonian]:
+    return lambda: ph.PseudoHamiltonian(states=states, S=ph.canonical(2), H=ph.polynomials(states, degree=degree))
+
+
+def _polynomial_rates(states: tuple[str, ...], degree: int) -> Callable[[], ph.FirstOrder]:
+    return lambda: ph.FirstOrder(states, {x: ph.polynomials(states, degree=degree) for x in states})
+
+
+def _mass_spring_model() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=3), R=ph.damping("p"),
+        F={"p": ph.polynomials(["t"], degree=3) + ph.trigonometric("t")},
+    )  # fmt: skip
+
+
+def _mass_spring_rates() -> ph.FirstOrder:
+    both = ph.polynomials(["q", "p"], degree=3, constant=True)
+    time = ph.polynomials(["t"], degree=3)
+    return ph.FirstOrder(
+        ["q", "p"], {"q": both + time + ph.trigonometric("t"), "p": both + time + ph.trigonometric("t")}
+    )
+
+
+_Q = ("q1", "q2", "p1", "p2")
+
+
+def _tank_rates_truth() -> dict[str, float]:
+    states = FLOWS + LEVELS
+    return {
+        f"F_{states[i]}[{states[j]}]": float(_TANK_MATRIX[i, j])
+        for i in range(9)
+        for j in range(9)
+        if _TANK_MATRIX[i, j]
+    }
+
+
+SYSTEMS = {
+    s.name: s
+    for s in (
+        System(
+            name="henon_heiles", title="Henon-Heiles", states=_Q, rhs=_henon_heiles, start=_henon_heiles_start,
+            n_trajectories=3000, n_steps=1, step=0.1, noise=0.02, test_time=8.0,
+            truth={"H[q1**2]": 0.5, "H[q2**2]": 0.5, "H[p1**2]": 0.5, "H[p2**2]": 0.5, "H[q1**2*q2]": 1.0,
+                   "H[q2**3]": -1 / 3},
+            truth_first_order={"F_q1[p1]": 1.0, "F_q2[p2]": 1.0, "F_p1[q1]": -1.0, "F_p1[q1*q2]": -2.0,
+                               "F_p2[q2]": -1.0, "F_p2[q1**2]": -1.0, "F_p2[q2**2]": 1.0},
+            model=_polynomial_energy(_Q, 3), first_order=_polynomial_rates(_Q, 2),
+            descent=Descent(3e-3, 60, 5, 0.05, 0.0), descent_noisy=Descent(1e-3, 60, 5, 0.05, 0.0),
+        ),
+        System(
+            name="schrodinger", title="Schroedinger", states=_Q, rhs=_schrodinger,
+            start=lambda rng: 0.2 * rng.uniform(-1, 1, 4), n_trajectories=50, n_steps=100, step=0.01, noise=5e-4,
+            test_time=8.0,
+            truth={"H[q1**4]": 0.25, "H[p1**4]": 0.25, "H[q1**2*p1**2]": 0.5, "H[q2**4]": 0.25, "H[p2**4]": 0.25,
+                   "H[q2**2*p2**2]": 0.5, "H[q1**2*q2**2]": -1.0, "H[p1**2*p2**2]": -1.0, "H[q1**2*p2**2]": 1.0,
+                   "H[q2**2*p1**2]": 1.0, "H[q1*q2*p1*p2]": -4.0},
+            truth_first_order={
+                "F_q1[q1**2*p1]": 1.0, "F_q1[p1**3]": 1.0, "F_q1[p1*p2**2]": -2.0, "F_q1[q2**2*p1]": 2.0,
+                "F_q1[q1*q2*p2]": -4.0, "F_q2[q2**2*p2]": 1.0, "F_q2[p2**3]": 1.0, "F_q2[p1**2*p2]": -2.0,
+                "F_q2[q1**2*p2]": 2.0, "F_q2[q1*q2*p1]": -4.0, "F_p1[q1**3]": -1.0, "F_p1[q1*p1**2]": -1.0,
+                "F_p1[q1*q2**2]": 2.0, "F_p1[q1*p2**2]": -2.0, "F_p1[q2*p1*p2]": 4.0, "F_p2[q2**3]": -1.0,
+                "F_p2[q2*p2**2]": -1.0, "F_p2[q1**2*q2]": 2.0, "F_p2[q2*p1**2]": -2.0, "F_p2[q1*p1*p2]": 4.0},
+            model=_polynomial_energy(_Q, 4), first_order=_polynomial_rates(_Q, 3), threshold=0.04,
+            descent=Descent(1e-2, 100, 20, 0.04, 1e-4), descent_noisy=Descent(1e-2, 100, 20, 0.04, 1e-4),
+        ),
+        System(
+            name="mass_spring", title="Mass-spring", states=("q", "p"), rhs=_mass_spring, start=_ring,
+            n_trajectories=50, n_steps=100, step=0.1, noise=0.2, test_time=20.0,
+            truth={"H[q**2]": 0.5, "H[p**2]": 0.5, "R_p": C, "F_p[sin(omega_t*t)]": ALPHA, "F_p.omega_t": OMEGA},
+            truth_first_order={"F_q[p]": 1.0, "F_p[q]": -1.0, "F_p[p]": -C, "F_p[sin(omega_t*t)]": ALPHA,
+                               "F_p.omega_t": OMEGA},
+            model=_mass_spring_model, first_order=_mass_spring_rates, l1={"H": 0.01, "F": 0.01},
+            descent=Descent(5e-3, 150, 20, 0.05, 1e-4, {"H": 0.1, "F": 0.01}),
+            descent_noisy=Descent(3e-3, 150, 20, 0.05, 1e-4, {"H": 0.1, "F": 0.01}),
+        ),
+        System(
+            name="tanks", title="Tanks and pipes", states=FLOWS + LEVELS, rhs=_tanks,
+            start=lambda rng: rng.uniform(-1, 1, 9), n_trajectories=60, n_steps=50, step=0.01, noise=0.005,
+            test_time=1.0,
+            truth={**{f"H[{s}**2]": 0.5 / INERTIA for s in FLOWS},
+                   **{f"H[{s}**2]": 0.5 * DENSITY * GRAVITY / AREA for s in LEVELS},
+                   **{f"R_{s}": float(r) for s, r in zip(FLOWS, DAMPING, strict=True)}},
+            truth_first_order=_tank_rates_truth(), model=tank_model, first_order=_polynomial_rates(FLOWS + LEVELS, 1),
+            descent=Descent(3e-2, 100, 10, 0.05, 1e-4, {"H": 0.001, "F": 0.5}),
+            descent_noisy=Descent(3e-2, 100, 10, 0.05, 1e-4, {"H": 0.001, "F": 0.5}),
+        ),
+    )
+}  # fmt: skip
