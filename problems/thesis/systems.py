@@ -141,10 +141,10 @@ def _ring(rng: np.random.Generator) -> Vector:
     return radius * np.array([np.cos(angle), np.sin(angle)])
 
 
-# --- tanks and pipes: pipes join tanks (1,2) (2,3) (3,4) (1,3) (1,4); tank 4 leaks
+# --- tanks and pipes: pipes join tanks (1,2) (1,3) (1,4) (2,3) (3,4); tank 4 leaks
 
 FLOWS, LEVELS = tuple(f"phi{i}" for i in range(1, 6)), tuple(f"mu{i}" for i in range(1, 5))
-PIPES = ((1, 2), (2, 3), (3, 4), (1, 3), (1, 4))
+PIPES = ((1, 2), (1, 3), (1, 4), (2, 3), (3, 4))  # in the order of the columns of the data
 DENSITY, GRAVITY, INERTIA, AREA = 1.0, 9.81, 0.02, 1.0
 DAMPING = np.array([0.03, 0.03, 0.09, 0.05, 0.05])
 LEAK_SLOPE, LEAK_LIMIT = 10.0, 0.3
