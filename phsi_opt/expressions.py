@@ -34,6 +34,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., Any], Callable[...,
     "max": (ca.fmax, sp.Max, np.maximum),
 }
 CASADI, SYMPY, NUMPY = 0, 1, 2
+Backend = int | Mapping[str, Callable[..., Any]]  # one of the three, or a table of its own functions by these names
 CONSTANTS = {"pi": (math.pi, sp.pi, math.pi)}
 TWO_ARGUMENTS = {"min", "max"}
 OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
@@ -143,12 +144,12 @@ def names_of(node: ast.AST | str) -> set[str]:
     return found - set(CONSTANTS)
 
 
-def evaluate(text: str, names: Mapping[str, Any], backend: int = CASADI) -> Any:
-    """Value of the formula with ``names`` replaced, in CasADi (default), SymPy or NumPy."""
+def evaluate(text: str, names: Mapping[str, Any], backend: Backend = CASADI) -> Any:
+    """Value of the formula with ``names`` replaced, in CasADi (default), SymPy, NumPy or with other functions."""
     return _walk(parse(text), names, backend, text)
 
 
-def _walk(node: ast.expr, names: Mapping[str, Any], backend: int, text: str) -> Any:
+def _walk(node: ast.expr, names: Mapping[str, Any], backend: Backend, text: str) -> Any:
     if isinstance(node, ast.BinOp):
         left, right = _walk(node.left, names, backend, text), _walk(node.right, names, backend, text)
         try:
@@ -160,18 +161,19 @@ def _walk(node: ast.expr, names: Mapping[str, Any], backend: int, text: str) -> 
         return -operand if isinstance(node.op, ast.USub) else operand
     if isinstance(node, ast.Call):
         assert isinstance(node.func, ast.Name)  # parse() let nothing else through
-        return FUNCTIONS[node.func.id][backend](*(_walk(part, names, backend, text) for part in node.args))
+        function = FUNCTIONS[node.func.id][backend] if isinstance(backend, int) else backend[node.func.id]
+        return function(*(_walk(part, names, backend, text) for part in node.args))
     if isinstance(node, ast.Name):
         return _lookup(node.id, names, backend, text)
     assert isinstance(node, ast.Constant) and isinstance(node.value, int | float)
     return sp.sympify(node.value) if backend == SYMPY else float(node.value)
 
 
-def _lookup(name: str, names: Mapping[str, Any], backend: int, text: str) -> Any:
+def _lookup(name: str, names: Mapping[str, Any], backend: Backend, text: str) -> Any:
     if name in names:
         return names[name]
     if name in CONSTANTS:
-        return CONSTANTS[name][backend]
+        return CONSTANTS[name][backend if isinstance(backend, int) else NUMPY]
     hint = did_you_mean(name, names) or f" Give it a value: formula({text!r}, {name}=Parameter(...))."
     raise ModelError(f"name {name!r} in formula {text!r} is unknown; known are {', '.join(sorted(names))}.{hint}")
 

@@ -211,9 +211,7 @@ def _preference(state: _State) -> tuple[bool, float]:
 def _solve_defects(
     task: _Task, loss: PHSILoss, model: Model, grid: Grid, theta: np.ndarray, l1: dict[str, float]
 ) -> _State:
-    first = starting.first_point(model, grid)
-    scale = starting.theta_scale(model, complete(model, grid), theta, np.nan_to_num(grid.y), first.x_scale)
-    point = replace(first, theta=theta, theta_scale=scale)
+    point = starting.first_point(model, complete(model, grid), theta)
     program = loss.program(model, grid, point, l1)
     solution = solve(program, task.settings, raise_on_failure=False)
     task.say(f"PHSI loss, {len(model.free)} parameters: {solution.outcome}")

@@ -7,9 +7,10 @@ every block. The Hessian is the Gauss-Newton one, J'J of the residuals: it leave
 which is nearly all of the cost of the exact Hessian and little of its use (docs/design.md). No solver is named here.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -148,8 +149,51 @@ class Assembly:
         )  # fmt: skip
 
     def _hessian(self, z: ca.MX, residual: ca.MX, n_constraints: int, parts: list[ca.MX]) -> ca.Function:
-        factor, lam = ca.MX.sym("factor"), ca.MX.sym("lam", n_constraints)
         known = [jacobian(z) for _, jacobian in self._residuals if jacobian is not None]
-        jacobian = ca.vertcat(*known) if len(known) == len(self._residuals) else ca.jacobian(residual, z)
+        if len(known) == len(self._residuals):
+            return _DenseGaussNewton(z, ca.vertcat(*known), n_constraints)
+        factor, lam = ca.MX.sym("factor"), ca.MX.sym("lam", n_constraints)
+        jacobian = ca.jacobian(residual, z)
         hessian = ca.triu(factor * ca.mtimes(jacobian.T, jacobian))
         return ca.Function("gauss_newton", [z, ca.MX(0, 1), factor, lam], [hessian])
+
+
+class _DenseGaussNewton(ca.Callback):
+    """factor J'J (upper triangle) of a Jacobian with few columns, by BLAS; CasADi's own product is 100 times slower."""
+
+    def __init__(self, z: ca.MX, jacobian: ca.MX, n_constraints: int) -> None:
+        ca.Callback.__init__(self)
+        # Structurally empty columns, of slack variables, are left out of the product.
+        self._filled = np.flatnonzero(np.diff(np.array(jacobian.sparsity().colind())) > 0)
+        dense = ca.densify(jacobian[:, self._filled.tolist()])
+        self._n, self._n_constraints = z.numel(), n_constraints
+        made: Any = ca.Function("jacobian", [z], [dense]).buffer()
+        self._buffer, self._evaluate = made
+        self._z, self._columns = np.zeros(self._n), np.zeros((dense.size2(), dense.size1()))
+        for setter, array in ((self._buffer.set_arg, self._z), (self._buffer.set_res, self._columns)):
+            shared: Any = array
+            setter(0, memoryview(shared))
+        filled = np.zeros((self._n, self._n))
+        filled[np.ix_(self._filled, self._filled)] = 1.0
+        self._upper = ca.sparsify(ca.DM(np.triu(filled))).sparsity()
+        self._entries = tuple(np.array(index, dtype=int) for index in self._upper.get_triplet())
+        self.construct("gauss_newton", {})
+
+    def get_n_in(self) -> int:
+        return 4
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense((self._n, 0, 1, self._n_constraints)[i], 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return self._upper
+
+    def eval(self, arg: Sequence[ca.DM]) -> list[ca.DM]:
+        self._z[:] = np.array(arg[0]).ravel()
+        self._evaluate()
+        hessian = np.zeros((self._n, self._n))
+        hessian[np.ix_(self._filled, self._filled)] = float(arg[2]) * (self._columns @ self._columns.T)
+        return [ca.DM(self._upper, hessian[self._entries])]

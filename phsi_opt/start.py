@@ -6,6 +6,7 @@ once the frequency is fixed) solved at every step of the scan.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import casadi as ca
 import cvxpy as cp
@@ -44,19 +45,19 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     return np.where([name in data.measured for name in data.states], np.maximum(guess, CLEANEST * spread), 1.0)
 
 
-def first_point(model: Model, grid: Grid) -> Point:
+def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Point:
     """Measured states interpolated, others zero, with the size of every state taken from the data."""
-    x, scale = np.zeros(grid.y.shape), np.full(model.n_states, np.nan)
+    x, scale, measured = np.nan_to_num(grid.y), np.full(model.n_states, np.nan), grid.measured
+    runs = list(pairwise([*grid.first.tolist(), grid.n_nodes]))
     for k in range(model.n_states):
-        for run in range(grid.trajectory[-1] + 1):
-            node = grid.trajectory == run
-            seen = node & grid.measured[:, k]
-            if seen.any():
+        for begin, end in runs if not measured[:, k].all() else []:
+            node, seen = np.arange(begin, end), begin + np.flatnonzero(measured[begin:end, k])
+            if len(seen):
                 x[node, k] = np.interp(grid.t[node], grid.t[seen], grid.y[seen, k])
-        if grid.measured[:, k].any():
+        if measured[:, k].any():
             spread = np.nanstd(grid.y[:, k])
             scale[k] = spread if spread > 0 else max(abs(float(np.nanmean(grid.y[:, k]))), 1e-12)
-    theta = np.array([model.values[name] for name in model.free])
+    theta = np.array([model.values[name] for name in model.free]) if theta is None else theta
     scale = _unmeasured_scale(model, grid, theta, x, scale)
     return Point(theta, x, theta_scale(model, grid, theta, x, scale), scale)
 
