@@ -126,6 +126,16 @@ def defect_jacobian(model: Model, grid: Grid, scheme: str, only: list[int] | Non
     return ca.Function("jacobian", [x, theta], [ca.reshape(rows, len(chosen), model.n_states * grid.n_intervals).T])
 
 
+def defect_slopes(model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    """dd/dx0 and dd/dx1 of every interval, each (n_intervals, n_states, n_states)."""
+    one, n = defect(model, scheme), model.n_states
+    arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
+    value = one(*arguments)
+    slopes = [ca.vec(ca.densify(ca.jacobian(value, end).T)) for end in arguments[:2]]
+    mapped = _mapped(ca.Function("slopes", arguments, slopes), grid)(*_columns(grid, ca.DM(x.T)), theta)
+    return tuple(np.array(columns).T.reshape(grid.n_intervals, n, n) for columns in mapped)
+
+
 def _mapped(per_interval: ca.Function, grid: Grid) -> ca.Function:
     # theta (the last argument) is one and the same for all intervals.
     return per_interval.map("mapped", "serial", grid.n_intervals, [per_interval.n_in() - 1], [])

@@ -65,6 +65,23 @@ def identify(
     return replace(fit, seconds=time.perf_counter() - began)
 
 
+def identify_forced(
+    model: Model,
+    data: Measurements,
+    loss: PHSILoss,
+    l1: Mapping[str, float] | float | None,
+    pruning: Pruning | None,
+    layout: Callable[[Grid], Grid],
+    start: Fit | None = None,
+) -> Fit:
+    """`identify` with further inputs that the measurements do not hold: ``layout`` adds them to the grid."""
+    task = _Task(model, data, l1_weights(l1), pruning, Settings(), _silent, layout)
+    state = _by_defects(task, loss, start)
+    if not state.solution.outcome.success:
+        raise SolveError(f"The solver failed: {state.solution.outcome}")
+    return state.fit()
+
+
 def loss_methods(loss: Loss) -> Callable[["_Task", Any, Fit | None], "_State"]:
     """How each loss is solved."""
     for kind, method in ((PHSILoss, _by_defects), (MaximumLikelihood, _by_likelihood)):
@@ -104,6 +121,7 @@ class _Task:
     pruning: Pruning | None
     settings: Settings
     say: Progress
+    layout: Callable[[Grid], Grid] = lambda grid: grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +205,7 @@ class _State:
 
 
 def _by_defects(task: _Task, loss: PHSILoss, start: Fit | None) -> _State:
-    grid = grid_of(task.data)
+    grid = task.layout(grid_of(task.data))
     used = complete(task.model, grid)
     model = starting.resolved(task.model, used, np.nan_to_num(used.y))
     thetas = [_from_fit(model, start)] if start else starting.starting_values(model, used, task.l1)
@@ -228,23 +246,25 @@ Solver = Callable[["_State", Model, np.ndarray, dict[str, float]], "_State"]
 
 
 def _pruned(state: _State, solver: Solver) -> _State:
-    """Thresholded re-solves, warm-started, until the support stops changing; the last ones without L1."""
+    """Warm-started re-solves until the support stays: by size with L1, then without it, then by significance."""
     pruning = state.task.pruning
     if pruning is None:
         return state
+    n_tests = len(pruning.candidates(state.model))
     for _ in range(pruning.max_rounds):
-        small = pruning.small(state.model, state.values)
-        if small:
-            model, l1 = state.model.without(small), state.l1
-            if not model.free:
-                raise ModelError(f"pruning with threshold {pruning.threshold:g} removes every term; lower it.")
-        elif pruning.debias and any(state.l1.values()):
-            model, l1 = state.model, {}
-        else:
+        gone, l1 = pruning.small(state.model, state.values), state.l1
+        if not gone and pruning.debias and any(l1.values()):
+            l1 = {}
+        elif not gone and pruning.significance is not None and state.solution.outcome.success:
+            gone = pruning.insignificant(state.model, state.values, state._uncertainty().covariance, n_tests)
+        if not gone and l1 == state.l1:
             break
+        model = state.model.without(gone)
+        if not model.free:
+            raise ModelError(f"{pruning!r} removes every term; lower its threshold, or add terms that the data need.")
         theta = np.array([state.values[name] for name in model.free])
-        gone = (*state.removed, *sorted(small))
-        state = replace(solver(state, model, theta, l1), removed=gone, notes=state.notes)
+        removed = (*state.removed, *sorted(gone))
+        state = replace(solver(state, model, theta, l1), removed=removed, notes=state.notes)
     return state
 
 

@@ -15,7 +15,14 @@ LONGEST_WAIT = 10_000  # evaluations without progress in time, before a simulati
 
 
 def simulate(
-    model: Model, t: Any, x0: Any, u: Any = None, *, hold: str = "linear", method: str = "LSODA"
+    model: Model,
+    t: Any,
+    x0: Any,
+    u: Any = None,
+    *,
+    hold: str = "linear",
+    method: str = "LSODA",
+    force: Callable[[float, np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
     """Solve dx/dt = model(x, u, t) from x0 at t[0]; returns (n_samples, n_states).
 
@@ -25,12 +32,15 @@ def simulate(
         u: (n_samples, n_inputs) inputs at t, or a function of the time; None if the model has no inputs.
         hold: between the samples of u, "linear" or "zero" (zero-order hold).
         method: of `scipy.integrate.solve_ivp`.
+        force: function (t, x) -> (n_states,) that is added to dx/dt, for a force that is not part of the model.
 
     Raises `DataError` for wrong shapes and `SolveError` if the solution cannot be continued.
     """
     t, x0 = _checked_times(t), _checked_start(model, x0)
     pieces = _pieces(t, _inputs(model, t, u), hold)
     f = _right_hand_side(model)
+    if force is not None:
+        f = partial(_with_force, f, force)
     states = np.full((len(t), model.n_states), np.nan)
     states[0] = x0
     atol = ATOL * max(float(np.max(np.abs(x0))), 1e-3)
@@ -123,6 +133,12 @@ def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[tuple[int, int, Callab
 
 def _constant(value: np.ndarray, at: float) -> np.ndarray:
     return value
+
+
+def _with_force(
+    f: Callable[..., np.ndarray], force: Callable[..., np.ndarray], at: float, x: np.ndarray, u: np.ndarray
+) -> np.ndarray:
+    return f(at, x, u) + force(at, x)
 
 
 def _right_hand_side(model: Model) -> Callable[[float, np.ndarray, np.ndarray], np.ndarray]:

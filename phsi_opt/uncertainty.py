@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 from scipy.sparse import bmat, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from phsi_opt.grid import Grid, defect_jacobian, defects
+from phsi_opt.grid import Grid, defect_jacobian, defect_slopes, defects
 from phsi_opt.model import Model
 from phsi_opt.nlp import Program
 from phsi_opt.solver import Solution
@@ -57,23 +58,28 @@ def _without_slacks(program: Program) -> np.ndarray:
 def of_defects(
     model: Model, grid: Grid, scheme: str, theta: np.ndarray, scale: np.ndarray, at_bounds: tuple[str, ...]
 ) -> Uncertainty:
-    """Sandwich covariance of the PHSI loss: neighbouring defects share a noisy sample, so they are not independent."""
-    n = model.n_states
-    jacobian = np.array(defect_jacobian(model, grid, scheme)(grid.y.T, theta)) * scale
-    d = np.array(defects(model, grid, scheme, grid.y.T, theta)).T.ravel()
+    """Sandwich covariance of the PHSI loss: neighbouring defects share a noisy sample, so they are not independent.
+
+    To first order in the noise e of the samples the gradient of the loss is sum_n G_n e_n, where G_n gathers what the
+    two defects at the sample n make of its noise; so its covariance is sum_n G_n Sigma G_n'. Sigma, a variance per
+    state, comes from the sizes of the defects. The bias that noisy states cause is not in it.
+    """
+    n, y = model.n_states, np.nan_to_num(grid.y)
+    jacobian = (np.array(defect_jacobian(model, grid, scheme)(y.T, theta)) * scale).reshape(grid.n_intervals, n, -1)
+    d = np.array(defects(model, grid, scheme, y.T, theta)).T
     held = [i for i, name in enumerate(model.free) if name in at_bounds]
-    scores = (jacobian * d[:, None]).reshape(grid.n_intervals, n, -1).sum(axis=1)
-    neighbours = np.flatnonzero(np.diff(grid.begin) == 1)
-    lagged = scores[neighbours].T @ scores[neighbours + 1]
-    # Bartlett's weight of one half keeps the sum positive; neighbours correlate negatively, so it errs on the safe
-    # side.
-    meat = scores.T @ scores + (lagged + lagged.T) / 2
-    size = np.trace(jacobian.T @ jacobian) / max(len(theta), 1)
-    bread = np.linalg.inv(jacobian.T @ jacobian + RIDGE * size * np.eye(len(theta)))
-    weak, silent = _weak_directions(
-        model, np.linalg.inv(jacobian.T @ jacobian / size + RIDGE * np.eye(len(theta))), held
-    )
-    return Uncertainty(_known(bread @ meat @ bread * np.outer(scale, scale), held + silent), weak)
+    ends = defect_slopes(model, grid, scheme, y, theta)
+    gathered = np.zeros((grid.n_nodes, n, len(theta)))
+    for node, slope in zip((grid.begin, grid.begin + 1), ends, strict=True):
+        np.add.at(gathered, node, np.einsum("ikj,ikp->ijp", slope, jacobian))
+    variance = nnls(sum(np.mean(slope**2, axis=0) for slope in ends), np.mean(d**2, axis=0))[0]
+    weighted = (gathered * np.sqrt(variance)[None, :, None]).reshape(-1, len(theta))
+    flat = jacobian.reshape(-1, len(theta))
+    information = flat.T @ flat
+    size = np.trace(information) / max(len(theta), 1)
+    bread = np.linalg.inv(information + RIDGE * size * np.eye(len(theta)))
+    weak, silent = _weak_directions(model, bread * size, held)
+    return Uncertainty(_known(bread @ (weighted.T @ weighted) @ bread * np.outer(scale, scale), held + silent), weak)
 
 
 def _finished(model: Model, scaled: np.ndarray, scale: np.ndarray, held: list[int]) -> Uncertainty:

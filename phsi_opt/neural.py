@@ -1,0 +1,424 @@
+"""The hybrid: a dictionary for H and R, and a neural network for a force that has no simple formula.
+
+    dx/dt = (S - R) grad H(x) + F(x),    F_k(x) = network(x) in the forced equations k
+
+The dictionary is identified by the solver and the network is trained in torch, in turns, each with the other's latest
+estimate, on one and the same loss: the defects of SRK4. A turn is
+
+1. the program for H and R, with the force of the network as an input at the two stages of every step;
+2. the network on what is left of the forced equations at these stages (Adam);
+3. its last layer once more, exactly, by least squares together with every coefficient of H and R: what the dictionary
+   can explain is shared out as the joint loss wants it, whichever of the two was fitted first.
+
+torch is needed for the training alone; a trained force is a list of matrices.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import sqrt
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pandas as pd
+
+from phsi_opt.errors import ModelError
+from phsi_opt.fit import Fit
+from phsi_opt.grid import Grid, defect_jacobian, defects, grid_of
+from phsi_opt.identified import Identified
+from phsi_opt.identify import identify_forced, matched
+from phsi_opt.losses import PHSILoss, complete
+from phsi_opt.measurements import Measurements
+from phsi_opt.model import Model
+from phsi_opt.pruning import Pruning
+from phsi_opt.simulate import simulate
+from phsi_opt.terms import Dictionary, Parameter, Term
+
+C1, C2 = 0.5 - sqrt(3) / 6, 0.5 + sqrt(3) / 6  # the stages of SRK4
+N_FOLDS = 5
+RIDGES = 10.0 ** np.arange(-9, 1)  # weights that are tried, relative to the size of a feature
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+
+
+@dataclass(frozen=True)
+class NeuralForce:
+    """A force in ``equations`` that depends on the states ``variables`` through a network (None: on all states).
+
+    ``hidden`` are the sizes of its ReLU layers (thesis Section 6.4: three of 100), ``epochs`` those of the first turn;
+    later turns, which begin with a trained network, take a quarter of them. The epoch that is kept, and the weight of
+    the squared output weights in the last layer, are those that predict trajectories best which were left out.
+    """
+
+    equations: tuple[str, ...]
+    variables: tuple[str, ...] | None = None
+    hidden: tuple[int, ...] = (100, 100, 100)
+    epochs: int = 120
+    batch: int = 256
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-4
+
+    def __post_init__(self) -> None:
+        for name in ("equations", "variables"):
+            given = getattr(self, name)
+            if given is not None and (isinstance(given, str) or not given):
+                raise ModelError(f"{name}={given!r} of NeuralForce must be a tuple of states, such as ('p',).")
+        if not self.hidden or any(not isinstance(n, int) or n < 1 for n in self.hidden):
+            raise ModelError(f"hidden={self.hidden!r} of NeuralForce must be sizes of layers, such as (100, 100, 100).")
+        for name in ("epochs", "batch", "learning_rate"):
+            if not getattr(self, name) > 0:
+                raise ModelError(f"{name}={getattr(self, name)!r} of NeuralForce must be a number above zero.")
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedForce:
+    """A trained network: force(x) for states x (n_samples, n_states) is (n_samples, n_equations)."""
+
+    equations: tuple[str, ...]
+    columns: tuple[int, ...]
+    rows: tuple[int, ...]
+    shift: np.ndarray
+    spread: np.ndarray
+    layers: Layers
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        weights, bias = self.layers[-1]
+        return self.features(x) @ weights.T + bias
+
+    def features(self, x: np.ndarray) -> np.ndarray:
+        """Output of the last hidden layer, (n_samples, n_features)."""
+        z = (np.atleast_2d(x)[:, self.columns] - self.shift) / self.spread
+        for weights, bias in self.layers[:-1]:
+            z = np.maximum(z @ weights.T + bias, 0.0)
+        return z
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hybrid(Identified):
+    """Result of `hybrid`: the dictionary part as a `Fit`, the trained force, and a row per turn in ``convergence``.
+
+    The columns of ``convergence``: loss (mean squared defect), coefficient_change (largest change of a coefficient,
+    relative to the largest of its slot), force_change (root mean square, relative to the force), n_terms.
+    """
+
+    fit: Fit
+    force: TrainedForce
+    convergence: pd.DataFrame
+    converged: bool
+
+    @property
+    def loss_value(self) -> float:
+        """Mean squared defect with the force."""
+        return float(self.convergence["loss"].iloc[-1])
+
+    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
+        """States (n_samples, n_states) from x0 at t[0], with the force of the network."""
+        return simulate(self.model, t, x0, u, hold=self.hold, force=self._added)
+
+    def without_force(self) -> Fit:
+        """The dictionary alone: the system with the outside force switched off."""
+        return replace(self.fit, model=self.model)
+
+    def equations(self) -> list[str]:
+        """The right-hand sides; the network appears by its name."""
+        names = [self.model.states[i] for i in self.force.columns]
+        rows = super().equations()
+        for row in self.force.rows:
+            rows[row] += f" + network_{self.model.states[row]}({', '.join(names)})"
+        return rows
+
+    def distilled(self, data: Measurements, knots: int = 12) -> dict[str, Dictionary]:
+        """The force as a dictionary of smooth hinges, for a network of one variable: then all is one program.
+
+        F(v) = c + a v + sum_k b_k sqrt((v - v_k)^2 + w^2), knots v_k at quantiles of the visited values, w half their
+        median distance, coefficients by least squares over the data. Raises `ModelError` for more than one variable.
+        """
+        if len(self.force.columns) != 1:
+            raise ModelError(
+                f"the network depends on {len(self.force.columns)} variables; only a force of one can be distilled. "
+                "Give NeuralForce(variables=...) one state."
+            )
+        column = self.force.columns[0]
+        x = np.concatenate([run.x for run in matched(self.model, data).trajectories])
+        visited, name = x[:, column], self.model.states[column]
+        at = np.unique(np.round(np.quantile(visited, np.linspace(0.0, 1.0, knots + 2)[1:-1]), 6))
+        width = round(float(np.median(np.diff(at))) / 2, 6) if len(at) > 1 else 1.0
+        bodies = ["1", name, *[f"sqrt(({name} - {v!r})**2 + {width!r}**2)" for v in at.tolist()]]
+        grid = np.column_stack([np.ones_like(visited), visited] + [np.sqrt((visited - v) ** 2 + width**2) for v in at])
+        size = np.sqrt(np.mean(grid**2, axis=0))
+        found = np.linalg.lstsq(grid / size, self.force(x), rcond=1e-10)[0] / size[:, None]
+        return {
+            equation: Dictionary(tuple(Term(b, Parameter(float(c))) for b, c in zip(bodies, found[:, k], strict=True)))
+            for k, equation in enumerate(self.force.equations)
+        }
+
+    def _added(self, t: float, x: np.ndarray) -> np.ndarray:
+        total = np.zeros(self.model.n_states)
+        total[list(self.force.rows)] = self.force(x)[0]
+        return total
+
+
+def hybrid(
+    model: Model,
+    data: Measurements,
+    force: NeuralForce,
+    l1: dict[str, float] | float | None = None,
+    pruning: Pruning | None = None,
+    *,
+    seed: int = 0,
+    max_turns: int = 20,
+    tolerance: float = 1e-3,
+    progress: Callable[[str], None] | None = None,
+) -> Hybrid:
+    """Identify the dictionary of ``model`` and train a neural force beside it, in turns until neither moves.
+
+    ``model`` holds what is known or to be found by name; the force of the network is added in ``force.equations``.
+    Terms are pruned from the third turn on, when the network has taken its part. Stops when the coefficients move by
+    less than ``tolerance`` (relative) and the force by less than ten times that, or after ``max_turns``.
+    """
+    began = time.perf_counter()
+    say = progress or (lambda line: None)
+    data = matched(model, data)
+    work = _Work.of(model, data, force, seed)
+    current, fit, turns, last_force = model, None, [], np.zeros((work.grid.n_intervals, 2, len(work.rows)))
+    trained = None
+    for turn in range(max_turns):
+        prune = pruning if turn >= 2 else None
+        fit = identify_forced(work.forced(current), data, PHSILoss(), l1, prune, work.layout(last_force), start=fit)
+        before, current = current, work.unforced(fit.model)
+        stages, target = work.stages(fit, last_force)
+        epochs = force.epochs if trained is None else max(force.epochs // 4, 1)
+        trained = work.train(trained, stages, target, epochs, force.learning_rate * 0.8**turn)
+        trained = work.last_layer(trained, fit, stages, target)
+        new_force = np.stack([trained(stages[:, k]) for k in (0, 1)], axis=1)
+        row = work.turn(fit, before, current, last_force, new_force)
+        turns.append({"turn": turn + 1, **row})
+        say(", ".join(f"{key} {value:.4g}" for key, value in turns[-1].items()))
+        last_force = new_force
+        still = row["coefficient_change"] < tolerance and row["force_change"] < 10 * tolerance
+        if still and turn > (2 if pruning else 0):
+            break
+    assert fit is not None and trained is not None
+    return Hybrid(
+        model=current, hold=data.hold, seconds=time.perf_counter() - began, removed=fit.removed, fit=fit, force=trained,
+        convergence=pd.DataFrame(turns), converged=still,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """What stays the same in all turns."""
+
+    model: Model
+    grid: Grid
+    settings: NeuralForce
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+    seed: int
+
+    @staticmethod
+    def of(model: Model, data: Measurements, force: NeuralForce, seed: int) -> "_Work":
+        rows = tuple(model.index(name, "equation of NeuralForce") for name in force.equations)
+        variables = model.states if force.variables is None else force.variables
+        columns = tuple(model.index(name, "variable of NeuralForce") for name in variables)
+        return _Work(model, complete(model, grid_of(data)), force, rows, columns, seed)
+
+    @property
+    def signals(self) -> list[str]:
+        return [f"network_{self.model.states[row]}" for row in self.rows]
+
+    def forced(self, model: Model) -> Model:
+        """The model with the network's force as an input."""
+        added = {
+            self.model.states[row]: Dictionary((*model.F.get(self.model.states[row], Dictionary()), Term(signal)))
+            for row, signal in zip(self.rows, self.signals, strict=True)
+        }
+        return replace(model, inputs=(*model.inputs, *self.signals), F={**model.F, **added})
+
+    def unforced(self, model: Model) -> Model:
+        """The inverse of `forced`, with the values found."""
+        kept = {
+            equation: Dictionary(tuple(term for term in terms if term.body not in self.signals))
+            for equation, terms in model.F.items()
+        }
+        return replace(model, inputs=self.model.inputs, F={name: terms for name, terms in kept.items() if len(terms)})
+
+    def with_force(self, force: np.ndarray) -> Grid:
+        """The grid with the force as inputs whose straight line passes through its values at the two stages."""
+        slope = (force[:, 1] - force[:, 0]) / (C2 - C1)
+        begin = force[:, 0] - C1 * slope
+        at_nodes = np.zeros((self.grid.n_nodes, len(self.rows)))
+        at_nodes[self.grid.begin] = begin
+        return replace(
+            self.grid,
+            u0=np.hstack([self.grid.u0, begin]),
+            u1=np.hstack([self.grid.u1, begin + slope]),
+            u=np.hstack([self.grid.u, at_nodes]),
+        )
+
+    def layout(self, force: np.ndarray) -> Callable[[Grid], Grid]:
+        """How `identify_forced` lays out the measurements."""
+        return lambda grid: self.with_force(force)
+
+    def stages(self, fit: Fit, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outer stages (n_intervals, 2, n_states) of SRK4 and what the force must add there on average."""
+        grid, model = self.with_force(force), self.forced(self.unforced(fit.model))
+        rhs, theta = model.rhs(), [model.values[name] for name in model.free]
+        x0, x1, h = grid.y[grid.begin].T, grid.y[grid.begin + 1].T, grid.h[None, :]
+        t0 = grid.t[grid.begin][None, :]
+
+        def g(x: np.ndarray, c: float) -> np.ndarray:
+            u = (grid.u0 + c * (grid.u1 - grid.u0)).T
+            columns = rhs.map(grid.n_intervals)(x, u, t0 + c * h, ca.repmat(ca.DM(theta), 1, grid.n_intervals))
+            return np.array(columns)
+
+        middle, reach = (x0 + x1) / 2, sqrt(3) / 6 * h
+        first = middle - reach * g(C1 * x0 + C2 * x1, C2)
+        second = middle + reach * g(C2 * x0 + C1 * x1, C1)
+        explained = (g(first, C1) + g(second, C2)) / 2
+        left = ((x1 - x0) / h - explained).T[:, list(self.rows)]
+        return np.stack([first.T, second.T], axis=1), left + force.mean(axis=1)
+
+    def train(
+        self, before: TrainedForce | None, stages: np.ndarray, target: np.ndarray, epochs: int, rate: float
+    ) -> TrainedForce:
+        """Adam on the mean squared difference between the force's average over the two stages and the target."""
+        try:
+            import torch
+        except ImportError:
+            raise ModelError("a neural force needs torch: pip install 'phsi_opt[neural]'.") from None
+
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)  # more threads change the order of sums, and so the last bits
+        try:
+            made = torch.Generator().manual_seed(self.seed)
+            points = stages[:, :, self.columns]
+            shift, spread = points.mean(axis=(0, 1)), np.maximum(points.std(axis=(0, 1)), 1e-12)
+            if before is not None:
+                shift, spread = before.shift, before.spread
+            size = np.maximum(np.sqrt(np.mean(target**2, axis=0)), 1e-12)
+            z, y = torch.tensor((points - shift) / spread), torch.tensor(target / size)
+            sizes = [len(self.columns), *self.settings.hidden, len(self.rows)]
+            layers = _first_layers(sizes, made) if before is None else _torch_layers(before, size)
+            parameters = [p for layer in layers for p in layer]
+            optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=self.settings.weight_decay)
+            fold = torch.tensor(self.folds())
+            used, left_out = torch.nonzero(fold != 0).ravel(), torch.nonzero(fold == 0).ravel()
+            steps = epochs * -(-len(used) // self.settings.batch)
+            schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+            best, arrays = np.inf, _arrays(layers)
+            for _ in range(epochs):
+                for chosen in used[torch.randperm(len(used), generator=made)].split(self.settings.batch):
+                    optimiser.zero_grad()
+                    loss = torch.mean((_forward(layers, z[chosen]).mean(dim=1) - y[chosen]) ** 2)
+                    loss.backward()
+                    optimiser.step()
+                    schedule.step()
+                with torch.no_grad():
+                    error = float(torch.mean((_forward(layers, z[left_out]).mean(dim=1) - y[left_out]) ** 2))
+                if error < best:
+                    best, arrays = error, _arrays(layers)
+        finally:
+            torch.set_num_threads(threads)
+        weights, bias = arrays[-1]
+        arrays[-1] = (weights * size[:, None], bias * size)
+        return TrainedForce(self.settings.equations, self.columns, self.rows, shift, spread, tuple(arrays))
+
+    def last_layer(self, trained: TrainedForce, fit: Fit, stages: np.ndarray, target: np.ndarray) -> TrainedForce:
+        """Output weights by least squares over all defects, together with a step of every coefficient of H and R."""
+        n_rows, n_out = self.grid.n_intervals, len(self.rows)
+        force = np.stack([trained(stages[:, k]) for k in (0, 1)], axis=1)
+        model = self.forced(self.unforced(fit.model))
+        grid, theta = self.with_force(force), np.array([model.values[name] for name in model.free])
+        jacobian = np.array(defect_jacobian(model, grid, "srk4")(grid.y.T, theta)).reshape(n_rows, -1, len(theta))
+        d = np.array(defects(model, grid, "srk4", grid.y.T, theta)).T
+        features = np.mean([trained.features(stages[:, k]) for k in (0, 1)], axis=0)
+        features = np.hstack([features, np.ones((n_rows, 1))])
+        d[:, list(self.rows)] = target  # without the force
+        n_theta, n_features = len(theta), features.shape[1]
+        whole = np.zeros((n_rows, d.shape[1], n_theta + n_out * n_features))
+        whole[:, :, :n_theta] = jacobian
+        for k, row in enumerate(self.rows):
+            whole[:, row, n_theta + k * n_features : n_theta + (k + 1) * n_features] = -features
+        step = _cross_validated(whole, d, self.folds(), np.arange(whole.shape[2]) >= n_theta)
+        output = step[n_theta:].reshape(n_out, n_features)
+        return replace(trained, layers=(*trained.layers[:-1], (output[:, :-1], output[:, -1])))
+
+    def folds(self) -> np.ndarray:
+        """Number of the fold of every interval: whole trajectories, or blocks where there are fewer than `N_FOLDS`."""
+        trajectory = self.grid.trajectory[self.grid.begin]
+        n = int(trajectory[-1]) + 1
+        return trajectory % N_FOLDS if n >= N_FOLDS else np.arange(len(trajectory)) * N_FOLDS // len(trajectory)
+
+    def turn(
+        self, fit: Fit, before: Model, after: Model, old_force: np.ndarray, new_force: np.ndarray
+    ) -> dict[str, float]:
+        """A row of the table of convergence."""
+        model, grid = self.forced(after), self.with_force(new_force)
+        theta = [model.values[name] for name in model.free]
+        d = np.array(defects(model, grid, "srk4", grid.y.T, theta))
+        change = 0.0
+        for slot in ("H", "R", "F"):
+            names = [name for name, entry in before.entries.items() if entry.slot == slot]
+            now = np.array([after.values.get(name, 0.0) for name in names])
+            moved = np.abs(now - np.array([before.values[name] for name in names]))
+            change = max(change, float(np.max(moved, initial=0.0) / max(np.max(np.abs(now), initial=0.0), 1e-12)))
+        size = max(float(np.sqrt(np.mean(new_force**2))), 1e-12)
+        return {
+            "loss": float(np.mean(np.sum(d**2, axis=0))),
+            "coefficient_change": change,
+            "force_change": float(np.sqrt(np.mean((new_force - old_force) ** 2))) / size,
+            "n_terms": len(after.free),
+        }
+
+
+def _cross_validated(whole: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray) -> np.ndarray:
+    """argmin |d + whole z|^2 + weight |z_ridged|^2 with the weight that predicts left-out folds best."""
+    parts = []
+    for fold in range(N_FOLDS):
+        A, b = whole[folds == fold].reshape(-1, whole.shape[2]), d[folds == fold].ravel()
+        parts.append((A.T @ A, A.T @ b, b @ b))
+    normal, right = sum(p[0] for p in parts), sum(p[1] for p in parts)
+    size = float(np.mean(np.diag(normal)[ridged]))
+
+    def solved(weight: float, N: np.ndarray, r: np.ndarray) -> np.ndarray:
+        return np.linalg.lstsq(N + np.diag(weight * size * ridged), -r, rcond=1e-12)[0]
+
+    def left_out(weight: float) -> float:
+        error = 0.0
+        for N, r, square in parts:
+            z = solved(weight, normal - N, right - r)
+            error += float(z @ N @ z + 2 * z @ r + square)
+        return error
+
+    return solved(min(RIDGES, key=left_out), normal, right)
+
+
+def _arrays(layers: list[tuple[Any, Any]]) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(w.detach().numpy().copy(), b.detach().numpy().copy()) for w, b in layers]
+
+
+def _first_layers(sizes: list[int], made: Any) -> list[tuple[Any, Any]]:
+    import torch
+
+    layers = []
+    for n_in, n_out in pairwise(sizes):
+        bound = 1 / sqrt(n_in)
+        w, b = (bound * (2 * torch.rand(s, generator=made, dtype=torch.float64) - 1) for s in ((n_out, n_in), (n_out,)))
+        layers.append((w.requires_grad_(), b.requires_grad_()))
+    return layers
+
+
+def _torch_layers(trained: TrainedForce, size: np.ndarray) -> list[tuple[Any, Any]]:
+    import torch
+
+    arrays = [*trained.layers[:-1], (trained.layers[-1][0] / size[:, None], trained.layers[-1][1] / size)]
+    return [(torch.tensor(w).requires_grad_(), torch.tensor(b).requires_grad_()) for w, b in arrays]
+
+
+def _forward(layers: list[tuple[Any, Any]], z: Any) -> Any:
+    for w, b in layers[:-1]:
+        z = (z @ w.T + b).relu()
+    w, b = layers[-1]
+    return z @ w.T + b
