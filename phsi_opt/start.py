@@ -5,6 +5,7 @@ to its global optimum. A frequency is a needle that no local solver finds: it is
 once the frequency is fixed) solved at every step of the scan.
 """
 
+import warnings
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ import cvxpy as cp
 import numpy as np
 
 from phsi_opt.errors import DataError
+from phsi_opt.expressions import names_of
 from phsi_opt.grid import Grid, defect_jacobian, defects
 from phsi_opt.losses import Point, complete, rate_size
 from phsi_opt.measurements import Measurements
@@ -208,9 +210,11 @@ def convex(
     objective = cp.sum_squares(r @ z - q.T @ b) + cp.sum(cp.multiply(lam * scale, cp.abs(z)))
     limits = [(z[i] >= e.parameter.lower / scale[i]) for i, e in enumerate(entries) if np.isfinite(e.parameter.lower)]
     limits += [(z[i] <= e.parameter.upper / scale[i]) for i, e in enumerate(entries) if np.isfinite(e.parameter.upper)]
-    cp.Problem(cp.Minimize(objective), limits).solve(
-        solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
-    )
+    with warnings.catch_warnings():  # a start need not be accurate to the last digit
+        warnings.simplefilter("ignore", UserWarning)
+        cp.Problem(cp.Minimize(objective), limits).solve(
+            solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
+        )
     result = theta.copy()
     if z.value is not None and np.all(np.isfinite(z.value)):
         bounds = np.array([(e.parameter.lower, e.parameter.upper) for e in entries])
@@ -248,12 +252,17 @@ def _candidate_frequencies(
     amplitudes: list[str],
     variable: str,
 ) -> list[float]:
-    """Peaks of two scans: beside all other terms, and beside those of H and R alone.
+    """Peaks of two scans: beside all other terms, and beside those alone that do not contain the variable.
 
     Over a short record a polynomial in the time imitates a slow wave, so beside it only fast waves stand out.
     """
     beside_all = [i for group in groups for i in group]
-    inner = [i for i in beside_all if model.entries[model.free[i]].slot != "F"]
+    along = {
+        term.coefficient_name(place_of(slot, equation))
+        for slot, equation, term in model.placed()
+        if slot == "F" and variable in names_of(term.body)
+    }
+    inner = [i for i in beside_all if model.free[i] not in along]
     found = []
     for others in [beside_all] if inner == beside_all else [inner, beside_all]:
         found += _best_frequencies(model, grid, theta, others, name, amplitudes, variable)[: N_STARTS - 1]
@@ -272,7 +281,7 @@ def _best_frequencies(
     own = [order.index(a) for a in amplitudes]
     others = [i for i in beside if i not in own]
     start = theta.copy()
-    start[[i for i, n in enumerate(order) if model.entries[n].slot == "F" and i not in others]] = 0.0
+    start[[i for i, n in enumerate(order) if model.entries[n].prunable and i not in others]] = 0.0
     d = np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), start)).T.ravel()
     base = np.array(defect_jacobian(model, grid, SCHEME)(grid.y.T, start))[:, others]
     keep, _ = np.linalg.qr(base) if others else (np.zeros((len(d), 0)), None)

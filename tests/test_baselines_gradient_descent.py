@@ -14,21 +14,11 @@ import torch
 from thesis.systems import SYSTEMS
 
 import phsi_opt as ph
-from phsi_opt.baselines.gradient_descent import (
-    DTYPES,
-    Adam,
-    Basis,
-    Descent,
-    DictionaryDynamics,
-    HybridBaseline,
-    NeuralForce,
-    Steps,
-    gradient_descent,
-    monomial,
-    one_thread,
-    starting_values,
-)
+from phsi_opt.baselines.descent_settings import DTYPES
+from phsi_opt.baselines.gradient_descent import Descent, HybridBaseline, JointForce, gradient_descent, starting_values
 from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.torch_dictionary import Basis, DictionaryDynamics, monomial
+from phsi_opt.baselines.torch_steps import Adam, Steps, one_thread
 from phsi_opt.grid import defects, grid_of
 from phsi_opt.integrators import INTEGRATORS
 from phsi_opt.losses import complete
@@ -146,7 +136,7 @@ def test_the_gradient_is_that_of_finite_differences(kind: str, scheme: str) -> N
 
 def test_the_gradient_of_a_neural_force_is_that_of_finite_differences() -> None:
     model = at_random(first_order())
-    force = NeuralForce(("q", "p"), ("q", "u", "t"), hidden=(5, 4), penalty=0.3)
+    force = JointForce(("q", "p"), ("q", "u", "t"), hidden=(5, 4), penalty=0.3)
     dynamics = DictionaryDynamics(model, torch.float64, force)
     steps = Steps(complete(model, grid_of(record())), "srk4", dynamics, torch.float64)
     assert dynamics.network is not None
@@ -227,6 +217,34 @@ def test_a_pruned_coefficient_stays_at_zero() -> None:
     assert n_terms == sorted(n_terms, reverse=True) and n_terms[0] == 34 > n_terms[-1]
     assert not set(fit.removed) & set(fit.values)
     assert len(lines) == 12 and "terms" in lines[-1]
+
+
+def test_pruning_waits_for_its_first_epoch() -> None:
+    data, settings = henon_data(n=100), replace(FAST, epochs=6, prune_every=2, threshold=0.15)
+    early, late = (
+        gradient_descent(HENON.model(), data, replace(settings, prune_from=first)).history["n_terms"].tolist()
+        for first in (None, 5)
+    )
+    assert early[1] < 34
+    assert late[:5] == [34] * 5 and late[5] < 34
+
+
+def test_the_rate_falls_along_a_cosine() -> None:
+    settings = Descent(learning_rate=2.0, epochs=4, decay="cosine")
+    assert [settings.rate(epoch) for epoch in (1, 3)] == pytest.approx([2.0, 1.0], rel=1e-14)
+    assert settings.rate(4) == pytest.approx(1 + np.cos(0.75 * np.pi), rel=1e-14)
+    assert replace(settings, decay="none").rate(4) == 2.0
+
+
+def test_a_relative_rate_scales_the_step() -> None:
+    def moved(relative: torch.Tensor | None, rate: float) -> torch.Tensor:
+        adam = Adam(torch.ones(2, dtype=torch.float64).requires_grad_(), relative=relative)
+        for _ in range(3):
+            adam.step(torch.tensor([1.0, 2.0], dtype=torch.float64), rate)
+        return adam.raw
+
+    both = moved(torch.tensor([1.0, 0.1], dtype=torch.float64), 0.01)
+    np.testing.assert_allclose(both, [moved(None, 0.01)[0], moved(None, 0.001)[1]], rtol=1e-12)
 
 
 def test_a_held_parameter_does_not_move_even_with_momentum() -> None:
@@ -329,7 +347,7 @@ def hybrid() -> HybridBaseline:
     model = ph.PseudoHamiltonian(
         states=["q", "p"], S=ph.canonical(1), H=ph.formula("k*q**2/2 + p**2/2", k=Parameter(0.5))
     )
-    force = NeuralForce(("p",), ("p",), hidden=(20, 20), first="tanh")
+    force = JointForce(("p",), ("p",), hidden=(20, 20), first="tanh")
     fit = gradient_descent(model, data, Descent(learning_rate=5e-3, epochs=15), force=force)
     assert isinstance(fit, HybridBaseline)
     return fit
@@ -341,6 +359,18 @@ def test_the_network_learns_the_force_beside_the_dictionary(hybrid: HybridBaseli
     assert force.shape == (41, 1)
     assert np.sqrt(np.mean((force[:, 0] + 0.5 * np.tanh(3 * v)) ** 2)) < 0.1  # a fifth of the force, after 450 steps
     assert hybrid.values["k"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_force_has_a_learning_rate_of_its_own() -> None:
+    force = JointForce(("p",), ("p",), hidden=(4,))
+    start, slow, fast = (
+        gradient_descent(MODELS["only monomials"](), record(), Descent(epochs=1, force_rate=rate), force=force)
+        for rate in (1e-12, 1e-4, None)
+    )
+    assert all(isinstance(fit, HybridBaseline) for fit in (start, slow, fast))
+    weights = [np.concatenate([w.ravel() for w, _ in fit.layers]) for fit in (start, slow, fast)]  # type: ignore[attr-defined]
+    near, far = (np.abs(w - weights[0]).max() for w in weights[1:])
+    assert near <= 1.01e-4 < 1e-3 < far  # one step of Adam is at most its rate
 
 
 def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -> None:
@@ -363,6 +393,9 @@ def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -
         ({"epochs": 0}, "epochs=0 .* whole number of at least 1"),
         ({"batch": 2.5}, "batch=2.5"),
         ({"prune_every": 0}, "prune_every=0 .* or None"),
+        ({"prune_from": 0}, "prune_from=0 .* or None"),
+        ({"decay": "cosinus"}, "decay='cosinus'.*Did you mean 'cosine'"),
+        ({"force_rate": 0.0}, "force_rate=0.0 .* a number above 0, or None"),
         ({"threshold": -1.0}, r"threshold=-1.0"),
         ({"prune_slots": ("H", "G")}, "prune_slots=.*'H', 'R' and 'F'"),
         ({"weight_decay": -0.1}, "weight_decay=-0.1"),
@@ -391,7 +424,7 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], messa
 )
 def test_a_force_that_makes_no_sense_is_refused(force: dict[str, Any], message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
-        gradient_descent(first_order(), record(), Descent(epochs=1), force=NeuralForce(**force))
+        gradient_descent(first_order(), record(), Descent(epochs=1), force=JointForce(**force))
 
 
 def test_a_descent_that_diverges_says_what_to_do() -> None:

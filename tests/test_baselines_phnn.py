@@ -11,9 +11,10 @@ from scipy.optimize import approx_fprime
 from thesis.systems import SYSTEMS
 
 import phsi_opt as ph
-from phsi_opt.baselines.gradient_descent import NeuralForce, Steps, one_thread
+from phsi_opt.baselines.gradient_descent import JointForce
 from phsi_opt.baselines.phnn import PHNN, NetworkDescent, _NetworkDynamics, phnn
 from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.torch_steps import Steps, one_thread
 from phsi_opt.grid import grid_of
 from phsi_opt.integrators import integrator
 
@@ -40,7 +41,7 @@ def trained() -> PHNN:
 
 def test_the_gradient_of_the_loss_is_that_of_finite_differences() -> None:
     record = data(1)
-    neural = NeuralForce(("p",), ("q", "t"), hidden=(4, 3))
+    neural = JointForce(("p",), ("q", "t"), hidden=(4, 3))
     structured = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q"], 1))
     dynamics = _NetworkDynamics(structured, ("p",), NetworkDescent(hidden=(5, 4, 3)), neural, torch.float64)
     steps = Steps(grid_of(record), "srk4", dynamics, torch.float64)

@@ -14,24 +14,10 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.gradient_descent import (
-    DTYPES,
-    Adam,
-    Network,
-    NeuralForce,
-    Progress,
-    Steps,
-    check_descent,
-    descend,
-    input_of,
-    integrated,
-    is_count,
-    is_size,
-    network_values,
-    one_thread,
-    relu_network,
-    require,
-)
+from phsi_opt.baselines.descent_settings import DTYPES, JointForce, check_descent, is_count, is_size, require
+from phsi_opt.baselines.network_simulation import input_of, integrated, network_values
+from phsi_opt.baselines.torch_dictionary import Network, relu_network
+from phsi_opt.baselines.torch_steps import Adam, Progress, Steps, descend, one_thread
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.grid import grid_of
 from phsi_opt.losses import complete
@@ -90,7 +76,7 @@ class PHNN:
     damping: dict[str, float]
     energy_layers: Layers
     force_layers: Layers = ()
-    neural: NeuralForce | None = None
+    neural: JointForce | None = None
     hold: str = "linear"
     seconds: float = float("nan")
     loss_value: float = float("nan")
@@ -195,7 +181,7 @@ def phnn(
     began = time.perf_counter()
     settings = settings or NetworkDescent()
     model = Model(states=data.states, inputs=data.inputs, S=S)
-    neural = None if force is None else NeuralForce(tuple(force[0]), tuple(force[1]), settings.force_hidden)
+    neural = None if force is None else JointForce(tuple(force[0]), tuple(force[1]), settings.force_hidden)
     grid = complete(model, grid_of(data))
     with one_thread():
         dtype = DTYPES[settings.dtype]
@@ -223,7 +209,7 @@ class _NetworkDynamics:
     """The right-hand side in torch; the flat vector holds the diagonal of R, the weights of H, then those of F."""
 
     def __init__(
-        self, model: Model, damping: tuple[str, ...], settings: NetworkDescent, neural: NeuralForce | None,
+        self, model: Model, damping: tuple[str, ...], settings: NetworkDescent, neural: JointForce | None,
         dtype: torch.dtype,
     ) -> None:  # fmt: skip
         n, self.dtype = model.n_states, dtype
@@ -237,7 +223,7 @@ class _NetworkDynamics:
         if neural is not None:
             self._place(model, neural)
 
-    def _place(self, model: Model, neural: NeuralForce) -> None:
+    def _place(self, model: Model, neural: JointForce) -> None:
         around = (*model.inputs, "t")
         for name in neural.variables:
             if name not in (*model.states, *around):

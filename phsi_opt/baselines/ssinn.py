@@ -14,22 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.gradient_descent import (
-    DTYPES,
-    Adam,
-    Basis,
-    Progress,
-    check_descent,
-    combination,
-    descend,
-    is_count,
-    is_size,
-    lowered,
-    monomial,
-    one_thread,
-    require,
-)
+from phsi_opt.baselines.descent_settings import DTYPES, check_descent, is_count, is_size, require
 from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.torch_dictionary import Basis, combination, lowered, monomial
+from phsi_opt.baselines.torch_steps import Adam, Progress, descend, one_thread
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.grid import grid_of
 from phsi_opt.losses import complete
