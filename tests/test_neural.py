@@ -1,0 +1,119 @@
+"""A neural force in turns with the solver."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+from phsi_opt.neural import Hybrid, NeuralForce, hybrid
+
+SMALL = NeuralForce(("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3)
+
+
+def outside(q: np.ndarray) -> np.ndarray:
+    return -np.clip(2 * q, -0.8, 0.8)
+
+
+def data(forced: bool = True, noise: float = 0.0, seed: int = 0) -> ph.Measurements:
+    """q' = p, p' = -2 q - 0.2 p + F(q): only R and the p^2 of H are free of the force."""
+    rng, t = np.random.default_rng(seed), np.linspace(0.0, 4.0, 41)
+
+    def f(at: float, x: np.ndarray) -> list[float]:
+        return [x[1], -2.0 * x[0] - 0.2 * x[1] + (outside(x[0]) if forced else 0.0)]
+
+    runs = [
+        solve_ivp(f, (0, 4), rng.uniform(-2, 2, 2), "LSODA", t, rtol=1e-10, atol=1e-10, max_step=0.05).y.T
+        for _ in range(10)
+    ]
+    return ph.Measurements.from_arrays(
+        [t] * 10, [x + noise * rng.normal(size=x.shape) for x in runs], states=["q", "p"]
+    )
+
+
+def model(stiffness: bool = False) -> ph.PseudoHamiltonian:
+    """With the stiffness known unless ``stiffness``: a network of q and a spring cannot be told apart."""
+    H = ph.polynomials(["q", "p"], degree=3) if stiffness else ph.formula("q**2") + ph.polynomials(["p"], degree=3)
+    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=H, R=ph.damping("p"))
+
+
+@pytest.fixture(scope="module")
+def found() -> Hybrid:
+    return hybrid(model(), data(), SMALL, pruning=ph.Pruning(0.05))
+
+
+def test_the_dictionary_and_the_force_are_both_found(found: Hybrid) -> None:
+    assert set(found.model.free) == {"H[p**2]", "R_p"}
+    assert found.values["H[p**2]"] == pytest.approx(0.5, rel=2e-3)
+    assert found.values["R_p"] == pytest.approx(0.2, rel=2e-2)
+    q = np.linspace(-1.5, 1.5, 31)
+    error = found.force(np.column_stack([q, 0 * q]))[:, 0] - outside(q)
+    assert np.sqrt(np.mean(error**2)) < 0.05 * 1.6
+
+
+def test_the_turns_end_when_neither_moves(found: Hybrid) -> None:
+    table = found.convergence
+    assert found.converged and len(table) < 20
+    assert table["loss"].iloc[-1] <= 1.01 * table["loss"].min()
+    assert table["coefficient_change"].iloc[-1] < 1e-3 < table["coefficient_change"].iloc[0]
+
+
+def test_the_force_can_be_switched_off(found: Hybrid) -> None:
+    t, x0 = np.linspace(0, 8, 41), np.array([1.5, 0.0])
+    with_force = solve_ivp(lambda s, x: [x[1], -2 * x[0] - 0.2 * x[1] + outside(x[0])], (0, 8), x0, "LSODA", t).y.T
+    without = solve_ivp(lambda s, x: [x[1], -2 * x[0] - 0.2 * x[1]], (0, 8), x0, "LSODA", t).y.T
+    assert np.abs(found.simulate(t, x0) - with_force).max() < 0.15
+    assert np.abs(found.without_force().simulate(t, x0) - without).max() < 0.05
+    assert np.abs(with_force - without).max() > 0.5
+
+
+def test_without_an_outside_force_the_network_takes_nothing() -> None:
+    clean = hybrid(model(), data(forced=False), SMALL)
+    assert clean.values["R_p"] == pytest.approx(0.2, rel=1e-3)
+    x = np.concatenate([run.x for run in data(forced=False).trajectories])
+    assert np.sqrt(np.mean(clean.force(x) ** 2)) < 1e-2
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
+    few = NeuralForce(("p",), ("q",), hidden=(8,), epochs=4)
+    a, b, c = (hybrid(model(), data(), few, seed=seed, max_turns=2) for seed in (3, 3, 4))
+    assert a.values == b.values and all(
+        np.array_equal(u, v)
+        for x, y in zip(a.force.layers, b.force.layers, strict=True)
+        for u, v in zip(x, y, strict=True)
+    )
+    assert a.values != c.values
+
+
+def test_a_force_of_one_variable_becomes_a_dictionary_of_hinges(found: Hybrid) -> None:
+    terms = found.distilled(data(), knots=12)
+    assert list(terms) == ["p"]
+    distilled = ph.FirstOrder(["q", "p"], {"p": terms["p"]})
+    q = np.linspace(-1, 1, 21)
+    values = [float(distilled.rhs()([v, 0.0], [], 0.0, [distilled.values[n] for n in distilled.free])[1]) for v in q]
+    assert np.abs(np.array(values) - found.force(np.column_stack([q, 0 * q]))[:, 0]).max() < 0.15
+
+
+def test_equations_name_the_network(found: Hybrid) -> None:
+    assert found.equations()[1].endswith("+ network_p(q)")
+    assert "network" not in found.without_force().equations()[1]
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda: NeuralForce("p"), "tuple of states"),  # type: ignore[arg-type]
+        (lambda: NeuralForce(("p",), hidden=()), "sizes of layers"),
+        (lambda: NeuralForce(("p",), epochs=0), "above zero"),
+        (lambda: hybrid(model(), data(), NeuralForce(("velocity",))), "'velocity' is not a state"),
+        (lambda: hybrid(model(), data(), NeuralForce(("p",), ("z",))), "'z' is not a state"),
+    ],
+)
+def test_bad_settings_are_refused(made, message: str) -> None:
+    with pytest.raises(ph.ModelError, match=message):
+        made()
+
+
+def test_a_force_of_several_variables_is_not_distilled() -> None:
+    both = hybrid(model(), data(), NeuralForce(("p",), hidden=(8,), epochs=2), max_turns=1)
+    with pytest.raises(ph.ModelError, match="2 variables"):
+        both.distilled(data())
