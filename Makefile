@@ -6,7 +6,7 @@ PY := $(VENV)/bin/python
 CONSTRAINTS := .ci/constraints.txt
 EXTRAS := neural,baselines,app,distributed,dev
 PIP_INSTALL := -m pip install -qq
-# More arguments for pytest, e.g. `make test ARGS='-m "not slow"'`.
+# More arguments, e.g. `make test ARGS='-m "not slow"'` or `make compare ARGS=tanks`.
 ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -14,7 +14,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo test lint types constraints clean
+.PHONY: help install demo thesis compare test lint types constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -24,6 +24,12 @@ install: $(VENV)/.full ## install the package with all extras and the developmen
 
 demo: $(VENV)/.core ## run the demonstration; needs, and installs where missing, the core alone
 	@$(PY) problems/demo.py
+
+thesis: $(VENV)/.full ## run every experiment of the thesis (about an hour; ARGS=--quick: minutes, writes nothing)
+	@$(PY) problems/thesis/run_all.py $(ARGS)
+
+compare: $(VENV)/.full ## compare the solver with gradient descent on the systems of the thesis
+	@$(PY) problems/thesis/compare.py $(ARGS)
 
 test: $(VENV)/.full ## run the tests
 	@$(PY) -m pytest $(ARGS)

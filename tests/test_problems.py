@@ -7,15 +7,6 @@ import pytest
 from phsi_opt.effects import Effect, effect_named
 
 
-def test_the_mass_spring_is_found_from_its_dictionary_on_clean_data() -> None:
-    from mass_spring import TRUTH, main
-
-    clean = main(quick=True)["clean, PHSI loss"]
-    assert list(clean["kind"]) == ["found"] * len(TRUTH)
-    # 1e-3 is what the problem asks for; SRK4's own error at h = 0.1 is below 1e-6
-    assert clean["error"].max() < 1e-3
-
-
 def test_the_ball_and_hoop_script_says_where_it_looked_for_its_data(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

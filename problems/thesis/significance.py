@@ -30,8 +30,8 @@ def main(quick: bool = False) -> pd.DataFrame:
     rules[f"size 0.05 and significance {SIGNIFICANCE:g}"] = ph.Pruning(0.05, significance=SIGNIFICANCE)
     rules[f"significance {SIGNIFICANCE:g} alone"] = ph.Pruning(0.0, significance=SIGNIFICANCE)
     rows = []
-    for seed in range(3 if quick else N_DRAWS):
-        data = system.data(seed, n=1500 if quick else None)
+    for seed in range(2 if quick else N_DRAWS):
+        data = system.data(seed, n=1000 if quick else None)
         for rule, pruning in rules.items():
             fit = by_solver(system, data, pruning)
             s = score(system, fit)

@@ -26,7 +26,8 @@ Vector = np.ndarray
 
 @dataclass(frozen=True)
 class Descent:
-    """How gradient descent trains: Adam in batches of 32, pruning every ``prune_every`` epochs from the second time on.
+    """How gradient descent trains: Adam in batches of 32, pruning every ``prune_every`` epochs from ``prune_from`` on
+    (None: twice ``prune_every``, as in the code of the thesis).
 
     Rates, epochs, pruning are those of the thesis. ``weight_decay``, ``l1`` and ``force_penalty`` belong to its loss, a
     mean over the states; `settings` multiplies them by ``n_states``, because the loss here is a sum. L1 on H ends
@@ -47,6 +48,7 @@ class Descent:
     network_on: str = ""
     force_rate: float | None = None
     force_penalty: float = 0.0
+    prune_from: int | None = None
 
     def settings(self, start: str = "thesis") -> tuple[Any, Any]:
         """Settings of `gradient_descent` and its joint force (None without one)."""
@@ -56,7 +58,7 @@ class Descent:
         scaled = {slot: weight * self.n_states for slot, weight in self.l1.items()}
         made = Settings(
             self.learning_rate, self.epochs, decay=self.decay, force_rate=self.force_rate, start=start,
-            prune_every=self.prune_every, prune_from=2 * self.prune_every, threshold=self.threshold,
+            prune_every=self.prune_every, prune_from=self.prune_from or 2 * self.prune_every, threshold=self.threshold,
             weight_decay=self.weight_decay * self.n_states, l1=scaled,
         )  # fmt: skip
         if not self.network:
