@@ -153,6 +153,18 @@ class Hybrid(Identified):
             for k, equation in enumerate(self.force.equations)
         }
 
+    def __str__(self) -> str:
+        last = self.convergence.iloc[-1]
+        ended = "neither moves any more" if self.converged else "stopped at the limit of turns, still moving"
+        lines = [str(self.fit), *self.equations()]
+        lines.append(
+            f"  {len(self.convergence)} turns with the network, {self.seconds:.1f} s: {ended} (last change of a"
+        )
+        lines[-1] += f" coefficient {last['coefficient_change']:.1e}, of the force {last['force_change']:.1e})"
+        return "\n".join(lines)
+
+    __repr__ = __str__
+
     def _added(self, t: float, x: np.ndarray) -> np.ndarray:
         total = np.zeros(self.model.n_states)
         total[list(self.force.rows)] = self.force(x)[0]

@@ -96,6 +96,7 @@ def test_a_force_of_one_variable_becomes_a_dictionary_of_hinges(found: Hybrid) -
 def test_equations_name_the_network(found: Hybrid) -> None:
     assert found.equations()[1].endswith("+ network_p(q)")
     assert "network" not in found.without_force().equations()[1]
+    assert "turns with the network" in str(found) and len(str(found)) < 2000
 
 
 @pytest.mark.parametrize(
