@@ -5,11 +5,11 @@ A file holds numbers and formulas as text; loading one reads the text through th
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -61,25 +61,31 @@ class Fit(Identified):
     @staticmethod
     def load(path: str | Path) -> "Fit":
         """Read a fit that `save` wrote; raises `DataError` for anything else. Never runs code from the file."""
-        try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise DataError(f"{path} cannot be read as a fit: {error}.") from None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise DataError(f"{path} is not a file of the format {FORMAT!r}; write one with fit.save(path).")
-        try:
-            return from_json(content)
-        except PhsiOptError as error:
-            raise DataError(f"{path} holds a model that is not valid: {error}") from None
-        except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise DataError(
-                f"{path} is damaged: {type(error).__name__} {error}. Write it again with fit.save."
-            ) from None
+        return read_json(path, FORMAT, "a fit", from_json)
 
     def __str__(self) -> str:
         return report(self)
 
     __repr__ = __str__
+
+
+Made = TypeVar("Made")
+
+
+def read_json(path: str | Path, expected: str, what: str, make: Callable[[dict[str, Any]], Made]) -> Made:
+    """Read a JSON file of the ``expected`` format and make an object of it; `DataError` for anything else."""
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} cannot be read as {what}: {error}.") from None
+    if not isinstance(content, dict) or content.get("format") != expected:
+        raise DataError(f"{path} is not a file of the format {expected!r}; write one with save(path).")
+    try:
+        return make(content)
+    except PhsiOptError as error:
+        raise DataError(f"{path} holds a model that is not valid: {error}") from None
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise DataError(f"{path} is damaged: {type(error).__name__} {error}. Write it again with save.") from None
 
 
 def report(fit: Fit) -> str:

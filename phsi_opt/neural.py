@@ -13,19 +13,22 @@ estimate, on one and the same loss: the defects of SRK4. A turn is
 torch is needed for the training alone; a trained force is a list of matrices.
 """
 
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pandas as pd
 
-from phsi_opt.errors import ModelError
-from phsi_opt.fit import Fit
+from phsi_opt.errors import DataError, ModelError
+from phsi_opt.fit import Fit, read_json, to_json
+from phsi_opt.fit import from_json as fit_from_json
 from phsi_opt.grid import Grid, defect_jacobian, defects, grid_of
 from phsi_opt.identified import Identified
 from phsi_opt.identify import identify_forced, matched
@@ -37,6 +40,7 @@ from phsi_opt.simulate import simulate
 from phsi_opt.terms import Dictionary, Parameter, Term
 
 C1, C2 = 0.5 - sqrt(3) / 6, 0.5 + sqrt(3) / 6  # the stages of SRK4
+FORMAT = "phsi_opt hybrid 1"
 N_FOLDS = 5
 RIDGES = 10.0 ** np.arange(-9, 1)  # weights that are tried, relative to the size of a feature
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
@@ -141,6 +145,7 @@ class Hybrid(Identified):
             )
         column = self.force.columns[0]
         x = np.concatenate([run.x for run in matched(self.model, data).trajectories])
+        x = x[np.isfinite(x).all(axis=1)]
         visited, name = x[:, column], self.model.states[column]
         at = np.unique(np.round(np.quantile(visited, np.linspace(0.0, 1.0, knots + 2)[1:-1]), 6))
         width = round(float(np.median(np.diff(at))) / 2, 6) if len(at) > 1 else 1.0
@@ -152,6 +157,30 @@ class Hybrid(Identified):
             equation: Dictionary(tuple(Term(b, Parameter(float(c))) for b, c in zip(bodies, found[:, k], strict=True)))
             for k, equation in enumerate(self.force.equations)
         }
+
+    def save(self, path: str | Path) -> None:
+        """Write dictionary, network and table of turns as JSON: numbers and formulas, no code."""
+        force = self.force
+        content = {
+            "format": FORMAT,
+            "fit": to_json(self.fit),
+            "force": {
+                "equations": list(force.equations),
+                "variables": [self.model.states[i] for i in force.columns],
+                "shift": force.shift.tolist(),
+                "spread": force.spread.tolist(),
+                "layers": [[weights.tolist(), bias.tolist()] for weights, bias in force.layers],
+            },
+            "convergence": self.convergence.to_dict("list"),
+            "converged": self.converged,
+            "seconds": self.seconds,
+        }
+        Path(path).write_text(json.dumps(content) + "\n", encoding="utf-8")
+
+    @staticmethod
+    def load(path: str | Path) -> "Hybrid":
+        """Read what `save` wrote; raises `DataError` for anything else. Never runs code from the file."""
+        return read_json(path, FORMAT, "a hybrid", _from_json)
 
     def __str__(self) -> str:
         last = self.convergence.iloc[-1]
@@ -238,7 +267,7 @@ class _Work:
 
     @property
     def signals(self) -> list[str]:
-        return [f"network_{self.model.states[row]}" for row in self.rows]
+        return [_signal(self.model.states[row]) for row in self.rows]
 
     def forced(self, model: Model) -> Model:
         """The model with the network's force as an input."""
@@ -250,11 +279,7 @@ class _Work:
 
     def unforced(self, model: Model) -> Model:
         """The inverse of `forced`, with the values found."""
-        kept = {
-            equation: Dictionary(tuple(term for term in terms if term.body not in self.signals))
-            for equation, terms in model.F.items()
-        }
-        return replace(model, inputs=self.model.inputs, F={name: terms for name, terms in kept.items() if len(terms)})
+        return _unforced(model, self.signals)
 
     def with_force(self, force: np.ndarray) -> Grid:
         """The grid with the force as inputs whose straight line passes through its values at the two stages."""
@@ -383,6 +408,38 @@ class _Work:
             "force_change": float(np.sqrt(np.mean((new_force - old_force) ** 2))) / size,
             "n_terms": len(after.free),
         }
+
+
+def _signal(equation: str) -> str:
+    return f"network_{equation}"
+
+
+def _unforced(model: Model, signals: Sequence[str]) -> Model:
+    kept = {
+        equation: Dictionary(tuple(term for term in terms if term.body not in signals))
+        for equation, terms in model.F.items()
+    }
+    inputs = tuple(name for name in model.inputs if name not in signals)
+    return replace(model, inputs=inputs, F={name: terms for name, terms in kept.items() if len(terms)})
+
+
+def _from_json(content: dict[str, Any]) -> Hybrid:
+    fit, stored = fit_from_json(content["fit"]), content["force"]
+    equations = tuple(str(name) for name in stored["equations"])
+    model = _unforced(fit.model, [_signal(name) for name in equations])
+    layers = tuple((np.array(w, dtype=float), np.array(b, dtype=float)) for w, b in stored["layers"])
+    columns = tuple(model.index(name, "variable of the network") for name in stored["variables"])
+    rows = tuple(model.index(name, "equation of the network") for name in equations)
+    shift, spread = (np.array(stored[name], dtype=float) for name in ("shift", "spread"))
+    sizes = [len(columns), *(len(b) for _, b in layers)]
+    fitting = [w.shape == (n_out, n_in) for (w, _), n_in, n_out in zip(layers, sizes, sizes[1:], strict=False)]
+    if not all(fitting) or sizes[-1] != len(rows) or shift.shape != (len(columns),) or spread.shape != shift.shape:
+        raise DataError("the layers of the network do not fit together or to its equations and variables.")
+    return Hybrid(
+        model=model, hold=fit.hold, seconds=float(content["seconds"]), removed=fit.removed, fit=fit,
+        force=TrainedForce(equations, columns, rows, shift, spread, layers),
+        convergence=pd.DataFrame(content["convergence"]), converged=bool(content["converged"]),
+    )  # fmt: skip
 
 
 def _cross_validated(whole: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray) -> np.ndarray:

@@ -1,5 +1,8 @@
 """A neural force in turns with the solver."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -97,6 +100,35 @@ def test_equations_name_the_network(found: Hybrid) -> None:
     assert found.equations()[1].endswith("+ network_p(q)")
     assert "network" not in found.without_force().equations()[1]
     assert "turns with the network" in str(found) and len(str(found)) < 2000
+
+
+def test_a_saved_hybrid_is_the_same_when_loaded(found: Hybrid, tmp_path: Path) -> None:
+    found.save(tmp_path / "hybrid.json")
+    again = Hybrid.load(tmp_path / "hybrid.json")
+    t, x0 = np.linspace(0, 2, 11), np.array([1.0, 0.5])
+    assert again.values == found.values and again.equations() == found.equations()
+    assert np.array_equal(again.simulate(t, x0), found.simulate(t, x0))
+    assert again.convergence.equals(found.convergence)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda c: c.update(format="other"),
+        lambda c: c["force"].update(equations=["z"]),
+        lambda c: c["force"]["layers"].pop(),
+        lambda c: c["force"].update(shift=[0.0, 0.0]),
+        lambda c: c.pop("fit"),
+    ],
+)
+def test_a_damaged_file_is_refused(found: Hybrid, tmp_path: Path, damage) -> None:
+    path = tmp_path / "hybrid.json"
+    found.save(path)
+    content = json.loads(path.read_text())
+    damage(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(ph.DataError, match=r"hybrid\.json"):
+        Hybrid.load(path)
 
 
 @pytest.mark.parametrize(
