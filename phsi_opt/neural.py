@@ -116,6 +116,11 @@ class Hybrid(Identified):
         """Mean squared defect with the force."""
         return float(self.convergence["loss"].iloc[-1])
 
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error by name at the trained force; what the force itself leaves uncertain is not in it."""
+        return {name: self.fit.std_errors[name] for name in self.model.entries}
+
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
         """States (n_samples, n_states) from x0 at t[0], with the force of the network."""
         return simulate(self.model, t, x0, u, hold=self.hold, force=self._added)
