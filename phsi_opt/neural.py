@@ -51,7 +51,8 @@ class NeuralForce:
     """A force in ``equations`` that depends on the states ``variables`` through a network (None: on all states).
 
     ``hidden`` are the sizes of its ReLU layers (thesis Section 6.4: three of 100), ``epochs`` those of the first turn;
-    later turns, which begin with a trained network, take a quarter of them. The epoch that is kept, and the weight of
+    later turns, which begin with a trained network, take a quarter of them. ``weight_decay`` is that of AdamW, strong
+    enough to keep noise out of the features. The epoch that is kept, and the weight of
     the squared output weights in the last layer, are those that predict trajectories best which were left out.
     """
 
@@ -61,7 +62,7 @@ class NeuralForce:
     epochs: int = 120
     batch: int = 256
     learning_rate: float = 2e-3
-    weight_decay: float = 1e-4
+    weight_decay: float = 3.0
 
     def __post_init__(self) -> None:
         for name in ("equations", "variables"):
@@ -77,13 +78,18 @@ class NeuralForce:
 
 @dataclass(frozen=True, eq=False)
 class TrainedForce:
-    """A trained network: force(x) for states x (n_samples, n_states) is (n_samples, n_equations)."""
+    """A trained network: force(x) for states x (n_samples, n_states) is (n_samples, n_equations).
+
+    It knows nothing beyond what it has seen: there its variables are held at the edge of the range ``seen`` in
+    training.
+    """
 
     equations: tuple[str, ...]
     columns: tuple[int, ...]
     rows: tuple[int, ...]
     shift: np.ndarray
     spread: np.ndarray
+    seen: np.ndarray  # (2, n_variables): least and largest value
     layers: Layers
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
@@ -92,7 +98,7 @@ class TrainedForce:
 
     def features(self, x: np.ndarray) -> np.ndarray:
         """Output of the last hidden layer, (n_samples, n_features)."""
-        z = (np.atleast_2d(x)[:, self.columns] - self.shift) / self.spread
+        z = (np.clip(np.atleast_2d(x)[:, self.columns], *self.seen) - self.shift) / self.spread
         for weights, bias in self.layers[:-1]:
             z = np.maximum(z @ weights.T + bias, 0.0)
         return z
@@ -174,6 +180,7 @@ class Hybrid(Identified):
                 "variables": [self.model.states[i] for i in force.columns],
                 "shift": force.shift.tolist(),
                 "spread": force.spread.tolist(),
+                "seen": force.seen.tolist(),
                 "layers": [[weights.tolist(), bias.tolist()] for weights, bias in force.layers],
             },
             "convergence": self.convergence.to_dict("list"),
@@ -365,7 +372,8 @@ class _Work:
             torch.set_num_threads(threads)
         weights, bias = arrays[-1]
         arrays[-1] = (weights * size[:, None], bias * size)
-        return TrainedForce(self.settings.equations, self.columns, self.rows, shift, spread, tuple(arrays))
+        seen = np.stack([points.min(axis=(0, 1)), points.max(axis=(0, 1))])
+        return TrainedForce(self.settings.equations, self.columns, self.rows, shift, spread, seen, tuple(arrays))
 
     def last_layer(self, trained: TrainedForce, fit: Fit, stages: np.ndarray, target: np.ndarray) -> TrainedForce:
         """Output weights by least squares over all defects, together with a step of every coefficient of H and R."""
@@ -435,20 +443,25 @@ def _from_json(content: dict[str, Any]) -> Hybrid:
     layers = tuple((np.array(w, dtype=float), np.array(b, dtype=float)) for w, b in stored["layers"])
     columns = tuple(model.index(name, "variable of the network") for name in stored["variables"])
     rows = tuple(model.index(name, "equation of the network") for name in equations)
-    shift, spread = (np.array(stored[name], dtype=float) for name in ("shift", "spread"))
+    shift, spread, seen = (np.array(stored[name], dtype=float) for name in ("shift", "spread", "seen"))
     sizes = [len(columns), *(len(b) for _, b in layers)]
     fitting = [w.shape == (n_out, n_in) for (w, _), n_in, n_out in zip(layers, sizes, sizes[1:], strict=False)]
-    if not all(fitting) or sizes[-1] != len(rows) or shift.shape != (len(columns),) or spread.shape != shift.shape:
+    if (
+        not all(fitting)
+        or sizes[-1] != len(rows)
+        or shift.shape != (len(columns),)
+        or any(array.shape[-1:] != shift.shape for array in (spread, seen))
+    ):
         raise DataError("the layers of the network do not fit together or to its equations and variables.")
     return Hybrid(
         model=model, hold=fit.hold, seconds=float(content["seconds"]), removed=fit.removed, fit=fit,
-        force=TrainedForce(equations, columns, rows, shift, spread, layers),
+        force=TrainedForce(equations, columns, rows, shift, spread, seen, layers),
         convergence=pd.DataFrame(content["convergence"]), converged=bool(content["converged"]),
     )  # fmt: skip
 
 
 def _cross_validated(whole: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray) -> np.ndarray:
-    """argmin |d + whole z|^2 + weight |z_ridged|^2 with the weight that predicts left-out folds best."""
+    """argmin |d + whole z|^2 + weight |z_ridged|^2, the weight chosen by its prediction of left-out folds."""
     parts = []
     for fold in range(N_FOLDS):
         A, b = whole[folds == fold].reshape(-1, whole.shape[2]), d[folds == fold].ravel()
@@ -459,14 +472,19 @@ def _cross_validated(whole: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged
     def solved(weight: float, N: np.ndarray, r: np.ndarray) -> np.ndarray:
         return np.linalg.lstsq(N + np.diag(weight * size * ridged), -r, rcond=1e-12)[0]
 
-    def left_out(weight: float) -> float:
-        error = 0.0
+    def left_out(weight: float) -> np.ndarray:
+        errors = []
         for N, r, square in parts:
             z = solved(weight, normal - N, right - r)
-            error += float(z @ N @ z + 2 * z @ r + square)
-        return error
+            errors.append(float(z @ N @ z + 2 * z @ r + square))
+        return np.array(errors)
 
-    return solved(min(RIDGES, key=left_out), normal, right)
+    # The smoothest force whose prediction is not significantly worse: the largest weight within a standard error.
+    errors = {weight: left_out(weight) for weight in RIDGES}
+    best = min(RIDGES, key=lambda weight: float(errors[weight].sum()))
+    more = {weight: errors[weight] - errors[best] for weight in RIDGES if weight >= best}
+    fine = [weight for weight, d in more.items() if d.mean() <= d.std(ddof=1) / np.sqrt(N_FOLDS)]
+    return solved(max(fine), normal, right)
 
 
 def _arrays(layers: list[tuple[Any, Any]]) -> list[tuple[np.ndarray, np.ndarray]]:

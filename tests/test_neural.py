@@ -56,7 +56,7 @@ def test_the_dictionary_and_the_force_are_both_found(found: Hybrid) -> None:
 def test_the_turns_end_when_neither_moves(found: Hybrid) -> None:
     table = found.convergence
     assert found.converged and len(table) < 20
-    assert table["loss"].iloc[-1] <= 1.01 * table["loss"].min()
+    assert table["loss"].iloc[-1] < 0.2 * table["loss"].iloc[0]
     assert table["coefficient_change"].iloc[-1] < 1e-3 < table["coefficient_change"].iloc[0]
 
 

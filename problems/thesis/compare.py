@@ -1,8 +1,8 @@
-"""Solver against gradient descent, side by side: the same model, the same data, the same measures, one run.
+"""Solver against gradient descent, side by side: the same model, the same data, the same measures.
 
-Each system, clean and noisy (the data of the thesis where they are present). Both are started three times: gradient
-descent from the thesis' starting values and twice at random; the solver from its convex program and twice at random
-values, and with other seeds for the network of the tanks. One thread each.
+Each system, clean and noisy (the data of the thesis where they are present); all runs of a system in one process, one
+after the other, with one thread. Both are started three times: gradient descent from the thesis' starting values and
+twice at random; the solver from its convex program and twice at random values (tanks: seeds of the network).
 
     python problems/thesis/compare.py [--quick] [system ...]
 """
@@ -47,7 +47,8 @@ def runs(system: System, data: ph.Measurements, kind: str) -> list[tuple[str, st
         found.append(("solver", start, fit))
     weights = {"H": 1e-6} if system.name == "tanks" else {}  # without any, the sum of the levels is not determined
     found.append(("solver, all terms", "convex", by_solver(system, data, None, l1=weights)))
-    found.append(("solver, then likelihood", "from the first", likelihood(system, data, found[0][2])))
+    if kind == "noisy":  # without noise there is nothing to weigh
+        found.append(("solver, then likelihood", "from the first", likelihood(system, data, found[0][2])))
     for k, start in enumerate(("thesis", "random 1", "random 2")):
         found.append(("descent", start, descent(system, data, kind, k, "thesis" if k == 0 else "normal")))
     return found
@@ -76,30 +77,34 @@ def row(system: System, data: ph.Measurements, kind: str, method: str, start: st
 
 
 def main(quick: bool = False, names: list[str] | None = None) -> pd.DataFrame:
-    """The table of all runs; written to results/solver_vs_gradient_descent.md."""
+    """The table of all runs; each system's is kept in results/thesis, and the page is made of those that are there."""
+    tables = [measured(SYSTEMS[name], quick) for name in names or SYSTEMS]
+    if not quick:
+        kept = [RESULTS / "thesis" / f"compare_{name}.csv" for name in SYSTEMS]
+        write("solver_vs_gradient_descent.md", page(pd.concat([pd.read_csv(p) for p in kept if p.exists()])))
+    return pd.concat(tables, ignore_index=True)
+
+
+def measured(system: System, quick: bool) -> pd.DataFrame:
+    """All runs on one system."""
     rows = []
-    for system in (SYSTEMS[name] for name in names or SYSTEMS):
-        for kind in ("clean", "noisy"):
-            if quick:
-                fast = replace(system.descent, epochs=2)
-                system = replace(system, descent=fast, descent_noisy=fast)
-                n = {"henon_heiles": 400}.get(system.name, 8)
-                data = system.data(1, 0.0 if kind == "clean" else None, n=n)
-            elif thesis_data_present():
-                data = system.thesis_data(kind)
-            else:
-                data = system.data(1 if kind == "clean" else 2, 0.0 if kind == "clean" else None)
-            for method, start, result in runs(system, data, kind):
-                rows.append(row(system, data, kind, method, start, result))
-                shown = [f"{v:.3g}" if isinstance(v, float) else str(v) for v in rows[-1]]
-                print("... " + ", ".join(shown), flush=True)
+    for kind in ("clean", "noisy"):
+        if quick:
+            fast = replace(system.descent, epochs=2)
+            system = replace(system, descent=fast, descent_noisy=fast)
+            n = {"henon_heiles": 400}.get(system.name, 8)
+            data = system.data(1, 0.0 if kind == "clean" else None, n=n)
+        elif thesis_data_present():
+            data = system.thesis_data(kind)
+        else:
+            data = system.data(1 if kind == "clean" else 2, 0.0 if kind == "clean" else None)
+        for method, start, result in runs(system, data, kind):
+            rows.append(row(system, data, kind, method, start, result))
+            shown = [f"{v:.3g}" if isinstance(v, float) else str(v) for v in rows[-1]]
+            print("... " + ", ".join(shown), flush=True)
     table = pd.DataFrame(rows, columns=COLUMNS)
     if not quick:
-        if names is None:
-            table.to_csv(RESULTS / "thesis" / "solver_vs_gradient_descent.csv", index=False)
-            write("solver_vs_gradient_descent.md", page(table))
-        else:
-            print(page(table))
+        table.to_csv(RESULTS / "thesis" / f"compare_{system.name}.csv", index=False, float_format="%.6g")
     return table
 
 
@@ -138,7 +143,8 @@ def page(table: pd.DataFrame) -> str:
         "",
         "The same pseudo-Hamiltonian model is identified from the same data by IPOPT (`identify`, `hybrid`) and by",
         "gradient descent (Algorithm 6 of the thesis in torch, with a vectorised dictionary and tuned settings, see",
-        "`problems/thesis/systems.py`). Both were started three times and ran in one process with one thread.",
+        "`problems/thesis/systems.py`). Both were started three times; all runs on a system ran one after the other in",
+        "one process with one thread.",
         "",
         f"**What it means.** On {wins} of {len(r)} data sets the largest coefficient error of the solver is at most",
         "that of the median start of gradient descent. Its PHSI loss with all terms, evaluated by one function for",

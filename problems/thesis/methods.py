@@ -98,7 +98,12 @@ def lasso(system: System, data: ph.Measurements, kind: str = "noisy", seed: int 
 
     model, fixed = system.first_order(), _frequencies(system)
     train, test = data.split(0.8)
-    errors = {w: phsi_loss(by_lasso(model, train, w * train.n_samples, fixed=fixed), test) for w in LASSO_WEIGHTS}
+    errors = {}
+    for weight in LASSO_WEIGHTS:
+        try:
+            errors[weight] = phsi_loss(by_lasso(model, train, weight * train.n_samples, fixed=fixed), test)
+        except ph.ModelError:  # the weight leaves no term
+            continue
     return by_lasso(model, data, min(errors, key=lambda w: errors[w]) * data.n_samples, fixed=fixed)
 
 
