@@ -12,7 +12,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: equal t
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import sys
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from provenance import write
 from thesis import figures, methods
-from thesis.scores import common_name, free_run, phsi_loss, rates, score
+from thesis.scores import common_name, free_run, rates, score
 from thesis.systems import FLOWS, LEVELS, SYSTEMS, System, closed_tanks, leak, thesis_data_present
 
 import phsi_opt as ph
@@ -62,31 +61,13 @@ def training_data(system: System, kind: str, quick: bool) -> ph.Measurements:
     return system.data(1 if kind == "clean" else 2, noise)
 
 
-def lasso(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
-    """`methods.lasso` over the weights that leave a term."""
-    from phsi_opt.baselines.sindy import lasso as by_lasso
-
-    began = time.perf_counter()
-    model, fixed = system.first_order(), methods._frequencies(system)
-    train, test = data.split(0.8)
-
-    def loss(weight: float) -> float:
-        try:
-            return phsi_loss(by_lasso(model, train, weight * train.n_samples, fixed=fixed), test)
-        except ph.ModelError:
-            return np.inf
-
-    found = by_lasso(model, data, min(methods.LASSO_WEIGHTS, key=loss) * data.n_samples, fixed=fixed)
-    return replace(found, seconds=time.perf_counter() - began)
-
-
 def methods_of(system: System, kind: str, quick: bool) -> dict[str, methods.Method]:
     """The methods of one system in the order of the table; the likelihood, which starts from the solver, is apart."""
     found: dict[str, methods.Method] = {SOLVER: methods.solver}
     if kind == "noisy":
         found[THRESHOLD] = methods.solver_threshold
     found |= {DESCENT: methods.descent, "BSI, solver": methods.bsi_solver, "BSI, descent": methods.bsi_descent}
-    found |= {"SINDy, STLSQ": methods.stlsq, "SINDy, SR3": methods.sr3, "LASSO": lasso}
+    found |= {"SINDy, STLSQ": methods.stlsq, "SINDy, SR3": methods.sr3, "LASSO": methods.lasso}
     if system.name == "henon_heiles":
         found["SSINN"] = methods.ssinn
     found["PHNN"] = partial(methods.phnn, epochs=2) if quick else methods.phnn
@@ -182,7 +163,7 @@ def coefficients(system: System, results: Results, first_order: bool = False) ->
     for label, result in results.items():
         if not hasattr(result, "model") or isinstance(result.model, ph.FirstOrder) != first_order:
             continue
-        se = (result.fit if hasattr(result, "fit") else result).std_errors
+        se = result.std_errors
         values = {
             n: v for n, v in result.values.items() if v != 0 and not (system.name == "tanks" and n[:5] == "F_mu4")
         }
