@@ -262,9 +262,14 @@ def _pruned(state: _State, solver: Solver) -> _State:
             gone = pruning.insignificant(state.model, state.values, state._uncertainty().covariance, n_tests)
         if not gone and l1 == state.l1:
             break
+        kept = [name for name in state.model.free if name not in gone]
+        energy = [term.coefficient_name("H") for term in state.model.H]
+        if not kept or (energy and set(energy) <= gone):
+            raise ModelError(
+                f"{pruning!r} removes every term{' of H' if kept else ''}; lower its threshold or the L1 weight, or add "
+                "terms that the data need."
+            )
         model = state.model.without(gone)
-        if not model.free:
-            raise ModelError(f"{pruning!r} removes every term; lower its threshold, or add terms that the data need.")
         theta = np.array([state.values[name] for name in model.free])
         removed = (*state.removed, *sorted(gone))
         state = replace(solver(state, model, theta, l1), removed=removed, notes=state.notes)

@@ -83,6 +83,17 @@ def test_standard_errors_of_the_phsi_loss_are_the_spread_over_many_draws() -> No
     assert 0.85 < np.sqrt(np.mean((z - z.mean(axis=0)) ** 2)) < 1.15
 
 
+def test_pruning_that_leaves_no_energy_says_so() -> None:
+    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2))
+    with pytest.raises(ph.ModelError, match="removes every term"):
+        ph.identify(model, oscillator(0), ph.PHSILoss(), pruning=Pruning(10.0))
+    damped = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2), R=ph.damping("p")
+    )
+    with pytest.raises(ph.ModelError, match="every term of H"):
+        ph.identify(damped, oscillator(0), ph.PHSILoss(), pruning=Pruning(10.0))
+
+
 def test_significance_leaves_the_true_terms_and_no_others_in_nearly_every_draw() -> None:
     model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=3))
     kept = [

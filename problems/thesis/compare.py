@@ -4,7 +4,7 @@ Each system, clean and noisy (the data of the thesis where they are present); al
 after the other, with one thread. Both are started three times: gradient descent from the thesis' starting values and
 twice at random; the solver from its convex program and twice at random values (tanks: seeds of the network).
 
-    python problems/thesis/compare.py [--quick] [system ...]
+    python problems/thesis/compare.py [--quick] [--page] [system ...]     (--page: the page alone, from kept tables)
 """
 
 import os
@@ -80,9 +80,14 @@ def main(quick: bool = False, names: list[str] | None = None) -> pd.DataFrame:
     """The table of all runs; each system's is kept in results/thesis, and the page is made of those that are there."""
     tables = [measured(SYSTEMS[name], quick) for name in names or SYSTEMS]
     if not quick:
-        kept = [RESULTS / "thesis" / f"compare_{name}.csv" for name in SYSTEMS]
-        write("solver_vs_gradient_descent.md", page(pd.concat([pd.read_csv(p) for p in kept if p.exists()])))
+        write_page()
     return pd.concat(tables, ignore_index=True)
+
+
+def write_page() -> None:
+    """Write the page anew from the tables that are kept."""
+    kept = [RESULTS / "thesis" / f"compare_{name}.csv" for name in SYSTEMS]
+    write("solver_vs_gradient_descent.md", page(pd.concat([pd.read_csv(p) for p in kept if p.exists()])))
 
 
 def measured(system: System, quick: bool) -> pd.DataFrame:
@@ -121,7 +126,7 @@ def ratios(table: pd.DataFrame) -> pd.DataFrame:
             "loss, best descent": theirs["PHSI loss"].min(),
             "not higher": bool(free["PHSI loss"].iloc[0] <= theirs["PHSI loss"].min() * (1 + 1e-9)),
             "l2 whole, solver": ours["l2 whole"].iloc[0], "l2 whole, best descent": theirs["l2 whole"].min(),
-            "times faster": theirs["seconds"].median() / ours["seconds"].iloc[0],
+            "times as fast": theirs["seconds"].median() / ours["seconds"].iloc[0],
         })  # fmt: skip
     return pd.DataFrame(lines)
 
@@ -131,7 +136,8 @@ def page(table: pd.DataFrame) -> str:
     r = ratios(table)
     wins = int((r["error, solver"] <= r["error, descent"]).sum())
     lower = int(r["not higher"].sum())
-    fast, slow = r["times faster"].max(), r["times faster"].min()
+    ratio = r["times as fast"]
+    fast, slow = ratio.max(), ratio.min()
     short = table.copy()
     for name in ("largest error", "relative error", "PHSI loss", "l2 inside", "l2 whole"):
         short[name] = short[name].map(lambda v: f"{v:.3g}")
@@ -149,8 +155,11 @@ def page(table: pd.DataFrame) -> str:
         f"**What it means.** On {wins} of {len(r)} data sets the largest coefficient error of the solver is at most",
         "that of the median start of gradient descent. Its PHSI loss with all terms, evaluated by one function for",
         f"both, is not higher than that of the best start of gradient descent on {lower} of {len(r)}. It was",
-        f"{slow:.1f} to {fast:.1f} times faster than one run of this gradient descent. (The thesis' code, whose",
-        "dictionary is a Python loop, was measured at 145 to 960 s for the same runs on another machine.)",
+        f"{slow:.1f} to {fast:.1f} times as fast as one run of this gradient descent: not fifty times, and slower on",
+        f"{int((ratio < 1).sum())} data sets (the tanks, where both train a network). The thesis' code, whose dictionary",
+        "is a Python loop, was measured at 145 to 960 s for the same runs on another machine: 17 to 250 times the",
+        "solver's time here. Both come to the same minimum, because this gradient descent was tuned until it did; what",
+        "the solver saves is the tuning: it has no rate, batch, number of epochs or decay, and one start is enough.",
         "",
         "```text", r.to_string(index=False), "```",
         "",
@@ -168,4 +177,7 @@ def page(table: pd.DataFrame) -> str:
 
 if __name__ == "__main__":
     chosen = [name for name in sys.argv[1:] if not name.startswith("-")]
-    main("--quick" in sys.argv, chosen or None)
+    if "--page" in sys.argv:
+        write_page()
+    else:
+        main("--quick" in sys.argv, chosen or None)

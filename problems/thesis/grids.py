@@ -89,7 +89,7 @@ def main(quick: bool = False, names: list[str] | None = None) -> pd.DataFrame:
             by: Callable[..., Any] = by_descent if method == "descent" else by_solver
             try:
                 fit = by(system, data, *settings)
-            except ph.SolveError as failed:  # such as: every term was pruned
+            except ph.PhsiOptError as failed:  # such as: every term was pruned
                 print(f"... {name}, {method}, {weight:g}, {pruning}: {failed}", flush=True)
                 rows.append((name, method, weight, pruning, np.inf, 0, len(system.truth), np.nan))
                 continue

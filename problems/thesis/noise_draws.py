@@ -95,10 +95,10 @@ def collect() -> None:
     """Write the page from the tables of all systems that have been run."""
     lines = ["# Noisy data, ten draws", ""]
     lines += [
-        "Medians over the draws. relative: largest relative error of any true coefficient; inside and whole: l2 of free",
-        "runs within the training time and over the test time, ten unseen starts a draw; exact: share of draws with",
-        "exact support; spurious: mean number of spurious terms; covered: share of the 95 % intervals of true coefficients",
-        "that hold the truth (selection not accounted for).",
+        "Medians over the draws. relative: largest relative error of any true coefficient; inside and whole: l2 of",
+        "free runs within the training time and over the test time, ten unseen starts a draw; exact: share of draws",
+        "with exact support; spurious: mean number of spurious terms; covered: share of the 95 % intervals of true",
+        "coefficients that hold the truth (selection not accounted for).",
         "",
     ]
     for name, system in SYSTEMS.items():
