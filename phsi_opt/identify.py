@@ -266,8 +266,8 @@ def _pruned(state: _State, solver: Solver) -> _State:
         energy = [term.coefficient_name("H") for term in state.model.H]
         if not kept or (energy and set(energy) <= gone):
             raise ModelError(
-                f"{pruning!r} removes every term{' of H' if kept else ''}; lower its threshold or the L1 weight, or add "
-                "terms that the data need."
+                f"{pruning!r} removes every term{' of H' if kept else ''}; lower its threshold or the L1 weight, or "
+                "add terms that the data need."
             )
         model = state.model.without(gone)
         theta = np.array([state.values[name] for name in model.free])
