@@ -122,4 +122,7 @@ def _reading(s: pd.DataFrame) -> str:
 
 if __name__ == "__main__":
     chosen = [name for name in sys.argv[1:] if not name.startswith("-")]
-    main("--quick" in sys.argv, chosen or None)
+    if "--page" in sys.argv:
+        collect()
+    else:
+        main("--quick" in sys.argv, chosen or None)
