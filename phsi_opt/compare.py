@@ -12,11 +12,12 @@ from scipy.stats import chi2
 from phsi_opt.errors import SolveError
 from phsi_opt.fit import Fit
 from phsi_opt.grid import grid_of
-from phsi_opt.identify import data_digest, matched
+from phsi_opt.identify import matched
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import Model
 from phsi_opt.simulate import simulate
 from phsi_opt.start import initial_noise, smoothed
+from phsi_opt.work import data_digest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,10 +12,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import pandas as pd
+from scipy.stats import t as student_t
 
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.identified import Identified
-from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian, place_of
+from phsi_opt.model import BY_EQUATION, FirstOrder, Model, PseudoHamiltonian, place_of
 from phsi_opt.solver import Outcome
 from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term
 
@@ -28,13 +30,18 @@ class Fit(Identified):
 
     Attributes (beside those of `Identified`):
         loss: name of the loss; loss_value: its value at the solution, without the L1 terms.
-        covariance: of the free parameters, in the order of ``model.free``; NaN where it is not known.
+        names: of the free parameters; one that every trajectory has of its own appears as ``m[run 1]``, ``m[run 2]``
+            and stands in ``values`` and in the model with its mean. Default: those of the model.
+        by_trajectory: values of the free parameters per trajectory (empty where all are shared).
+        covariance: of the free parameters, in the order of ``names``; NaN where it is not known.
         noise: standard deviation of the measurement noise per state (empty for `PHSILoss`).
         bic: Bayesian information criterion (NaN for `PHSILoss`, whose residuals are not independent).
         warnings: what to know before the numbers are used.
         states: estimated states per trajectory, (n_samples, n_states) at the samples; empty for a loaded fit.
     """
 
+    names: tuple[str, ...] = ()
+    by_trajectory: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     loss: str
     loss_value: float
     covariance: np.ndarray
@@ -47,11 +54,43 @@ class Fit(Identified):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     states: tuple[np.ndarray, ...] = ()
 
+    def __post_init__(self) -> None:
+        if not self.names:
+            object.__setattr__(self, "names", self.model.free)
+
+    @cached_property
+    def estimates(self) -> dict[str, float]:
+        """Value of every free parameter by `names`."""
+        own = {f"{n}[{run}]": v for run, values in self.by_trajectory.items() for n, v in values.items()}
+        return {name: own[name] if name in own else self.values[name] for name in self.names}
+
     @cached_property
     def std_errors(self) -> dict[str, float]:
-        """Standard error by name; NaN where fixed, at a bound, or not known."""
-        known = dict(zip(self.model.free, np.sqrt(np.diag(self.covariance)), strict=True))
-        return {name: float(known.get(name, np.nan)) for name in self.model.entries}
+        """Standard error by name, of `names` and of the model's; NaN where fixed, at a bound, or not known."""
+        known = dict(zip(self.names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+        return {**{name: known.get(name, np.nan) for name in self.model.entries}, **known}
+
+    @property
+    def correlations(self) -> pd.DataFrame:
+        """Correlations of the estimates."""
+        errors = np.sqrt(np.diag(self.covariance))
+        return pd.DataFrame(self.covariance / np.outer(errors, errors), index=self.names, columns=self.names)
+
+    def intervals(self, level: float = 0.95) -> pd.DataFrame:
+        """Confidence intervals from the curvature of the likelihood: value, lower, upper by name.
+
+        Student's t counts the degrees of freedom that are left for the noise, which was estimated from the same data.
+        Where the curvature misleads, `profile` gives better ones. NaN for a parameter at its bound.
+        """
+        if not 0 < level < 1:
+            raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
+        reach = student_t.isf((1 - level) / 2, max(self.n_values - len(self.names), 1))
+        rows = [(v, v - reach * self.std_errors[n], v + reach * self.std_errors[n]) for n, v in self.estimates.items()]
+        return pd.DataFrame(rows, index=list(self.estimates), columns=["value", "lower", "upper"])
+
+    def model_of(self, run: str) -> Model:
+        """The model with the parameters of one trajectory (the shared ones and means for a trajectory not fitted)."""
+        return self.model.with_values(self.by_trajectory.get(run, {}))
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON: model, values, covariance, outcome, provenance (not the estimated states)."""
@@ -162,7 +201,10 @@ def to_json(fit: Fit) -> dict[str, Any]:
             "H": [_term_json(term) for term in model.H],
             "R": {name: [_term_json(term) for term in terms] for name, terms in model.R.items()},
             "F": {name: [_term_json(term) for term in terms] for name, terms in model.F.items()},
+            "sensor": {name: [_term_json(term) for term in terms] for name, terms in model.sensor.items()},
         },
+        "names": list(fit.names),
+        "by_trajectory": {run: dict(values) for run, values in fit.by_trajectory.items()},
         "loss": fit.loss,
         "loss_value": fit.loss_value,
         "covariance": fit.covariance.tolist(),
@@ -190,21 +232,28 @@ def _term_json(term: Term) -> dict[str, Any]:
 
 def _parameter_json(p: Parameter) -> dict[str, Any]:
     guess = None if p.guess is None else [type(p.guess).__name__, *vars(p.guess).values()]
-    return {"value": p.value, "lower": p.lower, "upper": p.upper, "unit": p.unit, "fixed": p.fixed, "guess": guess}
+    return {"value": p.value, "lower": p.lower, "upper": p.upper, "unit": p.unit, "fixed": p.fixed, "guess": guess,
+            "per_trajectory": p.per_trajectory}  # fmt: skip
 
 
 def from_json(content: dict[str, Any]) -> Fit:
     """The fit that `to_json` wrote."""
     m = content["model"]
-    slots = {slot: {name: _dictionary(terms) for name, terms in m[slot].items()} for slot in ("R", "F")}
+    slots = {slot: {n: _dictionary(terms) for n, terms in m.get(slot, {}).items()} for slot in BY_EQUATION}
     common: dict[str, Any] = {"states": m["states"], "inputs": m["inputs"], **slots}
     energy = {"S": m["S"], "H": _dictionary(m["H"])} if m["kind"] == "PseudoHamiltonian" else {}
     model: Model = {"PseudoHamiltonian": PseudoHamiltonian, "FirstOrder": FirstOrder}[m["kind"]](**common, **energy)
-    covariance = np.array(content["covariance"], dtype=float).reshape(len(model.free), len(model.free))
+    names = tuple(str(name) for name in content.get("names", model.free))
+    covariance = np.array(content["covariance"], dtype=float).reshape(len(names), len(names))
     if content["hold"] not in ("linear", "zero"):
         raise DataError(f"hold={content['hold']!r} is unknown; expected 'linear' or 'zero'.")
     return Fit(
         model=model,
+        names=names,
+        by_trajectory={
+            str(run): {str(name): float(value) for name, value in values.items()}
+            for run, values in content.get("by_trajectory", {}).items()
+        },
         loss=str(content["loss"]),
         loss_value=float(content["loss_value"]),
         covariance=covariance,

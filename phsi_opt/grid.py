@@ -5,15 +5,19 @@ further nodes, so that the integration error stays small where the sampling is c
 rows (n_samples, n_states) become CasADi's columns.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.sparse import bsr_matrix
 
 from phsi_opt.integrators import integrator
 from phsi_opt.measurements import Measurements, Trajectory
 from phsi_opt.model import Model
+
+FINE = 8  # steps of the integration that checks one step of a scheme
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +70,14 @@ class Grid:
         )
 
 
-def grid_of(data: Measurements, steps: int = 1) -> Grid:
-    """Lay out the measurements with ``steps`` intervals between neighbouring samples."""
-    parts = [_refined(trajectory, data.hold, steps) for trajectory in data.trajectories]
+def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
+    """Lay out the measurements with ``steps`` intervals between neighbouring samples.
+
+    ``steps`` is a number, or per trajectory an array (n_samples - 1,) with the number for each gap between samples.
+    """
+    runs = data.trajectories
+    counts = [np.full(r.n_samples - 1, steps) for r in runs] if isinstance(steps, int) else list(steps)
+    parts = [_refined(run, data.hold, n) for run, n in zip(runs, counts, strict=True)]
     sizes = [len(part["t"]) for part in parts]
     offsets = np.cumsum([0, *sizes[:-1]])
     joined = {key: np.concatenate([part[key] for part in parts]) for key in ("t", "y", "sample", "h", "u0", "u1", "u")}
@@ -76,21 +85,32 @@ def grid_of(data: Measurements, steps: int = 1) -> Grid:
     return Grid(trajectory=np.repeat(np.arange(len(parts)), sizes), begin=begin, **joined)
 
 
-def _refined(trajectory: Trajectory, hold: str, steps: int) -> dict[str, np.ndarray]:
-    n = trajectory.n_samples
-    position = np.arange((n - 1) * steps + 1) / steps
-    left, fraction = np.minimum(position.astype(int), n - 2), None
-    fraction = (position - left)[:, None]
-    t = trajectory.t[left] + fraction[:, 0] * (trajectory.t[left + 1] - trajectory.t[left])
-    sample = np.arange(len(t)) % steps == 0
+def between(x: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Values (n_samples, ...) at the samples, interpolated to the nodes of a grid with ``steps`` intervals per gap."""
+    left, fraction = _places(steps)
+    weight = fraction.reshape(-1, *[1] * (x.ndim - 1))
+    return (1 - weight) * x[left] + weight * x[np.minimum(left + 1, len(x) - 1)]
+
+
+def _places(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each node: the sample to its left (the last node: itself), and the fraction of the gap behind it."""
+    left = np.repeat(np.arange(len(steps)), steps)
+    first = np.cumsum(steps) - steps
+    fraction = (np.arange(len(left)) - first[left]) / steps[left]
+    return np.r_[left, len(steps)], np.r_[fraction, 0.0]
+
+
+def _refined(trajectory: Trajectory, hold: str, steps: np.ndarray) -> dict[str, np.ndarray]:
+    left, fraction = _places(steps)
+    t = between(trajectory.t, steps)
+    sample = fraction == 0
     y = np.full((len(t), trajectory.x.shape[1]), np.nan)
     y[sample] = trajectory.x
-    u = trajectory.u
     if hold == "zero":
-        at_node = u[np.minimum(position.astype(int), n - 1)]
+        at_node = trajectory.u[left]
         u0 = u1 = at_node[:-1]
     else:
-        at_node = (1 - fraction) * u[left] + fraction * u[left + 1]
+        at_node = between(trajectory.u, steps)
         u0, u1 = at_node[:-1], at_node[1:]
     return {"t": t, "y": y, "sample": sample, "h": np.diff(t), "u0": u0, "u1": u1, "u": at_node}
 
@@ -110,8 +130,17 @@ def defect(model: Model, scheme: str) -> ca.Function:
 
 
 def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
-    """Defects of all intervals, (n_states, n_intervals); x is (n_states, n_nodes), symbolic or numbers."""
-    return _mapped(defect(model, scheme), grid)(*_columns(grid, x), theta)
+    """Defects of all intervals, (n_states, n_intervals); x is (n_states, n_nodes), symbolic or numbers.
+
+    theta is (n_free,), or (n_free, n_trajectories) where trajectories have parameters of their own.
+    """
+    return _along(defect(model, scheme), grid, _columns(grid, x), theta)
+
+
+def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
+    """What the sensors show at the nodes, (n_states, n_nodes)."""
+    columns = [x, grid.u.T, grid.t[None, :]]
+    return _along(model.output(), replace(grid, begin=np.arange(grid.n_nodes)), columns, theta)
 
 
 def defect_jacobian(model: Model, grid: Grid, scheme: str, only: list[int] | None = None) -> ca.Function:
@@ -136,9 +165,51 @@ def defect_slopes(model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: n
     return tuple(np.array(columns).T.reshape(grid.n_intervals, n, n) for columns in mapped)
 
 
+def output_slope(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
+    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block per node."""
+    one, n = model.output(), model.n_states
+    arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
+    slope = ca.vec(ca.densify(ca.jacobian(one(*arguments), arguments[0]).T))
+    nodes = replace(grid, begin=np.arange(grid.n_nodes))
+    columns = [ca.DM(x.T), grid.u.T, grid.t[None, :]]
+    blocks = np.array(_along(ca.Function("slope", arguments, [slope]), nodes, columns, theta)).T.reshape(-1, n, n)
+    return bsr_matrix((blocks, np.arange(grid.n_nodes), np.arange(grid.n_nodes + 1))).tocsc()
+
+
+def local_errors(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """What one step of the scheme misses of the exact solution, (n_intervals, n_states), for states on the scheme.
+
+    The exact end of an interval is found by `FINE` steps of RK4 from its beginning. NaN where they leave the range.
+    """
+    rhs, psi, n, m = model.rhs(), integrator("rk4").psi, model.n_states, model.n_inputs
+    x0, all_of = ca.SX.sym("x0", n), ca.SX.sym("theta", len(model.free))
+    t0, h, u0, u1 = ca.SX.sym("t0"), ca.SX.sym("h"), ca.SX.sym("u0", m), ca.SX.sym("u1", m)
+    at = x0
+    for k in range(FINE):
+
+        def g(x: Any, c: float, done: int = k) -> Any:
+            share = (done + c) / FINE
+            return rhs(x, u0 + share * (u1 - u0), t0 + share * h, all_of)
+
+        at = at + h / FINE * psi(g, at, at, h / FINE)
+    exact = ca.Function("exact", [x0, t0, h, u0, u1, all_of], [at])
+    columns = _columns(grid, ca.DM(x.T))
+    ends = _along(exact, grid, [columns[0], *columns[2:]], theta)
+    return np.array(ends).T - x[grid.begin + 1]
+
+
+def _along(one: ca.Function, grid: Grid, columns: list[Any], theta: Any) -> Any:
+    """The function in every interval (or node) with the parameters of its trajectory."""
+    shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
+    if len(shape) < 2 or shape[1] == 1:
+        return _mapped(one, grid)(*columns, theta)
+    each = theta[:, grid.trajectory[grid.begin].tolist()]
+    return one.map(len(grid.begin), "serial")(*columns, each)
+
+
 def _mapped(per_interval: ca.Function, grid: Grid) -> ca.Function:
     # theta (the last argument) is one and the same for all intervals.
-    return per_interval.map("mapped", "serial", grid.n_intervals, [per_interval.n_in() - 1], [])
+    return per_interval.map("mapped", "serial", len(grid.begin), [per_interval.n_in() - 1], [])
 
 
 def _columns(grid: Grid, x: Any) -> list[Any]:

@@ -11,19 +11,22 @@ Each makes a `Program` from a model, a grid and a starting point; what is done w
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.sparse import diags
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
-from phsi_opt.grid import Grid, defect_jacobian, defects
+from phsi_opt.grid import Grid, defect_jacobian, defects, outputs
 from phsi_opt.model import Model
 from phsi_opt.nlp import Assembly, Program
+from phsi_opt.theta import Theta
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point to start from, with each quantity's size: theta in the order of `Model.free`, x (n_nodes, n_states)."""
+    """A point to start from, with each quantity's size: theta in the order of `Theta`, x (n_nodes, n_states)."""
 
     theta: np.ndarray
     x: np.ndarray
@@ -56,9 +59,10 @@ class PHSILoss:
             return ca.horzcat(dense, ca.MX(dense.size1(), z.numel() - n))
 
         build = Assembly()
-        theta = _theta(build, model, point)
+        unknown = Theta.of(model, ("",))
+        theta = _theta(build, unknown, point)
         build.residual(weight * defects(model, used, self.integrator, ca.DM(used.y.T), theta), jacobian)
-        _add_l1(build, model, theta, point, l1, 1 / size)
+        _add_l1(build, unknown, theta, point, l1, 1 / size)
         return build.finish()
 
 
@@ -66,25 +70,54 @@ class PHSILoss:
 class MaximumLikelihood:
     """Minimise (1/N) sum ((y - x)/sigma)^2 + sum lambda |xi| over states and parameters, subject to zero defects.
 
-    States that nobody measured and missing samples are no obstacle. ``noise`` are standard deviations by state name;
-    None estimates them. ``steps`` intervals are put between neighbouring samples (None: as many as the integration
-    error asks for).
+    States that nobody measured and missing samples are no obstacle.
+
+    Args:
+        noise: standard deviations by state name; None estimates them.
+        integrator: the scheme of the defects.
+        steps: intervals between neighbouring samples; None puts as many, where they are needed, as the estimates and
+            residuals notice.
+        huber: residuals beyond so many standard deviations count linearly (1.345 costs 5 % of the efficiency on normal
+            noise), so that outliers pull little; None: all count squared.
+        window: length in time of the pieces with free starting states that are solved first, from which the whole
+            record starts; None: only where the whole record cannot be solved.
+        starts: number of starting points, the first from the data, others moved from it by a fixed random sequence;
+            the fit's warnings say how many of them agree.
     """
 
     noise: Mapping[str, float] | None = None
     integrator: str = "srk4"
     steps: int | None = None
+    huber: float | None = None
+    window: float | None = None
+    starts: int = 1
 
-    def program(self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float], sigma: np.ndarray) -> Program:
-        """The program in theta, x and the slacks. ``sigma`` (n_states,): noise of each channel."""
+    def __post_init__(self) -> None:
+        for name in ("huber", "window"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ModelError(f"{name}={value!r} of MaximumLikelihood must be a number above zero, or None.")
+        for name in ("steps", "starts"):
+            value = getattr(self, name)
+            if value is not None and (not isinstance(value, int) or value < 1):
+                raise ModelError(f"{name}={value!r} of MaximumLikelihood must be a whole number of at least 1.")
+
+    def program(
+        self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float], sigma: np.ndarray, unknown: Theta
+    ) -> Program:
+        """The program in theta, x and the slacks. ``sigma`` (n_states,), noise of each channel, is a setting of it."""
         build = Assembly()
-        theta = _theta(build, model, point)
+        theta = _theta(build, unknown, point)
         x = _states(build, grid, point)
-        d = defects(model, grid, self.integrator, x, theta)
+        of_runs = unknown.by_trajectory(theta)
+        d = defects(model, grid, self.integrator, x, of_runs)
         build.constrain("defect", _scaled(d, grid, point), label=grid.interval_label(model.n_states))
         n = int(grid.measured.sum())
-        build.residual(_misfit(x, grid, sigma) * np.sqrt(2 / n))
-        _add_l1(build, model, theta, point, l1, 1.0)
+        residual = _misfit(model, x, of_runs, grid, build.setting("sigma", sigma))
+        if self.huber is not None:
+            residual = residual - _outliers(build, n, self.huber)
+        build.residual(residual * np.sqrt(2 / n))
+        _add_l1(build, unknown, theta, point, l1, 1.0)
         return build.finish()
 
 
@@ -100,23 +133,24 @@ class MissingForce:
 
     integrator: str = "srk4"
 
-    def program(
-        self, model: Model, grid: Grid, point: Point, prior: "ForcePrior", sigma: np.ndarray, fixed: bool = True
-    ) -> Program:
-        """The program in x and w (and theta, unless ``fixed``)."""
+    def program(self, model: Model, grid: Grid, point: Point, prior: "ForcePrior", sigma: np.ndarray) -> Program:
+        """The program in x and w; the parameters stay at ``point.theta`` (see `grid.defects` for its shape)."""
         build = Assembly()
-        theta = ca.DM(point.theta) if fixed else _theta(build, model, point)
         x = _states(build, grid, point)
         n_forced, rows = len(prior.rows), list(prior.rows)
         start = np.zeros((grid.n_intervals, n_forced)) if point.w is None else point.w
-        w = ca.reshape(build.variable("w", start.ravel(), scale=np.tile(prior.size, grid.n_intervals)), n_forced, -1)
+        # Size and noise are settings: the updates of both solve the same program again.
+        size, noise = build.setting("size", prior.size), build.setting("sigma", sigma)
+        scale = np.tile(prior.size, grid.n_intervals)
+        w = ca.reshape(build.variable("w", start.ravel(), scale=scale), n_forced, -1)
         selector = np.zeros((model.n_states, n_forced))
         selector[rows, np.arange(n_forced)] = 1.0
+        theta = ca.DM(point.theta)
         d = defects(model, grid, self.integrator, x, theta) - ca.mtimes(ca.DM(selector), w)
         build.constrain("defect", _scaled(d, grid, point), label=grid.interval_label(model.n_states))
-        build.residual(_misfit(x, grid, sigma))
+        build.residual(_misfit(model, x, theta, grid, noise))
         for k in range(n_forced):
-            build.residual(prior.whiten(grid, k, w[k, :].T))
+            build.residual(ca.mtimes(ca.DM(prior.unit_whitener(grid)), w[k, :].T) / size[k])
         return build.finish()
 
 
@@ -128,19 +162,17 @@ class ForcePrior:
     size: np.ndarray
     time: float
 
-    def whiten(self, grid: Grid, k: int, w: ca.MX) -> ca.MX:
-        """Independent standard normal innovations of the force in row k, one per interval."""
-        return ca.mtimes(ca.DM(self.whitener(grid, k)), w)
+    def whitener(self, grid: Grid, k: int) -> Any:
+        """Sparse matrix from the force in row k to its innovations: independent and standard normal."""
+        return self.unit_whitener(grid) / self.size[k]
 
-    def whitener(self, grid: Grid, k: int):  # type: ignore[no-untyped-def]
-        """Sparse matrix from the force in row k to its innovations."""
-        from scipy.sparse import diags
-
+    def unit_whitener(self, grid: Grid) -> Any:
+        """The whitener of a force of size one."""
         middle = grid.t[grid.begin] + grid.h / 2
         first = np.diff(grid.trajectory[grid.begin], prepend=-1) != 0
         decay = np.exp(-np.diff(middle, prepend=middle[0]) / self.time)
         decay[first] = 0.0
-        spread = self.size[k] * np.sqrt(-np.expm1(2 * np.log(np.maximum(decay, 1e-300))))
+        spread = np.sqrt(-np.expm1(2 * np.log(np.maximum(decay, 1e-300))))
         return diags([1 / spread, -decay[1:] / spread[1:]], [0, -1], format="csc")
 
 
@@ -159,6 +191,10 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
 
 def complete(model: Model, grid: Grid) -> Grid:
     """The grid with only the intervals whose two ends are completely measured; raises `DataError` if there are none."""
+    alone = [name for name, entry in model.entries.items() if entry.parameter.per_trajectory]
+    if model.sensor or alone:
+        what = f"the parameter per trajectory {alone[0]!r}" if alone else f"the sensor of {next(iter(model.sensor))!r}"
+        raise ModelError(f"PHSILoss has no place for {what}; use MaximumLikelihood().")
     never = [name for name, seen in zip(model.states, grid.measured.T, strict=True) if not np.any(seen)]
     if never:
         raise DataError(
@@ -178,10 +214,10 @@ def rate_size(grid: Grid) -> float:
     return size if size > 0 else 1.0
 
 
-def _theta(build: Assembly, model: Model, point: Point) -> ca.MX:
-    entries = [model.entries[name].parameter for name in model.free]
+def _theta(build: Assembly, unknown: Theta, point: Point) -> ca.MX:
+    entries = [entry.parameter for entry in unknown.entries]
     lower, upper = np.array([p.lower for p in entries]), np.array([p.upper for p in entries])
-    return build.variable("theta", point.theta, lower, upper, point.theta_scale, lambda i: model.free[i])
+    return build.variable("theta", point.theta, lower, upper, point.theta_scale, lambda i: unknown.names[i])
 
 
 def _states(build: Assembly, grid: Grid, point: Point) -> ca.MX:
@@ -197,15 +233,26 @@ def _scaled(d: ca.MX, grid: Grid, point: Point) -> ca.MX:
     return d * ca.DM(grid.h[None, :] / point.x_scale[:, None])
 
 
-def _misfit(x: ca.MX, grid: Grid, sigma: np.ndarray) -> ca.MX:
-    seen = np.flatnonzero(grid.measured.ravel()).tolist()  # row-major (n_nodes, n_states) = CasADi's columns
-    weight = 1 / np.tile(sigma, grid.n_nodes)[seen]
-    return (ca.DM(grid.y.ravel()[seen]) - ca.vec(x)[seen]) * ca.DM(weight)
+def _misfit(model: Model, x: ca.MX, theta: Any, grid: Grid, sigma: ca.MX) -> ca.MX:
+    shown = outputs(model, grid, x, theta) if model.sensor else x
+    measured = grid.measured
+    seen = np.flatnonzero(measured.ravel()).tolist()  # row-major (n_nodes, n_states) = CasADi's columns
+    spread = ca.vec(sigma[np.nonzero(measured)[1].tolist()])
+    return (ca.DM(grid.y.ravel()[seen]) - ca.vec(shown)[seen]) / spread
 
 
-def _add_l1(build: Assembly, model: Model, theta: ca.MX, point: Point, l1: Mapping[str, float], factor: float) -> None:
-    entries = model.entries
-    chosen = [i for i, name in enumerate(model.free) if entries[name].prunable and l1.get(entries[name].slot, 0) > 0]
+def _outliers(build: Assembly, n: int, limit: float) -> ca.MX:
+    """Slack variables that take over what is beyond the limit, at a linear cost: together, Huber's function."""
+    parts = [build.variable(f"outlier_{name}", np.full(n, 0.1), lower=0.0) for name in ("above", "below")]
+    build.cost(2 * limit / n * (ca.sum1(parts[0]) + ca.sum1(parts[1])))
+    return parts[0] - parts[1]
+
+
+def _add_l1(
+    build: Assembly, unknown: Theta, theta: ca.MX, point: Point, l1: Mapping[str, float], factor: float
+) -> None:
+    entries = unknown.entries
+    chosen = [i for i, entry in enumerate(entries) if entry.prunable and l1.get(entry.slot, 0) > 0]
     if chosen:
-        weight = factor * np.array([l1[entries[model.free[i]].slot] for i in chosen])
+        weight = factor * np.array([l1[entries[i].slot] for i in chosen])
         build.l1("theta", theta[chosen], weight, point.theta[chosen], point.theta_scale[chosen])

@@ -7,18 +7,22 @@ fixed random probes, so that the result is deterministic.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
+import casadi as ca
 import numpy as np
-from scipy.sparse import block_diag, bmat, csc_matrix, diags
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse import block_diag, bmat, csc_matrix, diags, identity
 
 from phsi_opt.errors import SolveError
-from phsi_opt.grid import Grid
+from phsi_opt.grid import Grid, output_slope, outputs
+from phsi_opt.linear import Banded, along_time
 from phsi_opt.losses import ForcePrior, MissingForce, Point
 from phsi_opt.model import Model
-from phsi_opt.solver import Settings, solve
+from phsi_opt.solver import Settings, Solver
 
 N_PROBES = 24
+PROBED = 200_000  # values that all probes together look at, at least
+SETTLED = 0.02  # change of the logarithm of a variance at which its updates end
 LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
 
 
@@ -65,36 +69,61 @@ def estimate_force(
     model: Model, grid: Grid, point: Point, sigma: np.ndarray, *, rounds: int = 3, known_noise: bool = False,
     prior: ForcePrior | None = None, integrator: str = "srk4",
 ) -> ForceEstimate:  # fmt: skip
-    """Estimate states and missing force of ``model`` at ``point.theta``, with noise and force size by evidence."""
+    """Estimate states and missing force of ``model`` at ``point.theta``, with noise and force size by evidence.
+
+    ``point.theta`` is (n_free,), or (n_free, n_trajectories) where trajectories have parameters of their own.
+    """
     prior = prior or default_prior(model, grid, point)
-    loss, settings = MissingForce(integrator), Settings(tolerance=1e-6, max_iterations=200)
-    evidence = -np.inf
+    theta = point.theta
+    program = MissingForce(integrator).program(model, grid, point, prior, sigma)
+    solver = Solver(program, Settings(tolerance=1e-6, max_iterations=200))
+    start, evidence = program.start, -np.inf
     for _ in range(rounds):
-        program = loss.program(model, grid, point, prior, sigma)
-        solution = solve(program, settings, raise_on_failure=False)
+        solution = solver.solve(start, np.r_[prior.size, sigma], raise_on_failure=False)
         if not solution.outcome.success and solution.outcome.infeasibility > 1e-3:
             raise SolveError(f"The missing force could not be estimated: {solution.outcome}")
+        start = solution.z
         x = solution.values["x"].reshape(point.x.shape)
         w = solution.values["w"].reshape(grid.n_intervals, len(prior.rows))
-        jacobian = solution.kkt.jacobian @ diags(1 / program.scale)
+        jacobian = csc_matrix(solution.kkt.jacobian @ diags(1 / program.scale))
         point = replace(point, x=x, w=w)
-        sigma, prior, evidence, linear = _update(grid, point, csc_matrix(jacobian), sigma, prior, known_noise)
+        sensed = Sensed.at(model, grid, x, theta)
+        old = sigma, prior
+        sigma, prior, evidence, linear = _update(grid, point, jacobian, sigma, prior, known_noise, sensed)
+        if max(np.max(np.abs(np.log(sigma / old[0]))), np.max(np.abs(np.log(prior.size / old[1].size)))) < SETTLED:
+            break
     assert point.w is not None
     return ForceEstimate(point.x, point.w, sigma, prior, evidence, grid, linear)
 
 
+@dataclass(frozen=True, eq=False)
+class Sensed:
+    """What the sensors show of the states, (n_nodes, n_states), and its slope in them, sparse."""
+
+    shown: np.ndarray
+    slope: Any
+
+    @classmethod
+    def at(cls, model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> "Sensed":
+        """The sensors of ``model`` at the states x."""
+        if not model.sensor:
+            return cls(x, identity(x.size, format="csc"))
+        return cls(np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T, output_slope(model, grid, x, theta))
+
+
 def _update(
-    grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior, known_noise: bool
-) -> "tuple[np.ndarray, ForcePrior, float, Linearised]":
+    grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior, known_noise: bool,
+    sensed: Sensed,
+) -> "tuple[np.ndarray, ForcePrior, float, Linearised]":  # fmt: skip
     """Noise and force size of largest marginal likelihood in the problem linearised at the point."""
     evidence = -np.inf
     for _ in range(8):
-        linear = Linearised(grid, point, jacobian, sigma, prior)
+        linear = Linearised(grid, point, jacobian, sigma, prior, sensed)
         evidence = linear.log_evidence()
         new_sigma, new_size = linear.improved(known_noise)
         step = max(np.max(np.abs(np.log(new_sigma / sigma))), np.max(np.abs(np.log(new_size / prior.size))))
         sigma, prior = new_sigma, replace(prior, size=new_size)
-        if step < 0.02:
+        if step < SETTLED:
             break
     return sigma, prior, evidence, linear
 
@@ -106,7 +135,7 @@ def force_deviation(estimate: ForceEstimate, most: int = 400) -> np.ndarray:
     result = np.zeros((n_intervals, n_forced))
     for k in range(n_forced):
         at = linear.n_x + chosen * n_forced + k
-        unit = np.zeros((linear.factor.shape[0], len(chosen)))
+        unit = np.zeros((linear.n_total, len(chosen)))
         unit[at, np.arange(len(chosen))] = 1.0
         variance = linear.factor.solve(unit)[at, np.arange(len(chosen))]
         result[:, k] = np.interp(np.arange(n_intervals), chosen, np.sqrt(np.maximum(variance, 0.0)))
@@ -116,8 +145,12 @@ def force_deviation(estimate: ForceEstimate, most: int = 400) -> np.ndarray:
 class Linearised:
     """The missing-force problem linearised at a point: one factorisation, then means, variances and evidence."""
 
-    def __init__(self, grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior) -> None:
+    def __init__(
+        self, grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior,
+        sensed: Sensed | None = None,
+    ) -> None:  # fmt: skip
         assert point.w is not None
+        sensed = sensed or Sensed(point.x, identity(point.x.size, format="csc"))
         self.grid, self.point, self.sigma, self.prior = grid, point, sigma, prior
         self.n_x, self.n_w = point.x.size, point.w.size
         self.whiteners = [prior.whitener(grid, k) for k in range(len(prior.rows))]
@@ -126,18 +159,22 @@ class Linearised:
         self.L = block_diag(self.whiteners, format="csc")[:, np.argsort(order)]
         seen = grid.measured
         self.weight = np.where(seen, 1 / np.tile(sigma, (grid.n_nodes, 1)), 0.0).ravel()
-        hessian = block_diag([diags(self.weight**2), self.L.T @ self.L], format="csc")
-        self.factor = _factor(bmat([[hessian, jacobian.T], [jacobian, None]], format="csc"))
-        residual = np.where(seen, grid.y - point.x, 0.0).ravel()
-        gradient = np.r_[-(self.weight**2) * residual, self.L.T @ (self.L @ point.w.ravel())]
+        self.seen_of = diags(self.weight) @ sensed.slope  # from a change of the states to weighted values
+        hessian = block_diag([self.seen_of.T @ self.seen_of, self.L.T @ self.L], format="csc")
+        self.n_total = hessian.shape[0] + jacobian.shape[0]
+        n = point.x.shape[1]
+        along = along_time(grid, ("node", n), ("interval", n_forced), ("interval", n))
+        self.factor = Banded(bmat([[hessian, jacobian.T], [jacobian, None]], format="coo"), along)
+        residual = np.where(seen, grid.y - sensed.shown, 0.0).ravel()
+        gradient = np.r_[-self.seen_of.T @ (self.weight * residual), self.L.T @ (self.L @ point.w.ravel())]
         step = self.factor.solve(np.r_[-gradient, np.zeros(jacobian.shape[0])])
-        self.residual = residual - step[: self.n_x]
+        self.residual = residual - sensed.slope @ step[: self.n_x]
         self.innovations = self.L @ (point.w.ravel() + step[self.n_x : self.n_x + self.n_w])
 
     def log_evidence(self) -> float:
         """log p(y | noise, force size), up to a constant of the linearisation point."""
         misfit = np.sum((self.weight * self.residual) ** 2) + np.sum(self.innovations**2)
-        log_det = np.sum(np.log(np.abs(self.factor.U.diagonal())))
+        log_det = self.factor.log_abs_det
         log_noise = np.sum(np.log(self.weight[self.weight > 0]))
         log_prior = sum(np.sum(np.log(L.diagonal())) for L in self.whiteners)
         return float(-misfit / 2 - log_det / 2 + log_noise + log_prior)
@@ -159,26 +196,16 @@ class Linearised:
     def _well_determined(self) -> tuple[np.ndarray, np.ndarray]:
         """Number of well-determined directions per measured channel and per force."""
         rng = np.random.default_rng(0)
-        n_total = self.factor.shape[0]
-        signs_y = rng.choice([-1.0, 1.0], (self.n_x, N_PROBES)) * (self.weight > 0)[:, None]
-        signs_w = rng.choice([-1.0, 1.0], (self.n_w, N_PROBES))
-        right = np.zeros((n_total, 2 * N_PROBES))
-        right[: self.n_x, :N_PROBES] = self.weight[:, None] * signs_y
-        right[self.n_x : self.n_x + self.n_w, N_PROBES:] = self.L.T @ signs_w
+        n_probes = int(np.clip(PROBED // self.n_x, 2, N_PROBES))  # the trace of a longer record needs fewer
+        signs_y = rng.choice([-1.0, 1.0], (self.n_x, n_probes)) * (self.weight > 0)[:, None]
+        signs_w = rng.choice([-1.0, 1.0], (self.n_w, n_probes))
+        right = np.zeros((self.n_total, 2 * n_probes))
+        right[: self.n_x, :n_probes] = self.seen_of.T @ signs_y
+        right[self.n_x : self.n_x + self.n_w, n_probes:] = self.L.T @ signs_w
         left = self.factor.solve(right)
-        along_y = signs_y * self.weight[:, None] * left[: self.n_x, :N_PROBES]
-        along_w = signs_w * (self.L @ left[self.n_x : self.n_x + self.n_w, N_PROBES:])
+        along_y = signs_y * (self.seen_of @ left[: self.n_x, :n_probes])
+        along_w = signs_w * (self.L @ left[self.n_x : self.n_x + self.n_w, n_probes:])
         n_forced = len(self.prior.rows)
         determined_y = along_y.mean(axis=1).reshape(self.grid.y.shape).sum(axis=0)
         determined_w = self.n_w / n_forced - along_w.mean(axis=1).reshape(n_forced, -1).sum(axis=1)
         return determined_y, determined_w
-
-
-def _factor(matrix: csc_matrix) -> SuperLU:
-    try:
-        return splu(matrix)
-    except RuntimeError as error:  # SuperLU's word for a singular matrix
-        raise SolveError(
-            f"The missing force could not be estimated: {error}. A state may neither be measured nor act on one "
-            "that is; measure it, or take it out of the model."
-        ) from None

@@ -16,6 +16,9 @@ from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.expressions import CASADI, CONSTANTS, FUNCTIONS, evaluate, names_of
 from phsi_opt.terms import Dictionary, Parameter, Term, with_values
 
+SLOTS = ("H", "R", "F", "sensor")  # where a term may act
+BY_EQUATION = SLOTS[1:]
+
 
 class Addition(Protocol):
     """What `Model.add` needs of an effect."""
@@ -43,12 +46,17 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """What every model has: states, inputs, loss R and force F per equation. See `PseudoHamiltonian`, `FirstOrder`."""
+    """What every model has: states, inputs, loss R and force F per equation. See `PseudoHamiltonian`, `FirstOrder`.
+
+    ``sensor`` holds, per state, what its sensor adds to it: measured = state + sensor terms, such as an offset
+    ``formula("b", b=Parameter(0.0))`` or a gain ``formula("(g - 1)*q", g=Parameter(1.0))``.
+    """
 
     states: Sequence[str]  # a tuple once checked
     inputs: Sequence[str] = ()
     R: Mapping[str, Dictionary] = field(default_factory=dict)
     F: Mapping[str, Dictionary] = field(default_factory=dict)
+    sensor: Mapping[str, Dictionary] = field(default_factory=dict)
     S: Any = None
     H: Dictionary = field(default_factory=Dictionary)
 
@@ -59,16 +67,16 @@ class Model:
             raise ModelError(f"{sorted(clash)} are both states and inputs; rename one of them.")
         object.__setattr__(self, "S", _structure(self.S, len(self.states)))
         object.__setattr__(self, "H", _dictionary(self.H, "H"))
-        for slot in ("R", "F"):
+        for slot in BY_EQUATION:
             object.__setattr__(self, slot, self._equations(getattr(self, slot), slot))
         self._check_names()
 
     def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
-        return {**vars(self), "R": dict(self.R), "F": dict(self.F)}
+        return {**vars(self), **{slot: dict(getattr(self, slot)) for slot in BY_EQUATION}}
 
     def __setstate__(self, parts: dict[str, Any]) -> None:
         for name, value in parts.items():
-            object.__setattr__(self, name, MappingProxyType(value) if name in ("R", "F") else value)
+            object.__setattr__(self, name, MappingProxyType(value) if name in BY_EQUATION else value)
 
     def _equations(self, dictionaries: Mapping[str, Dictionary], slot: str) -> Mapping[str, Dictionary]:
         if not isinstance(dictionaries, Mapping):
@@ -123,7 +131,8 @@ class Model:
     def placed(self) -> list[tuple[str, str, Term]]:
         """All terms with slot and equation ('' for H)."""
         rows = [("H", "", term) for term in self.H]
-        for slot, dictionaries in (("R", self.R), ("F", self.F)):
+        for slot in BY_EQUATION:
+            dictionaries = getattr(self, slot)
             rows += [(slot, equation, term) for equation, terms in dictionaries.items() for term in terms]
         return rows
 
@@ -154,8 +163,10 @@ class Model:
         """A new model with the effect's terms added in its slot."""
         if effect.slot == "H":
             return replace(self, H=self.H + effect.term)
-        if effect.slot not in ("R", "F"):
-            raise ModelError(f"effect {effect.name!r} acts in slot {effect.slot!r}; expected 'H', 'R' or 'F'.")
+        if effect.slot not in BY_EQUATION:
+            raise ModelError(
+                f"effect {effect.name!r} acts in slot {effect.slot!r}; expected one of {', '.join(SLOTS)}."
+            )
         self.index(effect.equation, f"equation of effect {effect.name!r}:")
         old = getattr(self, effect.slot)
         new = old.get(effect.equation, Dictionary()) + effect.term
@@ -171,7 +182,7 @@ class Model:
 
         slots: dict[str, Any] = {
             slot: {name: d for name, terms in getattr(self, slot).items() if len(d := kept(slot, name, terms))}
-            for slot in ("R", "F")
+            for slot in BY_EQUATION
         }
         return replace(self, H=kept("H", "", self.H), **slots)
 
@@ -185,7 +196,7 @@ class Model:
             return Dictionary(tuple(with_values(term, place_of(slot, equation), values) for term in terms))
 
         slots: dict[str, Any] = {
-            s: {name: with_new(s, name, terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")
+            s: {name: with_new(s, name, terms) for name, terms in getattr(self, s).items()} for s in BY_EQUATION
         }
         return replace(self, H=with_new("H", "", self.H), **slots)
 
@@ -196,9 +207,20 @@ class Model:
             return Dictionary(tuple(_fixed(term) for term in terms))
 
         slots: dict[str, Any] = {
-            s: {name: fixed(terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")
+            s: {name: fixed(terms) for name, terms in getattr(self, s).items()} for s in BY_EQUATION
         }
         return replace(self, H=fixed(self.H), **slots)
+
+    def dynamics(self) -> "Model":
+        """A new model without sensors (they show the state itself) and with every parameter shared by all runs."""
+
+        def shared(terms: Dictionary) -> Dictionary:
+            return Dictionary(tuple(_shared(term) for term in terms))
+
+        slots: dict[str, Any] = {
+            s: {name: shared(terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")
+        }
+        return replace(self, H=shared(self.H), sensor={}, **slots)
 
     def expressions(self, x: Any, u: Any, t: Any, values: Mapping[str, Any], backend: int = CASADI) -> "Expressions":
         """H, the diagonal of R and F as expressions of the states x, inputs u, time t and parameter values."""
@@ -206,9 +228,11 @@ class Model:
         energy = self._sum(self.H, "H", known, values, backend)
         efforts = self._efforts(energy, x, backend)
         known.update(zip(self.efforts, efforts, strict=True))
-        loss = [self._sum(self.R.get(n, Dictionary()), place_of("R", n), known, values, backend) for n in self.states]
-        force = [self._sum(self.F.get(n, Dictionary()), place_of("F", n), known, values, backend) for n in self.states]
-        return Expressions(energy, efforts, loss, force)
+        loss, force, sensor = (
+            [self._sum(slot.get(n, Dictionary()), place_of(kind, n), known, values, backend) for n in self.states]
+            for kind, slot in (("R", self.R), ("F", self.F), ("sensor", self.sensor))
+        )
+        return Expressions(energy, efforts, loss, force, sensor)
 
     def _sum(
         self, terms: Dictionary, place: str, known: Mapping[str, Any], values: Mapping[str, Any], backend: int
@@ -231,6 +255,13 @@ class Model:
         x, u, t, theta, values = self._symbols()
         e = self.expressions([x[i] for i in range(self.n_states)], [u[i] for i in range(self.n_inputs)], t, values)
         return ca.Function("rhs", [x, u, t, theta], [ca.densify(self.derivative(e))], ["x", "u", "t", "theta"], ["dx"])
+
+    def output(self) -> ca.Function:
+        """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
+        x, u, t, theta, values = self._symbols()
+        e = self.expressions([x[i] for i in range(self.n_states)], [u[i] for i in range(self.n_inputs)], t, values)
+        shown = x + ca.vertcat(*(ca.SX(added) for added in e.sensor))
+        return ca.Function("output", [x, u, t, theta], [ca.densify(shown)], ["x", "u", "t", "theta"], ["y"])
 
     def derivative(self, e: "Expressions") -> Any:
         """(S - R) grad H + F as a column of expressions."""
@@ -268,6 +299,7 @@ class Expressions:
     efforts: list[Any]
     loss: list[Any]
     force: list[Any]
+    sensor: list[Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,6 +312,7 @@ class PseudoHamiltonian(Model):
         R: per equation, the terms of the diagonal entry R_ii(x) >= 0; the loss is R_ii dH/dx_i.
         F: per equation, terms in the states, inputs, efforts (``dH_dp``) and the time ``t``.
         inputs: names of the measured inputs.
+        sensor: per measured state, what its sensor adds to it, such as an offset; terms as in F.
 
     Raises `ModelError` for unknown names, a matrix that is not skew-symmetric, or a term that occurs twice.
     """
@@ -302,13 +335,15 @@ class FirstOrder(Model):
         F: Mapping[str, Dictionary],
         inputs: Sequence[str] = (),
         R: Mapping[str, Dictionary] | None = None,
+        sensor: Mapping[str, Dictionary] | None = None,
         *,
         S: Any = None,
         H: Dictionary | None = None,
     ) -> None:
         if H or np.any(S):  # `dataclasses.replace` passes them on, empty
             raise ModelError("a FirstOrder model has no S and no H; use PseudoHamiltonian, or put the terms into F.")
-        parts = {"states": states, "F": F, "inputs": inputs, "R": R or {}, "S": None, "H": Dictionary()}
+        parts = {"states": states, "F": F, "inputs": inputs, "R": R or {}, "sensor": sensor or {}, "S": None,
+                 "H": Dictionary()}  # fmt: skip
         for name, value in parts.items():
             object.__setattr__(self, name, value)
         self.__post_init__()
@@ -333,7 +368,15 @@ def canonical(n: int) -> np.ndarray:
 
 def _fixed(term: Term) -> Term:
     def hold(parameter: Parameter) -> Parameter:
-        return replace(parameter, value=parameter.start, fixed=True)
+        return replace(parameter, value=parameter.start, fixed=True, per_trajectory=False)
+
+    coefficient = None if term.coefficient is None else hold(term.coefficient)
+    return replace(term, coefficient=coefficient, inner={name: hold(p) for name, p in term.inner.items()})
+
+
+def _shared(term: Term) -> Term:
+    def hold(parameter: Parameter) -> Parameter:
+        return replace(parameter, per_trajectory=False)
 
     coefficient = None if term.coefficient is None else hold(term.coefficient)
     return replace(term, coefficient=coefficient, inner={name: hold(p) for name, p in term.inner.items()})

@@ -35,11 +35,16 @@ class Block:
 
 @dataclass(frozen=True)
 class Program:
-    """A finished nonlinear program in scaled variables z; ``scale * z`` are the values."""
+    """A finished nonlinear program in scaled variables z; ``scale * z`` are the values.
+
+    ``settings`` are numbers that may change between two solves, such as the noise; ``set_to`` are their values.
+    """
 
     variables: dict[str, Block]
     constraints: dict[str, Block]
     z: ca.MX
+    settings: ca.MX
+    set_to: np.ndarray
     objective: ca.MX
     residual: ca.MX
     g: ca.MX
@@ -74,6 +79,13 @@ class Assembly:
     _g: list[ca.MX] = field(default_factory=list)
     _residuals: list[tuple[ca.MX, Callable[[ca.MX], ca.MX] | None]] = field(default_factory=list)
     _linear: list[ca.MX] = field(default_factory=list)
+    _settings: list[tuple[ca.MX, np.ndarray]] = field(default_factory=list)
+
+    def setting(self, name: str, value: np.ndarray) -> ca.MX:
+        """Numbers that may change between two solves of the same program."""
+        symbol = ca.MX.sym(name, len(value))
+        self._settings.append((symbol, np.asarray(value, dtype=float)))
+        return symbol
 
     def variable(
         self,
@@ -143,19 +155,21 @@ class Assembly:
         )
         objective = ca.sumsqr(residual) / 2 + (ca.sum1(linear) if self._linear else 0)
         numbers = {key: np.concatenate(rows) if rows else np.zeros(0) for key, rows in self._numbers.items()}
+        settings = ca.vertcat(ca.MX(0, 1), *(symbol for symbol, _ in self._settings))
+        set_to = np.concatenate([np.zeros(0), *(value for _, value in self._settings)])
         return Program(
-            self._variables, self._constraints, whole, objective, residual, g,
-            self._hessian(whole, residual, g.numel(), parts), **numbers,
+            self._variables, self._constraints, whole, settings, set_to, objective, residual, g,
+            self._hessian(whole, settings, residual, g.numel()), **numbers,
         )  # fmt: skip
 
-    def _hessian(self, z: ca.MX, residual: ca.MX, n_constraints: int, parts: list[ca.MX]) -> ca.Function:
+    def _hessian(self, z: ca.MX, settings: ca.MX, residual: ca.MX, n_constraints: int) -> ca.Function:
         known = [jacobian(z) for _, jacobian in self._residuals if jacobian is not None]
         if len(known) == len(self._residuals):
             return _DenseGaussNewton(z, ca.vertcat(*known), n_constraints)
         factor, lam = ca.MX.sym("factor"), ca.MX.sym("lam", n_constraints)
         jacobian = ca.jacobian(residual, z)
         hessian = ca.triu(factor * ca.mtimes(jacobian.T, jacobian))
-        return ca.Function("gauss_newton", [z, ca.MX(0, 1), factor, lam], [hessian])
+        return ca.Function("gauss_newton", [z, settings, factor, lam], [hessian])
 
 
 class _DenseGaussNewton(ca.Callback):

@@ -4,7 +4,7 @@ It turns symbols into NumPy arrays; nothing symbolic leaves it but the program's
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -111,28 +111,61 @@ class KKT:
 
 def solve(program: Program, settings: Settings | None = None, raise_on_failure: bool = True) -> Solution:
     """Solve with IPOPT; raises `SolveError` if it ends without an optimum and ``raise_on_failure``."""
-    settings = settings or Settings()
-    solver = ca.nlpsol(
-        "program", "ipopt", {"x": program.z, "f": program.objective, "g": program.g}, _options(program, settings)
-    )
-    began = time.perf_counter()
-    result = solver(x0=program.start, lbx=program.lower, ubx=program.upper, lbg=program.g_lower, ubg=program.g_upper)
-    seconds = time.perf_counter() - began
-    z = np.array(result["x"]).ravel()
-    outcome = _outcome(program, solver.stats(), z, result, seconds)
-    if outcome.status == "User_Requested_Stop":
-        raise KeyboardInterrupt
-    if raise_on_failure and not outcome.success:
-        raise SolveError(f"The solver failed: {outcome}")
-    multipliers = np.array(result["lam_g"]).ravel()
-    return Solution(
-        program.values(z),
-        {name: multipliers[block.slice] for name, block in program.constraints.items()},
-        z,
-        np.array(ca.Function("r", [program.z], [program.residual])(z)).ravel(),
-        outcome,
-        kkt(program, z),
-    )
+    return Solver(program, settings).solve(raise_on_failure=raise_on_failure)
+
+
+class Solver:
+    """IPOPT made ready for one program, which may be solved again from another start or with other settings."""
+
+    def __init__(self, program: Program, settings: Settings | None = None) -> None:
+        self.program = program
+        problem = {"x": program.z, "p": program.settings, "f": program.objective, "g": program.g}
+        self._ipopt = ca.nlpsol("program", "ipopt", problem, _options(program, settings or Settings()))
+        self._residual = ca.Function("residual", [program.z, program.settings], [program.residual])
+
+    def solve(
+        self, start: np.ndarray | None = None, set_to: np.ndarray | None = None, raise_on_failure: bool = True
+    ) -> Solution:
+        """Solve from ``start`` (scaled) with the settings ``set_to``; by default those of the program."""
+        program = self.program
+        set_to = program.set_to if set_to is None else set_to
+        began = time.perf_counter()
+        result = self._ipopt(
+            x0=program.start if start is None else start, p=set_to,
+            lbx=program.lower, ubx=program.upper, lbg=program.g_lower, ubg=program.g_upper,
+        )  # fmt: skip
+        seconds = time.perf_counter() - began
+        z = np.array(result["x"]).ravel()
+        outcome = _outcome(program, self._ipopt.stats(), z, result, seconds)
+        if outcome.status == "User_Requested_Stop":
+            raise KeyboardInterrupt
+        if raise_on_failure and not outcome.success:
+            raise SolveError(f"The solver failed: {outcome}")
+        multipliers = np.array(result["lam_g"]).ravel()
+        return Solution(
+            program.values(z),
+            {name: multipliers[block.slice] for name, block in program.constraints.items()},
+            z,
+            np.array(self._residual(z, set_to)).ravel(),
+            outcome,
+            self.kkt(z, set_to),
+        )
+
+    def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
+        """The same point seen with other settings, which leave it optimal."""
+        residual = np.array(self._residual(solution.z, set_to)).ravel()
+        return replace(solution, residual=residual, kkt=self.kkt(solution.z, set_to))
+
+    def kkt(self, z: np.ndarray, set_to: np.ndarray) -> KKT:
+        """Gauss-Newton Hessian and constraint Jacobian at z."""
+        program = self.program
+        upper = program.hessian(z, set_to, 1.0, np.zeros(program.g.numel())).sparse()
+        full = upper + upper.T
+        full.setdiag(upper.diagonal())
+        if not program.g.numel():
+            return KKT(full.tocsc(), np.zeros((0, len(z))))
+        jacobian = self._ipopt.get_function("nlp_jac_g")(z, set_to)[1]
+        return KKT(full.tocsc(), jacobian.sparse().tocsc())
 
 
 def _options(program: Program, settings: Settings) -> dict[str, Any]:
@@ -158,15 +191,6 @@ def _options(program: Program, settings: Settings) -> dict[str, Any]:
             "mu_strategy": "adaptive",
         },
     }
-
-
-def kkt(program: Program, z: np.ndarray) -> KKT:
-    """Gauss-Newton Hessian and constraint Jacobian at z."""
-    upper = program.hessian(z, [], 1.0, np.zeros(program.g.numel())).sparse()
-    full = upper + upper.T
-    full.setdiag(upper.diagonal())
-    jacobian = ca.Function("jacobian", [program.z], [ca.jacobian(program.g, program.z)])
-    return KKT(full.tocsc(), jacobian(z).sparse().tocsc())
 
 
 def _outcome(program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float) -> Outcome:

@@ -15,6 +15,7 @@ import numpy as np
 
 from phsi_opt.errors import DataError
 from phsi_opt.expressions import names_of
+from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, defect_jacobian, defects
 from phsi_opt.losses import Point, complete, rate_size
 from phsi_opt.measurements import Measurements
@@ -22,6 +23,7 @@ from phsi_opt.missing import ForceEstimate, estimate_force
 from phsi_opt.model import Model, place_of
 from phsi_opt.noise import difference_noise
 from phsi_opt.terms import Scan, Share
+from phsi_opt.theta import Theta
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
 N_STARTS = 3  # frequencies of the scan that are tried
@@ -62,6 +64,19 @@ def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Po
     theta = np.array([model.values[name] for name in model.free]) if theta is None else theta
     scale = _unmeasured_scale(model, grid, theta, x, scale)
     return Point(theta, x, theta_scale(model, grid, theta, x, scale), scale)
+
+
+def point_at(model: Model, grid: Grid, unknown: Theta, theta: np.ndarray, x: np.ndarray) -> Point:
+    """The point of theta (in the order of ``unknown``) and the states x at the nodes, with the size of each."""
+    measured = first_point(model, grid).x_scale
+    x_scale = np.where(grid.measured.any(axis=0), measured, np.maximum(np.std(x, axis=0), 1e-12))
+    sizes = theta_scale(model, grid, unknown.means(theta), x, x_scale)
+    return Point(theta, x, unknown.spread(sizes), x_scale)
+
+
+def from_fit(model: Model, start: Fit) -> np.ndarray:
+    """The model's parameters at the values of a fit, where it has them."""
+    return np.array([start.values.get(name, model.values[name]) for name in model.free])
 
 
 def _unmeasured_scale(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -105,10 +120,19 @@ def theta_scale(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, x_sc
     jacobian = np.array(defect_jacobian(model, grid, SCHEME)(x.T, theta))
     per_equation = np.sqrt(np.nanmean(jacobian.reshape(grid.n_intervals, -1, len(theta)) ** 2, axis=0)) / rate[:, None]
     strength = np.nan_to_num(per_equation.max(axis=0))
+    if model.sensor:  # a sensor's parameter moves what is shown, by the size of the state
+        strength = np.maximum(strength, _sensor_strength(model, grid, theta, x) @ (1 / x_scale))
     fallback = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
     scale = np.where(strength > 0, 1 / np.maximum(strength, 1e-300), fallback)
     # A parameter far from its start in units of its effect would meet the solver as a huge number.
     return np.maximum(scale, 1e-3 * np.abs(theta))
+
+
+def _sensor_strength(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Root mean square over the nodes of the slope of what is shown in each parameter, (n_free, n_states)."""
+    slopes, rows = model.output().jacobian(), np.linspace(0, grid.n_nodes - 1, 50).astype(int)
+    found = [np.array(slopes(x[i], grid.u[i], grid.t[i], theta, 0)[3]) for i in rows]
+    return np.sqrt(np.mean(np.square(found), axis=0)).T
 
 
 def smoothed(model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: bool) -> ForceEstimate:

@@ -37,7 +37,8 @@ class Parameter:
     """A named number of the model.
 
     ``value`` is the start, or the value itself if ``fixed``; None lets the data choose the start (by ``guess``,
-    otherwise zero). Bounds are kept by the solver. The unit is text that is printed.
+    otherwise zero). Bounds are kept by the solver. The unit is text that is printed. A parameter ``per_trajectory`` has
+    a value of its own in every trajectory, such as a load that changes between runs; others are shared by all.
     """
 
     value: float | None = None
@@ -46,6 +47,7 @@ class Parameter:
     unit: str = ""
     fixed: bool = False
     guess: Scan | Share | None = None
+    per_trajectory: bool = False
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper") + (("value",) if self.value is not None else ()):
@@ -57,6 +59,8 @@ class Parameter:
                 f"parameter value {self.value:g} lies outside its bounds [{self.lower:g}, {self.upper:g}]; "
                 "move the value or widen the bounds."
             )
+        if self.fixed and self.per_trajectory:
+            raise ModelError("a parameter per trajectory is estimated; it cannot be fixed.")
         if self.fixed and self.value is None and self.guess is None:
             raise ModelError("a fixed parameter needs a value: Parameter(2.5, fixed=True).")
 

@@ -1,17 +1,18 @@
 """Standard errors: what the data say about each parameter, and which directions they say nothing about."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.sparse import bmat, csc_matrix, diags
-from scipy.sparse.linalg import splu
 
 from phsi_opt.grid import Grid, defect_jacobian, defect_slopes, defects
+from phsi_opt.linear import Reduced
 from phsi_opt.model import Model
 from phsi_opt.nlp import Program
 from phsi_opt.solver import Solution
 
+ROUNDED = 1e-11  # share of the largest information below which it is made of rounding errors
 RIDGE = 1e-10  # information, per scaled parameter, that makes the matrix regular where the data say nothing
 
 
@@ -27,32 +28,41 @@ class Uncertainty:
         """Standard errors in the order of theta."""
         return np.sqrt(np.diag(self.covariance))
 
+    def widened(self, factor: float) -> "Uncertainty":
+        """The covariance times a factor."""
+        return Uncertainty(self.covariance * factor, self.warnings)
+
 
 def unknown(n: int, why: str) -> Uncertainty:
     """No standard error is given, and why."""
     return Uncertainty(np.full((n, n), np.nan), (why,))
 
 
-def of_likelihood(model: Model, program: Program, solution: Solution, n_residuals: int) -> Uncertainty:
+def reduced(program: Program, solution: Solution, grid: Grid, n_residuals: int) -> Reduced:
+    """The likelihood at the solution in scaled variables, with the states eliminated."""
+    theta, x = program.variables["theta"], program.variables["x"]
+    hessian = solution.kkt.hessian * (n_residuals / 2)  # the objective is 2/N times the likelihood's
+    jacobian = solution.kkt.jacobian[program.constraints["defect"].slice]
+    return Reduced(grid, (x.stop - x.start) // grid.n_nodes, hessian, jacobian, theta.slice, x.slice)
+
+
+def of_likelihood(
+    names: Sequence[str], theta: np.ndarray, program: Program, solution: Solution, likelihood: Reduced
+) -> Uncertainty:
     """Inverse of the information that is left for theta when the states follow it: the reduced Hessian's inverse."""
-    block = program.variables["theta"]
-    used = _without_slacks(program)
-    hessian = solution.kkt.hessian[used][:, used] * (n_residuals / 2)  # the objective is 2/N times the likelihood's
-    jacobian = solution.kkt.jacobian[program.constraints["defect"].slice][:, used]
-    held = [i for i in range(block.stop - block.start) if block.label(i) in solution.outcome.at_bounds]
-    ridge = np.zeros(len(used))
-    ridge[block.slice] = RIDGE
-    ridge[np.array(held, dtype=int) + block.start] = 1e12  # a parameter at its bound does not move
-    matrix = bmat([[hessian + diags(ridge), jacobian.T], [jacobian, None]], format="csc")
-    unit = np.zeros((matrix.shape[0], block.stop - block.start))
-    unit[np.arange(block.start, block.stop), np.arange(block.stop - block.start)] = 1.0
-    scaled = splu(csc_matrix(matrix)).solve(unit)[block.slice]
-    return _finished(model, (scaled + scaled.T) / 2, program.scale[block.slice], held)
+    block, held = program.variables["theta"], _held(names, solution)
+    return _finished(names, theta, inverse(likelihood.information, held), program.scale[block.slice], held)
 
 
-def _without_slacks(program: Program) -> np.ndarray:
-    kept = [np.arange(b.start, b.stop) for name, b in program.variables.items() if not name.startswith("slack_")]
-    return np.concatenate(kept)
+def inverse(information: np.ndarray, held: Sequence[int] = ()) -> np.ndarray:
+    """Covariance of scaled parameters; a ridge holds directions without information, and ``held`` do not move."""
+    ridge = np.full(len(information), RIDGE)
+    ridge[list(held)] = 1e12
+    return np.linalg.inv(information + np.diag(ridge))
+
+
+def _held(names: Sequence[str], solution: Solution) -> list[int]:
+    return [i for i, name in enumerate(names) if name in solution.outcome.at_bounds]
 
 
 def of_defects(
@@ -78,12 +88,14 @@ def of_defects(
     information = flat.T @ flat
     size = np.trace(information) / max(len(theta), 1)
     bread = np.linalg.inv(information + RIDGE * size * np.eye(len(theta)))
-    weak, silent = _weak_directions(model, bread * size, held)
+    weak, silent = _weak_directions(model.free, theta / scale, bread * size, held)
     return Uncertainty(_known(bread @ (weighted.T @ weighted) @ bread * np.outer(scale, scale), held + silent), weak)
 
 
-def _finished(model: Model, scaled: np.ndarray, scale: np.ndarray, held: list[int]) -> Uncertainty:
-    weak, silent = _weak_directions(model, scaled, held)
+def _finished(
+    names: Sequence[str], theta: np.ndarray, scaled: np.ndarray, scale: np.ndarray, held: list[int]
+) -> Uncertainty:
+    weak, silent = _weak_directions(names, theta / scale, scaled, held)
     return Uncertainty(_known(scaled * np.outer(scale, scale), held + silent), weak)
 
 
@@ -93,21 +105,41 @@ def _known(covariance: np.ndarray, not_known: list[int]) -> np.ndarray:
     return covariance
 
 
-def _weak_directions(model: Model, scaled: np.ndarray, held: list[int]) -> tuple[tuple[str, ...], list[int]]:
-    """A sentence per direction of theta on which the data are silent (only the ridge holds it), and its members."""
+def _weak_directions(
+    names: Sequence[str], theta: np.ndarray, scaled: np.ndarray, held: list[int]
+) -> tuple[tuple[str, ...], list[int]]:
+    """A sentence per direction of the scaled theta on which the data are silent (only the ridge holds it)."""
     moving = [i for i in range(len(scaled)) if i not in held]
     if not moving:
         return (), []
     values, vectors = np.linalg.eigh(scaled[np.ix_(moving, moving)])
     sentences, silent = [], []
     for value, vector in zip(values, vectors.T, strict=True):
-        if value > 0.01 / RIDGE:
-            parts = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1 * np.max(np.abs(vector))]
-            silent += [moving[i] for i in parts]
-            names = ", ".join(model.free[moving[i]] for i in parts)
-            sentences.append(
-                f"the data cannot tell {names} apart: fix one of them to a known value"
-                if len(parts) > 1
-                else f"the data say nothing about {names}: fix it to a known value or remove it"
-            )
+        # Beyond the ridge, or so far below the best known direction that only rounding errors tell it.
+        if value > 0.01 / RIDGE or value > max(100.0, values[0] / ROUNDED):
+            # Its largest members, and those that it moves by more than their own value.
+            large = np.abs(vector) > 0.1 * np.max(np.abs(vector))
+            large |= (np.sqrt(value) * np.abs(vector) > np.abs(theta[moving])) & (theta[moving] != 0)
+            parts = [i for i in np.argsort(-np.abs(vector)) if large[i]]
+            members = [moving[i] for i in parts]
+            silent += members
+            sentences.append(_sentence([names[i] for i in members], vector[parts], theta[members]))
     return tuple(sentences), sorted(set(silent))
+
+
+def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
+    """What the data cannot tell: the parameters may change together in this direction without a trace."""
+    if len(names) == 1:
+        return f"the data say nothing about {names[0]}: fix it to a known value or remove it"
+    text = f"the data cannot tell {', '.join(names)} apart: "
+    if np.all(theta != 0):
+        relative = change / theta
+        if np.ptp(np.abs(relative)) < 0.02 * np.max(np.abs(relative)):
+            up = [n for n, r in zip(names, relative, strict=True) if r * relative[0] > 0]
+            down = [n for n in names if n not in up]
+            if len(names) == 2:
+                known = f"{names[0]}*{names[1]}" if down else f"{names[0]}/{names[1]}"
+                return text + f"only {known} is identifiable; fix one of them to a known value"
+            both = f", and {', '.join(down)} divided by it," if down else ""
+            return text + f"{', '.join(up)} may be multiplied by a common factor{both} without a trace; fix one of them"
+    return text + "fix one of them to a known value"

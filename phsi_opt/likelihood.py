@@ -1,0 +1,342 @@
+"""How `MaximumLikelihood` is solved.
+
+1. Start: parameters by the PHSI loss; states from the data, or, where some are missing, from the missing-force program.
+2. Windows, where the whole record cannot be solved (or where they are asked for): pieces with free starting states.
+3. The whole record, with the noise re-estimated until it stays.
+4. More intervals between samples, where the integration error is visible in the estimates.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.stats import norm
+
+from phsi_opt import start as starting
+from phsi_opt.errors import DataError
+from phsi_opt.fit import Fit
+from phsi_opt.grid import Grid, between, grid_of, local_errors, outputs
+from phsi_opt.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.model import Model
+from phsi_opt.noise import difference_noise
+from phsi_opt.one_step import Pruner, chosen, solve_defects
+from phsi_opt.solver import Solver
+from phsi_opt.theta import Theta
+from phsi_opt.uncertainty import inverse
+from phsi_opt.work import State, Task
+
+MOST_STEPS = 64  # intervals between two samples
+REFINEMENTS = 5
+NOISE_ROUNDS = 6
+SAME = 0.005  # change of the logarithm of the noise at which its estimate stays
+VISIBLE = 0.1  # integration error that is refined: share of a standard error, or of the noise
+WINDOWS = 32  # first windows: this share of the longest record
+GROWTH = 4  # factor by which windows grow
+SHORTEST = 8  # samples in a window, at least
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """Where the solver begins: model with guesses resolved, theta, states at the samples, noise, notes."""
+
+    model: Model
+    theta: np.ndarray
+    x: tuple[np.ndarray, ...]
+    sigma: np.ndarray
+    notes: tuple[str, ...] = ()
+
+
+def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune: Pruner) -> State:
+    """The maximum of the likelihood from the best of the starting points, refined where needed, and pruned."""
+    _check(task)
+    given = given_noise(loss, task)
+    begin = _beginning(task, loss, starting.initial_noise(task.data, given), given is not None, start)
+    solve = _Solve(task, loss, given is None)
+    state = _best([solve.staged(moved) for moved in _moved_starts(begin, task, loss.starts)], begin)
+    for _ in range(REFINEMENTS if loss.steps is None else 0):
+        finer = finer_steps(state) if state.solution.outcome.success else None
+        if finer is None:
+            break
+        task.say(f"integration error is visible in the estimates: {max(map(np.max, finer))} steps per sample at most")
+        state = replace(solve(state.model, finer, state.theta, state.states, state.sigma, task.l1), notes=state.notes)
+    steps = steps_of(state.grid)
+    state = prune(state, lambda s, m, theta, l1: solve(m, steps, theta, s.states, s.sigma, l1))
+    return replace(state, notes=state.notes + _noise_note(state, given))
+
+
+def _check(task: Task) -> None:
+    for name in task.model.sensor:
+        if name not in task.data.measured:
+            raise DataError(
+                f"the model has a sensor of {name!r}, but {name!r} was never measured; leave one of them out."
+            )
+    n_values = sum(int(np.isfinite(run.x).sum()) for run in task.data.trajectories)
+    n_theta = len(Theta.of(task.model, task.runs))
+    n_unknown = n_theta + task.data.n_trajectories * task.model.n_states
+    if n_values <= n_unknown:
+        raise DataError(
+            f"{n_values} measured values are too few for {n_unknown} unknowns ({n_theta} parameters and "
+            f"the starting states of {task.data.n_trajectories} trajectories); measure more, or fix parameters."
+        )
+
+
+def given_noise(loss: MaximumLikelihood, task: Task) -> np.ndarray | None:
+    """Noise per state as the loss or the measurements declare it; None where it is to be estimated."""
+    data, noise = task.data, loss.noise if loss.noise is not None else task.data.noise
+    if noise is None:
+        return None
+    for name in data.measured:
+        if name not in noise or not (np.isfinite(noise[name]) and noise[name] > 0):
+            raise DataError(
+                f"noise of the measured state {name!r} is {noise.get(name)!r}; expected a number above zero."
+            )
+    return np.array([noise.get(name, 1.0) for name in data.states])
+
+
+# ---- where to begin --------------------------------------------------------------------------------------------------
+
+
+def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bool, start: Fit | None) -> Beginning:
+    grid, unknown = grid_of(task.data), Theta.of(task.model, task.runs)
+    if start is not None and len(start.states) == task.data.n_trajectories:
+        if not known:
+            sigma = np.array([start.noise.get(name, 1.0) for name in task.model.states])
+        model = starting.resolved(task.model, grid, np.concatenate(start.states))
+        default = unknown.spread(np.array([model.values[name] for name in model.free]))
+        return Beginning(model, unknown.from_values(start.estimates, default), start.states, sigma)
+    task.say("starting values")
+    core, grid = task.model.dynamics(), _unsensed(task.model, grid)
+    notes: tuple[str, ...] = ()
+    complete_data = bool(grid.measured.all())
+    x = grid.y
+    if not complete_data:
+        x, sigma = _smooth(core, grid, sigma, known, loss)
+    for _ in range(2):
+        core = starting.resolved(core, grid, x)
+        if core.free:
+            first = _from_states(replace(task, model=core, pruning=None, say=lambda line: None), loss, grid, x)
+            notes = first.notes
+            core = core.with_values(first.values)
+        if complete_data or not core.free:
+            break
+        x, sigma = _smooth(core, grid, sigma, known, loss)
+    model = task.model.with_values({name: value for name, value in core.values.items() if name in task.model.entries})
+    model = starting.resolved(model, grid, x)
+    theta = unknown.spread(np.array([model.values[name] for name in model.free]))
+    return Beginning(model, theta, _split(grid, x), sigma, notes)
+
+
+def _unsensed(model: Model, grid: Grid) -> Grid:
+    """The grid with what the sensors add at their starting values taken off, as far as it is known."""
+    if not model.sensor:
+        return grid
+    theta = np.array([model.values[name] for name in model.free])
+    added = np.array(outputs(model, grid, grid.y.T, theta)).T - grid.y
+    return replace(grid, y=grid.y - np.nan_to_num(added))
+
+
+def _smooth(
+    model: Model, grid: Grid, sigma: np.ndarray, known: bool, loss: MaximumLikelihood
+) -> tuple[np.ndarray, np.ndarray]:
+    estimate = starting.smoothed(model, grid, sigma, loss.integrator, known)
+    return estimate.x, estimate.sigma
+
+
+def _from_states(task: Task, loss: MaximumLikelihood, grid: Grid, x: np.ndarray) -> State:
+    known = starting.with_states(grid, x)
+    thetas = starting.starting_values(task.model, known, task.l1)
+    states = [solve_defects(task, PHSILoss(loss.integrator), task.model, known, theta, task.l1) for theta in thetas]
+    return chosen(states, lambda s: (not s.solution.outcome.success, s.solution.outcome.objective))
+
+
+def _split(grid: Grid, x: np.ndarray) -> tuple[np.ndarray, ...]:
+    return tuple(x[a:b] for a, b in pairwise([*grid.first.tolist(), grid.n_nodes]))
+
+
+def _moved_starts(begin: Beginning, task: Task, n: int) -> list[Beginning]:
+    """The beginning and n - 1 others: values times a random factor, those at zero moved by their size; fixed seed."""
+    if n == 1:
+        return [begin]
+    unknown, grid = Theta.of(begin.model, task.runs), grid_of(task.data)
+    model_theta = unknown.means(begin.theta)
+    x = np.concatenate(begin.x)
+    size = unknown.spread(starting.theta_scale(begin.model, grid, model_theta, x, _spread(x)))
+    lower, upper = np.array([(e.parameter.lower, e.parameter.upper) for e in unknown.entries]).T
+    rng = np.random.default_rng(0)
+    starts = [begin]
+    for _ in range(n - 1):
+        draw = rng.normal(size=(2, len(begin.theta)))
+        moved = np.where(begin.theta != 0, begin.theta * np.exp(0.7 * draw[0]), 0.3 * size * draw[1])
+        starts.append(replace(begin, theta=np.clip(moved, lower, upper)))
+    return starts
+
+
+def _spread(x: np.ndarray) -> np.ndarray:
+    return np.maximum(np.std(x, axis=0), 1e-12)
+
+
+def _best(states: list[State], begin: Beginning) -> State:
+    best = min(states, key=lambda s: (not s.solution.outcome.success, s.deviance))
+    notes = begin.notes
+    if len(states) > 1:
+        agree = sum(s.solution.outcome.success and s.deviance < best.deviance + 0.1 for s in states)
+        notes = (*notes, f"{agree} of {len(states)} starting points led to the best solution")
+    return replace(best, notes=notes)
+
+
+# ---- one problem -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Solve:
+    """Solves the likelihood of a task on a grid; where the noise is not given, until its estimate stays."""
+
+    task: Task
+    loss: MaximumLikelihood
+    estimated: bool
+
+    def staged(self, begin: Beginning) -> State:
+        """The whole record, through windows where it needs them."""
+        task, loss = self.task, self.loss
+        steps = [np.full(run.n_samples - 1, loss.steps or 1) for run in task.data.trajectories]
+
+        def solve(b: Beginning, window: float | None) -> State:
+            return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, window)
+
+        longest = max(float(run.t[-1] - run.t[0]) for run in task.data.trajectories)
+        if loss.window is None:
+            state = solve(begin, None)
+            if state.solution.outcome.success:
+                return state
+            task.say("the whole record could not be solved; going through windows")
+        window = loss.window or longest / WINDOWS
+        while window < longest:
+            state = solve(begin, window)
+            if state.solution.outcome.success:
+                begin = replace(begin, theta=state.theta, x=state.states, sigma=state.sigma)
+            window *= GROWTH
+        return solve(begin, None)
+
+    def __call__(
+        self, model: Model, steps: list[np.ndarray], theta: np.ndarray, x: tuple[np.ndarray, ...], sigma: np.ndarray,
+        l1: dict[str, float], window: float | None = None,
+    ) -> State:  # fmt: skip
+        """Solve from ``theta`` and the states ``x`` at the samples."""
+        task, loss = self.task, self.loss
+        grid = grid_of(task.data, steps)
+        unknown = Theta.of(model, task.runs)
+        nodes = np.concatenate([between(run, n) for run, n in zip(x, steps, strict=True)])
+        point = starting.point_at(model, grid, unknown, theta, nodes)
+        if window is not None:
+            grid = cut(grid, window)
+        program = loss.program(model, grid, point, l1, sigma, unknown)
+        solver, z = Solver(program, task.settings), program.start
+        for _ in range(NOISE_ROUNDS if self.estimated else 1):
+            solution = solver.solve(z, sigma, raise_on_failure=False)
+            where = "" if window is None else f" in windows of {window:.3g}"
+            task.say(f"maximum likelihood, {len(theta)} parameters, {nodes.size} states{where}: {solution.outcome}")
+            if not solution.outcome.success or not self.estimated:
+                break
+            residual = solution.residual * np.sqrt(int(grid.measured.sum()) / 2)
+            new = estimated_noise(grid, residual, sigma, len(theta), loss.huber)
+            change = np.log(new / sigma)[grid.measured.any(axis=0)]
+            z, sigma = solution.z, new
+            # One factor for all channels leaves the estimates where they are.
+            alike = loss.huber is None and not any(l1.values()) and np.ptp(change) < SAME
+            if alike or np.max(np.abs(change)) < SAME:
+                solution = solver.at(solution, sigma)
+                break
+        return State(task, loss, model, grid, unknown, point, program, solution, l1, sigma)
+
+
+def cut(grid: Grid, window: float) -> Grid:
+    """The grid without the intervals in which a window of a trajectory ends, so that every window starts freely."""
+    t = grid.t - grid.t[grid.first][grid.trajectory]
+    number = np.floor(t / window + 1e-9).astype(int)
+    joined = number[grid.begin] == number[grid.begin + 1]
+    samples = np.flatnonzero(grid.sample[grid.begin])  # never within a gap between samples
+    joined[np.setdiff1d(np.arange(grid.n_intervals), samples)] = True
+    ends = np.flatnonzero(~joined)
+    kept = [e for e, last in zip(ends, np.r_[-SHORTEST, ends[:-1]], strict=True) if e - last >= SHORTEST]
+    return grid.intervals(np.setdiff1d(np.arange(grid.n_intervals), kept))
+
+
+def estimated_noise(
+    grid: Grid, residual: np.ndarray, sigma: np.ndarray, n_theta: int, huber: float | None
+) -> np.ndarray:
+    """Root mean square residual per channel, with the degrees of freedom that the fit used taken off.
+
+    ``residual`` holds (y - x)/sigma of every measured value in the order of the nodes, cut at ``huber`` where that is
+    given; then the mean square that normal noise would leave within the limit is divided out (Huber's proposal 2).
+    """
+    seen = grid.measured
+    n_pieces = grid.n_nodes - grid.n_intervals
+    share = max(1 - (n_theta + n_pieces * grid.y.shape[1]) / seen.sum(), 0.1)
+    if huber is not None:
+        outside = 2 * norm.sf(huber)
+        share *= (1 - outside) - 2 * huber * norm.pdf(huber) + huber**2 * outside
+    channel = np.nonzero(seen)[1]
+    result = sigma.copy()
+    for k in np.flatnonzero(seen.any(axis=0)):
+        rms = sigma[k] * np.sqrt(np.mean(residual[channel == k] ** 2))
+        floor = starting.CLEANEST * max(float(np.nanstd(grid.y[:, k])), 1e-300)
+        result[k] = max(rms / np.sqrt(share), floor)
+    return result
+
+
+def _noise_note(state: State, given: np.ndarray | None) -> tuple[str, ...]:
+    """A sentence where the residuals are far beyond what neighbouring samples scatter."""
+    if given is not None or not state.solution.outcome.success:
+        return ()
+    names, between_samples = state.model.states, difference_noise(state.task.data)
+    ratio = np.nan_to_num(state.sigma / np.maximum(between_samples, 1e-300))
+    worst = int(np.argmax(np.where(state.grid.measured.any(axis=0), ratio, 0)))
+    if ratio[worst] < 2 or between_samples[worst] < 10 * starting.CLEANEST * np.nanstd(state.grid.y[:, worst]):
+        return ()
+    return (
+        f"the residuals of {names[worst]} are {ratio[worst]:.1f} times what neighbouring samples scatter: the model "
+        "lacks something (diagnose), or this is one of several optima (MaximumLikelihood(starts=5))",
+    )
+
+
+# ---- steps between the samples ---------------------------------------------------------------------------------------
+
+
+def steps_of(grid: Grid) -> list[np.ndarray]:
+    """Number of intervals in every gap between samples, per trajectory."""
+    samples = np.flatnonzero(grid.sample)
+    gaps = np.diff(samples)
+    inside = np.diff(grid.trajectory[samples]) == 0
+    runs = grid.trajectory[samples][:-1]
+    return [gaps[inside & (runs == i)] for i in range(grid.trajectory[-1] + 1)]
+
+
+def finer_steps(state: State) -> list[np.ndarray] | None:
+    """More steps where the integration error moves an estimate, or a residual, by more than `VISIBLE`; else None.
+
+    The error of each step, against a finer integration, offsets the constraints; the linearised likelihood says what
+    that does to the estimates. The number of steps grows with the fourth root of an interval's error (order four).
+    """
+    grid, unknown = state.grid, state.unknown
+    error = local_errors(state.model, grid, state.nodes, np.asarray(unknown.by_trajectory(state.theta)))
+    lost = ~np.isfinite(error).all(axis=1)
+    scaled = np.where(lost[:, None], 0.0, error / state.point.x_scale)
+    held = [i for i, name in enumerate(unknown.names) if name in state.solution.outcome.at_bounds]
+    covariance = inverse(state.reduced.information, held)
+    theta, x = state.reduced.respond(scaled.ravel(), covariance)
+    moved = np.abs(theta) / np.sqrt(np.diag(covariance))
+    shown = (x.reshape(grid.y.shape) * state.point.x_scale / state.sigma)[grid.measured]
+    visible = max(float(np.max(moved, initial=0.0)), float(np.sqrt(np.mean(shown**2))))
+    if visible < VISIBLE and not lost.any():
+        return None
+    size = np.linalg.norm(scaled, axis=1)
+    typical = np.sum(size**2) / max(np.sum(size), 1e-300)
+    wanted = np.ceil((2 * visible / VISIBLE * size / max(typical, 1e-300)) ** 0.25)
+    wanted = np.where(lost, 4, np.clip(wanted, 1, 16)).astype(int)
+    old = steps_of(grid)
+    gap = np.repeat(np.arange(sum(map(len, old))), np.concatenate(old))
+    factor = np.ones(sum(map(len, old)), dtype=int)
+    np.maximum.at(factor, gap, wanted)
+    edges = np.cumsum([0, *map(len, old)]).tolist()
+    new = [np.minimum(n * factor[a:b], MOST_STEPS) for n, (a, b) in zip(old, pairwise(edges), strict=True)]
+    return None if all(np.array_equal(n, m) for n, m in zip(old, new, strict=True)) else new

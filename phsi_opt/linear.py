@@ -1,0 +1,88 @@
+"""Linear algebra along the time: unknowns that touch only their neighbours in time make a banded matrix.
+
+The optimality system of every likelihood here is such a matrix, bordered by the few columns of the parameters. Its
+factors cost time and memory in proportion to the number of samples.
+"""
+
+from typing import Any
+
+import numpy as np
+from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.sparse import bmat, csc_matrix, diags, vstack
+
+from phsi_opt.errors import SolveError
+from phsi_opt.grid import Grid
+
+REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
+
+
+class Banded:
+    """LU factors (LAPACK, partial pivoting) of a square sparse matrix, banded once its unknowns stand in ``order``."""
+
+    def __init__(self, matrix: Any, order: np.ndarray) -> None:
+        self.order, self.n = order, len(order)
+        rank = np.empty(self.n, dtype=np.int64)
+        rank[order] = np.arange(self.n)
+        entries = matrix.tocoo()
+        rows, columns = rank[entries.row], rank[entries.col]
+        self.kl = int(np.max(rows - columns, initial=0))
+        self.ku = int(np.max(columns - rows, initial=0))
+        band = np.zeros((2 * self.kl + self.ku + 1, self.n), order="F")
+        np.add.at(band, (self.kl + self.ku + rows - columns, columns), entries.data)
+        self.factors, self.pivots, info = dgbtrf(band, self.kl, self.ku, overwrite_ab=True)
+        if info > 0:
+            raise SolveError(
+                "the optimality system is singular: a state may neither be measured nor act on one that is; measure "
+                "it, or take it out of the model."
+            )
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Solution for one right-hand side (n,) or several (n, k)."""
+        columns = right.reshape(self.n, -1)
+        found, _ = dgbtrs(self.factors, self.kl, self.ku, columns[self.order], self.pivots, overwrite_b=True)
+        result = np.empty_like(found)
+        result[self.order] = found
+        return result.reshape(right.shape)
+
+    @property
+    def log_abs_det(self) -> float:
+        """Logarithm of the absolute value of the determinant."""
+        return float(np.sum(np.log(np.abs(self.factors[self.kl + self.ku]))))
+
+
+def along_time(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
+    """Order of unknowns that stand in blocks of ``("node" or "interval", values per row)``, sorted by their time."""
+    places = []
+    for kind, width in per_block:
+        place = 2 * np.arange(grid.n_nodes) if kind == "node" else 2 * grid.begin + 1
+        places.append(np.repeat(place, width))
+    return np.argsort(np.concatenate(places), kind="stable")
+
+
+class Reduced:
+    """min 1/2 z'Hz - g'z over z = (theta, x), subject to Jz = e, with the states eliminated.
+
+    Attributes:
+        information: (n_theta, n_theta), the curvature that is left for theta when the states follow it.
+    """
+
+    def __init__(self, grid: Grid, n_states: int, H: Any, J: Any, theta: slice, x: slice) -> None:
+        H, J = csc_matrix(H), csc_matrix(J)
+        curvature = H[x, x]
+        floor = REGULAR * max(float(np.max(curvature.diagonal(), initial=0.0)), 1e-300)
+        states = bmat([[curvature + diags(np.full(x.stop - x.start, floor)), J[:, x].T], [J[:, x], None]], format="coo")
+        self._band = Banded(states, along_time(grid, ("node", n_states), ("interval", n_states)))
+        self._n_x, self._border = x.stop - x.start, vstack([H[x, theta], J[:, theta]]).toarray()
+        self._followed = self._band.solve(self._border)
+        information = H[theta, theta].toarray() - self._border.T @ self._followed
+        self.information = (information + information.T) / 2
+
+    def respond(self, e: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Change of theta and x when the constraints are offset by ``e``; ``covariance`` inverts the information."""
+        alone = self._band.solve(np.r_[np.zeros(self._n_x), e])
+        theta = covariance @ -(self._border.T @ alone)
+        return theta, (alone - self._followed @ theta)[: self._n_x]
+
+    def state_variances(self, covariance: np.ndarray) -> np.ndarray:
+        """Variances of x that come from the uncertainty of theta alone."""
+        return np.einsum("ij,jk,ik->i", self._followed[: self._n_x], covariance, self._followed[: self._n_x])
