@@ -1,20 +1,22 @@
 """Model against measurements: the free run, its errors, and what the noise alone would leave."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from phsi_opt.errors import SolveError
 from phsi_opt.fit import Fit
 from phsi_opt.grid import grid_of
 from phsi_opt.identify import matched
-from phsi_opt.measurements import Measurements
+from phsi_opt.measurements import Measurements, Trajectory
+from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
+from phsi_opt.record import bands, explained, matrix_of, parameters_of, shown
 from phsi_opt.simulate import simulate
 from phsi_opt.start import initial_noise, smoothed
 from phsi_opt.work import data_digest
@@ -22,7 +24,7 @@ from phsi_opt.work import data_digest
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LOST = 1e3  # residual, in standard deviations of a channel, that stands for a simulation that broke off
+LOST = 1e3  # in standard deviations of the measurements: stands for a simulation that broke off
 WORST_OF_NOISE = 4.0  # standard deviations of noise beyond which a single residual ends the free-run horizon
 
 
@@ -30,15 +32,28 @@ WORST_OF_NOISE = 4.0  # standard deviations of noise beyond which a single resid
 class Comparison:
     """A free run beside the measurements.
 
-    ``simulated`` and ``residuals`` hold one array (n_samples, n_states) per trajectory; ``noise`` is the measurement
-    noise per state, estimated with a free missing force, so that a wrong model does not inflate it.
+    ``simulated``, ``shown`` (what the sensors would show of it) and ``residuals`` hold one array (n_samples, n_states)
+    per trajectory, ``values`` the free parameters that were used in each; ``noise`` is the measurement noise per state,
+    estimated with a free missing force, so that a wrong model does not inflate it.
     """
 
-    model: Model
+    fit: Fit
     data: Measurements
+    values: Mapping[str, Mapping[str, float]]
     simulated: tuple[np.ndarray, ...]
+    shown: tuple[np.ndarray, ...]
     residuals: tuple[np.ndarray, ...]
     noise: np.ndarray
+
+    @property
+    def model(self) -> Model:
+        """The model that ran."""
+        return self.fit.model
+
+    @cached_property
+    def bands(self) -> tuple[np.ndarray, ...] | None:
+        """Standard deviation of what the free run shows (see `record.bands`), per trajectory; None: not known."""
+        return bands(self.fit, self.data, self.noise, self.simulated)
 
     @cached_property
     def table(self) -> pd.DataFrame:
@@ -121,11 +136,12 @@ class Comparison:
         """Energy balance of the free run per trajectory: change of H = supplied - dissipated (trapezoid rule)."""
         rows = []
         for x, run in zip(self.simulated, self.data.trajectories, strict=True):
-            rows.append((run.name, *_energy_balance(self.model, x, run.t, run.u)))
+            model = self.model.with_values(self.values[run.name])
+            rows.append((run.name, *_energy_balance(model, x, run.t, run.u)))
         return pd.DataFrame(rows, columns=["trajectory", "change", "supplied", "dissipated"])
 
     def plot(self, ax: "Axes | None" = None, trajectory: int = 0) -> "Axes":
-        """Measurements, free run and residual of one trajectory."""
+        """Measurements and free run of one trajectory, with two standard deviations of what is uncertain in the run."""
         from phsi_opt.plotting import plot_comparison
 
         return plot_comparison(self, ax, trajectory)
@@ -141,42 +157,46 @@ class Comparison:
 
 
 def compare(fit: Fit, data: Measurements) -> Comparison:
-    """Simulate the fitted model from starting states estimated from the record, and compare (see `Comparison`)."""
+    """Simulate the fitted model from starting states estimated from the record, and compare (see `Comparison`).
+
+    Parameters that every trajectory has of its own are those of the fit for trajectories of the same name, and
+    estimated from the record, with its starting state, for others.
+    """
     data = matched(fit.model, data)
-    model = fit.model.frozen()
-    grid = grid_of(data)
-    known = None if data.noise is None else np.array([data.noise.get(n, np.nan) for n in model.states])
-    estimate = smoothed(model, grid, initial_noise(data, known), "srk4", known_noise=known is not None)
+    estimate = force_of(fit, data)
+    grid = estimate.grid
     # The starting states of a fit to these very measurements are its own; others are estimated from the record.
-    own = bool(fit.states) and fit.provenance.get("data_sha256") == data_digest(data)
-    simulated = []
-    for i, run in enumerate(data.trajectories):
-        guess = fit.states[i][0] if own else estimate.x[grid.trajectory == i][0]
-        simulated.append(free_run(model, run.t, run.x, run.u, guess, estimate.sigma, data.hold, search=not own))
-    residuals = tuple(run.x - x for run, x in zip(data.trajectories, simulated, strict=True))
-    return Comparison(model, data, tuple(simulated), residuals, estimate.sigma)
+    if fit.states and fit.provenance.get("data_sha256") == data_digest(data):
+        states: Sequence[np.ndarray] = fit.states
+        values = parameters_of(fit, data)
+    else:
+        guess = tuple(estimate.x[grid.trajectory == i] for i in range(data.n_trajectories))
+        # Where no states obey the model along the whole record, those of the missing force are the best to start from.
+        found = explained(fit, data, estimate.sigma, guess)
+        states, values = found or (guess, parameters_of(fit, data))
+    simulated = tuple(
+        _free_run(fit.model.with_values(values[run.name]), run, x[0], data.hold)
+        for run, x in zip(data.trajectories, states, strict=True)
+    )
+    seen = shown(fit.model, data, simulated, matrix_of(fit.model, values))
+    residuals = tuple(run.x - y for run, y in zip(data.trajectories, seen, strict=True))
+    return Comparison(fit, data, values, simulated, seen, residuals, estimate.sigma)
 
 
-def free_run(
-    model: Model, t: np.ndarray, y: np.ndarray, u: np.ndarray, guess: np.ndarray, sigma: np.ndarray, hold: str,
-    search: bool = True,
-) -> np.ndarray:  # fmt: skip
-    """The simulation whose starting state fits the record best, found by least squares from ``guess`` if ``search``."""
-    seen = np.isfinite(y)
+def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
+    """The force that the fitted model lacks along measurements that are `matched` to it, with the noise."""
+    known = None if data.noise is None else np.array([data.noise.get(n, np.nan) for n in fit.model.states])
+    theta = matrix_of(fit.model, parameters_of(fit, data)) if fit.by_trajectory else None
+    model = fit.model if fit.by_trajectory else fit.model.frozen()
+    return smoothed(model, grid_of(data), initial_noise(data, known), "srk4", known is not None, theta)
 
-    def residual(x0: np.ndarray) -> np.ndarray:
-        try:
-            x = simulate(model, t, x0, u, hold=hold)
-        except SolveError:
-            return np.full(seen.sum(), LOST)
-        return np.clip(((x - y) / sigma)[seen], -LOST * 10, LOST * 10)
 
-    size = np.maximum(np.abs(guess), 1e-3 * np.max(np.abs(guess)) + 1e-12)
-    start = least_squares(residual, guess, x_scale=size, diff_step=1e-5, max_nfev=8, ftol=1e-6).x if search else guess
+def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:
+    """The simulation from x0; where it breaks off, values far beyond every measurement."""
     try:
-        return simulate(model, t, start, u, hold=hold)
+        return simulate(model, run.t, x0, run.u, hold=hold)
     except SolveError:
-        return np.where(np.arange(len(t))[:, None] == 0, start, LOST * np.nanstd(np.where(seen, y, np.nan)))
+        return np.where(np.arange(run.n_samples)[:, None] == 0, x0, LOST * np.nanstd(run.x))
 
 
 def _energy_balance(model: Model, x: np.ndarray, t: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:

@@ -18,17 +18,17 @@ from scipy.sparse import bmat, csc_matrix, diags
 from scipy.sparse.linalg import splu
 from scipy.stats import chi2
 
-from phsi_opt.compare import Comparison, compare
+from phsi_opt.compare import Comparison, compare, force_of
 from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.fit import Fit
-from phsi_opt.grid import defect_jacobian, defects, grid_of
+from phsi_opt.grid import defect_jacobian, defects
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, force_deviation
 from phsi_opt.model import Model
-from phsi_opt.start import frequencies, initial_noise, resolved, smoothed
+from phsi_opt.start import frequencies, resolved
 from phsi_opt.terms import Scan
 
 if TYPE_CHECKING:
@@ -146,10 +146,8 @@ def diagnose(
     """
     say = progress or (lambda line: None)
     data = matched(fit.model, data)
-    grid = grid_of(data)
-    known = None if data.noise is None else np.array([data.noise.get(n, np.nan) for n in fit.model.states])
     say("estimating the missing force")
-    estimate = smoothed(fit.model.frozen(), grid, initial_noise(data, known), SCHEME, known is not None)
+    estimate = force_of(fit, data)
     base = compare(fit, data if held_out is None else held_out)
     listed = catalogue(fit.model) if effects is None else effects
     say(f"screening {len(listed)} candidate effects")

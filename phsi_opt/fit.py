@@ -16,8 +16,9 @@ import pandas as pd
 from scipy.stats import t as student_t
 
 from phsi_opt.errors import DataError, PhsiOptError
-from phsi_opt.identified import Identified
+from phsi_opt.identified import PARAMETER_COLUMNS, Identified
 from phsi_opt.model import BY_EQUATION, FirstOrder, Model, PseudoHamiltonian, place_of
+from phsi_opt.simulate import simulate
 from phsi_opt.solver import Outcome
 from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term
 
@@ -38,6 +39,7 @@ class Fit(Identified):
         bic: Bayesian information criterion (NaN for `PHSILoss`, whose residuals are not independent).
         warnings: what to know before the numbers are used.
         states: estimated states per trajectory, (n_samples, n_states) at the samples; empty for a loaded fit.
+        steps: intervals that were used in each gap between samples, per trajectory; empty for a loaded fit.
     """
 
     names: tuple[str, ...] = ()
@@ -53,6 +55,7 @@ class Fit(Identified):
     warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     states: tuple[np.ndarray, ...] = ()
+    steps: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -91,6 +94,28 @@ class Fit(Identified):
     def model_of(self, run: str) -> Model:
         """The model with the parameters of one trajectory (the shared ones and means for a trajectory not fitted)."""
         return self.model.with_values(self.by_trajectory.get(run, {}))
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Table: name, slot, equation, value, std_error, lower, upper, unit, fixed; a row per value."""
+        rows = []
+        for name, e in self.model.entries.items():
+            own = [n for n in self.names if n == name or (e.parameter.per_trajectory and n.startswith(f"{name}["))]
+            for each in own or [name]:
+                value = self.estimates[each] if own else self.values[name]
+                rows.append(self._row(each, e, value))
+        return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
+
+    def simulate(self, t: Any, x0: Any, u: Any = None, trajectory: str | None = None) -> np.ndarray:
+        """States (n_samples, n_states) from x0 at t[0], by SciPy; inputs u are held as the measurements declared.
+
+        ``trajectory``: name of the one whose own parameters are meant; None: the means over the trajectories.
+        """
+        if trajectory is not None and trajectory not in self.by_trajectory:
+            known = ", ".join(self.by_trajectory) or "none: all parameters are shared"
+            raise DataError(f"trajectory {trajectory!r} has no parameters of its own in this fit; known are {known}.")
+        model = self.model if trajectory is None else self.model_of(trajectory)
+        return simulate(model, t, x0, u, hold=self.hold)
 
     def save(self, path: str | Path) -> None:
         """Write the fit as JSON: model, values, covariance, outcome, provenance (not the estimated states)."""

@@ -85,6 +85,15 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     return Grid(trajectory=np.repeat(np.arange(len(parts)), sizes), begin=begin, **joined)
 
 
+def steps_of(grid: Grid) -> list[np.ndarray]:
+    """Number of intervals in every gap between samples, per trajectory."""
+    samples = np.flatnonzero(grid.sample)
+    gaps = np.diff(samples)
+    inside = np.diff(grid.trajectory[samples]) == 0
+    runs = grid.trajectory[samples][:-1]
+    return [gaps[inside & (runs == i)] for i in range(grid.trajectory[-1] + 1)]
+
+
 def between(x: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Values (n_samples, ...) at the samples, interpolated to the nodes of a grid with ``steps`` intervals per gap."""
     left, fraction = _places(steps)

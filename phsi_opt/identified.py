@@ -10,8 +10,10 @@ import pandas as pd
 import sympy as sp
 
 from phsi_opt.expressions import SYMPY
-from phsi_opt.model import Model
+from phsi_opt.model import Entry, Model
 from phsi_opt.simulate import simulate
+
+PARAMETER_COLUMNS = ["name", "slot", "equation", "value", "std_error", "lower", "upper", "unit", "fixed"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,14 +45,12 @@ class Identified:
     @property
     def parameters(self) -> pd.DataFrame:
         """Table: name, slot, equation, value, std_error, lower, upper, unit, fixed."""
-        rows = [
-            (name, e.slot, e.equation, self.values[name], self.std_errors[name], e.parameter.lower, e.parameter.upper,
-             e.parameter.unit, e.parameter.fixed)
-            for name, e in self.model.entries.items()
-        ]  # fmt: skip
-        return pd.DataFrame(
-            rows, columns=["name", "slot", "equation", "value", "std_error", "lower", "upper", "unit", "fixed"]
-        )
+        rows = [self._row(name, e, self.values[name]) for name, e in self.model.entries.items()]
+        return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
+
+    def _row(self, name: str, e: Entry, value: float) -> tuple[Any, ...]:
+        p = e.parameter
+        return name, e.slot, e.equation, value, self.std_errors[name], p.lower, p.upper, p.unit, p.fixed
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
         """States (n_samples, n_states) from x0 at t[0], by SciPy; inputs u are held as the measurements declared."""

@@ -6,6 +6,7 @@
 4. More intervals between samples, where the integration error is visible in the estimates.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -15,12 +16,13 @@ from scipy.stats import norm
 from phsi_opt import start as starting
 from phsi_opt.errors import DataError
 from phsi_opt.fit import Fit
-from phsi_opt.grid import Grid, between, grid_of, local_errors, outputs
+from phsi_opt.grid import Grid, between, grid_of, local_errors, outputs, steps_of
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.measurements import Measurements
 from phsi_opt.model import Model
 from phsi_opt.noise import difference_noise
 from phsi_opt.one_step import Pruner, chosen, solve_defects
-from phsi_opt.solver import Solver
+from phsi_opt.solver import Settings, Solver
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 from phsi_opt.work import State, Task
@@ -44,6 +46,9 @@ class Beginning:
     x: tuple[np.ndarray, ...]
     sigma: np.ndarray
     notes: tuple[str, ...] = ()
+    steps: tuple[
+        np.ndarray, ...
+    ] = ()  # intervals in every gap between samples; empty: one, or as many as the loss says
 
 
 def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune: Pruner) -> State:
@@ -103,7 +108,8 @@ def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bo
             sigma = np.array([start.noise.get(name, 1.0) for name in task.model.states])
         model = starting.resolved(task.model, grid, np.concatenate(start.states))
         default = unknown.spread(np.array([model.values[name] for name in model.free]))
-        return Beginning(model, unknown.from_values(start.estimates, default), start.states, sigma)
+        steps = start.steps if loss.steps is None and _fits(start.steps, task) else ()
+        return Beginning(model, unknown.from_values(start.estimates, default), start.states, sigma, (), steps)
     task.say("starting values")
     core, grid = task.model.dynamics(), _unsensed(task.model, grid)
     notes: tuple[str, ...] = ()
@@ -124,6 +130,10 @@ def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bo
     model = starting.resolved(model, grid, x)
     theta = unknown.spread(np.array([model.values[name] for name in model.free]))
     return Beginning(model, theta, _split(grid, x), sigma, notes)
+
+
+def _fits(steps: tuple[np.ndarray, ...], task: Task) -> bool:
+    return [len(n) + 1 for n in steps] == [run.n_samples for run in task.data.trajectories]
 
 
 def _unsensed(model: Model, grid: Grid) -> Grid:
@@ -184,6 +194,18 @@ def _best(states: list[State], begin: Beginning) -> State:
     return replace(best, notes=notes)
 
 
+def on_record(model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray]) -> State | None:
+    """The likelihood of a record with only its states (and what is still free in ``model``) unknown; None: no success.
+
+    ``sigma``: the known noise per state; ``x``: states at the samples to start from.
+    """
+    task = Task(model, data, {}, None, Settings(max_iterations=100), lambda line: None)
+    theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
+    begin = Beginning(model, theta, tuple(x), sigma)
+    state = _Solve(task, MaximumLikelihood(), False).staged(begin)
+    return state if state.solution.outcome.success else None
+
+
 # ---- one problem -----------------------------------------------------------------------------------------------------
 
 
@@ -198,7 +220,7 @@ class _Solve:
     def staged(self, begin: Beginning) -> State:
         """The whole record, through windows where it needs them."""
         task, loss = self.task, self.loss
-        steps = [np.full(run.n_samples - 1, loss.steps or 1) for run in task.data.trajectories]
+        steps = list(begin.steps) or [np.full(run.n_samples - 1, loss.steps or 1) for run in task.data.trajectories]
 
         def solve(b: Beginning, window: float | None) -> State:
             return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, window)
@@ -300,15 +322,6 @@ def _noise_note(state: State, given: np.ndarray | None) -> tuple[str, ...]:
 
 
 # ---- steps between the samples ---------------------------------------------------------------------------------------
-
-
-def steps_of(grid: Grid) -> list[np.ndarray]:
-    """Number of intervals in every gap between samples, per trajectory."""
-    samples = np.flatnonzero(grid.sample)
-    gaps = np.diff(samples)
-    inside = np.diff(grid.trajectory[samples]) == 0
-    runs = grid.trajectory[samples][:-1]
-    return [gaps[inside & (runs == i)] for i in range(grid.trajectory[-1] + 1)]
 
 
 def finer_steps(state: State) -> list[np.ndarray] | None:

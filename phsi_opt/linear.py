@@ -86,3 +86,15 @@ class Reduced:
     def state_variances(self, covariance: np.ndarray) -> np.ndarray:
         """Variances of x that come from the uncertainty of theta alone."""
         return np.einsum("ij,jk,ik->i", self._followed[: self._n_x], covariance, self._followed[: self._n_x])
+
+    def start_variances(self, starts: np.ndarray, trajectory: np.ndarray) -> np.ndarray:
+        """Variances of x that remain when theta is known: those of the starting states, carried along the dynamics.
+
+        ``starts`` (n_trajectories, n_states) are places of the starting states in x, ``trajectory`` is that of each node.
+        """
+        n_runs, n = starts.shape
+        right = np.zeros((self._band.n, n))
+        right[starts.ravel(), np.tile(np.arange(n), n_runs)] = 1.0  # no trajectory touches another one
+        columns = self._band.solve(right)[: self._n_x].reshape(-1, n, n)
+        at_start = np.linalg.pinv(columns.reshape(-1, n)[starts.ravel()].reshape(n_runs, n, n), hermitian=True)
+        return np.einsum("aij,ajk,aik->ai", columns, at_start[trajectory], columns).ravel()

@@ -4,7 +4,7 @@ A model is a frozen record of states, inputs and the dictionaries of its slots; 
 file also turns a model into CasADi functions. It knows nothing of data, losses or solvers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -200,16 +200,21 @@ class Model:
         }
         return replace(self, H=with_new("H", "", self.H), **slots)
 
-    def frozen(self) -> "Model":
-        """A new model with every parameter fixed at its present value."""
+    def with_fixed(self, values: Mapping[str, float]) -> "Model":
+        """A new model with the named parameters known: fixed at these values."""
+        made = self.with_values(values)
 
-        def fixed(terms: Dictionary) -> Dictionary:
-            return Dictionary(tuple(_fixed(term) for term in terms))
+        def fix(slot: str, equation: str, terms: Dictionary) -> Dictionary:
+            return Dictionary(tuple(_fixed(term, place_of(slot, equation), values) for term in terms))
 
         slots: dict[str, Any] = {
-            s: {name: fixed(terms) for name, terms in getattr(self, s).items()} for s in BY_EQUATION
+            s: {name: fix(s, name, terms) for name, terms in getattr(made, s).items()} for s in BY_EQUATION
         }
-        return replace(self, H=fixed(self.H), **slots)
+        return replace(made, H=fix("H", "", made.H), **slots)
+
+    def frozen(self) -> "Model":
+        """A new model with every parameter fixed at its present value."""
+        return self.with_fixed(self.values)
 
     def dynamics(self) -> "Model":
         """A new model without sensors (they show the state itself) and with every parameter shared by all runs."""
@@ -366,12 +371,15 @@ def canonical(n: int) -> np.ndarray:
     return np.block([[zero, one], [-one, zero]])
 
 
-def _fixed(term: Term) -> Term:
-    def hold(parameter: Parameter) -> Parameter:
+def _fixed(term: Term, place: str, names: Collection[str]) -> Term:
+    def hold(parameter: Parameter, name: str) -> Parameter:
+        if name not in names:
+            return parameter
         return replace(parameter, value=parameter.start, fixed=True, per_trajectory=False)
 
-    coefficient = None if term.coefficient is None else hold(term.coefficient)
-    return replace(term, coefficient=coefficient, inner={name: hold(p) for name, p in term.inner.items()})
+    coefficient = None if term.coefficient is None else hold(term.coefficient, term.coefficient_name(place))
+    inner = {name: hold(p, term.inner_name(name, place)) for name, p in term.inner.items()}
+    return replace(term, coefficient=coefficient, inner=inner)
 
 
 def _shared(term: Term) -> Term:

@@ -17,12 +17,18 @@ MEASURED, MODEL, FLOOR = "0.55", "C0", "C2"
 def plot_comparison(comparison: "Comparison", ax: Axes | None = None, trajectory: int = 0) -> Axes:
     """Measurements and free run of one trajectory; the title gives the error beside the noise floor."""
     ax = _axes(ax, (8.0, 3.6))
-    run, x = comparison.data.trajectories[trajectory], comparison.simulated[trajectory]
+    run, x = comparison.data.trajectories[trajectory], comparison.shown[trajectory]
+    deviation = None if comparison.bands is None else comparison.bands[trajectory]
     seen = [k for k, name in enumerate(comparison.model.states) if name in comparison.data.measured]
     for n, k in enumerate(seen):
         name = comparison.model.states[k]
         ax.plot(run.t, run.x[:, k], ".", ms=3, color=MEASURED if n == 0 else f"C{n + 3}", label=f"{name} measured")
-        ax.plot(run.t, x[:, k], "-", lw=1.4, color=MODEL if n == 0 else f"C{n}", label=f"{name} free run")
+        color = MODEL if n == 0 else f"C{n}"
+        ax.plot(run.t, x[:, k], "-", lw=1.4, color=color, label=f"{name} free run")
+        if deviation is not None:
+            low, high = x[:, k] - 2 * deviation[:, k], x[:, k] + 2 * deviation[:, k]
+            label = "run, two std. deviations" if n == 0 else None
+            ax.fill_between(run.t, low, high, color=color, alpha=0.25, lw=0, label=label)
     units = {comparison.data.units.get(comparison.model.states[k], "") for k in seen}
     ax.set(xlabel=_label("t", comparison.data.units.get("t", "")), title=_verdict(comparison, run.name))
     ax.set_ylabel(_label(", ".join(comparison.model.states[k] for k in seen), units.pop() if len(units) == 1 else ""))

@@ -1,5 +1,6 @@
 """Independent integration of a model by SciPy: no program, no SRK4, so it can check both."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -126,9 +127,14 @@ def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[tuple[int, int, Callab
             yield int(first), int(last), partial(_constant, u[first]), np.inf
     elif hold == "linear":
         # No step may be longer than a sample, or a short pulse is stepped over.
-        yield 0, end, lambda at: np.array([np.interp(at, t, column) for column in u.T]), step
+        yield 0, end, partial(_interpolated, t.tolist(), u, np.diff(u, axis=0) / np.diff(t)[:, None]), step
     else:
         raise DataError(f"hold={hold!r} is unknown; expected 'linear' or 'zero'.")
+
+
+def _interpolated(t: list[float], u: np.ndarray, slope: np.ndarray, at: float) -> np.ndarray:
+    left = min(max(bisect_right(t, at) - 1, 0), len(slope) - 1)
+    return u[left] + min(max(at, t[0]) - t[left], t[-1] - t[left]) * slope[left]
 
 
 def _constant(value: np.ndarray, at: float) -> np.ndarray:

@@ -135,9 +135,16 @@ def _sensor_strength(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray)
     return np.sqrt(np.mean(np.square(found), axis=0)).T
 
 
-def smoothed(model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: bool) -> ForceEstimate:
-    """States, also unmeasured ones, by the missing-force program at the model's present values."""
-    return estimate_force(model, grid, first_point(model, grid), sigma, integrator=integrator, known_noise=known_noise)
+def smoothed(
+    model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: bool, theta: np.ndarray | None = None
+) -> ForceEstimate:
+    """States, also unmeasured ones, by the missing-force program at the model's present values.
+
+    ``theta``: other values, (n_free, n_trajectories) where trajectories have parameters of their own.
+    """
+    point = first_point(model, grid)
+    point = point if theta is None else replace(point, theta=theta)
+    return estimate_force(model, grid, point, sigma, integrator=integrator, known_noise=known_noise)
 
 
 def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:

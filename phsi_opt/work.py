@@ -12,7 +12,7 @@ import numpy as np
 
 from phsi_opt import uncertainty
 from phsi_opt.fit import Fit
-from phsi_opt.grid import Grid
+from phsi_opt.grid import Grid, steps_of
 from phsi_opt.linear import Reduced
 from phsi_opt.losses import MaximumLikelihood, PHSILoss, Point, complete, rate_size
 from phsi_opt.measurements import Measurements
@@ -164,6 +164,7 @@ class State:
             warnings=self.notes + self._selection() + self._bounds() + self.uncertainty.warnings,
             provenance=_provenance(self),
             states=self.states if likelihood else (),
+            steps=tuple(steps_of(self.grid)) if likelihood else (),
         )
 
     def _selection(self) -> tuple[str, ...]:

@@ -1,0 +1,95 @@
+"""A fitted model along a record: the states that explain the record best, and how certain a free run of it is.
+
+The dynamics hold exactly (zero defects) and the shared parameters stay as they are; starting states, and parameters of
+a trajectory that the fit has not seen, follow from the record by maximum likelihood.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from phsi_opt.fit import Fit
+from phsi_opt.grid import Grid, grid_of, outputs
+from phsi_opt.likelihood import on_record
+from phsi_opt.linear import Reduced
+from phsi_opt.losses import MaximumLikelihood
+from phsi_opt.measurements import Measurements
+from phsi_opt.model import Model
+from phsi_opt.solver import Solver
+from phsi_opt.start import point_at
+from phsi_opt.theta import Theta
+
+LONGEST = 200_000  # values in a record up to which bands are worked out
+
+
+def parameters_of(fit: Fit, data: Measurements) -> dict[str, dict[str, float]]:
+    """Values of the free parameters per trajectory; the means of the fit for one that it has not seen."""
+    free = {name: fit.values[name] for name in fit.model.free}
+    return {run.name: {**free, **fit.by_trajectory.get(run.name, {})} for run in data.trajectories}
+
+
+def matrix_of(model: Model, values: Mapping[str, Mapping[str, float]]) -> np.ndarray:
+    """Parameters as columns, (n_free, n_trajectories)."""
+    return np.array([[of_run[name] for of_run in values.values()] for name in model.free]).reshape(-1, len(values))
+
+
+def explained(
+    fit: Fit, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray]
+) -> tuple[tuple[np.ndarray, ...], dict[str, dict[str, float]]] | None:
+    """States of the model that explain the record best, from the start ``x``, and parameters per trajectory.
+
+    None where no such states are found.
+    """
+    values = parameters_of(fit, data)
+    unseen = [run.name for run in data.trajectories if run.name not in fit.by_trajectory]
+    local = [name for name, e in fit.model.entries.items() if e.parameter.per_trajectory and unseen]
+    model = fit.model.with_fixed({name: value for name, value in fit.values.items() if name not in local})
+    state = on_record(model, data, sigma, x)
+    if state is None:
+        return None
+    for run in unseen if local else ():
+        values[run].update(state.unknown.values_of(state.theta, run))
+    return state.states, values
+
+
+def bands(
+    fit: Fit, data: Measurements, sigma: np.ndarray, simulated: Sequence[np.ndarray]
+) -> tuple[np.ndarray, ...] | None:
+    """Standard deviation of what a free run shows, (n_samples, n_states) per trajectory; None where it is not known.
+
+    Both the uncertainty of the parameters, with starting states that follow the record, and that of the starting
+    states count, to first order along the run. The noise of a single measurement is not in it.
+    """
+    known = np.isfinite(np.diag(fit.covariance))
+    runs = tuple(run.name for run in data.trajectories)
+    unknown = Theta.of(fit.model, runs)
+    if not known.any() or sum(x.size for x in simulated) > LONGEST or set(unknown.names) != set(fit.names):
+        return None
+    grid, nodes = grid_of(data), np.concatenate(simulated)
+    if not np.all(np.isfinite(nodes)) or not grid.measured.any():
+        return None
+    theta = np.array([fit.estimates[name] for name in unknown.names])
+    point = point_at(fit.model, grid, unknown, theta, nodes)
+    program = MaximumLikelihood().program(fit.model, grid, point, {}, sigma, unknown)
+    kkt = Solver(program).kkt(program.start, sigma)
+    block, x = program.variables["theta"], program.variables["x"]
+    information = kkt.hessian * (int(grid.measured.sum()) / 2)
+    reduced = Reduced(grid, fit.model.n_states, information, kkt.jacobian, block.slice, x.slice)
+    order = [fit.names.index(name) for name in unknown.names]
+    covariance = np.where(np.outer(known, known), fit.covariance, 0.0)[np.ix_(order, order)]
+    covariance = covariance / np.outer(point.theta_scale, point.theta_scale)
+    starts = grid.first[:, None] * fit.model.n_states + np.arange(fit.model.n_states)
+    variance = reduced.state_variances(covariance) + reduced.start_variances(starts, grid.trajectory)
+    deviation = np.sqrt(np.maximum(variance, 0.0)).reshape(grid.y.shape) * point.x_scale
+    edges = [*grid.first.tolist(), grid.n_nodes]
+    return tuple(deviation[a:b] for a, b in pairwise(edges))
+
+
+def shown(model: Model, data: Measurements, states: Sequence[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """What the sensors show of the states at the samples, per trajectory; ``values`` as from `matrix_of`."""
+    if not model.sensor:
+        return tuple(states)
+    grid: Grid = grid_of(data)
+    y = np.array(outputs(model, grid, np.concatenate(states).T, values)).T
+    return tuple(y[a:b] for a, b in pairwise([*grid.first.tolist(), grid.n_nodes]))
