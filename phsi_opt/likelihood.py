@@ -114,9 +114,10 @@ def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bo
     core, grid = task.model.dynamics(), _unsensed(task.model, grid)
     notes: tuple[str, ...] = ()
     complete_data = bool(grid.measured.all())
-    x = grid.y
+    x, estimate = grid.y, None
     if not complete_data:
-        x, sigma = _smooth(core, grid, sigma, known, loss)
+        estimate = starting.smoothed(core, grid, sigma, loss.integrator, known, rounds=2)
+        x, sigma = estimate.x, estimate.sigma
     for _ in range(2):
         core = starting.resolved(core, grid, x)
         if core.free:
@@ -125,7 +126,9 @@ def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bo
             core = core.with_values(first.values)
         if complete_data or not core.free:
             break
-        x, sigma = _smooth(core, grid, sigma, known, loss)
+        assert estimate is not None
+        estimate = starting.smoothed(core, grid, sigma, loss.integrator, known, rounds=1, prior=estimate.prior)
+        x, sigma = estimate.x, estimate.sigma
     model = task.model.with_values({name: value for name, value in core.values.items() if name in task.model.entries})
     model = starting.resolved(model, grid, x)
     theta = unknown.spread(np.array([model.values[name] for name in model.free]))
@@ -143,13 +146,6 @@ def _unsensed(model: Model, grid: Grid) -> Grid:
     theta = np.array([model.values[name] for name in model.free])
     added = np.array(outputs(model, grid, grid.y.T, theta)).T - grid.y
     return replace(grid, y=grid.y - np.nan_to_num(added))
-
-
-def _smooth(
-    model: Model, grid: Grid, sigma: np.ndarray, known: bool, loss: MaximumLikelihood
-) -> tuple[np.ndarray, np.ndarray]:
-    estimate = starting.smoothed(model, grid, sigma, loss.integrator, known)
-    return estimate.x, estimate.sigma
 
 
 def _from_states(task: Task, loss: MaximumLikelihood, grid: Grid, x: np.ndarray) -> State:
@@ -194,7 +190,7 @@ def _best(states: list[State], begin: Beginning) -> State:
     return replace(best, notes=notes)
 
 
-def on_record(model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray]) -> State | None:
+def on_record(model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], steps: int) -> State | None:
     """The likelihood of a record with only its states (and what is still free in ``model``) unknown; None: no success.
 
     ``sigma``: the known noise per state; ``x``: states at the samples to start from.
@@ -202,7 +198,7 @@ def on_record(model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[n
     task = Task(model, data, {}, None, Settings(max_iterations=100), lambda line: None)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
     begin = Beginning(model, theta, tuple(x), sigma)
-    state = _Solve(task, MaximumLikelihood(), False).staged(begin)
+    state = _Solve(task, MaximumLikelihood(steps=steps), False).staged(begin)
     return state if state.solution.outcome.success else None
 
 

@@ -90,7 +90,7 @@ class Reduced:
     def start_variances(self, starts: np.ndarray, trajectory: np.ndarray) -> np.ndarray:
         """Variances of x that remain when theta is known: those of the starting states, carried along the dynamics.
 
-        ``starts`` (n_trajectories, n_states) are places of the starting states in x, ``trajectory`` is that of each node.
+        ``starts`` (n_trajectories, n_states): places of the starting states in x; ``trajectory``: that of each node.
         """
         n_runs, n = starts.shape
         right = np.zeros((self._band.n, n))

@@ -45,7 +45,8 @@ def explained(
     unseen = [run.name for run in data.trajectories if run.name not in fit.by_trajectory]
     local = [name for name, e in fit.model.entries.items() if e.parameter.per_trajectory and unseen]
     model = fit.model.with_fixed({name: value for name, value in fit.values.items() if name not in local})
-    state = on_record(model, data, sigma, x)
+    steps = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
+    state = on_record(model, data, sigma, x, steps)
     if state is None:
         return None
     for run in unseen if local else ():

@@ -17,7 +17,7 @@ from phsi_opt.errors import DataError
 from phsi_opt.expressions import names_of
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, defect_jacobian, defects
-from phsi_opt.losses import Point, complete, rate_size
+from phsi_opt.losses import ForcePrior, Point, complete, rate_size
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, estimate_force
 from phsi_opt.model import Model, place_of
@@ -136,15 +136,18 @@ def _sensor_strength(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray)
 
 
 def smoothed(
-    model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: bool, theta: np.ndarray | None = None
-) -> ForceEstimate:
+    model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: bool, theta: np.ndarray | None = None,
+    *, rounds: int = 3, prior: ForcePrior | None = None,
+) -> ForceEstimate:  # fmt: skip
     """States, also unmeasured ones, by the missing-force program at the model's present values.
 
     ``theta``: other values, (n_free, n_trajectories) where trajectories have parameters of their own.
     """
     point = first_point(model, grid)
     point = point if theta is None else replace(point, theta=theta)
-    return estimate_force(model, grid, point, sigma, integrator=integrator, known_noise=known_noise)
+    return estimate_force(
+        model, grid, point, sigma, rounds=rounds, known_noise=known_noise, prior=prior, integrator=integrator
+    )
 
 
 def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
