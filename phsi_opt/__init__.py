@@ -9,6 +9,7 @@ from phsi_opt.identify import identify
 from phsi_opt.losses import MaximumLikelihood, MissingForce, PHSILoss
 from phsi_opt.measurements import Measurements, Trajectory
 from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
+from phsi_opt.profile import Profile, profile
 from phsi_opt.pruning import Pruning
 from phsi_opt.simulate import simulate
 from phsi_opt.solver import Settings
@@ -29,6 +30,7 @@ __all__ = [
     "PHSILoss",
     "Parameter",
     "PhsiOptError",
+    "Profile",
     "Pruning",
     "PseudoHamiltonian",
     "Settings",
@@ -43,6 +45,7 @@ __all__ = [
     "formula",
     "identify",
     "polynomials",
+    "profile",
     "simulate",
     "trigonometric",
 ]

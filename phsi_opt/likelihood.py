@@ -190,15 +190,17 @@ def _best(states: list[State], begin: Beginning) -> State:
     return replace(best, notes=notes)
 
 
-def on_record(model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], steps: int) -> State | None:
-    """The likelihood of a record with only its states (and what is still free in ``model``) unknown; None: no success.
+def on_record(
+    model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], loss: MaximumLikelihood
+) -> State | None:
+    """The likelihood of a record with its states, and what is still free in ``model``, unknown; None: no success.
 
     ``sigma``: the known noise per state; ``x``: states at the samples to start from.
     """
     task = Task(model, data, {}, None, Settings(max_iterations=100), lambda line: None)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
     begin = Beginning(model, theta, tuple(x), sigma)
-    state = _Solve(task, MaximumLikelihood(steps=steps), False).staged(begin)
+    state = _Solve(task, loss, False).staged(begin)
     return state if state.solution.outcome.success else None
 
 
@@ -313,7 +315,7 @@ def _noise_note(state: State, given: np.ndarray | None) -> tuple[str, ...]:
         return ()
     return (
         f"the residuals of {names[worst]} are {ratio[worst]:.1f} times what neighbouring samples scatter: the model "
-        "lacks something (diagnose), or this is one of several optima (MaximumLikelihood(starts=5))",
+        "lacks something (diagnose), outliers pull (huber=1.345 of MaximumLikelihood), or it has several optima (starts=5)",
     )
 
 

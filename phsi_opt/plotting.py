@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 if TYPE_CHECKING:
     from phsi_opt.compare import Comparison
     from phsi_opt.diagnose import Diagnosis
+    from phsi_opt.profile import Profile
 
 MEASURED, MODEL, FLOOR = "0.55", "C0", "C2"
 
@@ -60,6 +61,21 @@ def plot_missing_force(diagnosis: "Diagnosis", ax: Axes | None = None, trajector
     )
     ax.margins(y=0.2)
     ax.legend(loc="upper right", frameon=False, ncols=2)
+    return ax
+
+
+def plot_profile(profile: "Profile", ax: Axes | None = None) -> Axes:
+    """The profile of a parameter; the interval is where it stays below the threshold."""
+    ax = _axes(ax, (6.0, 3.6))
+    value, rise = profile.points.T
+    ax.plot(value, rise, "o-", color=MODEL, ms=4, label="profile")
+    half = (profile.curvature[1] - profile.curvature[0]) / 2
+    along = np.linspace(min(value[0], profile.curvature[0]), max(value[-1], profile.curvature[1]), 200)
+    ax.plot(along, profile.threshold * ((along - profile.value) / half) ** 2, "--", color=MEASURED, label="curvature")
+    ax.axhline(profile.threshold, color=FLOOR, lw=1.0, ls=":", label=f"{100 * profile.level:.3g} %")
+    ax.set(xlabel=profile.name, ylabel="rise of -2 log likelihood", ylim=(0, 2 * profile.threshold))
+    ax.set_title(f"{profile.name}: {profile.lower:.4g} to {profile.upper:.4g}, where the profile is below the line")
+    ax.legend(frameon=False, loc="upper center", ncols=3)
     return ax
 
 

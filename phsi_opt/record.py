@@ -46,7 +46,7 @@ def explained(
     local = [name for name, e in fit.model.entries.items() if e.parameter.per_trajectory and unseen]
     model = fit.model.with_fixed({name: value for name, value in fit.values.items() if name not in local})
     steps = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
-    state = on_record(model, data, sigma, x, steps)
+    state = on_record(model, data, sigma, x, MaximumLikelihood(steps=steps))
     if state is None:
         return None
     for run in unseen if local else ():

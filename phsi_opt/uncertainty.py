@@ -115,16 +115,24 @@ def _weak_directions(
     values, vectors = np.linalg.eigh(scaled[np.ix_(moving, moving)])
     sentences, silent = [], []
     for value, vector in zip(values, vectors.T, strict=True):
+        spread, own = np.sqrt(value) * np.abs(vector), np.abs(theta[moving])
         # Beyond the ridge, or so far below the best known direction that only rounding errors tell it.
-        if value > 0.01 / RIDGE or value > max(100.0, values[0] / ROUNDED):
+        if value > 0.01 / RIDGE or value > max(100.0, values[0] / ROUNDED) or _is_scaling(spread, own):
             # Its largest members, and those that it moves by more than their own value.
             large = np.abs(vector) > 0.1 * np.max(np.abs(vector))
-            large |= (np.sqrt(value) * np.abs(vector) > np.abs(theta[moving])) & (theta[moving] != 0)
-            parts = [i for i in np.argsort(-np.abs(vector)) if large[i]]
+            large |= (spread > own) & (own > 0)
+            parts = np.flatnonzero(large)
             members = [moving[i] for i in parts]
             silent += members
             sentences.append(_sentence([names[i] for i in members], vector[parts], theta[members]))
     return tuple(sentences), sorted(set(silent))
+
+
+def _is_scaling(spread: np.ndarray, own: np.ndarray) -> bool:
+    """Whether a direction multiplies several parameters by one factor that the data leave open by more than two."""
+    large = spread > 2 * own
+    relative = spread[large] / np.where(own[large] > 0, own[large], np.nan)
+    return bool(large.sum() > 1 and np.ptp(relative) < 0.02 * np.max(relative))
 
 
 def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
@@ -135,6 +143,8 @@ def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
     if np.all(theta != 0):
         relative = change / theta
         if np.ptp(np.abs(relative)) < 0.02 * np.max(np.abs(relative)):
+            if len(names) > 2 and np.all(relative * relative[0] > 0):
+                return text + "a common factor of all leaves no trace; fix one of them to a known value"
             up = [n for n, r in zip(names, relative, strict=True) if r * relative[0] > 0]
             down = [n for n in names if n not in up]
             if len(names) == 2:
