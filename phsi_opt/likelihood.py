@@ -19,6 +19,7 @@ from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, between, grid_of, local_errors, outputs, steps_of
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.measurements import Measurements
+from phsi_opt.missing import softened
 from phsi_opt.model import Model
 from phsi_opt.noise import difference_noise
 from phsi_opt.one_step import Pruner, chosen, solve_defects
@@ -114,21 +115,25 @@ def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bo
     core, grid = task.model.dynamics(), _unsensed(task.model, grid)
     notes: tuple[str, ...] = ()
     complete_data = bool(grid.measured.all())
-    x, estimate = grid.y, None
+    x = grid.y
     if not complete_data:
         estimate = starting.smoothed(core, grid, sigma, loss.integrator, known, rounds=2)
         x, sigma = estimate.x, estimate.sigma
-    for _ in range(2):
-        core = starting.resolved(core, grid, x)
-        if core.free:
-            first = _from_states(replace(task, model=core, pruning=None, say=lambda line: None), loss, grid, x)
-            notes = first.notes
-            core = core.with_values(first.values)
-        if complete_data or not core.free:
-            break
-        assert estimate is not None
-        estimate = starting.smoothed(core, grid, sigma, loss.integrator, known, rounds=1, prior=estimate.prior)
-        x, sigma = estimate.x, estimate.sigma
+    core = starting.resolved(core, grid, x)
+    given = {name for name, e in task.model.entries.items() if e.parameter.value is not None and not e.prunable}
+    if core.free:
+        first = _from_states(replace(task, model=core, pruning=None, say=lambda line: None), loss, grid, x)
+        notes = first.notes
+        values = first.values
+        if not complete_data:
+            # States smoothed with the parameters given would only confirm them.
+            values = {name: core.values[name] if name in given else value for name, value in values.items()}
+        core = core.with_values(values)
+    if core.free and not complete_data:
+        shared = Theta.of(core, task.runs)
+        theta = np.array([core.values[name] for name in core.free])
+        point = softened(core, grid, shared, starting.point_at(core, grid, shared, theta, x), sigma, loss.integrator)
+        core, x = core.with_values(dict(zip(core.free, point.theta.tolist(), strict=True))), point.x
     model = task.model.with_values({name: value for name, value in core.values.items() if name in task.model.entries})
     model = starting.resolved(model, grid, x)
     theta = unknown.spread(np.array([model.values[name] for name in model.free]))
@@ -270,15 +275,20 @@ class _Solve:
 
 
 def cut(grid: Grid, window: float) -> Grid:
-    """The grid without the intervals in which a window of a trajectory ends, so that every window starts freely."""
-    t = grid.t - grid.t[grid.first][grid.trajectory]
-    number = np.floor(t / window + 1e-9).astype(int)
-    joined = number[grid.begin] == number[grid.begin + 1]
-    samples = np.flatnonzero(grid.sample[grid.begin])  # never within a gap between samples
-    joined[np.setdiff1d(np.arange(grid.n_intervals), samples)] = True
-    ends = np.flatnonzero(~joined)
-    kept = [e for e, last in zip(ends, np.r_[-SHORTEST, ends[:-1]], strict=True) if e - last >= SHORTEST]
-    return grid.intervals(np.setdiff1d(np.arange(grid.n_intervals), kept))
+    """The grid without the intervals in which a window of a trajectory ends, so that every window starts freely.
+
+    No window has fewer than `SHORTEST` samples; a gap with steps in it is cut behind its first sample.
+    """
+    samples, gone = np.flatnonzero(grid.sample), []
+    for run in range(int(grid.trajectory[-1]) + 1):
+        own = samples[grid.trajectory[samples] == run]
+        number = np.floor((grid.t[own] - grid.t[own[0]]) / window + 1e-9).astype(int)
+        last = 0
+        for i in np.flatnonzero(np.diff(number)) + 1:
+            if i - last >= SHORTEST and len(own) - i >= SHORTEST:
+                gone.append(own[i - 1])
+                last = int(i)
+    return grid.intervals(np.flatnonzero(~np.isin(grid.begin, gone)))
 
 
 def estimated_noise(
@@ -315,7 +325,7 @@ def _noise_note(state: State, given: np.ndarray | None) -> tuple[str, ...]:
         return ()
     return (
         f"the residuals of {names[worst]} are {ratio[worst]:.1f} times what neighbouring samples scatter: the model "
-        "lacks something (diagnose), outliers pull (huber=1.345 of MaximumLikelihood), or it has several optima (starts=5)",
+        "lacks something (diagnose), outliers pull (try huber=1.345), or there are several optima (try starts=5)",
     )
 
 

@@ -133,9 +133,18 @@ class MissingForce:
 
     integrator: str = "srk4"
 
-    def program(self, model: Model, grid: Grid, point: Point, prior: "ForcePrior", sigma: np.ndarray) -> Program:
-        """The program in x and w; the parameters stay at ``point.theta`` (see `grid.defects` for its shape)."""
+    def program(
+        self,
+        model: Model,
+        grid: Grid,
+        point: Point,
+        prior: "ForcePrior",
+        sigma: np.ndarray,
+        unknown: Theta | None = None,
+    ) -> Program:
+        """The program in x and w, and in theta where it is ``unknown``; else that stays at ``point.theta``."""
         build = Assembly()
+        theta: Any = ca.DM(point.theta) if unknown is None else unknown.by_trajectory(_theta(build, unknown, point))
         x = _states(build, grid, point)
         n_forced, rows = len(prior.rows), list(prior.rows)
         start = np.zeros((grid.n_intervals, n_forced)) if point.w is None else point.w
@@ -145,7 +154,6 @@ class MissingForce:
         w = ca.reshape(build.variable("w", start.ravel(), scale=scale), n_forced, -1)
         selector = np.zeros((model.n_states, n_forced))
         selector[rows, np.arange(n_forced)] = 1.0
-        theta = ca.DM(point.theta)
         d = defects(model, grid, self.integrator, x, theta) - ca.mtimes(ca.DM(selector), w)
         build.constrain("defect", _scaled(d, grid, point), label=grid.interval_label(model.n_states))
         build.residual(_misfit(model, x, theta, grid, noise))

@@ -19,9 +19,11 @@ from phsi_opt.linear import Banded, along_time
 from phsi_opt.losses import ForcePrior, MissingForce, Point
 from phsi_opt.model import Model
 from phsi_opt.solver import Settings, Solver
+from phsi_opt.theta import Theta
 
 N_PROBES = 24
 PROBED = 200_000  # values that all probes together look at, at least
+SHRINKING = (1.0, 0.1, 0.01)  # sizes of the force while parameters and states are found together
 SETTLED = 0.02  # change of the logarithm of a variance at which its updates end
 LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
 
@@ -94,6 +96,24 @@ def estimate_force(
             break
     assert point.w is not None
     return ForceEstimate(point.x, point.w, sigma, prior, evidence, grid, linear)
+
+
+def softened(model: Model, grid: Grid, unknown: Theta, point: Point, sigma: np.ndarray, integrator: str) -> Point:
+    """Parameters and states together, with a missing force that is generous first and then shrinks.
+
+    With the force free the dynamics hold softly: the states cannot run away while the parameters are still wrong, and
+    the parameters are not confirmed by states that were smoothed with them.
+    """
+    prior = default_prior(model, grid, point)
+    program = MissingForce(integrator).program(model, grid, point, prior, sigma, unknown)
+    solver, start = Solver(program, Settings(tolerance=1e-4, max_iterations=60)), program.start
+    for factor in SHRINKING:
+        solution = solver.solve(start, np.r_[factor * prior.size, sigma], raise_on_failure=False)
+        if not solution.outcome.success and solution.outcome.infeasibility > 1e-3:
+            break
+        start = solution.z
+        point = replace(point, theta=solution.values["theta"], x=solution.values["x"].reshape(point.x.shape))
+    return point
 
 
 @dataclass(frozen=True, eq=False)

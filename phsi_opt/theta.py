@@ -15,7 +15,7 @@ class Theta:
     """Names and places of the unknown parameters of a model in several trajectories.
 
     Attributes:
-        names: of each entry: ``k``, and ``m[run 1]``, ``m[run 2]`` for a parameter per trajectory.
+        names: of each entry: ``k``, and ``m[run 1]``, ``m[run 2]`` for a parameter per trajectory (of several).
         owner: (n_theta,) position of each entry's parameter in ``model.free``.
         table: (n_free, n_trajectories) place of each model parameter of each trajectory in theta.
     """
@@ -33,7 +33,7 @@ class Theta:
         owner: list[int] = []
         table = np.zeros((len(model.free), len(runs)), dtype=int)
         for i, name in enumerate(model.free):
-            local = model.entries[name].parameter.per_trajectory
+            local = len(runs) > 1 and model.entries[name].parameter.per_trajectory
             table[i] = len(names) + (np.arange(len(runs)) if local else 0)
             names += [f"{name}[{run}]" for run in runs] if local else [name]
             owner += [i] * (len(runs) if local else 1)

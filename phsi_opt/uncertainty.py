@@ -58,7 +58,9 @@ def inverse(information: np.ndarray, held: Sequence[int] = ()) -> np.ndarray:
     """Covariance of scaled parameters; a ridge holds directions without information, and ``held`` do not move."""
     ridge = np.full(len(information), RIDGE)
     ridge[list(held)] = 1e12
-    return np.linalg.inv(information + np.diag(ridge))
+    values, vectors = np.linalg.eigh(information)
+    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T  # a direction without information may round below zero
+    return np.linalg.inv(positive + np.diag(ridge))
 
 
 def _held(names: Sequence[str], solution: Solution) -> list[int]:
@@ -114,10 +116,12 @@ def _weak_directions(
         return (), []
     values, vectors = np.linalg.eigh(scaled[np.ix_(moving, moving)])
     sentences, silent = [], []
+    best = float(np.min(values, where=values > 0, initial=np.inf))
     for value, vector in zip(values, vectors.T, strict=True):
+        value = value if value > 0 else 1 / RIDGE  # rounded below zero: nothing but the ridge
         spread, own = np.sqrt(value) * np.abs(vector), np.abs(theta[moving])
         # Beyond the ridge, or so far below the best known direction that only rounding errors tell it.
-        if value > 0.01 / RIDGE or value > max(100.0, values[0] / ROUNDED) or _is_scaling(spread, own):
+        if value > 0.01 / RIDGE or value > max(100.0, best / ROUNDED) or _is_scaling(spread, own):
             # Its largest members, and those that it moves by more than their own value.
             large = np.abs(vector) > 0.1 * np.max(np.abs(vector))
             large |= (spread > own) & (own > 0)

@@ -1,0 +1,340 @@
+"""Maximum likelihood with data as they are: sensors, parameters per trajectory, outliers, gaps, windows, starts."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phsi_opt.compare import compare
+from phsi_opt.errors import DataError, ModelError
+from phsi_opt.fit import Fit
+from phsi_opt.grid import grid_of, steps_of
+from phsi_opt.identify import identify
+from phsi_opt.likelihood import cut
+from phsi_opt.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.measurements import Measurements
+from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
+from phsi_opt.simulate import simulate
+from phsi_opt.terms import Dictionary, Parameter, formula
+
+TRUTH = {"k": 1.2, "a": 0.8, "c": 0.15}
+NOISE = 0.01
+
+
+def duffing(sensor: dict[str, Dictionary] | None = None, **starts: Any) -> PseudoHamiltonian:
+    """A driven Duffing oscillator with free k, a, c."""
+    start = {"k": Parameter(1.0), "a": Parameter(1.0), "c": Parameter(0.1, lower=0.0), **starts}
+    return PseudoHamiltonian(
+        states=("q", "p"), inputs=("u",), S=canonical(1),
+        H=formula("k*q**2/2 + a*q**4/4 + p**2/2", k=start["k"], a=start["a"]),
+        R={"p": formula("c", c=start["c"])}, F={"p": formula("u")}, sensor=sensor or {},
+    )  # fmt: skip
+
+
+def record(n: int = 300, seed: int = 0, step: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, true states and input; the noise is the caller's."""
+    t = step * np.arange(n)
+    u = 1.2 * np.cos(1.4 * t)[:, None]
+    return t, simulate(duffing().with_values(TRUTH), t, [1.0, 0.0], u), u
+
+
+def measured(t: np.ndarray, y: np.ndarray, u: np.ndarray) -> Measurements:
+    return Measurements.from_arrays(t, y, u, states=["q", "p"], inputs=["u"])
+
+
+def noisy(x: np.ndarray, seed: int = 0, sigma: float = NOISE) -> np.ndarray:
+    return x + sigma * np.random.default_rng(seed).normal(size=x.shape)
+
+
+def largest_z(fit: Fit, truth: dict[str, float]) -> float:
+    return max(abs(fit.estimates[name] - value) / fit.std_errors[name] for name, value in truth.items())
+
+
+# ---- sensors ---------------------------------------------------------------------------------------------------------
+
+OFFSET_AND_GAIN = {"q": formula("b + (g - 1)*q", b=Parameter(0.0), g=Parameter(1.0))}
+
+
+@pytest.mark.parametrize("only_position", [False, True])
+def test_offset_and_gain_of_a_sensor_are_estimated_beside_the_dynamics(only_position: bool) -> None:
+    t, x, u = record()
+    y = noisy(np.column_stack([1.1 * x[:, 0] + 0.3, np.full(len(t), np.nan) if only_position else x[:, 1]]))
+    fit = identify(duffing(OFFSET_AND_GAIN), measured(t, y, u))
+    # Six estimates, each normal: beyond 3.5 standard errors in one data set of 400.
+    assert largest_z(fit, {**TRUTH, "b": 0.3, "g": 1.1}) < 3.5
+    np.testing.assert_allclose(fit.states[0][:, 0], x[:, 0], atol=10 * NOISE)
+
+
+def test_the_comparison_sees_what_the_sensor_shows() -> None:
+    t, x, u = record()
+    data = measured(t, noisy(np.column_stack([1.1 * x[:, 0] + 0.3, x[:, 1]])), u)
+    fit = identify(duffing(OFFSET_AND_GAIN), data)
+    comparison = compare(fit, data)
+    np.testing.assert_allclose(comparison.shown[0][:, 0], 1.1 * x[:, 0] + 0.3, atol=NOISE)
+    np.testing.assert_allclose(comparison.simulated[0][:, 0], x[:, 0], atol=NOISE)
+    assert comparison.rmse < 1.05 * comparison.noise_floor
+
+
+def test_a_sensor_of_a_state_that_nobody_measured_is_refused() -> None:
+    t, x, u = record(50)
+    y = noisy(x)
+    y[:, 0] = np.nan
+    with pytest.raises(DataError, match="has a sensor of 'q', but 'q' was never measured"):
+        identify(duffing(OFFSET_AND_GAIN), measured(t, y, u))
+
+
+def test_the_phsi_loss_refuses_a_sensor() -> None:
+    t, x, u = record(50)
+    with pytest.raises(ModelError, match="PHSILoss has no place for the sensor of 'q'"):
+        identify(duffing(OFFSET_AND_GAIN), measured(t, noisy(x), u), PHSILoss())
+
+
+# ---- parameters per trajectory ---------------------------------------------------------------------------------------
+
+MASSES = {"run 1": 1.0, "run 2": 1.5, "run 3": 2.2}
+
+
+def loaded(mass: Parameter | float) -> PseudoHamiltonian:
+    return PseudoHamiltonian(
+        states=("q", "p"), S=canonical(1), H=formula("k*q**2/2 + p**2/(2*m)", k=3.0, m=mass),
+        R={"p": formula("c", c=Parameter(0.1, lower=0.0))},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def loads() -> Measurements:
+    """Three runs with different masses: different lengths, one irregular, positions only, gaps."""
+    rng = np.random.default_rng(3)
+    times = [0.05 * np.arange(200), 0.07 * np.arange(150), np.cumsum(rng.uniform(0.02, 0.09, 180))]
+    runs = []
+    for t, mass in zip(times, MASSES.values(), strict=True):
+        x = noisy(simulate(loaded(mass).with_values({"c": 0.2}), t, [1.0, 0.0]), int(10 * mass))
+        x[:, 1] = np.nan
+        x[::7, 0] = np.nan
+        runs.append(x)
+    return Measurements.from_arrays(times, runs, states=["q", "p"])
+
+
+@pytest.fixture(scope="module")
+def loaded_fit(loads: Measurements) -> Fit:
+    return identify(loaded(Parameter(1.2, lower=0.1, per_trajectory=True)), loads)
+
+
+def test_every_run_has_its_own_mass_and_all_share_the_damping(loaded_fit: Fit) -> None:
+    assert loaded_fit.names == ("m[run 1]", "m[run 2]", "m[run 3]", "c")
+    assert largest_z(loaded_fit, {**{f"m[{run}]": m for run, m in MASSES.items()}, "c": 0.2}) < 3.5
+    assert loaded_fit.values["m"] == pytest.approx(np.mean([loaded_fit.estimates[f"m[{r}]"] for r in MASSES]))
+    table = loaded_fit.parameters.set_index("name")
+    assert table["value"]["m[run 2]"] == loaded_fit.by_trajectory["run 2"]["m"]
+
+
+def test_alone_each_run_gives_the_same_mass_as_together_where_the_damping_is_known(loads: Measurements) -> None:
+    model = loaded(Parameter(1.2, lower=0.1, per_trajectory=True)).with_fixed({"c": 0.2})
+    together = identify(model, loads, MaximumLikelihood(noise={"q": NOISE}))
+    for run in MASSES:
+        alone = identify(model, loads[run], MaximumLikelihood(noise={"q": NOISE}))
+        assert together.by_trajectory[run]["m"] == pytest.approx(alone.values["m"], rel=1e-6)
+        assert together.std_errors[f"m[{run}]"] == pytest.approx(alone.std_errors["m"], rel=1e-4)
+
+
+def test_a_run_that_the_fit_has_not_seen_gets_its_own_mass_in_a_comparison(loads: Measurements) -> None:
+    fit = identify(loaded(Parameter(1.2, lower=0.1, per_trajectory=True)), loads[:2])
+    comparison = compare(fit, loads)
+    assert comparison.values["run 3"]["m"] == pytest.approx(MASSES["run 3"], rel=0.02)
+    assert comparison.rmse < 1.1 * comparison.noise_floor
+    assert fit.values["m"] != pytest.approx(MASSES["run 3"], rel=0.1)
+
+
+def test_a_fit_with_parameters_per_run_survives_a_file_and_simulates_each(loaded_fit: Fit, tmp_path: Any) -> None:
+    loaded_fit.save(tmp_path / "fit.json")
+    again = Fit.load(tmp_path / "fit.json")
+    assert again.by_trajectory == loaded_fit.by_trajectory
+    assert again.estimates == loaded_fit.estimates
+    t = np.linspace(0.0, 2.0, 21)
+    heavy = again.simulate(t, [1.0, 0.0], trajectory="run 3")
+    np.testing.assert_allclose(heavy, simulate(loaded_fit.model_of("run 3"), t, [1.0, 0.0]), rtol=1e-12)
+    with pytest.raises(DataError, match="trajectory 'run 9' has no parameters of its own"):
+        again.simulate(t, [1.0, 0.0], trajectory="run 9")
+
+
+def test_the_phsi_loss_refuses_a_parameter_per_trajectory(loads: Measurements) -> None:
+    with pytest.raises(ModelError, match="PHSILoss has no place for the parameter per trajectory 'm'"):
+        identify(loaded(Parameter(1.2, per_trajectory=True)), loads, PHSILoss())
+
+
+# ---- outliers --------------------------------------------------------------------------------------------------------
+
+
+def test_huber_keeps_its_accuracy_where_one_sample_in_ten_is_wrong() -> None:
+    t, x, u = record()
+    y = noisy(x)
+    rng = np.random.default_rng(1)
+    wrong = rng.choice(len(t), len(t) // 10, replace=False)
+    y[wrong, 0] += rng.normal(size=len(wrong))  # a hundred times the noise
+    robust = identify(duffing(), measured(t, y, u), MaximumLikelihood(huber=1.345))
+    assert largest_z(robust, TRUTH) < 3.5
+    # Squares take the noise of q for what the outliers make of it, 0.3; the robust one stays near 0.01.
+    assert robust.noise["q"] < 2 * NOISE
+    squares = identify(duffing(), measured(t, y, u))
+    assert squares.noise["q"] > 0.2
+    assert any("times what neighbouring samples scatter" in w and "outliers" in w for w in squares.warnings)
+
+
+def test_huber_is_the_squares_where_the_limit_is_beyond_every_residual() -> None:
+    t, x, u = record(150)
+    data = measured(t, noisy(x), u)
+    noise = {"q": NOISE, "p": NOISE}
+    squares = identify(duffing(), data, MaximumLikelihood(noise=noise))
+    robust = identify(duffing(), data, MaximumLikelihood(noise=noise, huber=10.0))
+    for name in TRUTH:
+        assert robust.values[name] == pytest.approx(squares.values[name], rel=1e-6)
+
+
+# ---- scales ----------------------------------------------------------------------------------------------------------
+
+
+def test_parameters_ten_orders_of_magnitude_apart_are_found() -> None:
+    # q in nm and p in ug nm/s: k is 1e3 units, the cubic spring 1e-6 of it, the input gain 1e4.
+    t, x, u = record()
+    size = 1e3
+    model = PseudoHamiltonian(
+        states=("q", "p"), inputs=("u",), S=canonical(1),
+        H=formula("k*q**2/2 + a*q**4/4 + p**2/(2*m)", k=Parameter(1.0), a=Parameter(0.0), m=1e-4),
+        R={"p": formula("c", c=Parameter(0.0, lower=0.0))}, F={"p": formula("b*u", b=Parameter(0.0))},
+    )  # fmt: skip
+    # dq/dt = p/m, dp/dt = -k q - a q^3 - c p/m + b u, m = 1e-4: k = 1.2 m, a = 0.8 m/size^2, c = 0.15 m, b = m size.
+    y = noisy(x) * np.array([size, 1e-4 * size])
+    data = Measurements.from_arrays(t, y, 1e-6 * u, states=["q", "p"], inputs=["u"])
+    truth = {"k": 1.2e-4, "a": 0.8e-4 / size**2, "c": 0.15e-4, "b": 1e-4 * size / 1e-6}
+    assert truth["b"] / truth["a"] > 1e14
+    fit = identify(model, data)
+    assert largest_z(fit, truth) < 3.5
+    assert all(fit.std_errors[name] < 0.05 * value for name, value in truth.items())
+
+
+# ---- steps, windows, starts ------------------------------------------------------------------------------------------
+
+
+def test_coarse_samples_get_steps_in_between_and_fine_ones_none() -> None:
+    fine = identify(duffing(), measured(*_noisy_record(0.05)))
+    assert max(int(n.max()) for n in fine.steps) == 1
+    t, y, u = _noisy_record(0.4, sigma=0.001)
+    data = measured(t, y, u)
+    coarse = identify(duffing(), data)
+    assert max(int(n.max()) for n in coarse.steps) > 1
+    finest = identify(duffing(), data, MaximumLikelihood(steps=16))
+    for name in TRUTH:
+        # Refinement ends below a tenth of a standard error.
+        assert abs(coarse.values[name] - finest.values[name]) < 0.1 * finest.std_errors[name]
+    crude = identify(duffing(), data, MaximumLikelihood(steps=1))
+    assert max(abs(crude.values[n] - finest.values[n]) / finest.std_errors[n] for n in TRUTH) > 0.5
+
+
+def _noisy_record(step: float, sigma: float = NOISE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    t = step * np.arange(150)
+    u = np.where(np.arange(150) % 2 == 0, 1.0, -0.5)[:, None] * 0.6
+    return t, noisy(simulate(duffing().with_values(TRUTH), t, [1.0, 0.0], u), 0, sigma), u
+
+
+def test_windows_cut_a_grid_at_samples_and_leave_no_short_piece() -> None:
+    t, x, u = record(101)
+    grid = grid_of(measured(t, x, u), 2)
+    pieces = cut(grid, 1.0)
+    gone = np.setdiff1d(grid.begin, pieces.begin)
+    assert grid.sample[gone].all()
+    # Windows of 1.0 in a record of 5.0; the sample at 5.0 alone is no window.
+    np.testing.assert_allclose(grid.t[gone], [0.95, 1.95, 2.95, 3.95])
+    assert [int(n.max()) for n in steps_of(grid)] == [2]
+    assert cut(grid, 0.1).n_intervals > grid.n_intervals - 101 // 8
+
+
+def test_the_window_only_shows_the_way() -> None:
+    t, x, u = record()
+    data = measured(t, noisy(x), u)
+    whole = identify(duffing(), data)
+    through = identify(duffing(), data, MaximumLikelihood(window=2.0))
+    for name in TRUTH:
+        assert through.values[name] == pytest.approx(whole.values[name], rel=1e-5)
+
+
+def test_the_report_says_how_many_starts_agree() -> None:
+    t, x, u = record(200)
+    data = measured(t, noisy(x), u)
+    fits = [identify(duffing(), data, MaximumLikelihood(starts=3)) for _ in range(2)]
+    assert any(w == "3 of 3 starting points led to the best solution" for w in fits[0].warnings)
+    assert fits[0].values == fits[1].values
+
+
+def test_chaos_over_many_lyapunov_times_gives_the_right_parameters() -> None:
+    def lorenz(s: Parameter | float, r: Parameter | float, b: Parameter | float) -> FirstOrder:
+        return FirstOrder(
+            states=("x", "y", "z"),
+            F={"x": formula("s*(y - x)", s=s), "y": formula("x*(r - z) - y", r=r), "z": formula("x*y - b*z", b=b)},
+        )
+
+    t = np.linspace(0.0, 20.0, 1001)  # 18 Lyapunov times of 1.1
+    x = simulate(lorenz(10.0, 28.0, 8 / 3), t, [-8.0, 7.0, 27.0])
+    y = x + 0.1 * x.std(axis=0) * np.random.default_rng(0).normal(size=x.shape)
+    data = Measurements.from_arrays(t, y, states=["x", "y", "z"])
+    fit = identify(lorenz(Parameter(), Parameter(), Parameter()), data)
+    assert largest_z(fit, {"s": 10.0, "r": 28.0, "b": 8 / 3}) < 3.5
+    assert fit.values["r"] == pytest.approx(28.0, rel=1e-3)
+
+
+# ---- uncertainty -----------------------------------------------------------------------------------------------------
+
+
+def test_intervals_are_wider_than_the_normal_ones_where_few_values_tell_the_noise() -> None:
+    t, x, u = record(12, step=0.4)
+    fit = identify(duffing(), measured(t, noisy(x), u))
+    interval = fit.intervals(0.95)
+    half = (interval["upper"] - interval["lower"]).to_numpy() / 2
+    errors = np.array([fit.std_errors[name] for name in interval.index])
+    # Student's t with 24 - 3 degrees of freedom.
+    np.testing.assert_allclose(half / errors, 2.0796, rtol=1e-4)
+    correlations = fit.correlations.to_numpy()
+    np.testing.assert_allclose(np.diag(correlations), 1.0)
+    assert np.all(np.abs(correlations) <= 1 + 1e-12)
+
+
+def test_a_parameter_at_its_bound_is_named_in_the_warnings() -> None:
+    t, x, u = record(100)
+    fit = identify(duffing(c=Parameter(0.3, lower=0.3)), measured(t, noisy(x), u))
+    assert any(w.startswith("c ended at its lower bound 0.3") for w in fit.warnings)
+    assert np.isnan(fit.std_errors["c"])
+
+
+def test_a_common_factor_without_a_trace_is_named(loads: Measurements) -> None:
+    model = PseudoHamiltonian(
+        states=("q", "p"), S=canonical(1),
+        H=formula("k*q**2/2 + p**2/(2*m)", k=Parameter(2.0), m=Parameter(1.2, lower=0.1, per_trajectory=True)),
+        R={"p": formula("c", c=Parameter(0.1, lower=0.0))},
+    )  # fmt: skip
+    fit = identify(model, loads)
+    assert any("k, m[run 1], m[run 2], m[run 3], c apart: a common factor" in w for w in fit.warnings)
+    assert all(np.isnan(fit.std_errors[name]) for name in fit.names)
+
+
+def test_the_band_of_a_run_is_what_it_scatters_by_when_the_noise_is_drawn_again() -> None:
+    t, x, u = record(120)
+    drawn = [measured(t, noisy(x, seed, 0.05), u) for seed in range(40)]
+    fits = [identify(duffing(), data, MaximumLikelihood(noise={"q": 0.05, "p": 0.05})) for data in drawn]
+    comparison = compare(fits[0], drawn[0])
+    assert comparison.bands is not None
+    np.testing.assert_allclose(comparison.shown[0], fits[0].states[0], atol=1e-4)
+    ratio = np.std([fit.states[0] for fit in fits], axis=0) / comparison.bands[0]
+    # The scatter of 40 runs is known to 11 %; neighbouring times are not independent, so their mean is not much better.
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.2)
+    assert ratio.min() > 0.6
+    assert ratio.max() < 1.6
+
+
+# ---- refusals --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "options", [{"huber": 0.0}, {"huber": np.inf}, {"window": -1.0}, {"steps": 0}, {"starts": 0}, {"starts": 1.5}]
+)
+def test_options_that_mean_nothing_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(ModelError, match=f"{next(iter(options))}=.* of MaximumLikelihood must be"):
+        MaximumLikelihood(**options)

@@ -1,0 +1,87 @@
+"""The profile likelihood: the parabola where the model is linear, and the honest interval where it is not."""
+
+import numpy as np
+import pytest
+
+from phsi_opt.errors import ModelError
+from phsi_opt.fit import Fit
+from phsi_opt.identify import identify
+from phsi_opt.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.measurements import Measurements
+from phsi_opt.model import FirstOrder
+from phsi_opt.profile import profile
+from phsi_opt.terms import Parameter, formula
+
+
+def decay(noise: float, rate: Parameter) -> tuple[FirstOrder, Measurements]:
+    """x' = -r x from 1, few and noisy samples: the rate is known badly to the fast side."""
+    t = np.linspace(0.0, 4.0, 12)
+    y = np.exp(-0.8 * t) + noise * np.random.default_rng(2).normal(size=len(t))
+    return FirstOrder(states=("x",), F={"x": formula("-r*x", r=rate)}), Measurements.from_arrays(t, y, states=["x"])
+
+
+@pytest.fixture(scope="module")
+def loose() -> tuple[Fit, Measurements]:
+    model, data = decay(0.15, Parameter(1.0, lower=0.0))
+    return identify(model, data), data
+
+
+def test_little_noise_gives_the_interval_of_the_curvature() -> None:
+    model, data = decay(0.002, Parameter(1.0))
+    fit = identify(model, data)
+    found = profile(fit, data, "r")
+    assert not found.is_curved
+    lower, upper = fit.intervals()["lower"]["r"], fit.intervals()["upper"]["r"]
+    # Ends are found to 2 % of the half width.
+    assert found.lower == pytest.approx(lower, abs=0.02 * (upper - lower))
+    assert found.upper == pytest.approx(upper, abs=0.02 * (upper - lower))
+
+
+def test_much_noise_gives_a_longer_arm_to_the_fast_side(loose: tuple[Fit, Measurements]) -> None:
+    fit, data = loose
+    found = profile(fit, data, "r")
+    assert found.is_curved
+    assert found.upper - found.value > 1.1 * (found.value - found.lower)
+    assert "curvature alone" in str(found)
+
+
+def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(loose: tuple[Fit, Measurements]) -> None:
+    fit, data = loose
+    found = profile(fit, data, "r")
+    run = data.trajectories[0]
+
+    def misfit(rate: float) -> float:
+        shape = np.exp(-rate * run.t)
+        x0 = (shape @ run.x[:, 0]) / (shape @ shape)
+        return float(np.sum((run.x[:, 0] - x0 * shape) ** 2)) / fit.noise["x"] ** 2
+
+    for end in (found.lower, found.upper):
+        # 2 % of the half width is 4 % of the rise.
+        assert misfit(end) - misfit(found.value) == pytest.approx(found.threshold, rel=0.06)
+
+
+def test_an_end_is_the_bound_where_the_profile_meets_it_first() -> None:
+    model, data = decay(0.15, Parameter(0.75, lower=0.7))
+    fit = identify(model, data)
+    assert profile(fit, data, "r").lower == 0.7
+
+
+def test_a_parameter_without_a_profile_is_refused(loose: tuple[Fit, Measurements]) -> None:
+    fit, data = loose
+    with pytest.raises(ModelError, match="parameter 's' is not a free, shared one"):
+        profile(fit, data, "s")
+    with pytest.raises(ModelError, match="level=2"):
+        profile(fit, data, "r", level=2)
+    one_step = identify(fit.model, data, PHSILoss())
+    with pytest.raises(ModelError, match="fit is one by PHSILoss"):
+        profile(one_step, data, "r")
+
+
+def test_the_picture_is_drawn_where_it_is_asked_for(loose: tuple[Fit, Measurements]) -> None:
+    import matplotlib.pyplot as plt
+
+    fit, data = loose
+    found = profile(fit, data, "r", loss=MaximumLikelihood())
+    _, ax = plt.subplots()
+    assert found.plot(ax) is ax
+    plt.close("all")
