@@ -333,7 +333,7 @@ def _noise_note(state: State, given: np.ndarray | None) -> tuple[str, ...]:
 
 
 def finer_steps(state: State) -> list[np.ndarray] | None:
-    """More steps where the integration error moves an estimate, or a residual, by more than `VISIBLE`; else None.
+    """More steps where the integration error moves the estimates, or residuals, by more than `VISIBLE`; else None.
 
     The error of each step, against a finer integration, offsets the constraints; the linearised likelihood says what
     that does to the estimates. The number of steps grows with the fourth root of an interval's error (order four).
@@ -345,14 +345,15 @@ def finer_steps(state: State) -> list[np.ndarray] | None:
     held = [i for i, name in enumerate(unknown.names) if name in state.solution.outcome.at_bounds]
     covariance = inverse(state.reduced.information, held)
     theta, x = state.reduced.respond(scaled.ravel(), covariance)
-    moved = np.abs(theta) / np.sqrt(np.diag(covariance))
+    # In standard errors of the direction in which it is largest: many small shifts of one sign add up.
+    moved = np.sqrt(max(float(theta @ np.linalg.solve(covariance, theta)), 0.0)) if len(theta) else 0.0
     shown = (x.reshape(grid.y.shape) * state.point.x_scale / state.sigma)[grid.measured]
-    visible = max(float(np.max(moved, initial=0.0)), float(np.sqrt(np.mean(shown**2))))
+    visible = max(moved, float(np.sqrt(np.mean(shown**2))))
     if visible < VISIBLE and not lost.any():
         return None
     size = np.linalg.norm(scaled, axis=1)
     typical = np.sum(size**2) / max(np.sum(size), 1e-300)
-    wanted = np.ceil((2 * visible / VISIBLE * size / max(typical, 1e-300)) ** 0.25)
+    wanted = np.ceil((1.2 * visible / VISIBLE * size / max(typical, 1e-300)) ** 0.25)
     wanted = np.where(lost, 4, np.clip(wanted, 1, 16)).astype(int)
     old = steps_of(grid)
     gap = np.repeat(np.arange(sum(map(len, old))), np.concatenate(old))

@@ -1,0 +1,159 @@
+"""The cascaded tanks: two levels, of which the lower alone is measured, and what overflows.
+
+Data: pump voltage u and level of the lower tank (V), every 4 s; one record of 1024 samples to fit, one to test. The
+level reads 10 V at most, so samples of the fit at 10 V are taken as missing. That the lower tank overflows there too is
+this model's assumption.
+
+    dh1/dt = k4 u - q0 - out1 - c over(h1 - rim1)
+    dh2/dt = out1 - out2 + s c over(h1 - rim1) - c2 over(h2 - 10 V)
+
+A part s of what the upper tank spills falls into the lower one. ``over`` is a ramp with its corner rounded over 0.1 V.
+The textbook's outflows are square roots of the levels; the last model has a linear upper outflow (a thin pipe) and a
+lower outflow that ends at a level which the sensor does not show as zero. The structure was chosen on the last 30 % of
+the fit record, the test was looked at only to report.
+
+    python problems/measured/cascaded_tanks.py [FILE]
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from measured.paths import folder
+from provenance import write
+
+import phsi_opt as ph
+
+SAMPLING = 4.0  # s
+FULL = 10.0  # V
+N_FIRST = 50  # samples from which the starting state of the test is estimated
+PUBLISHED = "Published test rmse: linear 0.75, Volterra 0.54, neural 0.33 to 0.40, grey box with overflow 0.18 V."
+# Where the program starts: rounded from single shooting (least squares over the model's free run), which this script
+# does not repeat. On the first 70 % of the fit record three random starts ended in one minimum; from there, the whole
+# fit record led to these values. From rough values the program does not converge.
+START = {
+    "k1": 0.00654, "k4": 0.06243, "q0": 0.1242, "c": 1.464, "rim1": 12.45, "k3": 0.03159, "h0": 2.839, "s": 0.5785,
+    "c2": 0.1107,
+}  # fmt: skip
+UPPER = {"k1": 1, "k4": 1, "q0": 0.2, "c": 2, "rim1": 80, "k3": 1, "h0": 2.9, "s": 1, "c2": 2}
+START_LEVELS = (6.83, 5.22)
+START_NOISE = 0.16  # V
+# On the first 70 % the program leaves even this start; with this tolerance it stops beside it on the whole record.
+SETTINGS = ph.Settings(tolerance=2e-2)
+
+
+def load(path: Path, record: str, censored: bool = True) -> ph.Measurements:
+    """Record 'Est' or 'Val': h1 never measured, h2 in V, missing at the sensor's limit if ``censored``; pump u in V."""
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    u, y = table[f"u{record}"], table[f"y{record}"].copy()
+    if censored:
+        y[y >= FULL - 1e-3] = np.nan
+    return ph.Measurements.from_arrays(
+        SAMPLING * np.arange(len(y)), np.column_stack([np.full(len(y), np.nan), y]), u[:, None],
+        states=["h1", "h2"], inputs=["u"], hold="zero", units={"h1": "V", "h2": "V", "u": "V", "t": "s"},
+    )  # fmt: skip
+
+
+def textbook() -> ph.FirstOrder:
+    """Pump, two square-root outflows, no overflow."""
+    k1, k3, k4 = (ph.Parameter(value, lower=0, upper=1) for value in (0.046, 0.03, 0.024))
+    return ph.FirstOrder(
+        ["h1", "h2"],
+        {"h1": ph.formula(f"k4*u - k1*{_root('h1')}", k1=k1, k4=k4),
+         "h2": ph.formula(f"k1*{_root('h1')} - k3*{_root('h2')}", k1=k1, k3=k3)},
+        inputs=["u"],
+    )  # fmt: skip
+
+
+def model() -> ph.FirstOrder:
+    """Both overflows, linear upper outflow, square-root lower outflow from the level h0, constant loss q0."""
+    p = {name: ph.Parameter(value, lower=0, upper=UPPER[name]) for name, value in START.items()}
+    spilled, over = f"c*{_over('h1', 'rim1')}", _over("h2", str(FULL))
+    upper = ("k1", "k4", "q0", "c", "rim1")
+    lower = ("k1", "k3", "h0", "c", "rim1", "s", "c2")
+    return ph.FirstOrder(
+        ["h1", "h2"],
+        {"h1": ph.formula(f"k4*u - q0 - k1*h1 - {spilled}", **{name: p[name] for name in upper}),
+         "h2": ph.formula(f"k1*h1 - k3*{_root('(h2 - h0)')} + s*{spilled} - c2*{over}", **{n: p[n] for n in lower})},
+        inputs=["u"],
+    )  # fmt: skip
+
+
+def _root(level: str) -> str:
+    return f"{level}*({level}**2 + 0.01)**(-0.25)"
+
+
+def _over(level: str, rim: str) -> str:
+    return f"({level} - {rim} + sqrt(({level} - {rim})**2 + 0.01))/2"
+
+
+def identify(data: ph.Measurements, simple: ph.Fit) -> ph.Fit:
+    """The model fitted from the free run at `START`, handed over as the states of a fit."""
+    (run,) = data.trajectories
+    levels = ph.simulate(model(), run.t, START_LEVELS, run.u, hold="zero")
+    start = replace(simple, model=model(), states=(levels,), noise={"h2": START_NOISE})
+    return ph.identify(model(), data, loss=ph.MaximumLikelihood(steps=4), start=start, settings=SETTINGS)
+
+
+def starting_levels(fit: ph.Fit, run: ph.Trajectory, n_samples: int) -> np.ndarray:
+    """The levels from which a free run fits the first ``n_samples`` of a record best."""
+    t, y, u = run.t[:n_samples], run.x[:n_samples, 1], run.u[:n_samples]
+    seen = y < FULL - 1e-3
+    found = least_squares(
+        lambda x0: (fit.simulate(t, x0, u)[:, 1] - y)[seen],
+        START_LEVELS,
+        bounds=(0.1, 20.0),
+        diff_step=1e-4,
+        max_nfev=12,
+    )
+    return found.x
+
+
+def test_error(fit: ph.Fit, run: ph.Trajectory, x0: np.ndarray) -> float:
+    """Root mean square error (V) over every sample of a record, the free run cut at the sensor's limit."""
+    h2 = np.minimum(fit.simulate(run.t, x0, run.u)[:, 1], FULL)
+    return float(np.sqrt(np.mean((h2 - run.x[:, 1]) ** 2)))
+
+
+def main(path: Path) -> dict[str, dict[str, float]]:
+    """Test errors (V) per model, with the starting state from the first samples and from the whole record."""
+    if not path.exists():
+        print(f"skipped: the data are not at {path}; give the file, or set PHSI_OPT_DATA")
+        return {}
+    data = load(path, "Est")
+    (test,) = load(path, "Val", censored=False).trajectories
+    simple = ph.identify(textbook(), data, loss=ph.MaximumLikelihood())
+    errors: dict[str, dict[str, float]] = {}
+    rows = []
+    for name, fit in (("textbook", simple), ("with overflows", identify(data, simple))):
+        errors[name] = {
+            label: test_error(fit, test, starting_levels(fit, test, n))
+            for label, n in ((f"first {N_FIRST} samples", N_FIRST), ("whole record", test.n_samples))
+        }
+        numbers = (fit.noise["h2"], *errors[name].values())
+        rows.append(f"| {name} | " + " | ".join(f"{e:.3f}" for e in numbers) + " |")
+        print(rows[-1], fit, f"{fit.seconds:.0f} s", sep="\n", flush=True)
+    lines = [
+        "# Cascaded tanks", "",
+        "Root mean square errors in V. Fit: samples at 10 V are missing. Test: every sample, one free run cut at 10 V, "
+        f"its starting state estimated from the first {N_FIRST} samples or from the whole record.",
+        "", "| model | fit | test, start from the first samples | test, start from the whole record |",
+        "| --- | --- | --- | --- |", *rows, "", PUBLISHED, "",
+        "The program starts from a rounded result of single shooting on the fit record, and its tolerance is wide "
+        f"({SETTINGS.tolerance:g}): the estimate is in effect that of single shooting, and with a usual tolerance the "
+        "program leaves it and does not converge. The published 0.18 V is not reached.", "", "```text", str(fit), "```",
+    ]  # fmt: skip
+    write("cascaded_tanks.md", "\n".join(lines))
+    return errors
+
+
+if __name__ == "__main__":
+    found = main(Path(sys.argv[1]) if len(sys.argv) > 1 else folder("cascaded_tanks") / "dataBenchmark.csv")
+    if found:
+        reached = found["with overflows"][f"first {N_FIRST} samples"]
+        assert reached <= 0.33, f"test rmse {reached:.3f} V, expected 0.33 V or less"
