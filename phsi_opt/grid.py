@@ -174,6 +174,28 @@ def defect_slopes(model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: n
     return tuple(np.array(columns).T.reshape(grid.n_intervals, n, n) for columns in mapped)
 
 
+def defect_curvature(model: Model, scheme: str) -> tuple[ca.Function, np.ndarray]:
+    """CasADi function (x0, x1, t0, h, u0, u1, multiplier, theta) -> second derivatives of multiplier' defect.
+
+    They are those of the upper triangle in (x0, x1, theta) that are not always zero, as a column; the array (n, 2) says
+    which row and column each of them is.
+    """
+    one = defect(model, scheme)
+    *ends, theta = (ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in()))
+    multiplier = ca.SX.sym("multiplier", model.n_states)
+    value = ca.dot(multiplier, one(*ends, theta))
+    hessian = ca.triu(ca.hessian(value, ca.vertcat(ends[0], ends[1], theta))[0])
+    rows, columns = hessian.sparsity().get_triplet()
+    entries = ca.vertcat(ca.SX(0, 1), *(hessian[i, j] for i, j in zip(rows, columns, strict=True)))
+    return ca.Function("curvature", [*ends, multiplier, theta], [entries]), np.array([rows, columns], dtype=int).T
+
+
+def curvatures(model: Model, grid: Grid, scheme: str, x: Any, theta: Any, multiplier: Any) -> tuple[Any, np.ndarray]:
+    """`defect_curvature` in every interval, (n, n_intervals), for multipliers (n_states, n_intervals)."""
+    one, places = defect_curvature(model, scheme)
+    return _along(one, grid, [*_columns(grid, x), multiplier], theta), places
+
+
 def output_slope(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
     """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block per node."""
     one, n = model.output(), model.n_states

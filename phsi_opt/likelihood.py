@@ -6,7 +6,8 @@
 4. More intervals between samples, where the integration error is visible in the estimates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,7 +15,7 @@ import numpy as np
 from scipy.stats import norm
 
 from phsi_opt import start as starting
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, SolveError
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, between, grid_of, local_errors, outputs, steps_of
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
@@ -31,6 +32,8 @@ from phsi_opt.work import State, Task
 MOST_STEPS = 64  # intervals between two samples
 REFINEMENTS = 5
 NOISE_ROUNDS = 6
+SUSPICIOUS = 2.0  # residuals over the scatter of neighbouring samples, beyond which a second start is tried
+GAUSS_NEWTON = 30  # iterations after which the exact Hessian takes over: it converges in a few, or not at all
 SAME = 0.005  # change of the logarithm of the noise at which its estimate stays
 VISIBLE = 0.1  # integration error that is refined: share of a standard error, or of the noise
 WINDOWS = 32  # first windows: this share of the longest record
@@ -47,9 +50,8 @@ class Beginning:
     x: tuple[np.ndarray, ...]
     sigma: np.ndarray
     notes: tuple[str, ...] = ()
-    steps: tuple[
-        np.ndarray, ...
-    ] = ()  # intervals in every gap between samples; empty: one, or as many as the loss says
+    steps: tuple[np.ndarray, ...] = ()  # intervals in every gap between samples; empty: one, or what the loss says
+    other: "Callable[[], Beginning] | None" = None  # a second one, for the case that this one leads nowhere
 
 
 def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune: Pruner) -> State:
@@ -58,15 +60,23 @@ def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune:
     given = given_noise(loss, task)
     begin = _beginning(task, loss, starting.initial_noise(task.data, given), given is not None, start)
     solve = _Solve(task, loss, given is None)
-    state = _best([solve.staged(moved) for moved in _moved_starts(begin, task, loss.starts)], begin)
+    states = [solve.staged(moved) for moved in _moved_starts(begin, task, loss.starts)]
+    if begin.other is not None and not _is_plausible(_best(states, begin)):
+        task.say("the residuals are far above what neighbouring samples scatter: another start")
+        with suppress(SolveError):  # it is only a second chance
+            states.append(solve.staged(begin.other()))
+    state = _best(states, begin)
     for _ in range(REFINEMENTS if loss.steps is None else 0):
         finer = finer_steps(state) if state.solution.outcome.success else None
         if finer is None:
             break
         task.say(f"integration error is visible in the estimates: {max(map(np.max, finer))} steps per sample at most")
-        state = replace(solve(state.model, finer, state.theta, state.states, state.sigma, task.l1), notes=state.notes)
+        state = replace(
+            solve(state.model, finer, state.theta, state.states, state.sigma, task.l1, exact=state.exact),
+            notes=state.notes,
+        )
     steps = steps_of(state.grid)
-    state = prune(state, lambda s, m, theta, l1: solve(m, steps, theta, s.states, s.sigma, l1))
+    state = prune(state, lambda s, m, theta, l1: solve(m, steps, theta, s.states, s.sigma, l1, exact=s.exact))
     return replace(state, notes=state.notes + _noise_note(state, given))
 
 
@@ -129,14 +139,26 @@ def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bo
             # States smoothed with the parameters given would only confirm them.
             values = {name: core.values[name] if name in given else value for name, value in values.items()}
         core = core.with_values(values)
+    other: Callable[[], Beginning] | None = None
     if core.free and not complete_data:
+        confirmed, prior = core.with_values(first.values), estimate.prior
+
+        def other() -> Beginning:
+            again = starting.smoothed(confirmed, grid, sigma, loss.integrator, known, rounds=1, prior=prior)
+            return _ready(task, confirmed, grid, again.x, again.sigma, notes)
+
         shared = Theta.of(core, task.runs)
         theta = np.array([core.values[name] for name in core.free])
         point = softened(core, grid, shared, starting.point_at(core, grid, shared, theta, x), sigma, loss.integrator)
         core, x = core.with_values(dict(zip(core.free, point.theta.tolist(), strict=True))), point.x
+    return replace(_ready(task, core, grid, x, sigma, notes), other=other)
+
+
+def _ready(task: Task, core: Model, grid: Grid, x: np.ndarray, sigma: np.ndarray, notes: tuple[str, ...]) -> Beginning:
+    """The beginning with the values of the dynamics ``core`` and the states x."""
     model = task.model.with_values({name: value for name, value in core.values.items() if name in task.model.entries})
     model = starting.resolved(model, grid, x)
-    theta = unknown.spread(np.array([model.values[name] for name in model.free]))
+    theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
     return Beginning(model, theta, _split(grid, x), sigma, notes)
 
 
@@ -225,8 +247,8 @@ class _Solve:
         task, loss = self.task, self.loss
         steps = list(begin.steps) or [np.full(run.n_samples - 1, loss.steps or 1) for run in task.data.trajectories]
 
-        def solve(b: Beginning, window: float | None) -> State:
-            return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, window)
+        def solve(b: Beginning, window: float | None, exact: bool = False) -> State:
+            return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, window, exact)
 
         longest = max(float(run.t[-1] - run.t[0]) for run in task.data.trajectories)
         if loss.window is None:
@@ -234,17 +256,18 @@ class _Solve:
             if state.solution.outcome.success:
                 return state
             task.say("the whole record could not be solved; going through windows")
-        window = loss.window or longest / WINDOWS
+        window, exact = loss.window or longest / WINDOWS, False
         while window < longest:
-            state = solve(begin, window)
+            state = solve(begin, window, exact)
+            exact = state.exact
             if state.solution.outcome.success:
                 begin = replace(begin, theta=state.theta, x=state.states, sigma=state.sigma)
             window *= GROWTH
-        return solve(begin, None)
+        return solve(begin, None, exact)
 
     def __call__(
         self, model: Model, steps: list[np.ndarray], theta: np.ndarray, x: tuple[np.ndarray, ...], sigma: np.ndarray,
-        l1: dict[str, float], window: float | None = None,
+        l1: dict[str, float], window: float | None = None, exact: bool = False,
     ) -> State:  # fmt: skip
         """Solve from ``theta`` and the states ``x`` at the samples."""
         task, loss = self.task, self.loss
@@ -255,9 +278,14 @@ class _Solve:
         if window is not None:
             grid = cut(grid, window)
         program = loss.program(model, grid, point, l1, sigma, unknown)
-        solver, z = Solver(program, task.settings), program.start
+        quick = replace(task.settings, max_iterations=min(GAUSS_NEWTON, task.settings.max_iterations))
+        solver, z = Solver(program, task.settings if exact else quick, exact), program.start
         for _ in range(NOISE_ROUNDS if self.estimated else 1):
             solution = solver.solve(z, sigma, raise_on_failure=False)
+            if not solution.outcome.success and not exact:
+                task.say(f"not solved ({solution.outcome.status}); again with the exact Hessian")
+                solver, exact = Solver(program, task.settings, exact=True), True
+                solution = solver.solve(z, sigma, raise_on_failure=False)
             where = "" if window is None else f" in windows of {window:.3g}"
             task.say(f"maximum likelihood, {len(theta)} parameters, {nodes.size} states{where}: {solution.outcome}")
             if not solution.outcome.success or not self.estimated:
@@ -271,7 +299,7 @@ class _Solve:
             if alike or np.max(np.abs(change)) < SAME:
                 solution = solver.at(solution, sigma)
                 break
-        return State(task, loss, model, grid, unknown, point, program, solution, l1, sigma)
+        return State(task, loss, model, grid, unknown, point, program, solution, l1, sigma, exact=exact)
 
 
 def cut(grid: Grid, window: float) -> Grid:
@@ -314,17 +342,35 @@ def estimated_noise(
     return result
 
 
+def _is_plausible(state: State) -> bool:
+    return state.solution.outcome.success and _scatter(state)[0] < SUSPICIOUS
+
+
+def _scatter(state: State) -> tuple[float, str]:
+    """The largest residual of a channel beside what its neighbouring samples scatter, and the channel."""
+    between_samples, y = difference_noise(state.task.data), state.grid.y
+    seen = np.asarray(state.grid.measured.any(axis=0))
+    # Data without noise say nothing about it.
+    floor = np.array([10 * starting.CLEANEST * np.nanstd(y[:, k]) if seen[k] else 0.0 for k in range(y.shape[1])])
+    residual = state.residual * np.sqrt(state.n_values / 2)
+    channel = np.nonzero(state.grid.measured)[1]
+    rms = np.array(
+        [np.sqrt(np.mean(residual[channel == k] ** 2)) if seen[k] else 0.0 for k in range(len(between_samples))]
+    )
+    ratio = np.where(seen, state.sigma * rms / np.maximum(np.nan_to_num(between_samples), floor + 1e-300), 0.0)
+    worst = int(np.argmax(ratio))
+    return float(ratio[worst]), state.model.states[worst]
+
+
 def _noise_note(state: State, given: np.ndarray | None) -> tuple[str, ...]:
     """A sentence where the residuals are far beyond what neighbouring samples scatter."""
     if given is not None or not state.solution.outcome.success:
         return ()
-    names, between_samples = state.model.states, difference_noise(state.task.data)
-    ratio = np.nan_to_num(state.sigma / np.maximum(between_samples, 1e-300))
-    worst = int(np.argmax(np.where(state.grid.measured.any(axis=0), ratio, 0)))
-    if ratio[worst] < 2 or between_samples[worst] < 10 * starting.CLEANEST * np.nanstd(state.grid.y[:, worst]):
+    ratio, channel = _scatter(state)
+    if ratio < SUSPICIOUS:
         return ()
     return (
-        f"the residuals of {names[worst]} are {ratio[worst]:.1f} times what neighbouring samples scatter: the model "
+        f"the residuals of {channel} are {ratio:.1f} times what neighbouring samples scatter: the model "
         "lacks something (diagnose), outliers pull (try huber=1.345), or there are several optima (try starts=5)",
     )
 

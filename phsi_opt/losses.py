@@ -15,10 +15,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import diags
+from scipy.sparse import csc_matrix, diags
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
-from phsi_opt.grid import Grid, defect_jacobian, defects, outputs
+from phsi_opt.grid import Grid, curvatures, defect_jacobian, defects, outputs
 from phsi_opt.model import Model
 from phsi_opt.nlp import Assembly, Program
 from phsi_opt.theta import Theta
@@ -118,7 +118,26 @@ class MaximumLikelihood:
             residual = residual - _outliers(build, n, self.huber)
         build.residual(residual * np.sqrt(2 / n))
         _add_l1(build, unknown, theta, point, l1, 1.0)
+        build.curvature(lambda z, multipliers: self._curvature(model, grid, point, unknown, z, multipliers))
         return build.finish()
+
+    def _curvature(self, model: Model, grid: Grid, point: Point, unknown: Theta, z: ca.MX, multipliers: ca.MX) -> ca.MX:
+        """What the defects add to the Hessian of the Lagrangian: second derivatives per interval, summed in place."""
+        n, m, p = model.n_states, grid.n_intervals, len(unknown)
+        scale = np.r_[point.theta_scale, np.tile(point.x_scale, grid.n_nodes)]
+        values = z[: len(scale)] * ca.DM(scale)
+        x, theta = ca.reshape(values[p:], n, -1), unknown.by_trajectory(values[:p])
+        # The constraint is the defect times h over the state's size.
+        weighted = ca.reshape(multipliers[: n * m], n, m) * ca.DM(grid.h[None, :] / point.x_scale[:, None])
+        entries, places = curvatures(model, grid, self.integrator, x, theta, weighted)
+        first = p + n * grid.begin[:, None] + np.arange(2 * n)  # places of x0 and x1 in z, (n_intervals, 2 n)
+        local = np.hstack([first, unknown.table.T[grid.trajectory[grid.begin]]])
+        i, j = local[:, places[:, 0]].ravel(), local[:, places[:, 1]].ravel()
+        i, j = np.minimum(i, j), np.maximum(i, j)
+        keys, where = np.unique(j * z.numel() + i, return_inverse=True)
+        gather = ca.DM(csc_matrix((scale[i] * scale[j], (where, np.arange(len(i)))), shape=(len(keys), len(i))))
+        pattern = ca.Sparsity.triplet(z.numel(), z.numel(), (keys % z.numel()).tolist(), (keys // z.numel()).tolist())
+        return ca.MX(pattern, ca.mtimes(gather, ca.vec(entries)))
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
     minimise   1/2 sum r(z)^2 + linear cost      subject to   lower <= g(z) <= upper,   bounds on z
 
 Variables are scaled where they enter, so that the solver sees numbers near one and its tolerance means the same for
-every block. The Hessian is the Gauss-Newton one, J'J of the residuals: it leaves out the curvature of the defects,
-which is nearly all of the cost of the exact Hessian and little of its use (docs/design.md). No solver is named here.
+every block. The Hessian is the Gauss-Newton one, J'J of the residuals: it leaves out the curvature of the constraints,
+which is nearly all of the cost of the exact Hessian and of use only where residuals are large (docs/design.md). A loss
+that knows this curvature adds it as a second choice. No solver is named here.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,6 +50,7 @@ class Program:
     residual: ca.MX
     g: ca.MX
     hessian: ca.Function
+    exact: Callable[[], ca.Function] | None
     start: np.ndarray
     scale: np.ndarray
     lower: np.ndarray
@@ -80,6 +82,11 @@ class Assembly:
     _residuals: list[tuple[ca.MX, Callable[[ca.MX], ca.MX] | None]] = field(default_factory=list)
     _linear: list[ca.MX] = field(default_factory=list)
     _settings: list[tuple[ca.MX, np.ndarray]] = field(default_factory=list)
+    _curvature: Callable[[ca.MX, ca.MX], ca.MX] | None = None
+
+    def curvature(self, of_constraints: Callable[[ca.MX, ca.MX], ca.MX]) -> None:
+        """Say how to make the constraints' part of the exact Hessian: (scaled z, multipliers) -> its upper triangle."""
+        self._curvature = of_constraints
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
         """Numbers that may change between two solves of the same program."""
@@ -159,8 +166,25 @@ class Assembly:
         set_to = np.concatenate([np.zeros(0), *(value for _, value in self._settings)])
         return Program(
             self._variables, self._constraints, whole, settings, set_to, objective, residual, g,
-            self._hessian(whole, settings, residual, g.numel()), **numbers,
+            self._hessian(whole, settings, residual, g.numel()), self._exact(whole, settings, residual, g.numel()),
+            **numbers,
         )  # fmt: skip
+
+    def _exact(
+        self, z: ca.MX, settings: ca.MX, residual: ca.MX, n_constraints: int
+    ) -> Callable[[], ca.Function] | None:
+        curvature = self._curvature
+        if curvature is None:
+            return None
+
+        def make() -> ca.Function:
+            factor, lam = ca.MX.sym("factor"), ca.MX.sym("lam", n_constraints)
+            slope = ca.jacobian(residual, z)
+            # The residuals' own curvature is zero but for sensors, which are linear or nearly so.
+            hessian = ca.triu(factor * ca.mtimes(slope.T, slope)) + curvature(z, lam)
+            return ca.Function("exact", [z, settings, factor, lam], [hessian])
+
+        return make
 
     def _hessian(self, z: ca.MX, settings: ca.MX, residual: ca.MX, n_constraints: int) -> ca.Function:
         known = [jacobian(z) for _, jacobian in self._residuals if jacobian is not None]

@@ -115,12 +115,16 @@ def solve(program: Program, settings: Settings | None = None, raise_on_failure: 
 
 
 class Solver:
-    """IPOPT made ready for one program, which may be solved again from another start or with other settings."""
+    """IPOPT made ready for one program, which may be solved again from another start or with other settings.
 
-    def __init__(self, program: Program, settings: Settings | None = None) -> None:
+    ``exact``: with the curvature of the constraints in the Hessian, where the program knows it.
+    """
+
+    def __init__(self, program: Program, settings: Settings | None = None, exact: bool = False) -> None:
         self.program = program
+        hessian = program.exact() if exact and program.exact is not None else program.hessian
         problem = {"x": program.z, "p": program.settings, "f": program.objective, "g": program.g}
-        self._ipopt = ca.nlpsol("program", "ipopt", problem, _options(program, settings or Settings()))
+        self._ipopt = ca.nlpsol("program", "ipopt", problem, _options(hessian, settings or Settings()))
         self._residual = ca.Function("residual", [program.z, program.settings], [program.residual])
 
     def solve(
@@ -168,9 +172,9 @@ class Solver:
         return KKT(full.tocsc(), jacobian.sparse().tocsc())
 
 
-def _options(program: Program, settings: Settings) -> dict[str, Any]:
+def _options(hessian: ca.Function, settings: Settings) -> dict[str, Any]:
     return {
-        "hess_lag": program.hessian,
+        "hess_lag": hessian,
         "print_time": False,
         "error_on_fail": False,
         "show_eval_warnings": False,

@@ -60,6 +60,7 @@ class State:
     sigma: np.ndarray
     removed: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    exact: bool = False  # whether it took the exact Hessian
 
     @property
     def theta(self) -> np.ndarray:
@@ -76,6 +77,11 @@ class State:
         """The largest absolute value of each parameter of the model."""
         largest = np.abs(self.theta[self.unknown.table]).max(axis=1) if len(self.theta) else np.zeros(0)
         return dict(zip(self.model.free, largest.tolist(), strict=True))
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Weighted residuals as the program has them."""
+        return self.solution.residual
 
     @property
     def n_values(self) -> int:
