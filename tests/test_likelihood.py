@@ -2,8 +2,10 @@
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from phsi_opt.compare import compare
 from phsi_opt.errors import DataError, ModelError
@@ -15,7 +17,9 @@ from phsi_opt.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
 from phsi_opt.simulate import simulate
+from phsi_opt.start import point_at
 from phsi_opt.terms import Dictionary, Parameter, formula
+from phsi_opt.theta import Theta
 
 TRUTH = {"k": 1.2, "a": 0.8, "c": 0.15}
 NOISE = 0.01
@@ -338,3 +342,58 @@ def test_the_band_of_a_run_is_what_it_scatters_by_when_the_noise_is_drawn_again(
 def test_options_that_mean_nothing_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ModelError, match=f"{next(iter(options))}=.* of MaximumLikelihood must be"):
         MaximumLikelihood(**options)
+
+
+# ---- the exact Hessian -----------------------------------------------------------------------------------------------
+
+
+def test_the_exact_hessian_is_that_of_automatic_differentiation() -> None:
+    rng = np.random.default_rng(0)
+    data = Measurements.from_arrays(
+        [0.1 * np.arange(5), 0.13 * np.arange(4)],
+        [rng.normal(size=(5, 2)), rng.normal(size=(4, 2))],
+        states=["q", "p"],
+    )
+    model = loaded(Parameter(1.2, per_trajectory=True)).with_values({"c": 0.3})
+    grid, unknown = grid_of(data), Theta.of(model, ("run 1", "run 2"))
+    point = point_at(model, grid, unknown, np.array([1.2, 1.5, 0.3]), grid.y)
+    program = MaximumLikelihood().program(model, grid, point, {}, np.array([0.1, 0.2]), unknown)
+    assert program.exact is not None
+    z = program.start + 0.01 * rng.normal(size=program.start.size)
+    multipliers = rng.normal(size=program.g.numel())
+    lagrangian = program.objective + ca.dot(ca.DM(multipliers), program.g)
+    whole = ca.Function("h", [program.z, program.settings], [ca.triu(ca.hessian(lagrangian, program.z)[0])])
+    expected = np.array(whole(z, program.set_to))
+    found = np.array(program.exact()(z, program.set_to, 1.0, multipliers))
+    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_large_residuals_of_a_wrong_model_do_not_keep_the_solver_from_its_optimum() -> None:
+    # Two tanks with an overflow, fitted by two without: residuals a hundred times the noise, far from independent.
+    def tanks(**values: Parameter | float) -> FirstOrder:
+        b, a1, a2 = values["b"], values["a1"], values["a2"]
+        over = formula("-c*(h1 - 5 + sqrt((h1 - 5)**2 + 0.01))/2", c=values["c"]) if "c" in values else Dictionary()
+        upper = formula("b*u - a1*sqrt(h1**2 + 0.01)**0.5", b=b, a1=a1) + over
+        lower = formula("a1*sqrt(h1**2 + 0.01)**0.5 - a2*sqrt(h2**2 + 0.01)**0.5", a1=a1, a2=a2)
+        return FirstOrder(states=("h1", "h2"), inputs=("u",), F={"h1": upper, "h2": lower})
+
+    rng = np.random.default_rng(5)
+    t = 4.0 * np.arange(300)
+    u = np.repeat(rng.uniform(1.5, 4.0, 30), 10)[:, None]
+    x = simulate(tanks(b=0.06, a1=0.07, a2=0.06, c=0.5), t, [2.0, 2.0], u, hold="zero")
+    y = np.column_stack([np.full(len(t), np.nan), x[:, 1] + 0.01 * rng.normal(size=len(t))])
+    data = Measurements.from_arrays(t, y, u, states=["h1", "h2"], inputs=["u"], hold="zero")
+    free = {name: Parameter(0.05, lower=0.0, upper=1.0) for name in ("b", "a1", "a2")}
+    fit = identify(tanks(**free), data)
+    assert fit.outcome.success
+    comparison = compare(fit, data)
+
+    def misfit(v: np.ndarray) -> np.ndarray:
+        run = tanks(b=v[0], a1=v[1], a2=v[2])
+        return np.asarray(simulate(run, t, v[3:], u, hold="zero")[:, 1] - y[:, 1])
+
+    # Least squares over simulations, from the estimate on, finds nothing better.
+    begin = np.r_[[fit.values[name] for name in free], comparison.simulated[0][0]]
+    shooting = least_squares(misfit, begin, x_scale=np.abs(begin), diff_step=1e-4, max_nfev=4)
+    assert np.sqrt(np.mean(misfit(begin) ** 2)) < 1.001 * np.sqrt(np.mean(shooting.fun**2))
+    assert fit.noise["h2"] > 5 * 0.01

@@ -27,6 +27,7 @@ from provenance import write
 
 import phsi_opt as ph
 from phsi_opt.effects import effect_named
+from phsi_opt.model import Model
 
 RATE = 1e7 / 2**14  # Hz
 FINER = 2
@@ -87,7 +88,8 @@ def main(path: Path) -> dict[str, list[float]]:
     if not path.exists():
         print(f"skipped: the data are not at {path}; give the file, or set PHSI_OPT_DATA")
         return {}
-    train, candidate, fit = load(path, *FIT), model(), None
+    train, fit = load(path, *FIT), None
+    candidate: Model = model()
     errors: dict[str, list[float]] = {"held-out multisine": [], "arrow": []}
     rows, names = [], ["linear spring", *(f"+ {name}" for name in EFFECTS)]
     for step, name in enumerate(names):
