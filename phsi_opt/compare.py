@@ -53,7 +53,7 @@ class Comparison:
     @cached_property
     def bands(self) -> tuple[np.ndarray, ...] | None:
         """Standard deviation of what the free run shows (see `record.bands`), per trajectory; None: not known."""
-        return bands(self.fit, self.data, self.noise, self.simulated)
+        return bands(self.fit, self.data, self.noise, self.simulated, self.values)
 
     @cached_property
     def table(self) -> pd.DataFrame:

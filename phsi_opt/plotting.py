@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from scipy.interpolate import PchipInterpolator
 
 if TYPE_CHECKING:
     from phsi_opt.compare import Comparison
@@ -68,14 +69,18 @@ def plot_profile(profile: "Profile", ax: Axes | None = None) -> Axes:
     """The profile of a parameter; the interval is where it stays below the threshold."""
     ax = _axes(ax, (6.0, 3.6))
     value, rise = profile.points.T
-    ax.plot(value, rise, "o-", color=MODEL, ms=4, label="profile")
+    # The signed root of the rise is nearly straight, so a smooth curve goes through few points.
+    root = PchipInterpolator(value, np.sign(value - profile.value) * np.sqrt(rise))
+    inside = np.linspace(value[0], value[-1], 200)
+    ax.plot(inside, root(inside) ** 2, "-", color=MODEL, label="profile")
+    ax.plot(value, rise, "o", color=MODEL, ms=4, label="re-fits")
     half = (profile.curvature[1] - profile.curvature[0]) / 2
     along = np.linspace(min(value[0], profile.curvature[0]), max(value[-1], profile.curvature[1]), 200)
     ax.plot(along, profile.threshold * ((along - profile.value) / half) ** 2, "--", color=MEASURED, label="curvature")
     ax.axhline(profile.threshold, color=FLOOR, lw=1.0, ls=":", label=f"{100 * profile.level:.3g} %")
     ax.set(xlabel=profile.name, ylabel="rise of -2 log likelihood", ylim=(0, 2 * profile.threshold))
     ax.set_title(f"{profile.name}: {profile.lower:.4g} to {profile.upper:.4g}, where the profile is below the line")
-    ax.legend(frameon=False, loc="upper center", ncols=3)
+    ax.legend(frameon=False, loc="upper center", ncols=2)
     return ax
 
 

@@ -55,8 +55,9 @@ def explained(
 
 
 def bands(
-    fit: Fit, data: Measurements, sigma: np.ndarray, simulated: Sequence[np.ndarray]
-) -> tuple[np.ndarray, ...] | None:
+    fit: Fit, data: Measurements, sigma: np.ndarray, simulated: Sequence[np.ndarray],
+    values: Mapping[str, Mapping[str, float]],
+) -> tuple[np.ndarray, ...] | None:  # fmt: skip
     """Standard deviation of what a free run shows, (n_samples, n_states) per trajectory; None where it is not known.
 
     Both the uncertainty of the parameters, with starting states that follow the record, and that of the starting
@@ -65,26 +66,43 @@ def bands(
     known = np.isfinite(np.diag(fit.covariance))
     runs = tuple(run.name for run in data.trajectories)
     unknown = Theta.of(fit.model, runs)
-    if not known.any() or sum(x.size for x in simulated) > LONGEST or set(unknown.names) != set(fit.names):
+    if not known.any() or sum(x.size for x in simulated) > LONGEST:
         return None
     grid, nodes = grid_of(data), np.concatenate(simulated)
     if not np.all(np.isfinite(nodes)) or not grid.measured.any():
         return None
-    theta = np.array([fit.estimates[name] for name in unknown.names])
+    theta = np.zeros(len(unknown))
+    theta[unknown.table] = matrix_of(fit.model, values)
     point = point_at(fit.model, grid, unknown, theta, nodes)
     program = MaximumLikelihood().program(fit.model, grid, point, {}, sigma, unknown)
     kkt = Solver(program).kkt(program.start, sigma)
     block, x = program.variables["theta"], program.variables["x"]
     information = kkt.hessian * (int(grid.measured.sum()) / 2)
     reduced = Reduced(grid, fit.model.n_states, information, kkt.jacobian, block.slice, x.slice)
-    order = [fit.names.index(name) for name in unknown.names]
-    covariance = np.where(np.outer(known, known), fit.covariance, 0.0)[np.ix_(order, order)]
-    covariance = covariance / np.outer(point.theta_scale, point.theta_scale)
+    covariance = _covariance(fit, unknown, point.theta_scale, reduced.information)
     starts = grid.first[:, None] * fit.model.n_states + np.arange(fit.model.n_states)
     variance = reduced.state_variances(covariance) + reduced.start_variances(starts, grid.trajectory)
     deviation = np.sqrt(np.maximum(variance, 0.0)).reshape(grid.y.shape) * point.x_scale
     edges = [*grid.first.tolist(), grid.n_nodes]
     return tuple(deviation[a:b] for a, b in pairwise(edges))
+
+
+def _covariance(fit: Fit, unknown: Theta, scale: np.ndarray, information: np.ndarray) -> np.ndarray:
+    """Covariance of the scaled parameters: that of the fit; what a trajectory has of its own follows its record."""
+    known = np.isfinite(np.diag(fit.covariance))
+    fitted = np.where(np.outer(known, known), fit.covariance, 0.0)
+    old = [i for i, name in enumerate(unknown.names) if name in fit.names]
+    new = [i for i, name in enumerate(unknown.names) if name not in fit.names]
+    at = [fit.names.index(unknown.names[i]) for i in old]
+    covariance = np.zeros((len(unknown), len(unknown)))
+    covariance[np.ix_(old, old)] = fitted[np.ix_(at, at)] / np.outer(scale[old], scale[old])
+    if new:
+        own = np.linalg.pinv(information[np.ix_(new, new)], hermitian=True)
+        follow = -own @ information[np.ix_(new, old)]
+        covariance[np.ix_(new, old)] = follow @ covariance[np.ix_(old, old)]
+        covariance[np.ix_(old, new)] = covariance[np.ix_(new, old)].T
+        covariance[np.ix_(new, new)] = own + follow @ covariance[np.ix_(old, old)] @ follow.T
+    return covariance
 
 
 def shown(model: Model, data: Measurements, states: Sequence[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -147,6 +147,12 @@ def test_a_run_that_the_fit_has_not_seen_gets_its_own_mass_in_a_comparison(loads
     assert comparison.values["run 3"]["m"] == pytest.approx(MASSES["run 3"], rel=0.02)
     assert comparison.rmse < 1.1 * comparison.noise_floor
     assert fit.values["m"] != pytest.approx(MASSES["run 3"], rel=0.1)
+    # Its mass follows from its own record alone: a band like that of a fit that saw the run.
+    seen = compare(identify(loaded(Parameter(1.2, lower=0.1, per_trajectory=True)), loads), loads)
+    assert comparison.bands is not None
+    assert seen.bands is not None
+    ratio = comparison.bands[2][1:, 0] / seen.bands[2][1:, 0]
+    assert 0.95 < np.median(ratio) < 1.5
 
 
 def test_a_fit_with_parameters_per_run_survives_a_file_and_simulates_each(loaded_fit: Fit, tmp_path: Any) -> None:
