@@ -190,6 +190,27 @@ def defect_curvature(model: Model, scheme: str) -> tuple[ca.Function, np.ndarray
     return ca.Function("curvature", [*ends, multiplier, theta], [entries]), np.array([rows, columns], dtype=int).T
 
 
+def defect_steps(model: Model, scheme: str, with_theta: bool) -> tuple[ca.Function, np.ndarray]:
+    """CasADi function (x0, x1, t0, h, u0, u1, theta) -> first derivatives of the defect, and where they stand.
+
+    They are those in (x0, x1, theta), or in (x0, x1) alone, that are not always zero, as a column; the array (n, 2)
+    holds the row and column of each.
+    """
+    one = defect(model, scheme)
+    arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
+    along = ca.vertcat(arguments[0], arguments[1], *(arguments[-1:] if with_theta else []))
+    slopes = ca.jacobian(one(*arguments), along)
+    rows, columns = slopes.sparsity().get_triplet()
+    entries = ca.vertcat(ca.SX(0, 1), *(slopes[i, j] for i, j in zip(rows, columns, strict=True)))
+    return ca.Function("steps", arguments, [entries]), np.array([rows, columns], dtype=int).T
+
+
+def steps_along(model: Model, grid: Grid, scheme: str, x: Any, theta: Any, with_theta: bool) -> tuple[Any, np.ndarray]:
+    """`defect_steps` in every interval, (n, n_intervals)."""
+    one, places = defect_steps(model, scheme, with_theta)
+    return _along(one, grid, _columns(grid, x), theta), places
+
+
 def curvatures(model: Model, grid: Grid, scheme: str, x: Any, theta: Any, multiplier: Any) -> tuple[Any, np.ndarray]:
     """`defect_curvature` in every interval, (n, n_intervals), for multipliers (n_states, n_intervals)."""
     one, places = defect_curvature(model, scheme)

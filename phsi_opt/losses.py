@@ -18,7 +18,7 @@ import numpy as np
 from scipy.sparse import csc_matrix, diags
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
-from phsi_opt.grid import Grid, curvatures, defect_jacobian, defects, outputs
+from phsi_opt.grid import Grid, curvatures, defect_jacobian, defects, outputs, steps_along
 from phsi_opt.model import Model
 from phsi_opt.nlp import Assembly, Program
 from phsi_opt.theta import Theta
@@ -111,7 +111,10 @@ class MaximumLikelihood:
         x = _states(build, grid, point)
         of_runs = unknown.by_trajectory(theta)
         d = defects(model, grid, self.integrator, x, of_runs)
-        build.constrain("defect", _scaled(d, grid, point), label=grid.interval_label(model.n_states))
+        build.constrain(
+            "defect", _scaled(d, grid, point), label=grid.interval_label(model.n_states),
+            jacobian=lambda z: _defect_rows(model, grid, self.integrator, point, unknown, z),
+        )  # fmt: skip
         n = int(grid.measured.sum())
         residual = _misfit(model, x, of_runs, grid, build.setting("sigma", sigma))
         if self.huber is not None:
@@ -130,8 +133,7 @@ class MaximumLikelihood:
         # The constraint is the defect times h over the state's size.
         weighted = ca.reshape(multipliers[: n * m], n, m) * ca.DM(grid.h[None, :] / point.x_scale[:, None])
         entries, places = curvatures(model, grid, self.integrator, x, theta, weighted)
-        first = p + n * grid.begin[:, None] + np.arange(2 * n)  # places of x0 and x1 in z, (n_intervals, 2 n)
-        local = np.hstack([first, unknown.table.T[grid.trajectory[grid.begin]]])
+        local = _local(model, grid, unknown)
         i, j = local[:, places[:, 0]].ravel(), local[:, places[:, 1]].ravel()
         i, j = np.minimum(i, j), np.maximum(i, j)
         keys, where = np.unique(j * z.numel() + i, return_inverse=True)
@@ -174,7 +176,18 @@ class MissingForce:
         selector = np.zeros((model.n_states, n_forced))
         selector[rows, np.arange(n_forced)] = 1.0
         d = defects(model, grid, self.integrator, x, theta) - ca.mtimes(ca.DM(selector), w)
-        build.constrain("defect", _scaled(d, grid, point), label=grid.interval_label(model.n_states))
+        # The force enters linearly: per interval and forced row, minus its scale.
+        pushes = -csc_matrix(
+            (np.tile(scale[:n_forced], grid.n_intervals) * (grid.h[:, None] / point.x_scale[rows]).ravel(),
+             ((model.n_states * np.arange(grid.n_intervals)[:, None] + rows).ravel(), np.arange(w.numel()))),
+            shape=(model.n_states * grid.n_intervals, w.numel()),
+        )  # fmt: skip
+        build.constrain(
+            "defect", _scaled(d, grid, point), label=grid.interval_label(model.n_states),
+            jacobian=lambda z: ca.horzcat(
+                _defect_rows(model, grid, self.integrator, point, unknown, z[: z.numel() - w.numel()]), ca.DM(pushes)
+            ),
+        )  # fmt: skip
         build.residual(_misfit(model, x, theta, grid, noise))
         for k in range(n_forced):
             build.residual(ca.mtimes(ca.DM(prior.unit_whitener(grid)), w[k, :].T) / size[k])
@@ -245,6 +258,31 @@ def _theta(build: Assembly, unknown: Theta, point: Point) -> ca.MX:
     entries = [entry.parameter for entry in unknown.entries]
     lower, upper = np.array([p.lower for p in entries]), np.array([p.upper for p in entries])
     return build.variable("theta", point.theta, lower, upper, point.theta_scale, lambda i: unknown.names[i])
+
+
+def _defect_rows(model: Model, grid: Grid, scheme: str, point: Point, unknown: Theta | None, z: ca.MX) -> ca.MX:
+    """Jacobian of the scaled defects in z, whose first entries are theta (where it is ``unknown``) and the states."""
+    n, m, p = model.n_states, grid.n_intervals, 0 if unknown is None else len(unknown)
+    scale = np.r_[point.theta_scale if p else np.zeros(0), np.tile(point.x_scale, grid.n_nodes)]
+    values = z[: len(scale)] * ca.DM(scale)
+    x, theta = (
+        ca.reshape(values[p:], n, -1),
+        ca.DM(point.theta) if unknown is None else unknown.by_trajectory(values[:p]),
+    )
+    entries, places = steps_along(model, grid, scheme, x, theta, p > 0)
+    i = n * np.arange(m)[:, None] + places[:, 0]
+    j = _local(model, grid, unknown)[:, places[:, 1]]
+    size = (grid.h[:, None] / point.x_scale[places[:, 0]]) * scale[j]
+    order = np.lexsort((i.ravel(), j.ravel()))
+    pattern = ca.Sparsity.triplet(n * m, z.numel(), i.ravel()[order].tolist(), j.ravel()[order].tolist())
+    return ca.MX(pattern, ca.vec(entries)[order.tolist()] * ca.DM(size.ravel()[order]))
+
+
+def _local(model: Model, grid: Grid, unknown: Theta | None) -> np.ndarray:
+    """Places in z of x0, x1 and the parameters of every interval, (n_intervals, 2 n_states + n_free)."""
+    n, p = model.n_states, 0 if unknown is None else len(unknown)
+    states = p + n * grid.begin[:, None] + np.arange(2 * n)
+    return states if unknown is None else np.hstack([states, unknown.table.T[grid.trajectory[grid.begin]]])
 
 
 def _states(build: Assembly, grid: Grid, point: Point) -> ca.MX:

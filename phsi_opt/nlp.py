@@ -49,6 +49,7 @@ class Program:
     objective: ca.MX
     residual: ca.MX
     g: ca.MX
+    jacobian: ca.Function  # (z, settings) -> g and its Jacobian
     hessian: ca.Function
     exact: Callable[[], ca.Function] | None
     start: np.ndarray
@@ -78,7 +79,7 @@ class Assembly:
     _numbers: dict[str, list[np.ndarray]] = field(
         default_factory=lambda: {n: [] for n in ("start", "scale", "lower", "upper", "g_lower", "g_upper")}
     )
-    _g: list[ca.MX] = field(default_factory=list)
+    _g: list[tuple[ca.MX, Callable[[ca.MX], ca.MX] | None]] = field(default_factory=list)
     _residuals: list[tuple[ca.MX, Callable[[ca.MX], ca.MX] | None]] = field(default_factory=list)
     _linear: list[ca.MX] = field(default_factory=list)
     _settings: list[tuple[ca.MX, np.ndarray]] = field(default_factory=list)
@@ -124,11 +125,15 @@ class Assembly:
         lower: float = 0.0,
         upper: float = 0.0,
         label: Callable[[int], str] = str,
+        jacobian: Callable[[ca.MX], ca.MX] | None = None,
     ) -> None:
-        """Add lower <= expression <= upper; the caller scales the expression to numbers near one."""
+        """Add lower <= expression <= upper; the caller scales the expression to numbers near one.
+
+        ``jacobian(z)`` where the caller knows one that costs less than automatic differentiation of the whole.
+        """
         column = ca.vec(expression)
-        offset = sum(g.numel() for g in self._g)
-        self._g.append(column)
+        offset = sum(g.numel() for g, _ in self._g)
+        self._g.append((column, jacobian))
         self._constraints[name] = Block(name, offset, offset + column.numel(), label)
         self._numbers["g_lower"].append(np.full(column.numel(), float(lower)))
         self._numbers["g_upper"].append(np.full(column.numel(), float(upper)))
@@ -158,16 +163,17 @@ class Assembly:
         parts = [whole[a:b] for a, b in pairwise(offsets)]
         residual, linear, g = (
             ca.graph_substitute([ca.vertcat(*column)], self._symbols, parts)[0] if column else ca.MX(0, 1)
-            for column in ([r for r, _ in self._residuals], self._linear, self._g)
+            for column in ([r for r, _ in self._residuals], self._linear, [e for e, _ in self._g])
         )
         objective = ca.sumsqr(residual) / 2 + (ca.sum1(linear) if self._linear else 0)
         numbers = {key: np.concatenate(rows) if rows else np.zeros(0) for key, rows in self._numbers.items()}
         settings = ca.vertcat(ca.MX(0, 1), *(symbol for symbol, _ in self._settings))
         set_to = np.concatenate([np.zeros(0), *(value for _, value in self._settings)])
+        n = g.numel()
         return Program(
             self._variables, self._constraints, whole, settings, set_to, objective, residual, g,
-            self._hessian(whole, settings, residual, g.numel()), self._exact(whole, settings, residual, g.numel()),
-            **numbers,
+            self._jacobian(whole, settings, g), self._hessian(whole, settings, residual, n),
+            self._exact(whole, settings, residual, n), **numbers,
         )  # fmt: skip
 
     def _exact(
@@ -185,6 +191,14 @@ class Assembly:
             return ca.Function("exact", [z, settings, factor, lam], [hessian])
 
         return make
+
+    def _jacobian(self, z: ca.MX, settings: ca.MX, g: ca.MX) -> ca.Function:
+        rows, first = [], 0
+        for column, known in self._g:
+            part = g[first : first + column.numel()]
+            rows.append(ca.jacobian(part, z) if known is None else known(z))
+            first += column.numel()
+        return ca.Function("jac_g", [z, settings], [g, ca.vertcat(ca.MX(0, z.numel()), *rows)])
 
     def _hessian(self, z: ca.MX, settings: ca.MX, residual: ca.MX, n_constraints: int) -> ca.Function:
         known = [jacobian(z) for _, jacobian in self._residuals if jacobian is not None]

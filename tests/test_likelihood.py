@@ -1,5 +1,6 @@
 """Maximum likelihood with data as they are: sensors, parameters per trajectory, outliers, gaps, windows, starts."""
 
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -13,7 +14,7 @@ from phsi_opt.fit import Fit
 from phsi_opt.grid import grid_of, steps_of
 from phsi_opt.identify import identify
 from phsi_opt.likelihood import cut
-from phsi_opt.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.losses import ForcePrior, MaximumLikelihood, MissingForce, PHSILoss
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
 from phsi_opt.simulate import simulate
@@ -403,3 +404,24 @@ def test_large_residuals_of_a_wrong_model_do_not_keep_the_solver_from_its_optimu
     shooting = least_squares(misfit, begin, x_scale=np.abs(begin), diff_step=1e-4, max_nfev=4)
     assert np.sqrt(np.mean(misfit(begin) ** 2)) < 1.001 * np.sqrt(np.mean(shooting.fun**2))
     assert fit.noise["h2"] > 5 * 0.01
+
+
+def test_the_jacobian_made_per_interval_is_that_of_automatic_differentiation() -> None:
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.05, 0.2, 7))
+    data = measured(t, rng.normal(size=(7, 2)), rng.normal(size=(7, 1)))
+    grid, sigma = grid_of(data, 2), np.array([0.1, 0.2])
+    unknown = Theta.of(duffing(), ("run 1",))
+    nodes = rng.normal(size=grid.y.shape)
+    point = replace(point_at(duffing(), grid, unknown, np.array([1.0, 0.7, 0.2]), nodes), w=rng.normal(size=(12, 1)))
+    prior = ForcePrior((1,), np.array([0.7]), 0.4)
+    programs = [
+        MaximumLikelihood(huber=1.0).program(duffing(), grid, point, {"H": 0.1}, sigma, unknown),
+        MissingForce().program(duffing(), grid, point, prior, sigma, unknown),
+        MissingForce().program(duffing(), grid, point, prior, sigma),
+    ]
+    for program in programs:
+        z = program.start + 0.1 * rng.normal(size=program.start.size)
+        whole = ca.Function("j", [program.z, program.settings], [ca.jacobian(program.g, program.z)])
+        expected = np.array(whole(z, program.set_to))
+        np.testing.assert_allclose(np.array(program.jacobian(z, program.set_to)[1]), expected, rtol=1e-9, atol=1e-9)
