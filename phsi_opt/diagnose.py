@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.sparse import bmat, csc_matrix, diags
-from scipy.sparse.linalg import splu
+from scipy.sparse import block_diag, csc_matrix, diags, hstack
 from scipy.stats import chi2
 
 from phsi_opt.compare import Comparison, compare, force_of
@@ -24,12 +23,16 @@ from phsi_opt.errors import PhsiOptError
 from phsi_opt.fit import Fit
 from phsi_opt.grid import defect_jacobian, defects
 from phsi_opt.identify import identify, matched
+from phsi_opt.linear import Reduced
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
-from phsi_opt.missing import ForceEstimate, force_deviation
+from phsi_opt.missing import ForceEstimate, Sensed, force_deviation
 from phsi_opt.model import Model
+from phsi_opt.record import matrix_of, parameters_of
 from phsi_opt.start import frequencies, resolved
 from phsi_opt.terms import Scan
+from phsi_opt.theta import Theta
+from phsi_opt.uncertainty import inverse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -151,7 +154,7 @@ def diagnose(
     base = compare(fit, data if held_out is None else held_out)
     listed = catalogue(fit.model) if effects is None else effects
     say(f"screening {len(listed)} candidate effects")
-    ranked = _screened(fit.model, estimate, listed)
+    ranked = _screened(fit, data, estimate, listed)
     trained = compare(fit, data)
     refitted = []
     for candidate in ranked[:N_REFITS]:
@@ -165,9 +168,9 @@ def diagnose(
     return Diagnosis(fit, estimate, base, everyone, verdict, reason)
 
 
-def _screened(model: Model, estimate: ForceEstimate, effects: list[Effect]) -> list[Candidate]:
+def _screened(fit: Fit, data: Measurements, estimate: ForceEstimate, effects: list[Effect]) -> list[Candidate]:
     """Candidates with expected coefficient, standard error and fall of the misfit; the largest fall first."""
-    test = _ScoreTest(model, estimate)
+    test = _ScoreTest(fit, data, estimate)
     found = [candidate for effect in effects if (candidate := test.candidate(effect)) is not None]
     found.sort(key=lambda c: -c.drop)
     return [replace(c, confusable_with=_confusable(c, found)) for c in found]
@@ -187,30 +190,32 @@ class _ScoreTest:
     along, c is the candidate's.
     """
 
-    def __init__(self, model: Model, estimate: ForceEstimate) -> None:
+    def __init__(self, fit: Fit, data: Measurements, estimate: ForceEstimate) -> None:
+        model = fit.model
         self.model, self.estimate, self.grid = model, estimate, estimate.grid
         grid, x = self.grid, estimate.x
-        self.theta = np.array([model.values[name] for name in model.free])
-        symbol, theta = ca.MX.sym("x", model.n_states, grid.n_nodes), ca.MX.sym("theta", len(self.theta))
-        d = ca.vec(defects(model, grid, SCHEME, symbol, theta))
-        flat = ca.MX.sym("flat", x.size)
-        d = ca.graph_substitute([d], [symbol], [ca.reshape(flat, model.n_states, grid.n_nodes)])[0]
-        f = ca.Function("linear", [flat, theta], [d, ca.jacobian(d, flat), ca.jacobian(d, theta)])
-        value, A, B = f(x.ravel(), self.theta)
-        weight = np.where(grid.measured, 1 / estimate.sigma, 0.0).ravel()
-        r = np.where(grid.measured, (grid.y - x) / estimate.sigma, 0.0).ravel()
-        B_scaled, n_theta = self._scaled(csc_matrix(B.sparse())), len(self.theta)
-        # The ridge holds a direction of theta on which the record is silent; it is far below any other information.
-        hessian = [diags(weight**2 + 1e-12), diags(np.full(n_theta, 1e-10))] if n_theta else [diags(weight**2 + 1e-12)]
-        A = csc_matrix(A.sparse())
-        rows: list[list[Any]] = [[hessian[0], A.T], [A, None]]
-        if n_theta:
-            rows = [[hessian[0], None, A.T], [None, hessian[1], B_scaled.T], [A, B_scaled, None]]
-        self.factor = splu(bmat(rows, format="csc"))
-        self.offset, self.n_x = x.size + n_theta, x.size
-        self.weight, self.r = weight, r
-        right = np.r_[weight * r, np.zeros(n_theta), -np.array(value).ravel()]
-        self.residual = r - weight * self.factor.solve(right)[: self.n_x]
+        unknown = Theta.of(model, tuple(run.name for run in data.trajectories))
+        self.values = matrix_of(model, parameters_of(fit, data))  # (n_free, n_trajectories)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = self.values
+        symbol, free = ca.MX.sym("x", x.size), ca.MX.sym("theta", len(unknown))
+        states = ca.reshape(symbol, model.n_states, grid.n_nodes)
+        d = ca.vec(defects(model, grid, SCHEME, states, unknown.by_trajectory(free)))
+        value, A, B = ca.Function("linear", [symbol, free], [d, ca.jacobian(d, symbol), ca.jacobian(d, free)])(
+            x.ravel(), theta
+        )
+        sensed = Sensed.at(model, grid, x, unknown.by_trajectory(theta))
+        seen = grid.measured
+        self.seen_of = diags(np.where(seen, 1 / estimate.sigma, 0.0).ravel()) @ sensed.slope
+        r = np.where(seen, (grid.y - sensed.shown) / estimate.sigma, 0.0).ravel()
+        n_theta = len(unknown)
+        slopes = self._scaled(csc_matrix(B.sparse()))
+        hessian = block_diag([csc_matrix((n_theta, n_theta)), self.seen_of.T @ self.seen_of], format="csc")
+        whole = slice(n_theta, n_theta + x.size)
+        self.reduced = Reduced(grid, model.n_states, hessian, hstack([slopes, A.sparse()]), slice(0, n_theta), whole)
+        self.covariance = inverse(self.reduced.information)
+        step = self.reduced.solve(self.seen_of.T @ r, -np.array(value).ravel(), self.covariance)[1]
+        self.residual = r - self.seen_of @ step
 
     @staticmethod
     def _scaled(B: csc_matrix) -> csc_matrix:
@@ -219,9 +224,7 @@ class _ScoreTest:
 
     def traces(self, columns: np.ndarray) -> np.ndarray:
         """What each column (a force, as a change of the defects) does to the weighted residuals, base re-estimated."""
-        right = np.zeros((self.factor.shape[0], columns.shape[1]))
-        right[self.offset :] = -columns
-        return self.weight[:, None] * self.factor.solve(right)[: self.n_x]
+        return np.asarray(self.seen_of @ self.reduced.respond(-columns, self.covariance)[1])
 
     def candidate(self, effect: Effect) -> Candidate | None:
         """Expected coefficient, its standard error, expected fall of the misfit; None for an effect without trace."""
@@ -235,19 +238,25 @@ class _ScoreTest:
         ]
         values: dict[str, float] = {}
         if scanned and coefficients:
-            columns = defect_jacobian(model, self.grid, SCHEME, [model.free.index(n) for n in coefficients])
+            columns = self._jacobian(model, coefficients)
             best = max(self._frequencies(), key=lambda w: self._drop(self._columns(model, columns, {scanned[0]: w}))[2])
             values = {scanned[0]: float(best)}
         elif not coefficients:
             coefficients = [n for n in model.free if n not in self.model.entries]
         if not coefficients:
             return None
-        columns = defect_jacobian(model, self.grid, SCHEME, [model.free.index(n) for n in coefficients])
+        columns = self._jacobian(model, coefficients)
         return self._judged(effect, model, coefficients, values, self._columns(model, columns, values))
 
     def _columns(self, model: Model, function: ca.Function, values: dict[str, float]) -> np.ndarray:
-        theta = np.array([values.get(name, self.model.values.get(name, model.values[name])) for name in model.free])
-        return np.nan_to_num(np.array(function(self.estimate.x.T, theta)))
+        old = dict(zip(self.model.free, self.values, strict=True))
+        n = self.values.shape[1]
+        theta = [old.get(name, np.full(n, values.get(name, model.values[name]))) for name in model.free]
+        return np.nan_to_num(np.array(function(self.estimate.x.T, np.array(theta))))
+
+    def _jacobian(self, model: Model, names: list[str]) -> ca.Function:
+        chosen = [model.free.index(name) for name in names]
+        return defect_jacobian(model, self.grid, SCHEME, chosen, self.values.shape[1])
 
     def _frequencies(self) -> np.ndarray:
         return frequencies(self.grid, self.grid.t)[:400]
@@ -309,7 +318,7 @@ def _refitted(
 def _size(fit: Fit, names: list[str]) -> tuple[float, float]:
     """Coefficient (amplitude, for a pair) and its standard error."""
     values = np.array([fit.values[n] for n in names])
-    at = [fit.model.free.index(n) for n in names]
+    at = [fit.names.index(n) for n in names]
     covariance = fit.covariance[np.ix_(at, at)]
     if len(names) == 1:
         return float(values[0]), float(np.sqrt(covariance[0, 0]))

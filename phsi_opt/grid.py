@@ -152,15 +152,20 @@ def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
     return _along(model.output(), replace(grid, begin=np.arange(grid.n_nodes)), columns, theta)
 
 
-def defect_jacobian(model: Model, grid: Grid, scheme: str, only: list[int] | None = None) -> ca.Function:
-    """Function (x, theta) -> dd/dtheta: a row per (interval, equation), a column per parameter (or of ``only``)."""
+def defect_jacobian(
+    model: Model, grid: Grid, scheme: str, only: list[int] | None = None, n_columns: int = 1
+) -> ca.Function:
+    """Function (x, theta) -> dd/dtheta: a row per (interval, equation), a column per parameter (or of ``only``).
+
+    theta has ``n_columns``: one, or as many as trajectories that have parameters of their own.
+    """
     one = defect(model, scheme)
     arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
     chosen = list(range(len(model.free))) if only is None else only
     jacobian = ca.densify(ca.jacobian(one(*arguments), arguments[-1])[:, chosen])
     per_interval = ca.Function("row", arguments, [ca.vec(jacobian.T)])
-    x, theta = ca.MX.sym("x", model.n_states, grid.n_nodes), ca.MX.sym("theta", len(model.free))
-    rows = _mapped(per_interval, grid)(*_columns(grid, x), theta)
+    x, theta = ca.MX.sym("x", model.n_states, grid.n_nodes), ca.MX.sym("theta", len(model.free), n_columns)
+    rows = _along(per_interval, grid, _columns(grid, x), theta)
     return ca.Function("jacobian", [x, theta], [ca.reshape(rows, len(chosen), model.n_states * grid.n_intervals).T])
 
 

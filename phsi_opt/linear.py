@@ -73,13 +73,17 @@ class Reduced:
         states = bmat([[curvature + diags(np.full(x.stop - x.start, floor)), J[:, x].T], [J[:, x], None]], format="coo")
         self._band = Banded(states, along_time(grid, ("node", n_states), ("interval", n_states)))
         self._n_x, self._border = x.stop - x.start, vstack([H[x, theta], J[:, theta]]).toarray()
-        self._followed = self._band.solve(self._border)
+        self._followed = self._band.solve(self._border) if self._border.shape[1] else self._border
         information = H[theta, theta].toarray() - self._border.T @ self._followed
         self.information = (information + information.T) / 2
 
     def respond(self, e: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Change of theta and x when the constraints are offset by ``e``; ``covariance`` inverts the information."""
-        alone = self._band.solve(np.r_[np.zeros(self._n_x), e])
+        return self.solve(np.zeros((self._n_x, *e.shape[1:])), e, covariance)
+
+    def solve(self, g: np.ndarray, e: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Theta and x for the gradient g in x and the offset e, each one column or several side by side."""
+        alone = self._band.solve(np.concatenate([g, e]))
         theta = covariance @ -(self._border.T @ alone)
         return theta, (alone - self._followed @ theta)[: self._n_x]
 

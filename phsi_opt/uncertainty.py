@@ -13,6 +13,7 @@ from phsi_opt.nlp import Program
 from phsi_opt.solver import Solution
 
 ROUNDED = 1e-11  # share of the largest information below which it is made of rounding errors
+SAME_FACTOR = 0.005  # share by which relative changes may differ and still be one factor
 RIDGE = 1e-10  # information, per scaled parameter, that makes the matrix regular where the data say nothing
 
 
@@ -90,14 +91,14 @@ def of_defects(
     information = flat.T @ flat
     size = np.trace(information) / max(len(theta), 1)
     bread = np.linalg.inv(information + RIDGE * size * np.eye(len(theta)))
-    weak, silent = _weak_directions(model.free, theta / scale, bread * size, held)
+    weak, silent = weak_directions(model.free, theta / scale, bread * size, held)
     return Uncertainty(_known(bread @ (weighted.T @ weighted) @ bread * np.outer(scale, scale), held + silent), weak)
 
 
 def _finished(
     names: Sequence[str], theta: np.ndarray, scaled: np.ndarray, scale: np.ndarray, held: list[int]
 ) -> Uncertainty:
-    weak, silent = _weak_directions(names, theta / scale, scaled, held)
+    weak, silent = weak_directions(names, theta / scale, scaled, held)
     return Uncertainty(_known(scaled * np.outer(scale, scale), held + silent), weak)
 
 
@@ -107,7 +108,7 @@ def _known(covariance: np.ndarray, not_known: list[int]) -> np.ndarray:
     return covariance
 
 
-def _weak_directions(
+def weak_directions(
     names: Sequence[str], theta: np.ndarray, scaled: np.ndarray, held: list[int]
 ) -> tuple[tuple[str, ...], list[int]]:
     """A sentence per direction of the scaled theta on which the data are silent (only the ridge holds it)."""
@@ -133,10 +134,11 @@ def _weak_directions(
 
 
 def _is_scaling(spread: np.ndarray, own: np.ndarray) -> bool:
-    """Whether a direction multiplies several parameters by one factor that the data leave open by more than two."""
-    large = spread > 2 * own
-    relative = spread[large] / np.where(own[large] > 0, own[large], np.nan)
-    return bool(large.sum() > 1 and np.ptp(relative) < 0.02 * np.max(relative))
+    """Whether a direction multiplies several parameters, and no others, by one factor that the data leave open."""
+    members = spread > 0.1 * np.max(spread)
+    members |= spread > 2 * own
+    relative = spread[members] / np.where(own[members] > 0, own[members], np.nan)
+    return bool(members.sum() > 1 and np.min(relative) > 2 and np.ptp(relative) < SAME_FACTOR * np.max(relative))
 
 
 def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:

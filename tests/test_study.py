@@ -1,5 +1,6 @@
 """The loop, from a hidden effect to a better model: comparison, diagnosis, study, effects, pictures."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -187,3 +188,22 @@ def test_fewer_values_than_unknowns_are_refused() -> None:
     few = ph.Measurements.from_arrays([0.0, 0.1, 0.2], [[1.0, np.nan], [0.9, np.nan], [0.7, np.nan]], states=["q", "p"])
     with pytest.raises(ph.DataError, match="3 measured values are too few for 4 unknowns"):
         ph.identify(spring(), few)
+
+
+def test_friction_is_found_beside_a_sensor_with_an_offset_and_a_load_that_differs_between_runs() -> None:
+    data = measurements(2.0, seed=5)
+    runs = [replace(run, x=run.x + np.array([0.4, 0.0])) for run in data.trajectories]
+    train, held_out = replace(data, trajectories=tuple(runs)).split(0.6)
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), R=ph.damping("p"),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=ph.Parameter(2.5, lower=0.1, per_trajectory=True)),
+        sensor={"q": ph.formula("b", b=ph.Parameter(0.0))},
+    )  # fmt: skip
+    study = ph.Study(model, train, held_out)
+    found = study.diagnose()
+    assert (found.verdict, str(found.effects[0])) == ("missing: named", "coulomb friction on p")
+    fit = study.add(found.effects[0])
+    assert abs(fit.values["coulomb_friction_p"] - 2.0) < 3 * fit.std_errors["coulomb_friction_p"]
+    # The offset of the sensor stays the sensor's.
+    assert abs(fit.values["b"] - 0.4) < 3 * fit.std_errors["b"]
+    assert study.compare().rmse < 1.1 * study.compare().noise_floor
