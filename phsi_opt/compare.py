@@ -172,7 +172,9 @@ def compare(fit: Fit, data: Measurements) -> Comparison:
     else:
         guess = tuple(estimate.x[grid.trajectory == i] for i in range(data.n_trajectories))
         # Where no states obey the model along the whole record, those of the missing force are the best to start from.
-        found = explained(fit, data, estimate.sigma, guess)
+        # Outliers that the fit set aside must not make up the noise here.
+        own = np.array([fit.noise.get(name, s) for name, s in zip(fit.model.states, estimate.sigma, strict=True)])
+        found = explained(fit, data, estimate.sigma if fit.huber is None else own, guess)
         states, values = found or (guess, parameters_of(fit, data))
     simulated = tuple(
         _free_run(fit.model.with_values(values[run.name]), run, x[0], data.hold)
@@ -185,10 +187,10 @@ def compare(fit: Fit, data: Measurements) -> Comparison:
 
 def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
     """The force that the fitted model lacks along measurements that are `matched` to it, with the noise."""
-    known = None if data.noise is None else np.array([data.noise.get(n, np.nan) for n in fit.model.states])
+    given = np.array([(data.noise or {}).get(name, np.nan) for name in fit.model.states])
     theta = matrix_of(fit.model, parameters_of(fit, data)) if fit.by_trajectory else None
     model = fit.model if fit.by_trajectory else fit.model.frozen()
-    return smoothed(model, grid_of(data), initial_noise(data, known), "srk4", known is not None, theta)
+    return smoothed(model, grid_of(data), initial_noise(data, given), "srk4", np.isfinite(given), theta)
 
 
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.sparse import block_diag, csc_matrix, diags, hstack
+from scipy.sparse import csc_matrix, diags, hstack
 from scipy.stats import chi2
 
 from phsi_opt.compare import Comparison, compare, force_of
 from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.fit import Fit
-from phsi_opt.grid import defect_jacobian, defects
+from phsi_opt.grid import defect_jacobian, defects, output_slopes
 from phsi_opt.identify import identify, matched
 from phsi_opt.linear import Reduced
 from phsi_opt.losses import MaximumLikelihood
@@ -204,27 +204,39 @@ class _ScoreTest:
         value, A, B = ca.Function("linear", [symbol, free], [d, ca.jacobian(d, symbol), ca.jacobian(d, free)])(
             x.ravel(), theta
         )
-        sensed = Sensed.at(model, grid, x, unknown.by_trajectory(theta))
-        seen = grid.measured
-        self.seen_of = diags(np.where(seen, 1 / estimate.sigma, 0.0).ravel()) @ sensed.slope
+        of_runs, n_theta = unknown.by_trajectory(theta), len(unknown)
+        sensed, seen = Sensed.at(model, grid, x, of_runs), grid.measured
+        weight = diags(np.where(seen, 1 / estimate.sigma, 0.0).ravel())
+        slopes, through_sensors = self._scaled(csc_matrix(B.sparse()), weight @ self._sensor_columns(unknown, of_runs))
+        self.seen_of = csc_matrix(hstack([through_sensors, weight @ sensed.slope]))  # from theta and x to residuals
         r = np.where(seen, (grid.y - sensed.shown) / estimate.sigma, 0.0).ravel()
-        n_theta = len(unknown)
-        slopes = self._scaled(csc_matrix(B.sparse()))
-        hessian = block_diag([csc_matrix((n_theta, n_theta)), self.seen_of.T @ self.seen_of], format="csc")
-        whole = slice(n_theta, n_theta + x.size)
-        self.reduced = Reduced(grid, model.n_states, hessian, hstack([slopes, A.sparse()]), slice(0, n_theta), whole)
+        x_places = slice(n_theta, n_theta + x.size)
+        hessian = csc_matrix(self.seen_of.T @ self.seen_of)
+        self.reduced = Reduced(grid, model.n_states, hessian, hstack([slopes, A.sparse()]), slice(0, n_theta), x_places)
         self.covariance = inverse(self.reduced.information)
-        step = self.reduced.solve(self.seen_of.T @ r, -np.array(value).ravel(), self.covariance)[1]
-        self.residual = r - self.seen_of @ step
+        g = self.seen_of.T @ r
+        step = self.reduced.solve(g[n_theta:], -np.array(value).ravel(), self.covariance, g[:n_theta])
+        self.residual = r - self.seen_of @ np.concatenate(step)
+
+    def _sensor_columns(self, unknown: Theta, of_runs: np.ndarray) -> csc_matrix:
+        """Slope of what the sensors show in every parameter, (n_values, n_theta)."""
+        model, grid, x = self.model, self.grid, self.estimate.x
+        columns = np.zeros((grid.n_nodes, model.n_states, len(unknown)))
+        if model.sensor:
+            places = unknown.table[:, grid.trajectory].T[:, None, :]
+            slopes = output_slopes(model, grid, x, of_runs)[1]
+            np.put_along_axis(columns, np.broadcast_to(places, slopes.shape), slopes, axis=2)
+        return csc_matrix(columns.reshape(x.size, len(unknown)))
 
     @staticmethod
-    def _scaled(B: csc_matrix) -> csc_matrix:
-        norms = np.sqrt(np.asarray(B.power(2).sum(axis=0)).ravel())
-        return csc_matrix(B @ diags(1 / np.where(norms > 0, norms, 1.0)))
+    def _scaled(B: csc_matrix, D: csc_matrix) -> tuple[csc_matrix, csc_matrix]:
+        norms = np.sqrt(np.asarray(B.power(2).sum(axis=0) + D.power(2).sum(axis=0)).ravel())
+        scale = diags(1 / np.where(norms > 0, norms, 1.0))
+        return csc_matrix(B @ scale), csc_matrix(D @ scale)
 
     def traces(self, columns: np.ndarray) -> np.ndarray:
         """What each column (a force, as a change of the defects) does to the weighted residuals, base re-estimated."""
-        return np.asarray(self.seen_of @ self.reduced.respond(-columns, self.covariance)[1])
+        return np.asarray(self.seen_of @ np.concatenate(self.reduced.respond(-columns, self.covariance)))
 
     def candidate(self, effect: Effect) -> Candidate | None:
         """Expected coefficient, its standard error, expected fall of the misfit; None for an effect without trace."""

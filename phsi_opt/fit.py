@@ -39,7 +39,8 @@ class Fit(Identified):
         bic: Bayesian information criterion (NaN for `PHSILoss`, whose residuals are not independent).
         warnings: what to know before the numbers are used.
         states: estimated states per trajectory, (n_samples, n_states) at the samples; empty for a loaded fit.
-        steps: intervals that were used in each gap between samples, per trajectory; empty for a loaded fit.
+        steps: intervals that were used in each gap between samples, per trajectory.
+        huber: limit beyond which residuals counted linearly (see `MaximumLikelihood`); None: all counted squared.
     """
 
     names: tuple[str, ...] = ()
@@ -56,6 +57,7 @@ class Fit(Identified):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     states: tuple[np.ndarray, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
+    huber: float | None = None
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -100,10 +102,9 @@ class Fit(Identified):
         """Table: name, slot, equation, value, std_error, lower, upper, unit, fixed; a row per value."""
         rows = []
         for name, e in self.model.entries.items():
-            own = [n for n in self.names if n == name or (e.parameter.per_trajectory and n.startswith(f"{name}["))]
+            own = [f"{name}[{run}]" for run in self.by_trajectory] if e.parameter.per_trajectory else []
             for each in own or [name]:
-                value = self.estimates[each] if own else self.values[name]
-                rows.append(self._row(each, e, value))
+                rows.append(self._row(each, e, self.estimates[each] if own else self.values[name]))
         return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
 
     def simulate(self, t: Any, x0: Any, u: Any = None, trajectory: str | None = None) -> np.ndarray:
@@ -208,6 +209,8 @@ def _term(fit: Fit, term: Term, slot: str, equation: str) -> str:
 def _with_error(fit: Fit, name: str) -> str:
     entry, error = fit.model.entries[name], fit.std_errors[name]
     text = f"{fit.values[name]:.6g}"
+    if entry.parameter.per_trajectory and fit.by_trajectory:
+        return f"{text} {entry.parameter.unit}".rstrip() + ", mean over trajectories"
     if np.isfinite(error):
         text += f" +- {error:.2g}"
     return text + (f" {entry.parameter.unit}" if entry.parameter.unit else "")
@@ -238,6 +241,9 @@ def to_json(fit: Fit) -> dict[str, Any]:
         "n_values": fit.n_values,
         "bic": fit.bic,
         "hold": fit.hold,
+        "huber": fit.huber,
+        "steps": [int(n[0]) if len(n) and np.all(n == n[0]) else n.tolist() for n in fit.steps],
+        "n_gaps": [len(n) for n in fit.steps],
         "seconds": fit.seconds,
         "units": dict(fit.units),
         "removed": list(fit.removed),
@@ -287,6 +293,11 @@ def from_json(content: dict[str, Any]) -> Fit:
         n_values=int(content["n_values"]),
         bic=float(content["bic"]),
         hold=content["hold"],
+        huber=None if content.get("huber") is None else float(content["huber"]),
+        steps=tuple(
+            np.broadcast_to(np.array(n, dtype=int), gaps).copy()
+            for n, gaps in zip(content.get("steps", []), content.get("n_gaps", []), strict=True)
+        ),
         seconds=float(content.get("seconds", np.nan)),
         units={str(name): str(unit) for name, unit in content["units"].items()},
         removed=tuple(str(name) for name in content["removed"]),

@@ -222,14 +222,22 @@ def curvatures(model: Model, grid: Grid, scheme: str, x: Any, theta: Any, multip
     return _along(one, grid, [*_columns(grid, x), multiplier], theta), places
 
 
-def output_slope(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
-    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block per node."""
+def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes of `outputs` at every node: in the states, (n_nodes, n_states, n_states), and in the parameters."""
     one, n = model.output(), model.n_states
     arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
-    slope = ca.vec(ca.densify(ca.jacobian(one(*arguments), arguments[0]).T))
+    shown = one(*arguments)
+    slopes = [ca.vec(ca.densify(ca.jacobian(shown, arguments[i]).T)) for i in (0, 3)]
     nodes = replace(grid, begin=np.arange(grid.n_nodes))
     columns = [ca.DM(x.T), grid.u.T, grid.t[None, :]]
-    blocks = np.array(_along(ca.Function("slope", arguments, [slope]), nodes, columns, theta)).T.reshape(-1, n, n)
+    made = _along(ca.Function("slopes", arguments, slopes), nodes, columns, theta)
+    by_x, by_theta = (np.array(part).T.reshape(grid.n_nodes, n, -1) for part in made)
+    return by_x, by_theta
+
+
+def output_slope(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
+    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block per node."""
+    blocks = output_slopes(model, grid, x, theta)[0]
     return bsr_matrix((blocks, np.arange(grid.n_nodes), np.arange(grid.n_nodes + 1))).tocsc()
 
 

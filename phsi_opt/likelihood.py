@@ -17,14 +17,14 @@ from scipy.stats import norm
 from phsi_opt import start as starting
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.fit import Fit
-from phsi_opt.grid import Grid, between, grid_of, local_errors, outputs, steps_of
+from phsi_opt.grid import Grid, between, grid_of, local_errors, steps_of
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import softened
 from phsi_opt.model import Model
 from phsi_opt.noise import difference_noise
 from phsi_opt.one_step import Pruner, chosen, solve_defects
-from phsi_opt.solver import Settings, Solver
+from phsi_opt.solver import Settings, Solution, Solver
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 from phsi_opt.work import State, Task
@@ -35,6 +35,7 @@ NOISE_ROUNDS = 6
 SUSPICIOUS = 2.0  # residuals over the scatter of neighbouring samples, beyond which a second start is tried
 GAUSS_NEWTON = 30  # iterations after which the exact Hessian takes over: it converges in a few, or not at all
 SAME = 0.005  # change of the logarithm of the noise at which its estimate stays
+CLEAN = 0.01  # root mean square residual, over the noise assumed, of data without noise
 VISIBLE = 0.1  # integration error that is refined: share of a standard error, or of the noise
 WINDOWS = 32  # first windows: this share of the longest record
 GROWTH = 4  # factor by which windows grow
@@ -58,9 +59,10 @@ def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune:
     """The maximum of the likelihood from the best of the starting points, refined where needed, and pruned."""
     _check(task)
     given = given_noise(loss, task)
-    begin = _beginning(task, loss, starting.initial_noise(task.data, given), given is not None, start)
-    solve = _Solve(task, loss, given is None)
-    states = [solve.staged(moved) for moved in _moved_starts(begin, task, loss.starts)]
+    known = np.isfinite(given)
+    begin = _beginning(task, loss, starting.initial_noise(task.data, given), known, start)
+    solve = _Solve(task, loss, ~known)
+    states = [solve.staged(moved) for moved in _moved_starts(begin, task, loss, known)]
     if begin.other is not None and not _is_plausible(_best(states, begin)):
         task.say("the residuals are far above what neighbouring samples scatter: another start")
         with suppress(SolveError):  # it is only a second chance
@@ -77,7 +79,7 @@ def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune:
         )
     steps = steps_of(state.grid)
     state = prune(state, lambda s, m, theta, l1: solve(m, steps, theta, s.states, s.sigma, l1, exact=s.exact))
-    return replace(state, notes=state.notes + _noise_note(state, given))
+    return replace(state, notes=state.notes + _noise_note(state, known))
 
 
 def _check(task: Task) -> None:
@@ -96,33 +98,31 @@ def _check(task: Task) -> None:
         )
 
 
-def given_noise(loss: MaximumLikelihood, task: Task) -> np.ndarray | None:
-    """Noise per state as the loss or the measurements declare it; None where it is to be estimated."""
-    data, noise = task.data, loss.noise if loss.noise is not None else task.data.noise
-    if noise is None:
-        return None
+def given_noise(loss: MaximumLikelihood, task: Task) -> np.ndarray:
+    """Noise per state as the loss or the measurements declare it; NaN where it is to be estimated."""
+    data = task.data
+    noise = loss.noise if loss.noise is not None else data.noise or {}
     for name in data.measured:
-        if name not in noise or not (np.isfinite(noise[name]) and noise[name] > 0):
+        missing = loss.noise is not None and name not in noise
+        if missing or (name in noise and not (np.isfinite(noise[name]) and noise[name] > 0)):
             raise DataError(
                 f"noise of the measured state {name!r} is {noise.get(name)!r}; expected a number above zero."
             )
-    return np.array([noise.get(name, 1.0) for name in data.states])
+    return np.array([noise.get(name, np.nan) for name in data.states])
 
 
 # ---- where to begin --------------------------------------------------------------------------------------------------
 
 
-def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bool, start: Fit | None) -> Beginning:
-    grid, unknown = grid_of(task.data), Theta.of(task.model, task.runs)
-    if start is not None and len(start.states) == task.data.n_trajectories:
-        if not known:
-            sigma = np.array([start.noise.get(name, 1.0) for name in task.model.states])
-        model = starting.resolved(task.model, grid, np.concatenate(start.states))
-        default = unknown.spread(np.array([model.values[name] for name in model.free]))
-        steps = start.steps if loss.steps is None and _fits(start.steps, task) else ()
-        return Beginning(model, unknown.from_values(start.estimates, default), start.states, sigma, (), steps)
+def _beginning(
+    task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.ndarray, start: Fit | None
+) -> Beginning:
+    grid = grid_of(task.data)
+    if start is not None:
+        old = np.array([start.noise.get(name, 1.0) for name in task.model.states])
+        return _from_fit(task, loss, np.where(known, sigma, old), known, start)
     task.say("starting values")
-    core, grid = task.model.dynamics(), _unsensed(task.model, grid)
+    core, grid = task.model.dynamics(), starting.unsensed(task.model, grid)
     notes: tuple[str, ...] = ()
     complete_data = bool(grid.measured.all())
     x = grid.y
@@ -154,25 +154,36 @@ def _beginning(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: bo
     return replace(_ready(task, core, grid, x, sigma, notes), other=other)
 
 
+def _from_fit(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.ndarray, start: Fit) -> Beginning:
+    """The beginning at a fit's values, and at its states where they are those of these measurements."""
+    grid, unknown = grid_of(task.data), Theta.of(task.model, task.runs)
+    lengths = [run.n_samples for run in task.data.trajectories]
+    own = [len(x) for x in start.states] == lengths
+    model = starting.resolved(task.model, grid, np.concatenate(start.states) if own else np.nan_to_num(grid.y))
+    default = unknown.spread(np.array([model.values[name] for name in model.free]))
+    theta = unknown.from_values(start.estimates, default)
+    states = start.states if own else _at_theta(model, grid, unknown, theta, sigma, loss, known)
+    steps = start.steps if loss.steps is None and [len(n) + 1 for n in start.steps] == lengths else ()
+    return Beginning(model, theta, states, sigma, (), steps)
+
+
+def _at_theta(
+    model: Model, grid: Grid, unknown: Theta, theta: np.ndarray, sigma: np.ndarray, loss: MaximumLikelihood,
+    known: np.ndarray,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
+    """States at the samples for given parameters: the data where they are complete, else with a missing force."""
+    if grid.measured.all() and not model.sensor:
+        return _split(grid, grid.y)
+    values = unknown.by_trajectory(theta)
+    return _split(grid, starting.smoothed(model, grid, sigma, loss.integrator, known, values, rounds=1).x)
+
+
 def _ready(task: Task, core: Model, grid: Grid, x: np.ndarray, sigma: np.ndarray, notes: tuple[str, ...]) -> Beginning:
     """The beginning with the values of the dynamics ``core`` and the states x."""
     model = task.model.with_values({name: value for name, value in core.values.items() if name in task.model.entries})
     model = starting.resolved(model, grid, x)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
     return Beginning(model, theta, _split(grid, x), sigma, notes)
-
-
-def _fits(steps: tuple[np.ndarray, ...], task: Task) -> bool:
-    return [len(n) + 1 for n in steps] == [run.n_samples for run in task.data.trajectories]
-
-
-def _unsensed(model: Model, grid: Grid) -> Grid:
-    """The grid with what the sensors add at their starting values taken off, as far as it is known."""
-    if not model.sensor:
-        return grid
-    theta = np.array([model.values[name] for name in model.free])
-    added = np.array(outputs(model, grid, grid.y.T, theta)).T - grid.y
-    return replace(grid, y=grid.y - np.nan_to_num(added))
 
 
 def _from_states(task: Task, loss: MaximumLikelihood, grid: Grid, x: np.ndarray) -> State:
@@ -186,9 +197,9 @@ def _split(grid: Grid, x: np.ndarray) -> tuple[np.ndarray, ...]:
     return tuple(x[a:b] for a, b in pairwise([*grid.first.tolist(), grid.n_nodes]))
 
 
-def _moved_starts(begin: Beginning, task: Task, n: int) -> list[Beginning]:
+def _moved_starts(begin: Beginning, task: Task, loss: MaximumLikelihood, known: np.ndarray) -> list[Beginning]:
     """The beginning and n - 1 others: values times a random factor, those at zero moved by their size; fixed seed."""
-    if n == 1:
+    if loss.starts == 1:
         return [begin]
     unknown, grid = Theta.of(begin.model, task.runs), grid_of(task.data)
     model_theta = unknown.means(begin.theta)
@@ -197,10 +208,14 @@ def _moved_starts(begin: Beginning, task: Task, n: int) -> list[Beginning]:
     lower, upper = np.array([(e.parameter.lower, e.parameter.upper) for e in unknown.entries]).T
     rng = np.random.default_rng(0)
     starts = [begin]
-    for _ in range(n - 1):
+    for _ in range(loss.starts - 1):
         draw = rng.normal(size=(2, len(begin.theta)))
         moved = np.where(begin.theta != 0, begin.theta * np.exp(0.7 * draw[0]), 0.3 * size * draw[1])
-        starts.append(replace(begin, theta=np.clip(moved, lower, upper)))
+        moved = np.clip(moved, lower, upper)
+        states = begin.x
+        with suppress(SolveError):  # far from the data there may be no states; then those of the first start
+            states = _at_theta(begin.model, grid, unknown, moved, begin.sigma, loss, known)
+        starts.append(replace(begin, theta=moved, x=states))
     return starts
 
 
@@ -218,16 +233,17 @@ def _best(states: list[State], begin: Beginning) -> State:
 
 
 def on_record(
-    model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], loss: MaximumLikelihood
-) -> State | None:
+    model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], loss: MaximumLikelihood,
+    steps: Sequence[np.ndarray],
+) -> State | None:  # fmt: skip
     """The likelihood of a record with its states, and what is still free in ``model``, unknown; None: no success.
 
-    ``sigma``: the known noise per state; ``x``: states at the samples to start from.
+    ``sigma``: the known noise per state; ``x``: states at the samples to start from; ``steps``: in their gaps.
     """
     task = Task(model, data, {}, None, Settings(max_iterations=100), lambda line: None)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
-    begin = Beginning(model, theta, tuple(x), sigma)
-    state = _Solve(task, loss, False).staged(begin)
+    begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps))
+    state = _Solve(task, loss, np.zeros(model.n_states, dtype=bool)).staged(begin)
     return state if state.solution.outcome.success else None
 
 
@@ -240,7 +256,7 @@ class _Solve:
 
     task: Task
     loss: MaximumLikelihood
-    estimated: bool
+    estimated: np.ndarray  # of which states the noise is unknown
 
     def staged(self, begin: Beginning) -> State:
         """The whole record, through windows where it needs them."""
@@ -280,7 +296,7 @@ class _Solve:
         program = loss.program(model, grid, point, l1, sigma, unknown)
         quick = replace(task.settings, max_iterations=min(GAUSS_NEWTON, task.settings.max_iterations))
         solver, z = Solver(program, task.settings if exact else quick, exact), program.start
-        for _ in range(NOISE_ROUNDS if self.estimated else 1):
+        for _ in range(NOISE_ROUNDS if self.estimated.any() else 1):
             solution = solver.solve(z, sigma, raise_on_failure=False)
             if not solution.outcome.success and not exact:
                 task.say(f"not solved ({solution.outcome.status}); again with the exact Hessian")
@@ -288,18 +304,29 @@ class _Solve:
                 solution = solver.solve(z, sigma, raise_on_failure=False)
             where = "" if window is None else f" in windows of {window:.3g}"
             task.say(f"maximum likelihood, {len(theta)} parameters, {nodes.size} states{where}: {solution.outcome}")
-            if not solution.outcome.success or not self.estimated:
+            solution = _clean(solution)
+            if not solution.outcome.success or not self.estimated.any():
                 break
             residual = solution.residual * np.sqrt(int(grid.measured.sum()) / 2)
-            new = estimated_noise(grid, residual, sigma, len(theta), loss.huber)
+            new = np.where(self.estimated, estimated_noise(grid, residual, sigma, len(theta), loss.huber), sigma)
             change = np.log(new / sigma)[grid.measured.any(axis=0)]
             z, sigma = solution.z, new
             # One factor for all channels leaves the estimates where they are.
-            alike = loss.huber is None and not any(l1.values()) and np.ptp(change) < SAME
+            alike = self.estimated.all() and loss.huber is None and not any(l1.values()) and np.ptp(change) < SAME
             if alike or np.max(np.abs(change)) < SAME:
                 solution = solver.at(solution, sigma)
                 break
         return State(task, loss, model, grid, unknown, point, program, solution, l1, sigma, exact=exact)
+
+
+def _clean(solution: Solution) -> Solution:
+    """A stall where the data are explained far below the least noise that is assumed is the end, not a failure."""
+    outcome = solution.outcome
+    tiny = float(np.sum(solution.residual**2)) / 2 < CLEAN**2
+    if outcome.success or not tiny or outcome.infeasibility > 1e-8:
+        return solution
+    sentence = "the data are explained beyond the accuracy of numbers: they have no noise"
+    return replace(solution, outcome=replace(outcome, success=True, sentence=sentence, advice=""))
 
 
 def cut(grid: Grid, window: float) -> Grid:
@@ -333,12 +360,11 @@ def estimated_noise(
     if huber is not None:
         outside = 2 * norm.sf(huber)
         share *= (1 - outside) - 2 * huber * norm.pdf(huber) + huber**2 * outside
-    channel = np.nonzero(seen)[1]
+    channel, least = np.nonzero(seen)[1], starting.least_noise(grid.y)
     result = sigma.copy()
     for k in np.flatnonzero(seen.any(axis=0)):
         rms = sigma[k] * np.sqrt(np.mean(residual[channel == k] ** 2))
-        floor = starting.CLEANEST * max(float(np.nanstd(grid.y[:, k])), 1e-300)
-        result[k] = max(rms / np.sqrt(share), floor)
+        result[k] = max(rms / np.sqrt(share), least[k])
     return result
 
 
@@ -362,9 +388,9 @@ def _scatter(state: State) -> tuple[float, str]:
     return float(ratio[worst]), state.model.states[worst]
 
 
-def _noise_note(state: State, given: np.ndarray | None) -> tuple[str, ...]:
+def _noise_note(state: State, known: np.ndarray) -> tuple[str, ...]:
     """A sentence where the residuals are far beyond what neighbouring samples scatter."""
-    if given is not None or not state.solution.outcome.success:
+    if known.any() or not state.solution.outcome.success:
         return ()
     ratio, channel = _scatter(state)
     if ratio < SUSPICIOUS:

@@ -72,6 +72,7 @@ class Reduced:
         floor = REGULAR * max(float(np.max(curvature.diagonal(), initial=0.0)), 1e-300)
         states = bmat([[curvature + diags(np.full(x.stop - x.start, floor)), J[:, x].T], [J[:, x], None]], format="coo")
         self._band = Banded(states, along_time(grid, ("node", n_states), ("interval", n_states)))
+        self._n_states = n_states
         self._n_x, self._border = x.stop - x.start, vstack([H[x, theta], J[:, theta]]).toarray()
         self._followed = self._band.solve(self._border) if self._border.shape[1] else self._border
         information = H[theta, theta].toarray() - self._border.T @ self._followed
@@ -81,18 +82,21 @@ class Reduced:
         """Change of theta and x when the constraints are offset by ``e``; ``covariance`` inverts the information."""
         return self.solve(np.zeros((self._n_x, *e.shape[1:])), e, covariance)
 
-    def solve(self, g: np.ndarray, e: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Theta and x for the gradient g in x and the offset e, each one column or several side by side."""
+    def solve(
+        self, g: np.ndarray, e: np.ndarray, covariance: np.ndarray, g_theta: np.ndarray | float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Theta and x for gradients g in x and g_theta, and the offset e; each one column or several side by side."""
         alone = self._band.solve(np.concatenate([g, e]))
-        theta = covariance @ -(self._border.T @ alone)
+        theta = covariance @ (g_theta - self._border.T @ alone)
         return theta, (alone - self._followed @ theta)[: self._n_x]
 
-    def state_variances(self, covariance: np.ndarray) -> np.ndarray:
-        """Variances of x that come from the uncertainty of theta alone."""
-        return np.einsum("ij,jk,ik->i", self._followed[: self._n_x], covariance, self._followed[: self._n_x])
+    @property
+    def following(self) -> np.ndarray:
+        """How the states of a record follow a change of theta, (n_nodes, n_states, n_theta)."""
+        return -self._followed[: self._n_x].reshape(-1, self._n_states, self._followed.shape[1])
 
-    def start_variances(self, starts: np.ndarray, trajectory: np.ndarray) -> np.ndarray:
-        """Variances of x that remain when theta is known: those of the starting states, carried along the dynamics.
+    def start_covariances(self, starts: np.ndarray, trajectory: np.ndarray) -> np.ndarray:
+        """Covariance of each node's states when theta is known: that of the starting states, carried along.
 
         ``starts`` (n_trajectories, n_states): places of the starting states in x; ``trajectory``: that of each node.
         """
@@ -101,4 +105,4 @@ class Reduced:
         right[starts.ravel(), np.tile(np.arange(n), n_runs)] = 1.0  # no trajectory touches another one
         columns = self._band.solve(right)[: self._n_x].reshape(-1, n, n)
         at_start = np.linalg.pinv(columns.reshape(-1, n)[starts.ravel()].reshape(n_runs, n, n), hermitian=True)
-        return np.einsum("aij,ajk,aik->ai", columns, at_start[trajectory], columns).ravel()
+        return columns @ at_start[trajectory] @ columns.transpose(0, 2, 1)

@@ -21,6 +21,7 @@ from phsi_opt.model import Model
 from phsi_opt.solver import Settings, Solver
 from phsi_opt.theta import Theta
 
+Known = bool | np.ndarray  # whether the noise is known, of all states or of each
 N_PROBES = 24
 PROBED = 200_000  # values that all probes together look at, at least
 SHRINKING = (1.0, 0.1, 0.01)  # sizes of the force while parameters and states are found together
@@ -68,10 +69,10 @@ def default_prior(model: Model, grid: Grid, point: Point) -> ForcePrior:
 
 
 def estimate_force(
-    model: Model, grid: Grid, point: Point, sigma: np.ndarray, *, rounds: int = 3, known_noise: bool = False,
+    model: Model, grid: Grid, point: Point, sigma: np.ndarray, *, rounds: int = 3, known_noise: Known = False,
     prior: ForcePrior | None = None, integrator: str = "srk4",
 ) -> ForceEstimate:  # fmt: skip
-    """Estimate states and missing force of ``model`` at ``point.theta``, with noise and force size by evidence.
+    """Estimate states and missing force of ``model`` at ``point.theta``, with force size and unknown noise by evidence.
 
     ``point.theta`` is (n_free,), or (n_free, n_trajectories) where trajectories have parameters of their own.
     """
@@ -132,7 +133,7 @@ class Sensed:
 
 
 def _update(
-    grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior, known_noise: bool,
+    grid: Grid, point: Point, jacobian: csc_matrix, sigma: np.ndarray, prior: ForcePrior, known_noise: Known,
     sensed: Sensed,
 ) -> "tuple[np.ndarray, ForcePrior, float, Linearised]":  # fmt: skip
     """Noise and force size of largest marginal likelihood in the problem linearised at the point."""
@@ -199,15 +200,14 @@ class Linearised:
         log_prior = sum(np.sum(np.log(L.diagonal())) for L in self.whiteners)
         return float(-misfit / 2 - log_det / 2 + log_noise + log_prior)
 
-    def improved(self, known_noise: bool) -> tuple[np.ndarray, np.ndarray]:
+    def improved(self, known_noise: Known) -> tuple[np.ndarray, np.ndarray]:
         """MacKay's update of the noise and of the force size."""
         determined_y, determined_w = self._well_determined()
         sigma = self.sigma.copy()
-        if not known_noise:
-            seen, squares = self.grid.measured, self.residual.reshape(self.grid.y.shape) ** 2
-            for k in np.flatnonzero(seen.any(axis=0)):
-                free = max(seen[:, k].sum() - determined_y[k], 1.0)
-                sigma[k] = np.sqrt(max(squares[:, k].sum() / free, 1e-300))
+        seen, squares = self.grid.measured, self.residual.reshape(self.grid.y.shape) ** 2
+        for k in np.flatnonzero(seen.any(axis=0) & ~np.broadcast_to(known_noise, len(sigma))):
+            free = max(seen[:, k].sum() - determined_y[k], 1.0)
+            sigma[k] = np.sqrt(max(squares[:, k].sum() / free, 1e-300))
         per_force = self.innovations.reshape(len(self.prior.rows), -1)
         ratio = np.array([np.sum(r**2) for r in per_force]) / np.maximum(determined_w, 1e-3)
         size = self.prior.size * np.sqrt(np.clip(ratio, 1 / LARGEST_CHANGE, LARGEST_CHANGE))

@@ -5,20 +5,21 @@ below the threshold is the better one. Every point is a re-fit of all other para
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import f as f_distribution
 
+from phsi_opt.compare import force_of
 from phsi_opt.errors import ModelError, SolveError, did_you_mean
 from phsi_opt.fit import Fit
 from phsi_opt.identify import matched
 from phsi_opt.likelihood import on_record
-from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import Model
+from phsi_opt.record import options, steps_on
 from phsi_opt.work import State
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 DIFFERS = 0.1  # share of the half width by which an end may differ from that of the curvature
 CLOSE = 0.02  # accuracy of an end, in half widths
+MOVED = 0.1  # standard errors by which the repeated fit may differ from the fit
 FARTHEST = 8  # half widths beyond which no end is looked for
 
 
@@ -78,20 +80,19 @@ def profile(
     name: str,
     level: float = 0.95,
     *,
-    loss: MaximumLikelihood | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Profile:
     """Profile likelihood of one parameter of a fit to ``data`` by `MaximumLikelihood`.
 
     The noise stays at the fit's estimate; the threshold is that of the F distribution, which knows that it was
-    estimated. ``loss``: options of the re-fits, such as ``huber``. Raises `ModelError` for a parameter that the fit
-    does not have as a free and shared one, or that has no standard error.
+    estimated (for a fit with ``huber``, times the ratio by which its loss rises faster than the squares). Raises
+    `ModelError` for a parameter that the fit does not have as a free and shared one, or that has no standard error.
     """
     _check(fit, name, level)
-    line = _Line(fit, matched(fit.model, data), name, loss or MaximumLikelihood(), progress or (lambda text: None))
+    line = _Line(fit, matched(fit.model, data), name, progress or (lambda text: None))
     value, error = line.value, fit.std_errors[name]
-    threshold = float(f_distribution.isf(1 - level, 1, max(fit.n_values - len(fit.names), 1)))
-    half = error * np.sqrt(threshold)
+    quantile = float(f_distribution.isf(1 - level, 1, max(fit.n_values - len(fit.names), 1)))
+    half, threshold = error * np.sqrt(quantile), quantile * line.factor
     p = fit.model.entries[name].parameter
     lower, upper = (line.end(bound, half, threshold) for bound in (min(p.lower, value), max(p.upper, value)))
     points = np.array(sorted(line.points.items()))
@@ -112,21 +113,29 @@ def _check(fit: Fit, name: str, level: float) -> None:
 class _Line:
     """The profile as a function of the parameter, with the points that were worked out."""
 
-    def __init__(
-        self, fit: Fit, data: Measurements, name: str, loss: MaximumLikelihood, say: Callable[[str], None]
-    ) -> None:
+    def __init__(self, fit: Fit, data: Measurements, name: str, say: Callable[[str], None]) -> None:
         self.data, self.name, self.say = data, name, say
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
-        steps = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
-        self.loss = replace(loss, noise=None, starts=1, window=None, steps=loss.steps or steps)
-        best = self._solved(fit.model, fit.states or tuple(np.nan_to_num(run.x) for run in data.trajectories))
-        if best is None:
-            raise SolveError("the fit could not be repeated on these measurements; are they those of the fit?")
+        self.loss, self.steps = options(fit), steps_on(fit, data)
+        model = fit.model
+        states = fit.states
+        if [len(x) for x in states] != [run.n_samples for run in data.trajectories]:
+            estimate = force_of(fit, data)
+            states = tuple(estimate.x[estimate.grid.trajectory == i] for i in range(data.n_trajectories))
+        best = self._solved(model, states)
+        if best is None or abs(best.values[name] - fit.values[name]) > MOVED * fit.std_errors[name]:
+            now = "no solution" if best is None else f"{best.values[name]:.6g}"
+            raise SolveError(
+                f"the fit could not be repeated on these measurements: {name} is {fit.values[name]:.6g} in the fit, "
+                f"now {now}. Are they those of the fit?"
+            )
         self.value, self.lowest = best.values[name], best.misfit * best.n_values
+        size, inside = (1.0, 1.0) if fit.huber is None else best.huber_moments
+        self.factor = size / inside
         self.points, self.states = {self.value: 0.0}, {self.value: best}
 
     def _solved(self, model: Model, x: Sequence[np.ndarray]) -> State | None:
-        return on_record(model, self.data, self.sigma, x, self.loss)
+        return on_record(model, self.data, self.sigma, x, self.loss, self.steps)
 
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held; started from the nearest point known."""

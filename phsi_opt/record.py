@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from phsi_opt.fit import Fit
-from phsi_opt.grid import Grid, grid_of, outputs
+from phsi_opt.grid import Grid, grid_of, output_slopes, outputs
 from phsi_opt.likelihood import on_record
 from phsi_opt.linear import Reduced
 from phsi_opt.losses import MaximumLikelihood
@@ -42,16 +42,37 @@ def explained(
     None where no such states are found.
     """
     values = parameters_of(fit, data)
-    unseen = [run.name for run in data.trajectories if run.name not in fit.by_trajectory]
-    local = [name for name, e in fit.model.entries.items() if e.parameter.per_trajectory and unseen]
-    model = fit.model.with_fixed({name: value for name, value in fit.values.items() if name not in local})
-    steps = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
-    state = on_record(model, data, sigma, x, MaximumLikelihood(steps=steps))
-    if state is None:
-        return None
-    for run in unseen if local else ():
-        values[run].update(state.unknown.values_of(state.theta, run))
-    return state.states, values
+    if not any(e.parameter.per_trajectory for e in fit.model.entries.values()):
+        state = on_record(fit.model.frozen(), data, sigma, x, options(fit), steps_on(fit, data))
+        return None if state is None else (state.states, values)
+    states: list[np.ndarray] = []
+    for i, run in enumerate(data.trajectories):  # each with its own parameters
+        own = fit.model.with_values(values[run.name])
+        local = () if run.name in fit.by_trajectory else _per_trajectory(fit.model)
+        model = own.with_fixed({name: value for name, value in own.values.items() if name not in local})
+        state = on_record(model, data[i], sigma, [x[i]], options(fit), steps_on(fit, data)[i : i + 1])
+        if state is None:
+            return None
+        values[run.name].update(state.unknown.values_of(state.theta, run.name))
+        states += state.states
+    return tuple(states), values
+
+
+def options(fit: Fit) -> MaximumLikelihood:
+    """The loss of the fit, for a record along which its parameters are known."""
+    return MaximumLikelihood(huber=fit.huber)
+
+
+def steps_on(fit: Fit, data: Measurements) -> tuple[np.ndarray, ...]:
+    """Intervals in every gap between samples: those of the fit on its own record, else its median everywhere."""
+    if [len(n) + 1 for n in fit.steps] == [run.n_samples for run in data.trajectories]:
+        return fit.steps
+    median = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
+    return tuple(np.full(run.n_samples - 1, median) for run in data.trajectories)
+
+
+def _per_trajectory(model: Model) -> tuple[str, ...]:
+    return tuple(name for name, entry in model.entries.items() if entry.parameter.per_trajectory)
 
 
 def bands(
@@ -81,8 +102,17 @@ def bands(
     reduced = Reduced(grid, fit.model.n_states, information, kkt.jacobian, block.slice, x.slice)
     covariance = _covariance(fit, unknown, point.theta_scale, reduced.information)
     starts = grid.first[:, None] * fit.model.n_states + np.arange(fit.model.n_states)
-    variance = reduced.state_variances(covariance) + reduced.start_variances(starts, grid.trajectory)
-    deviation = np.sqrt(np.maximum(variance, 0.0)).reshape(grid.y.shape) * point.x_scale
+    following, left = reduced.following, reduced.start_covariances(starts, grid.trajectory)
+    following, left = following * point.x_scale[:, None], left * np.outer(point.x_scale, point.x_scale)
+    if fit.model.sensor:
+        by_x, by_theta = output_slopes(fit.model, grid, nodes, unknown.by_trajectory(theta))
+        own = np.zeros((grid.n_nodes, fit.model.n_states, len(unknown)))
+        places = unknown.table[:, grid.trajectory].T[:, None, :]
+        np.put_along_axis(own, np.broadcast_to(places, by_theta.shape), by_theta, axis=2)
+        following = by_x @ following + own * point.theta_scale
+        left = by_x @ left @ by_x.transpose(0, 2, 1)
+    variance = np.einsum("aij,jk,aik->ai", following, covariance, following) + np.einsum("aii->ai", left)
+    deviation = np.sqrt(np.maximum(variance, 0.0))
     edges = [*grid.first.tolist(), grid.n_nodes]
     return tuple(deviation[a:b] for a, b in pairwise(edges))
 

@@ -16,10 +16,10 @@ import numpy as np
 from phsi_opt.errors import DataError
 from phsi_opt.expressions import names_of
 from phsi_opt.fit import Fit
-from phsi_opt.grid import Grid, defect_jacobian, defects
+from phsi_opt.grid import Grid, defect_jacobian, defects, output_slopes, outputs
 from phsi_opt.losses import ForcePrior, Point, complete, rate_size
 from phsi_opt.measurements import Measurements
-from phsi_opt.missing import ForceEstimate, estimate_force
+from phsi_opt.missing import ForceEstimate, Known, estimate_force
 from phsi_opt.model import Model, place_of
 from phsi_opt.noise import difference_noise
 from phsi_opt.terms import Scan, Share
@@ -27,6 +27,7 @@ from phsi_opt.theta import Theta
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
 N_STARTS = 3  # frequencies of the scan that are tried
+SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 CLEANEST = (
     1e-5  # least noise that is assumed, as a share of the spread of a channel: weights stay within double precision
 )
@@ -45,12 +46,20 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     spread = np.array([np.nanstd(y[:, k]) if seen[k] else 1.0 for k in range(len(seen))])
     spread = np.where(spread > 0, spread, np.maximum(np.abs(np.nan_to_num(y)).max(axis=0), 1e-12))
     guess = np.where(np.isfinite(guess), guess, 0.1 * spread)
-    # Clean data: a noise of zero would make every weight infinite.
-    return np.where([name in data.measured for name in data.states], np.maximum(guess, CLEANEST * spread), 1.0)
+    return np.where([name in data.measured for name in data.states], np.maximum(guess, least_noise(y)), 1.0)
+
+
+def least_noise(y: np.ndarray) -> np.ndarray:
+    """Least noise that is assumed per channel of y (n_samples, n_states): without any, weights would be infinite."""
+    seen = np.isfinite(y).any(axis=0)
+    spread = np.array([np.nanstd(y[:, k]) if seen[k] else 1.0 for k in range(y.shape[1])])
+    size = np.maximum(np.abs(np.nan_to_num(y)).max(axis=0), 1e-12)
+    return CLEANEST * np.where(spread > 1e-12 * size, spread, size)
 
 
 def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Point:
     """Measured states interpolated, others zero, with the size of every state taken from the data."""
+    grid = unsensed(model, grid)
     x, scale, measured = np.nan_to_num(grid.y), np.full(model.n_states, np.nan), grid.measured
     runs = list(pairwise([*grid.first.tolist(), grid.n_nodes]))
     for k in range(model.n_states):
@@ -77,6 +86,20 @@ def point_at(model: Model, grid: Grid, unknown: Theta, theta: np.ndarray, x: np.
 def from_fit(model: Model, start: Fit) -> np.ndarray:
     """The model's parameters at the values of a fit, where it has them."""
     return np.array([start.values.get(name, model.values[name]) for name in model.free])
+
+
+def unsensed(model: Model, grid: Grid) -> Grid:
+    """The grid with the states that the sensors, with the parameters' present values, show as what was measured."""
+    if not model.sensor:
+        return grid
+    theta, x = np.array([model.values[name] for name in model.free]), grid.y.copy()
+    with np.errstate(all="ignore"):
+        for _ in range(10):  # Newton's method for every channel alone
+            missed = grid.y - np.array(outputs(model, grid, np.nan_to_num(x).T, theta)).T
+            slope = np.einsum("aii->ai", output_slopes(model, grid, np.nan_to_num(x), theta)[0])
+            step = missed / np.where(np.abs(slope) > SHALLOW, slope, np.nan)
+            x = x + np.where(np.isfinite(step), step, 0.0)
+    return replace(grid, y=x)
 
 
 def _unmeasured_scale(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -136,7 +159,7 @@ def _sensor_strength(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray)
 
 
 def smoothed(
-    model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: bool, theta: np.ndarray | None = None,
+    model: Model, grid: Grid, sigma: np.ndarray, integrator: str, known_noise: Known, theta: np.ndarray | None = None,
     *, rounds: int = 3, prior: ForcePrior | None = None,
 ) -> ForceEstimate:  # fmt: skip
     """States, also unmeasured ones, by the missing-force program at the model's present values.

@@ -61,6 +61,8 @@ class Parameter:
             )
         if self.fixed and self.per_trajectory:
             raise ModelError("a parameter per trajectory is estimated; it cannot be fixed.")
+        if self.per_trajectory and isinstance(self.guess, Scan):
+            raise ModelError("a scanned frequency is one for all trajectories; give one per trajectory a value.")
         if self.fixed and self.value is None and self.guess is None:
             raise ModelError("a fixed parameter needs a value: Parameter(2.5, fixed=True).")
 

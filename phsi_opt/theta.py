@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from phsi_opt.errors import ModelError
 from phsi_opt.model import Entry, Model
 
 
@@ -37,6 +38,12 @@ class Theta:
             table[i] = len(names) + (np.arange(len(runs)) if local else 0)
             names += [f"{name}[{run}]" for run in runs] if local else [name]
             owner += [i] * (len(runs) if local else 1)
+        twice = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set()
+        if twice:
+            raise ModelError(
+                f"the name {sorted(twice)[0]!r} stands for two parameters, one of them of a trajectory; rename the "
+                "trajectory, or name the term."
+            )
         return cls(model, tuple(runs), tuple(names), np.array(owner, dtype=int), table)
 
     def __len__(self) -> int:

@@ -22,6 +22,7 @@ from phsi_opt.pruning import Pruning
 from phsi_opt.solver import Settings, Solution
 from phsi_opt.theta import Theta
 
+BEYOND = 1e-3  # standard deviations that a slack must take over before its residual counts as cut
 Loss = PHSILoss | MaximumLikelihood
 Progress = Callable[[str], None]
 
@@ -144,9 +145,15 @@ class State:
         assert isinstance(self.loss, MaximumLikelihood)
         if self.loss.huber is None:
             return 1.0
-        kept = self.solution.residual * np.sqrt(self.n_values / 2)  # already cut at the limit
-        inside = float(np.mean(np.abs(kept) < 0.999 * self.loss.huber))
-        return float(np.mean(kept**2)) / max(inside, 0.1) ** 2
+        size, inside = self.huber_moments
+        return size / inside**2
+
+    @property
+    def huber_moments(self) -> tuple[float, float]:
+        """Mean square of the residuals cut at Huber's limit, and the share that is not cut."""
+        kept = self.solution.residual * np.sqrt(self.n_values / 2)
+        beyond = sum(v for name, v in self.solution.values.items() if name.startswith("outlier_"))
+        return float(np.mean(kept**2)), max(float(np.mean(np.asarray(beyond) < BEYOND)), 0.1)
 
     def fit(self) -> Fit:
         """The result record."""
@@ -171,6 +178,7 @@ class State:
             provenance=_provenance(self),
             states=self.states if likelihood else (),
             steps=tuple(steps_of(self.grid)) if likelihood else (),
+            huber=self.loss.huber if isinstance(self.loss, MaximumLikelihood) else None,
         )
 
     def _selection(self) -> tuple[str, ...]:
@@ -194,9 +202,10 @@ class State:
 
 
 def data_digest(data: Measurements) -> str:
-    """A fingerprint of the numbers of the measurements."""
+    """A fingerprint of the names and numbers of the measurements."""
     digest = hashlib.sha256()
     for run in data.trajectories:
+        digest.update(run.name.encode())
         for array in (run.t, run.x, run.u):
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

@@ -54,8 +54,9 @@ def test_states_are_eliminated_as_by_dense_algebra() -> None:
     whole = inverse @ np.r_[np.zeros(p + n_x), e]
     np.testing.assert_allclose(np.r_[theta, x], whole[: p + n_x], rtol=1e-7, atol=1e-9)
     starts = grid.first[:, None] * n + np.arange(n)
-    variances = reduced.state_variances(covariance) + reduced.start_variances(starts, grid.trajectory)
-    np.testing.assert_allclose(variances, np.diag(inverse)[p : p + n_x], rtol=1e-6)
+    following, left = reduced.following, reduced.start_covariances(starts, grid.trajectory)
+    variances = np.einsum("aij,jk,aik->ai", following, covariance, following) + np.einsum("aii->ai", left)
+    np.testing.assert_allclose(variances.ravel(), np.diag(inverse)[p : p + n_x], rtol=1e-6)
 
 
 def test_unknowns_stand_in_the_order_of_their_time() -> None:

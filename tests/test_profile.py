@@ -6,7 +6,7 @@ import pytest
 from phsi_opt.errors import ModelError
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify
-from phsi_opt.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.losses import PHSILoss
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import FirstOrder
 from phsi_opt.profile import profile
@@ -81,7 +81,7 @@ def test_the_picture_is_drawn_where_it_is_asked_for(loose: tuple[Fit, Measuremen
     import matplotlib.pyplot as plt
 
     fit, data = loose
-    found = profile(fit, data, "r", loss=MaximumLikelihood())
+    found = profile(fit, data, "r")
     _, ax = plt.subplots()
     assert found.plot(ax) is ax
     plt.close("all")
