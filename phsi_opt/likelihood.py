@@ -39,6 +39,7 @@ CLEAN = 0.01  # root mean square residual, over the noise assumed, of data witho
 VISIBLE = 0.1  # integration error that is refined: share of a standard error, or of the noise
 WINDOWS = 32  # first windows: this share of the longest record
 GROWTH = 4  # factor by which windows grow
+LONG = 20_000  # nodes from which on a record with gaps is begun through its first part
 SHORTEST = 8  # samples in a window, at least
 
 
@@ -121,6 +122,8 @@ def _beginning(
     if start is not None:
         old = np.array([start.noise.get(name, 1.0) for name in task.model.states])
         return _from_fit(task, loss, np.where(known, sigma, old), known, start)
+    if not grid.measured.all() and grid.n_nodes > LONG:
+        return _through_a_part(task, loss, sigma, known, grid)
     task.say("starting values")
     core, grid = task.model.dynamics(), starting.unsensed(task.model, grid)
     notes: tuple[str, ...] = ()
@@ -152,6 +155,25 @@ def _beginning(
         point = softened(core, grid, shared, starting.point_at(core, grid, shared, theta, x), sigma, loss.integrator)
         core, x = core.with_values(dict(zip(core.free, point.theta.tolist(), strict=True))), point.x
     return replace(_ready(task, core, grid, x, sigma, notes), other=other)
+
+
+def _through_a_part(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.ndarray, grid: Grid) -> Beginning:
+    """The beginning of a long record at the solution of the first part of each of its trajectories.
+
+    Along a long record, states that are not measured cannot be found while the parameters are still far off.
+    """
+    share = LONG / 2 / grid.n_nodes
+    runs = []
+    for run in task.data.trajectories:
+        n = min(max(int(share * run.n_samples), 2 * SHORTEST), run.n_samples)
+        runs.append(replace(run, t=run.t[:n], x=run.x[:n], u=run.u[:n]))
+    task.say(f"starting values from the first {sum(run.n_samples for run in runs)} samples")
+    part = replace(task, data=replace(task.data, trajectories=tuple(runs)), pruning=None)
+    first = by_likelihood(part, replace(loss, starts=1, window=None), None, lambda state, _: state)
+    unknown = Theta.of(first.model, task.runs)
+    sigma = np.where(known, sigma, first.sigma)
+    states = _at_theta(first.model, grid, unknown, first.theta, sigma, loss, known)
+    return Beginning(first.model, first.theta, states, sigma, first.notes)
 
 
 def _from_fit(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.ndarray, start: Fit) -> Beginning:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt import likelihood
 from phsi_opt.errors import ModelError
 from phsi_opt.terms import Dictionary, Scan, Term
 
@@ -223,3 +224,14 @@ def test_a_channel_that_never_changes_does_not_harm_the_other(value: float) -> N
     fit = ph.identify(model, data)
     assert fit.values["a"] == pytest.approx(0.7, abs=0.05)
     assert fit.values["c"] == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_long_record_is_begun_through_its_first_part(loads: ph.Measurements, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = spring(ph.Parameter(2.5, lower=0.1, per_trajectory=True))
+    whole = ph.identify(model, loads)
+    said: list[str] = []
+    monkeypatch.setattr(likelihood, "LONG", 120)
+    through = ph.identify(model, loads, progress=said.append)
+    assert said[0] == "starting values from the first 60 samples"
+    for name in whole.names:
+        assert through.estimates[name] == pytest.approx(whole.estimates[name], rel=1e-5)
