@@ -18,7 +18,7 @@ from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
 from phsi_opt.record import bands, explained, matrix_of, parameters_of, shown
 from phsi_opt.simulate import simulate
-from phsi_opt.start import initial_noise, smoothed
+from phsi_opt.start import initial_noise, remembered, smoothed
 from phsi_opt.work import data_digest
 
 if TYPE_CHECKING:
@@ -164,25 +164,32 @@ def compare(fit: Fit, data: Measurements) -> Comparison:
     """
     data = matched(fit.model, data)
     estimate = force_of(fit, data)
-    grid = estimate.grid
+    return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
+
+
+def compared(fit: Fit, data: Measurements, sigma: np.ndarray, guess: Sequence[np.ndarray]) -> Comparison:
+    """`compare` with the noise known, and states to start from that may lack the memory of the model's effects."""
+    data = matched(fit.model, data)
+    sigma = np.r_[sigma, np.ones(fit.model.n_states - len(sigma))]
     # The starting states of a fit to these very measurements are its own; others are estimated from the record.
     if fit.states and fit.provenance.get("data_sha256") == data_digest(data):
         states: Sequence[np.ndarray] = fit.states
         values = parameters_of(fit, data)
     else:
-        guess = tuple(estimate.x[grid.trajectory == i] for i in range(data.n_trajectories))
+        values, grid = parameters_of(fit, data), grid_of(data)
+        guess = grid.split(remembered(fit.model, grid, np.concatenate(guess), matrix_of(fit.model, values)))
         # Where no states obey the model along the whole record, those of the missing force are the best to start from.
         # Outliers that the fit set aside must not make up the noise here.
-        own = np.array([fit.noise.get(name, s) for name, s in zip(fit.model.states, estimate.sigma, strict=True)])
-        found = explained(fit, data, estimate.sigma if fit.huber is None else own, guess)
-        states, values = found or (guess, parameters_of(fit, data))
+        own = np.array([fit.noise.get(name, s) for name, s in zip(fit.model.states, sigma, strict=True)])
+        found = explained(fit, data, sigma if fit.huber is None else own, guess)
+        states, values = found or (guess, values)
     simulated = tuple(
         _free_run(fit.model.with_values(values[run.name]), run, x[0], data.hold)
         for run, x in zip(data.trajectories, states, strict=True)
     )
     seen = shown(fit.model, data, simulated, matrix_of(fit.model, values))
     residuals = tuple(run.x - y for run, y in zip(data.trajectories, seen, strict=True))
-    return Comparison(fit, data, values, simulated, seen, residuals, estimate.sigma)
+    return Comparison(fit, data, values, simulated, seen, residuals, sigma)
 
 
 def force_of(fit: Fit, data: Measurements) -> ForceEstimate:

@@ -1,66 +1,70 @@
 """Where a model fails, and which effect is missing.
 
 1. The missing force along every trajectory, with the states it implies (`missing`).
-2. Every effect of the catalogue is screened on the whole record: the likelihood linearised at those states, one
-   factorisation for all, one right-hand side per candidate. Frequencies are scanned in the same way.
-3. The best few are re-fitted by maximum likelihood and judged by BIC, with residuals that are correlated counted for
-   the independent ones they are worth, and by the free run on data held out.
+2. Every effect of the catalogue is screened on the whole record without re-fitting (`screen`).
+3. The best few, and where one is not enough the best pairs, are re-fitted by maximum likelihood and judged by BIC, with
+   correlated residuals counted for the independent ones they are worth, and by the free run on data held out.
+4. The verdict: an effect is named when it is significant (false-discovery rate over all candidates), when the held-out
+   error falls, and when it, alone or with one more, leaves residuals like noise or explains nearly all that is missing.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
 import pandas as pd
-from scipy.sparse import csc_matrix, diags, hstack
-from scipy.stats import chi2
+from scipy.stats import chi2, false_discovery_control
 
-from phsi_opt.compare import Comparison, compare, force_of
+from phsi_opt.compare import Comparison, compared, force_of
 from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.fit import Fit
-from phsi_opt.grid import defect_jacobian, defects, output_slopes
 from phsi_opt.identify import identify, matched
-from phsi_opt.linear import Reduced
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
-from phsi_opt.missing import ForceEstimate, Sensed, force_deviation
-from phsi_opt.model import Model
-from phsi_opt.record import matrix_of, parameters_of
-from phsi_opt.start import frequencies, resolved
-from phsi_opt.terms import Scan
-from phsi_opt.theta import Theta
-from phsi_opt.uncertainty import inverse
+from phsi_opt.missing import ForceEstimate, force_deviation
+from phsi_opt.screen import Screen, Screened
+from phsi_opt.solver import Settings
+from phsi_opt.start import resolved
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SCHEME = "srk4"
-N_REFITS = 3
-P_VALUE = 0.01  # of the best candidate, after Bonferroni's correction for the number of candidates
-CONFUSABLE = 0.95  # correlation of two candidates' traces in the record beyond which they cannot be told apart
+N_REFITS = 5
+N_PAIRS = 2
+NEAR = 0.6  # share of the best score that a candidate must promise once another one leaves noise
+PAIRED = 12  # best candidates among which pairs are sought
+RATE = 0.01  # false-discovery rate over all candidates
+CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
 ABOVE_FLOOR = 1.1  # free-run error over the noise floor from which a model counts as failing
+WHITE = 1e-3  # p-value below which residuals are not white
+NEARLY_ALL = 0.9  # share of the squared error above the noise floor that an effect must explain to be named
+
+QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False)  # a candidate that takes more is not the one
 
 NOTHING, NAMED, UNEXPLAINED = "nothing missing", "missing: named", "missing: unexplained"
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect with what screening expects of it, and, if it was re-fitted, what came out."""
+    """One effect with what screening expects of it, and, if it was re-fitted, what came out.
+
+    ``p_value`` is adjusted for all candidates (Benjamini and Hochberg) and for the values that were scanned.
+    """
 
     effect: Effect
     coefficient: float
     std_error: float
     drop: float  # expected fall of the misfit, in units of the noise variance
-    columns: np.ndarray = field(repr=False, default_factory=lambda: np.zeros(0))
     values: dict[str, float] = field(default_factory=dict)
     confusable_with: tuple[str, ...] = ()
     p_value: float = np.nan
     delta_bic: float = np.nan
     fit: Fit | None = field(repr=False, default=None)
+    trained: Comparison | None = field(repr=False, default=None)
     comparison: Comparison | None = field(repr=False, default=None)
 
     @property
@@ -79,6 +83,7 @@ class Diagnosis:
     ranked: tuple[Candidate, ...] = field(repr=False)
     verdict: str
     reason: str
+    together: tuple[Effect, ...] = ()  # what the verdict names: one effect, or two that are needed together
 
     @property
     def effects(self) -> list[Effect]:
@@ -89,7 +94,7 @@ class Diagnosis:
     def candidates(self) -> pd.DataFrame:
         """The candidates, best first, as a table with the columns named below.
 
-        p_value, delta_bic and held_out_rmse are those of the re-fit, NaN for candidates that screening ruled out.
+        delta_bic and held_out_rmse are those of the re-fit, NaN for candidates that screening ruled out.
         """
         rows = [
             (c.effect.name, c.effect.slot, c.effect.equation, c.coefficient, c.std_error, c.p_value, c.delta_bic,
@@ -99,7 +104,7 @@ class Diagnosis:
         columns = ["effect", "slot", "equation", "coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]
         return pd.DataFrame(rows, columns=[*columns, "confusable_with"])
 
-    @property
+    @cached_property
     def missing_force(self) -> pd.DataFrame:
         """trajectory, t (middle of the interval), then force and standard deviation per equation."""
         grid = self.estimate.grid
@@ -150,212 +155,250 @@ def diagnose(
     say = progress or (lambda line: None)
     data = matched(fit.model, data)
     say("estimating the missing force")
-    estimate = force_of(fit, data)
-    base = compare(fit, data if held_out is None else held_out)
+    work = _Work.begin(fit, data, held_out, loss or MaximumLikelihood(), say)
     listed = catalogue(fit.model) if effects is None else effects
     say(f"screening {len(listed)} candidate effects")
-    ranked = _screened(fit, data, estimate, listed)
-    trained = compare(fit, data)
-    refitted = []
-    for candidate in ranked[:N_REFITS]:
-        say(f"re-fitting with {candidate.effect}")
-        refitted.append(
-            _refitted(candidate, fit, trained, estimate, data, held_out, len(listed), loss or MaximumLikelihood())
-        )
-    refitted.sort(key=lambda c: (c.fit is None, np.nan_to_num(c.delta_bic, nan=np.inf)))
-    everyone = tuple(refitted) + tuple(ranked[N_REFITS:])
-    verdict, reason = _verdict(everyone, base, held_out is not None)
-    return Diagnosis(fit, estimate, base, everyone, verdict, reason)
+    screen = Screen(fit, data, work.estimate)
+    found = screen.screened(listed)
+    candidates = [_candidate(one, found, screen) for one in found]
+    refitted = work.best_of(screen, found, candidates)
+    together: tuple[Effect, ...] = ()
+    left = [work.trained, *(c.trained for c in refitted[:1] if c.trained is not None)]
+    if refitted and not any(map(is_adequate, left)):
+        together = work.pair(screen, found, refitted[0])
+        refitted.sort(key=lambda c: c.effect not in together)
+    everyone = _adjusted(refitted + candidates[len(refitted) :])
+    verdict, reason, named = work.verdict(everyone, together)
+    return Diagnosis(fit, work.estimate, work.base, everyone, verdict, reason, named)
 
 
-def _screened(fit: Fit, data: Measurements, estimate: ForceEstimate, effects: list[Effect]) -> list[Candidate]:
-    """Candidates with expected coefficient, standard error and fall of the misfit; the largest fall first."""
-    test = _ScoreTest(fit, data, estimate)
-    found = [candidate for effect in effects if (candidate := test.candidate(effect)) is not None]
-    found.sort(key=lambda c: -c.drop)
-    return [replace(c, confusable_with=_confusable(c, found)) for c in found]
+def starting_from(effect: Effect, fit: Fit, data: Measurements) -> dict[str, float]:
+    """Where to start the parameters of an effect that is added to ``fit``, by screening it alone."""
+    data = matched(fit.model, data)
+    one = Screen(fit, data, force_of(fit, data)).candidate(effect)
+    return {} if one is None else one.values
 
 
-def _confusable(candidate: Candidate, others: list[Candidate]) -> tuple[str, ...]:
-    def alike(a: np.ndarray, b: np.ndarray) -> bool:
-        return abs(float(a @ b)) > CONFUSABLE * float(np.linalg.norm(a) * np.linalg.norm(b))
-
-    return tuple(str(o.effect) for o in others if o is not candidate and alike(candidate.columns, o.columns))
+def _candidate(one: Screened, found: list[Screened], screen: Screen) -> Candidate:
+    alike = tuple(str(o.effect) for o in found if o is not one and one.drop > 0 and screen.stands_in(one, o))
+    return Candidate(one.effect, one.coefficient, one.std_error, one.drop, one.values, alike, one.p_value)
 
 
-class _ScoreTest:
-    """The likelihood of the whole record linearised at the states of the missing-force estimate.
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """The fit, the data to train on and to judge by, and what candidates are measured against."""
 
-    minimise 1/2 |r - C dx|^2 subject to d + A dx + B dtheta + Phi c = 0: base parameters move
-    along, c is the candidate's.
-    """
+    fit: Fit
+    data: Measurements
+    judging: Measurements
+    estimate: ForceEstimate
+    judged: ForceEstimate
+    trained: Comparison
+    base: Comparison
+    loss: MaximumLikelihood
+    say: Callable[[str], None]
+    is_held_out: bool
 
-    def __init__(self, fit: Fit, data: Measurements, estimate: ForceEstimate) -> None:
-        model = fit.model
-        self.model, self.estimate, self.grid = model, estimate, estimate.grid
-        grid, x = self.grid, estimate.x
-        unknown = Theta.of(model, tuple(run.name for run in data.trajectories))
-        self.values = matrix_of(model, parameters_of(fit, data))  # (n_free, n_trajectories)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = self.values
-        symbol, free = ca.MX.sym("x", x.size), ca.MX.sym("theta", len(unknown))
-        states = ca.reshape(symbol, model.n_states, grid.n_nodes)
-        d = ca.vec(defects(model, grid, SCHEME, states, unknown.by_trajectory(free)))
-        value, A, B = ca.Function("linear", [symbol, free], [d, ca.jacobian(d, symbol), ca.jacobian(d, free)])(
-            x.ravel(), theta
-        )
-        of_runs, n_theta = unknown.by_trajectory(theta), len(unknown)
-        sensed, seen = Sensed.at(model, grid, x, of_runs), grid.measured
-        weight = diags(np.where(seen, 1 / estimate.sigma, 0.0).ravel())
-        slopes, through_sensors = self._scaled(csc_matrix(B.sparse()), weight @ self._sensor_columns(unknown, of_runs))
-        self.seen_of = csc_matrix(hstack([through_sensors, weight @ sensed.slope]))  # from theta and x to residuals
-        r = np.where(seen, (grid.y - sensed.shown) / estimate.sigma, 0.0).ravel()
-        x_places = slice(n_theta, n_theta + x.size)
-        hessian = csc_matrix(self.seen_of.T @ self.seen_of)
-        self.reduced = Reduced(grid, model.n_states, hessian, hstack([slopes, A.sparse()]), slice(0, n_theta), x_places)
-        self.covariance = inverse(self.reduced.information)
-        g = self.seen_of.T @ r
-        step = self.reduced.solve(g[n_theta:], -np.array(value).ravel(), self.covariance, g[:n_theta])
-        self.residual = r - self.seen_of @ np.concatenate(step)
+    @classmethod
+    def begin(
+        cls, fit: Fit, data: Measurements, held_out: Measurements | None, loss: MaximumLikelihood,
+        say: Callable[[str], None],
+    ) -> "_Work":  # fmt: skip
+        estimate = force_of(fit, data)
+        judging = data if held_out is None else matched(fit.model, held_out)
+        judged = estimate if held_out is None else force_of(fit, judging)
+        trained = _compared(fit, data, estimate)
+        base = trained if held_out is None else _compared(fit, judging, judged)
+        return cls(fit, data, judging, estimate, judged, trained, base, loss, say, held_out is not None)
 
-    def _sensor_columns(self, unknown: Theta, of_runs: np.ndarray) -> csc_matrix:
-        """Slope of what the sensors show in every parameter, (n_values, n_theta)."""
-        model, grid, x = self.model, self.grid, self.estimate.x
-        columns = np.zeros((grid.n_nodes, model.n_states, len(unknown)))
-        if model.sensor:
-            places = unknown.table[:, grid.trajectory].T[:, None, :]
-            slopes = output_slopes(model, grid, x, of_runs)[1]
-            np.put_along_axis(columns, np.broadcast_to(places, slopes.shape), slopes, axis=2)
-        return csc_matrix(columns.reshape(x.size, len(unknown)))
-
-    @staticmethod
-    def _scaled(B: csc_matrix, D: csc_matrix) -> tuple[csc_matrix, csc_matrix]:
-        norms = np.sqrt(np.asarray(B.power(2).sum(axis=0) + D.power(2).sum(axis=0)).ravel())
-        scale = diags(1 / np.where(norms > 0, norms, 1.0))
-        return csc_matrix(B @ scale), csc_matrix(D @ scale)
-
-    def traces(self, columns: np.ndarray) -> np.ndarray:
-        """What each column (a force, as a change of the defects) does to the weighted residuals, base re-estimated."""
-        return np.asarray(self.seen_of @ np.concatenate(self.reduced.respond(-columns, self.covariance)))
-
-    def candidate(self, effect: Effect) -> Candidate | None:
-        """Expected coefficient, its standard error, expected fall of the misfit; None for an effect without trace."""
+    def refit(self, effects: Sequence[Effect], values: dict[str, float]) -> tuple[Fit, Comparison, Comparison] | None:
+        """The fit with the effects, begun at the states of the missing-force estimate, and its comparisons."""
+        grid, data = self.estimate.grid, self.data
+        model = self.fit.model
+        for effect in effects:
+            model = model.add(effect)
+        model = resolved(model.with_values(values), grid, self.estimate.x)
+        pairs = zip(self.fit.model.states, self.estimate.sigma, strict=True)
+        noise = {name: float(s) for name, s in pairs if name in data.measured}
+        start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise)
         try:
-            model = resolved(self.model.add(effect), self.grid, self.estimate.x)
-        except PhsiOptError:
+            new = identify(model, data, self.loss, start=start, settings=QUICK)
+            trained = _compared(new, data, self.estimate)
+            return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained
+        except PhsiOptError as error:
+            self.say(f"not re-fitted: {error}")
             return None
-        coefficients = [n for n, e in model.entries.items() if n not in self.model.entries and e.prunable]
-        scanned = [
-            n for n, e in model.entries.items() if n not in self.model.entries and isinstance(e.parameter.guess, Scan)
-        ]
-        values: dict[str, float] = {}
-        if scanned and coefficients:
-            columns = self._jacobian(model, coefficients)
-            best = max(self._frequencies(), key=lambda w: self._drop(self._columns(model, columns, {scanned[0]: w}))[2])
-            values = {scanned[0]: float(best)}
-        elif not coefficients:
-            coefficients = [n for n in model.free if n not in self.model.entries]
-        if not coefficients:
-            return None
-        columns = self._jacobian(model, coefficients)
-        return self._judged(effect, model, coefficients, values, self._columns(model, columns, values))
 
-    def _columns(self, model: Model, function: ca.Function, values: dict[str, float]) -> np.ndarray:
-        old = dict(zip(self.model.free, self.values, strict=True))
-        n = self.values.shape[1]
-        theta = [old.get(name, np.full(n, values.get(name, model.values[name]))) for name in model.free]
-        return np.nan_to_num(np.array(function(self.estimate.x.T, np.array(theta))))
+    def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
+        """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
+        result: list[Candidate] = []
+        promised = 0.0
+        for candidate, one in zip(candidates[:N_REFITS], found, strict=False):
+            if promised and screen.score([one]) < NEAR * promised:
+                break
+            new = self.refitted(candidate, one)
+            result.append(new)
+            if new.trained is not None and is_adequate(new.trained):
+                promised = max(promised, screen.score([one]))
+        return self.ranked(result)
 
-    def _jacobian(self, model: Model, names: list[str]) -> ca.Function:
-        chosen = [model.free.index(name) for name in names]
-        return defect_jacobian(model, self.grid, SCHEME, chosen, self.values.shape[1])
+    def refitted(self, candidate: Candidate, screened: Screened) -> Candidate:
+        """The candidate with its re-fit."""
+        self.say(f"re-fitting with {candidate.effect}")
+        result = self.refit([candidate.effect], candidate.values)
+        if result is None:
+            return candidate
+        new, trained, comparison = result
+        names = _new_names(self.fit, new)
+        size, error = _size(new, [n for n in names if new.model.entries[n].prunable] or names[:1])
+        return replace(candidate, coefficient=size, std_error=error, fit=new, trained=trained, comparison=comparison,
+                       p_value=screened.n_tried * self.p_value(new, trained))  # fmt: skip
 
-    def _frequencies(self) -> np.ndarray:
-        return frequencies(self.grid, self.grid.t)[:400]
+    def p_value(self, new: Fit, trained: Comparison) -> float:
+        """Of the likelihood ratio, correlated residuals counted as fewer independent ones."""
+        gain = (deviance(self.fit) - deviance(new)) * independent_share(trained)
+        return float(chi2.sf(max(gain, 0.0), len(new.names) - len(self.fit.names)))
 
-    def _drop(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-        traces = self.traces(columns)
-        # residual(c) = residual - traces c
-        information = traces.T @ traces
-        information = (
-            information + 1e-12 * np.trace(information) * np.eye(len(information)) + 1e-300 * np.eye(len(information))
-        )
-        c = np.linalg.solve(information, traces.T @ self.residual)
-        return c, information, float(c @ information @ c), traces
+    def ranked(self, refitted: list[Candidate]) -> list[Candidate]:
+        """By BIC, the best one's correlation of residuals taken for all; those that were not re-fitted last."""
+        done = [c for c in refitted if c.fit is not None and c.trained is not None]
+        if not done:
+            return refitted
+        best = min(done, key=lambda c: deviance(c.fit))
+        share = independent_share(best.trained)
+        result = [replace(c, delta_bic=delta_bic(self.fit, c.fit, share)) for c in done]
+        result.sort(key=lambda c: c.delta_bic)
+        result = [replace(c, confusable_with=_tied(c, result)) for c in result]
+        return result + [c for c in refitted if c.fit is None]
 
-    def _judged(
-        self, effect: Effect, model: Model, names: list[str], values: dict[str, float], columns: np.ndarray
-    ) -> Candidate | None:
-        c, information, drop, traces = self._drop(columns)
-        if np.trace(information) < 1e-6:
-            return None
-        allowed = [model.entries[n].parameter for n in names]
-        if any(not p.lower <= value <= p.upper for p, value in zip(allowed, c, strict=True)):
-            drop = 0.0  # physics forbids the sign that the data ask for
-        left = max(float(self.residual @ self.residual) - drop, 1.0) / max(int(self.grid.measured.sum()) - len(c), 1)
-        error = np.sqrt(np.diag(np.linalg.inv(information)) * max(left, 1.0))
-        size = float(np.hypot(*c)) if len(c) == 2 else float(c[0])
-        start = {
-            **values,
-            **{n: float(np.clip(v, p.lower, p.upper)) for n, v, p in zip(names, c, allowed, strict=True)},
-        }
-        return Candidate(effect, size, float(np.max(error)), drop, traces @ c, start)
+    def pair(self, screen: Screen, found: list[Screened], best: Candidate) -> tuple[Effect, ...]:
+        """Two effects that together leave noise, where one alone does not; empty where there are none."""
+        for first, second in screen.pairs(found[:PAIRED], N_PAIRS):
+            self.say(f"re-fitting with {first.effect} and {second.effect}")
+            result = self.refit([first.effect, second.effect], {**first.values, **second.values})
+            if result is None:
+                continue
+            new, trained, comparison = result
+            share = independent_share(trained)
+            better = best.fit is None or delta_bic(best.fit, new, share) < -CLOSE
+            if better and is_adequate(trained) and falls(self.base, comparison):
+                return first.effect, second.effect
+        return ()
+
+    def verdict(
+        self, everyone: tuple[Candidate, ...], together: tuple[Effect, ...]
+    ) -> tuple[str, str, tuple[Effect, ...]]:
+        """Verdict, reason in words, and the effects that it names."""
+        base, where = self.base, "held-out" if self.is_held_out else "training"
+        errors = f"{where} error {base.rmse:.4g}, noise floor {base.noise_floor:.4g}"
+        c = next((c for c in everyone if self.is_significant(c)), None)
+        is_failing = not is_adequate(self.trained) or base.rmse > ABOVE_FLOOR * base.noise_floor
+        if together:
+            names = " and ".join(map(str, together))
+            return NAMED, f"{names} are needed together: neither alone leaves residuals like noise ({errors})", together
+        if c is not None and c.comparison is not None and c.trained is not None:
+            adequate = is_adequate(c.trained)
+            share = explained_share(base, c.comparison)
+            tie = f"; not told apart from {', '.join(c.confusable_with)}" if c.confusable_with else ""
+            change = (
+                f"coefficient {c.coefficient:.4g} +- {c.std_error:.2g}; the {where} error falls from "
+                f"{base.rmse:.4g} to {c.held_out_rmse:.4g} (noise floor {base.noise_floor:.4g}){tie}"
+            )
+            if adequate or share > NEARLY_ALL:
+                left = "" if adequate else "; what it leaves is not noise: diagnose again"
+                return NAMED, f"{c.effect}, {change}{left}", (c.effect,)
+            return (
+                UNEXPLAINED,
+                (
+                    f"{errors}; the nearest known effect, {c.effect}, explains {100 * share:.0f} % of the squared error above "
+                    f"the floor, and what it leaves is not noise ({change})"
+                ),
+                (),
+            )
+        if not is_failing:
+            return NOTHING, f"{errors}; no effect of the catalogue lowers it significantly", ()
+        return UNEXPLAINED, f"{errors}, but no effect of the catalogue lowers it significantly", ()
+
+    def is_significant(self, c: Candidate) -> bool:
+        """Whether p-value and BIC hold, and the error on the judging data falls."""
+        return c.comparison is not None and c.p_value < RATE and c.delta_bic < 0 and falls(self.base, c.comparison)
 
 
-def _refitted(
-    candidate: Candidate, fit: Fit, before: Comparison, estimate: ForceEstimate, data: Measurements,
-    held_out: Measurements | None, tried: int, loss: MaximumLikelihood,
-) -> Candidate:  # fmt: skip
-    """The candidate re-fitted by maximum likelihood from the states of the missing-force estimate, and judged."""
-    grid = estimate.grid
-    states = tuple(estimate.x[(grid.trajectory == i) & grid.sample] for i in range(data.n_trajectories))
-    model = resolved(fit.model.add(candidate.effect), grid, estimate.x)
-    noise = {name: float(s) for name, s in zip(model.states, estimate.sigma, strict=True) if name in data.measured}
-    start = replace(fit, model=model.with_values(candidate.values), states=states, noise=noise)
-    try:
-        new = identify(model.with_values(candidate.values), data, loss, start=start)
-        comparison = compare(new, data if held_out is None else held_out)
-        trained = compare(new, data)
-    except PhsiOptError:
-        return candidate
-    names = [n for n, e in new.model.entries.items() if n not in fit.model.entries and not e.parameter.fixed]
-    size, error = _size(new, [n for n in names if new.model.entries[n].prunable] or names)
-    bic, p_value = _evidence(before, trained, len(names))
-    return replace(
-        candidate, coefficient=size, std_error=error, fit=new, comparison=comparison, delta_bic=bic,
-        p_value=min(1.0, p_value * tried),
-    )  # fmt: skip
+def _compared(fit: Fit, data: Measurements, estimate: ForceEstimate) -> Comparison:
+    return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
+
+
+def _new_names(old: Fit, new: Fit) -> list[str]:
+    return [n for n, e in new.model.entries.items() if n not in old.model.entries and not e.parameter.fixed]
+
+
+def _tied(one: Candidate, all_of: list[Candidate]) -> tuple[str, ...]:
+    """What the data cannot tell from the candidate: by its trace, or by BIC after the re-fits."""
+    close = [str(c.effect) for c in all_of if c is not one and abs(c.delta_bic - one.delta_bic) < CLOSE]
+    far = {str(c.effect) for c in all_of} - set(close)
+    return tuple(dict.fromkeys([*close, *(name for name in one.confusable_with if name not in far)]))
+
+
+def _adjusted(candidates: list[Candidate]) -> tuple[Candidate, ...]:
+    """P-values adjusted for the number of candidates, so that the share of false names is controlled."""
+    if not candidates:
+        return ()
+    p = np.clip(np.nan_to_num([c.p_value for c in candidates], nan=1.0), 0.0, 1.0)
+    return tuple(replace(c, p_value=float(q)) for c, q in zip(candidates, false_discovery_control(p), strict=True))
 
 
 def _size(fit: Fit, names: list[str]) -> tuple[float, float]:
-    """Coefficient (amplitude, for a pair) and its standard error."""
-    values = np.array([fit.values[n] for n in names])
-    at = [fit.names.index(n) for n in names]
+    """Coefficient (amplitude, for a pair; the last of several) and its standard error."""
+    at = [fit.names.index(n) for n in names if n in fit.names]
+    values = np.array([fit.estimates[fit.names[i]] for i in at])
     covariance = fit.covariance[np.ix_(at, at)]
-    if len(names) == 1:
-        return float(values[0]), float(np.sqrt(covariance[0, 0]))
+    is_wave = len(names) == 2 and all(".omega" not in n and ("sin" in n or "cos" in n) for n in names)
+    if not is_wave:
+        return float(values[-1]), float(np.sqrt(covariance[-1, -1]))
     size = float(np.linalg.norm(values))
     direction = values / max(size, 1e-300)
     return size, float(np.sqrt(direction @ covariance @ direction))
 
 
-def _evidence(old: Comparison, new: Comparison, n_new: int) -> tuple[float, float]:
-    """Change of BIC and p-value from the free-run residuals, correlated residuals counted as fewer independent ones."""
-    n = independent_samples(new)
-    gain = n * np.log(max(old.rmse, 1e-300) ** 2 / max(new.rmse, 1e-300) ** 2)
-    return float(n_new * np.log(n) - gain), float(chi2.sf(max(gain, 0.0), n_new))
+def is_adequate(comparison: Comparison) -> bool:
+    """Whether the residuals look like noise: as large as the noise floor, and white."""
+    whiteness = comparison.table["whiteness"].to_numpy()
+    is_white = np.nanmin(whiteness) * len(whiteness) > WHITE
+    return bool(is_white and comparison.rmse < ABOVE_FLOOR * comparison.noise_floor)
 
 
-def independent_samples(comparison: Comparison) -> float:
-    """Number of independent samples that the residuals are worth, by their correlation at the first lag."""
+def delta_bic(old: Fit, new: Fit, share: float) -> float:
+    """Change of BIC from one fit to another, for residuals worth ``share`` of as many independent ones."""
+    n = max(share * new.n_values, 3.0)
+    return float(share * (deviance(new) - deviance(old)) + (len(new.names) - len(old.names)) * np.log(n))
+
+
+def deviance(fit: Fit) -> float:
+    """-2 log likelihood of a maximum-likelihood fit."""
+    return fit.bic - len(fit.names) * float(np.log(fit.n_values))
+
+
+def explained_share(old: Comparison, new: Comparison) -> float:
+    """Share of the squared error above the noise floor that is gone."""
+    above = max(old.rmse**2 - old.noise_floor**2, 1e-300)
+    return (old.rmse**2 - new.rmse**2) / above
+
+
+def independent_share(comparison: Comparison) -> float:
+    """Independent residuals among all, by their correlation at the first lag."""
     products, squares = 0.0, 0.0
     for run in comparison.residuals:
         for column in (run * comparison.weights).T:
             r = column[np.isfinite(column)]
             products, squares = products + float(np.sum(r[1:] * r[:-1])), squares + float(np.sum(r**2))
-    correlation = np.clip(products / squares if squares > 0 else 0.0, 0.0, 0.999)
+    correlation = float(np.clip(products / squares if squares > 0 else 0.0, 0.0, 0.999))
+    return (1 - correlation) / (1 + correlation)
+
+
+def independent_samples(comparison: Comparison) -> float:
+    """Number of independent values that the residuals are worth."""
     measured = sum(int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories)
-    return max(measured * (1 - correlation) / (1 + correlation), 3.0)
+    return max(measured * independent_share(comparison), 3.0)
 
 
 def falls(old: Comparison, new: Comparison) -> bool:
@@ -365,35 +408,6 @@ def falls(old: Comparison, new: Comparison) -> bool:
     means = np.array([block.mean() for block in np.array_split(difference, n_blocks)])
     spread = means.std(ddof=1) / np.sqrt(n_blocks)
     return bool(means.mean() > FALL * spread and new.rmse < old.rmse)
-
-
-def _verdict(ranked: tuple[Candidate, ...], base: Comparison, is_held_out: bool) -> tuple[str, str]:
-    where = "held-out" if is_held_out else "training"
-    ratio = base.rmse / base.noise_floor
-    errors = f"{where} error {base.rmse:.4g}, noise floor {base.noise_floor:.4g}"
-    c = _significant(ranked, base)
-    if c is not None:
-        tie = f"; not told apart from {', '.join(c.confusable_with)}" if c.confusable_with else ""
-        return NAMED, (
-            f"{c.effect}, coefficient {c.coefficient:.4g} +- {c.std_error:.2g}; the {where} error falls from "
-            f"{base.rmse:.4g} to {c.held_out_rmse:.4g} (noise floor {base.noise_floor:.4g}){tie}"
-        )
-    if ratio < ABOVE_FLOOR:
-        return NOTHING, f"{errors}; no effect of the catalogue lowers it significantly"
-    return UNEXPLAINED, f"{errors}, but no effect of the catalogue lowers it significantly"
-
-
-def best_candidate(diagnosis: Diagnosis) -> Candidate | None:
-    """The candidate that the verdict names."""
-    return _significant(diagnosis.ranked, diagnosis.base)
-
-
-def _significant(ranked: tuple[Candidate, ...], base: Comparison) -> Candidate | None:
-    """The first candidate whose BIC and p-value hold and with which the error on the judging data falls."""
-    for c in ranked:
-        if c.comparison is not None and c.p_value < P_VALUE and c.delta_bic < 0 and falls(base, c.comparison):
-            return c
-    return None
 
 
 def _where(diagnosis: Diagnosis, k: int, row: int) -> tuple[Any, ...]:

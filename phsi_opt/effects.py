@@ -1,33 +1,58 @@
-"""The catalogue of physical effects: a named phenomenon is a term in a slot of an equation."""
+"""The catalogue of physical effects: a named phenomenon is a term in a slot of an equation.
 
-from dataclasses import dataclass
+Velocities are the efforts dH/dp of a momentum, levels the efforts of a storage, u the inputs. What is scanned before it
+is optimised (a Stribeck speed, a play, a delay) carries the values to try as its guess.
+"""
 
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import combinations
+from types import MappingProxyType
+
+import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.expressions import names_of
 from phsi_opt.missing import forced_rows, positions
-from phsi_opt.model import FirstOrder, Model
-from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term
+from phsi_opt.model import SLOTS, FirstOrder, Model
+from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term, Tried
 
 # Dry friction turns over within this share of the typical velocity: sharp beside the motion, smooth for the solver. The
 # fourth powers make its plateau flat, so that the share costs no friction at the velocities beyond it.
 TURNOVER = 0.06
+SLOW = 0.02  # share of the typical velocity within which a hysteresis is rounded
+SMALL_LEVEL = 0.01  # share of the typical level below which a turbulent leak turns laminar
+SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.45)  # of the largest velocity: Stribeck
+PLAYS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest position: play, yield, clipping
+WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of the largest position: displacement over which a hysteresis yields
+LEVELS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)  # of the largest level or value: overflow, clipping
+INPUTS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest input: dead zone, saturation
+DELAYS = (1.0, 2.0, 3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0)  # times between samples: lags, delays
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A named effect: ``term`` acts in ``slot`` ('H', 'R' or 'F') of ``equation`` (a state)."""
+    """A named effect: ``term`` acts in ``slot`` ('H', 'R', 'F' or 'sensor') of ``equation`` (a state).
+
+    ``memory`` holds further states that the effect needs, such as the lagged input, each with its rate of change.
+    """
 
     name: str
     slot: str
     equation: str
     term: Dictionary
+    memory: Mapping[str, Dictionary] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.slot not in ("H", "R", "F"):
-            raise ModelError(f"effect {self.name!r}: slot {self.slot!r} is unknown; expected 'H', 'R' or 'F'.")
+        if self.slot not in SLOTS:
+            raise ModelError(f"effect {self.name!r}: slot {self.slot!r} is unknown; expected {', '.join(SLOTS)}.")
         if not isinstance(self.term, Dictionary) or not self.term.terms:
             raise ModelError(f"effect {self.name!r} has no term; write it with formula(...) or polynomials(...).")
+        object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
+
+    def __reduce__(self) -> tuple[object, ...]:  # a mappingproxy cannot be pickled
+        return Effect, (self.name, self.slot, self.equation, self.term, dict(self.memory))
 
     def __str__(self) -> str:
         return f"{self.name} on {self.equation}"
@@ -35,13 +60,18 @@ class Effect:
 
 def catalogue(model: Model) -> list[Effect]:
     """The effects that apply to the model, each with the slot and equation it acts in; those it has are left out."""
-    effects: list[Effect] = []
     moved_by = _position_of(model)
+    effects: list[Effect] = []
     for i in forced_rows(model):
         name = model.states[i]
-        effects += _losses(model, name) + _forces(name, model)
+        effects += _losses(model, name, moved_by.get(name)) + _forces(model, name) + _actuators(model, name)
         if name in moved_by:
-            effects += _energies(moved_by[name], name)
+            effects += [*_energies(moved_by[name], name), _parametric(model, moved_by[name], name)]
+            effects.append(_hysteresis(moved_by[name], name))
+    for (p1, q1), (_, q2) in combinations(moved_by.items(), 2):
+        body = f"({q1} - {q2})**2/2"
+        effects.append(Effect("coupling stiffness", "H", p1, _term(body, f"coupling_stiffness_{q1}_{q2}")))
+    effects += [effect for name in model.states if name not in model.memory for effect in _sensors(name)]
     return [effect for effect in effects if not _is_in(model, effect)]
 
 
@@ -68,72 +98,210 @@ def _position_of(model: Model) -> dict[str, str]:
     return found
 
 
-def _losses(model: Model, name: str) -> list[Effect]:
-    effort = name if isinstance(model, FirstOrder) else f"dH_d{name}"
-    turnover = Parameter(None, lower=0.0, fixed=True, guess=Share(effort, TURNOVER))
-    dry = f"({effort}**4 + v0**4)**(-0.25)"
+def _term(body: str, name: str, inner: dict[str, Parameter] | None = None, lower: float = -np.inf) -> Dictionary:
+    return Dictionary((Term(body, Parameter(None, lower=lower), inner or {}, name),))
+
+
+def _tried(of: str, shares: tuple[float, ...], unit: str = "") -> Parameter:
+    return Parameter(None, lower=0.0, unit=unit, guess=Tried(of, shares))
+
+
+def _losses(model: Model, name: str, position: str | None) -> list[Effect]:
+    """R_ii(x) >= 0; the loss is R_ii dH/dx_i, so a force c f(v) against the velocity v has R = c f(v)/v."""
+    v = name if isinstance(model, FirstOrder) else f"dH_d{name}"
+    turnover = Parameter(None, lower=0.0, fixed=True, guess=Share(v, TURNOVER))
+    dry = f"({v}**4 + v0**4)**(-0.25)"
 
     def loss(kind: str, body: str, inner: dict[str, Parameter] | None = None) -> Effect:
-        term = Term(body, Parameter(None, lower=0.0), inner or {}, f"{kind.replace(' ', '_')}_{name}")
-        return Effect(kind, "R", name, Dictionary((term,)))
+        return Effect(kind, "R", name, _term(body, f"{kind.replace(' ', '_')}_{name}", inner, lower=0.0))
 
-    return [
-        loss("viscous damping", "1"),
+    is_storage = position is None and name not in _moving(model)
+    effects = [
+        loss("linear leak" if is_storage else "viscous damping", "1"),
         loss("coulomb friction", dry, {"v0": turnover}),
-        loss("quadratic drag", f"abs({effort})"),
+        loss("quadratic drag", f"abs({v})"),
+        loss("cubic drag", f"{v}**2"),
+        _stribeck(model, name, v, dry, turnover),
     ]
+    if position is not None:
+        return [*effects, loss("position-dependent damping", f"{position}**2")]
+    small = Parameter(None, lower=0.0, fixed=True, guess=Share(v, SMALL_LEVEL))
+    over = f"max(abs({v}) - limit, 0)/max(abs({v}), limit)"
+    leaks = [
+        loss("turbulent leak", f"({v}**2 + e0**2)**(-0.25)", {"e0": small}),
+        loss("saturating leak", f"1/(1 + abs({v})/half)", {"half": _tried(v, (0.03, 0.1, 0.3, 1.0))}),
+        loss("overflow", over, {"limit": _tried(v, LEVELS)}),
+    ]
+    return [e for e in effects if not is_storage or e.name == "linear leak"] + leaks
+
+
+def _moving(model: Model) -> set[str]:
+    """Equations outside the canonical pairs that lose energy already: flows and speeds, rather than storages."""
+    return set(model.R) if not isinstance(model, FirstOrder) else set(model.states)
+
+
+def _stribeck(model: Model, name: str, v: str, dry: str, turnover: Parameter) -> Effect:
+    """Dry friction that is larger at low speed: f_c + f_s exp(-(v/v_s)^2), against the velocity."""
+    speed = _tried(v, SPEEDS)
+    more = Term(f"{dry}*exp(-({v}/v_s)**2)", Parameter(None, lower=0.0), {"v0": turnover, "v_s": speed},
+                f"stribeck_friction_{name}")  # fmt: skip
+    level = Term(dry, Parameter(None, lower=0.0), {"v0": turnover}, f"coulomb_friction_{name}")
+    has_level = any(term.body == dry for term in model.R.get(name, Dictionary()))
+    return Effect("stribeck friction", "R", name, Dictionary((more,) if has_level else (level, more)))
 
 
 def _energies(q: str, p: str) -> list[Effect]:
-    def energy(kind: str, body: str) -> Effect:
-        return Effect(kind, "H", p, Dictionary((Term(body, Parameter(), {}, f"{kind.replace(' ', '_')}_{q}"),)))
+    def energy(kind: str, body: str, inner: dict[str, Parameter] | None = None, lower: float = -np.inf) -> Effect:
+        return Effect(kind, "H", p, _term(body, f"{kind.replace(' ', '_')}_{q}", inner, lower))
 
     return [
         energy("linear stiffness", f"{q}**2/2"),
         energy("quadratic stiffness", f"{q}**3/3"),
         energy("cubic stiffness", f"{q}**4/4"),
         energy("gravity torque", f"-cos({q})"),
+        energy("gap", f"max(abs({q}) - play, 0)**2/2", {"play": _tried(q, PLAYS)}, 0.0),
     ]
 
 
-def _forces(p: str, model: Model) -> list[Effect]:
+def _frequency(model: Model, kind: str, p: str) -> tuple[str, dict[str, Parameter]]:
+    """A free frequency for waves in F of p, under a name that is not taken."""
     omega = "omega"
-    while f"F_{p}.{omega}" in model.entries:
+    while any(f"{kind}_{wave}_{p}.{omega}" in model.entries for wave in ("sin", "cos")) or (
+        f"F_{p}.{omega}" in model.entries
+    ):
         omega += "_"
-    inner = {omega: Parameter(None, lower=0.0, unit="rad/s", guess=Scan("t"))}
+    return omega, {omega: Parameter(None, lower=0.0, unit="rad/s", guess=Scan("t"))}
+
+
+def _forces(model: Model, p: str) -> list[Effect]:
+    omega, inner = _frequency(model, "harmonic", p)
     waves = tuple(Term(f"{wave}({omega}*t)", Parameter(), inner) for wave in ("sin", "cos"))
     return [
-        Effect("constant force", "F", p, Dictionary((Term("1", Parameter(), {}, f"constant_force_{p}"),))),
+        Effect("constant force", "F", p, _term("1", f"constant_force_{p}")),
+        Effect("drifting force", "F", p, _term("t", f"drifting_force_{p}")),
         Effect("harmonic force", "F", p, Dictionary(waves)),
     ]
+
+
+def _parametric(model: Model, q: str, p: str) -> Effect:
+    """A stiffness that changes with the time: -q (a sin(omega t) + b cos(omega t))."""
+    omega, inner = _frequency(model, "parametric", p)
+    waves = tuple(Term(f"-{q}*{wave}({omega}*t)", Parameter(), inner) for wave in ("sin", "cos"))
+    return Effect("parametric stiffness", "F", p, Dictionary(waves))
+
+
+def _hysteresis(q: str, p: str) -> Effect:
+    """Bouc-Wen with n = 1: force -c z, w dz/dt = v - (|v| z + v |z|)/2, so that z stays within -1 and 1.
+
+    The absolute values are rounded, that of the velocity within a small share of its typical size.
+    """
+    v, z, width, slow = f"dH_d{p}", f"hysteresis_{p}", f"hysteresis_width_{p}", f"hysteresis_slow_{p}"
+    rate = f"({v} - (sqrt({v}**2 + {slow}**2)*{z} + {v}*sqrt({z}**2 + 0.0025))/2)/{width}"
+    inner = {
+        width: _tried(q, WIDTHS),
+        slow: Parameter(None, lower=0.0, fixed=True, guess=Share(v, SLOW)),
+    }
+    memory = {z: Dictionary((Term(rate, None, inner),))}
+    return Effect("hysteresis", "F", p, _term(f"-{z}", f"hysteresis_force_{p}", lower=0.0), memory)
+
+
+def _actuators(model: Model, p: str) -> list[Effect]:
+    """What may be between an input and its force: dF_du is the slope of the model's own force in the input."""
+    used = {name for term in model.F.get(p, Dictionary()) for name in names_of(term.body)}
+    effects: list[Effect] = []
+    for u in model.inputs:
+        of = "" if len(model.inputs) == 1 else f" of {u}"
+        effects.append(Effect(f"quadratic input{of}", "F", p, _term(f"{u}**2", f"quadratic_input_{u}_{p}")))
+        if u not in used:
+            effects.append(Effect(f"input gain{of}", "F", p, _term(u, f"input_gain_{u}_{p}")))
+            continue
+        effects += [Effect(f"{kind}{of}", "F", p, term, memory) for kind, term, memory in _paths(u, p)]
+    return effects
+
+
+def _paths(u: str, p: str) -> Iterator[tuple[str, Dictionary, dict[str, Dictionary]]]:
+    gain = f"dF_d{u}"
+
+    def formula(body: str, name: str, of: str, shares: tuple[float, ...], unit: str = "") -> Dictionary:
+        return Dictionary((Term(body, None, {name: _tried(of, shares, unit)}),))
+
+    dead, limit = f"dead_zone_{u}_{p}", f"saturation_{u}_{p}"
+    yield "input gain", _term(f"{gain}*{u}", f"input_gain_{u}_{p}"), {}
+    yield "input dead zone", formula(f"-{gain}*min(max({u}, -{dead}), {dead})", dead, u, INPUTS), {}
+    beyond = f"-{gain}*({u} - min(max({u}, -{limit}), {limit}))"
+    yield "input saturation", formula(beyond, limit, u, INPUTS), {}
+    lag, lagged = f"lag_{u}_{p}", f"{u}_lagged_{p}"
+    late = Dictionary((Term(f"{gain}*({lagged} - {u})", None, {}),))
+    yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", DELAYS, "s")}
+    term, memory = _delayed(u, f"delay_{u}_{p}", f"{u}_delayed_{p}", gain)
+    yield "input delay", term, memory
+
+
+def _delayed(signal: str, tau: str, state: str, factor: str) -> tuple[Dictionary, dict[str, Dictionary]]:
+    """factor (s(t - tau) - s(t)) by Pade's approximation of order two: two states (a, b), s(t - tau) = s - tau b.
+
+    a' = b, b' = 12/tau^2 (s - a) - 6/tau b; its phase is right to 1 % up to tau times the frequency = 2.
+    """
+    inner, rate = {tau: _tried("dt", DELAYS, "s")}, f"{state}_rate"
+    slow = Dictionary((Term(rate, None, {}),))
+    fast = Dictionary((Term(f"12/{tau}**2*({signal} - {state}) - 6/{tau}*{rate}", None, inner),))
+    term = Dictionary((Term(f"-{factor}*{tau}*{rate}" if factor else f"-{tau}*{rate}", None, inner),))
+    return term, {state: slow, rate: fast}
+
+
+def _sensors(x: str) -> list[Effect]:
+    """What a sensor of the state x may add to it."""
+    limit = f"clipping_{x}"
+    cut = Term(f"min(max({x}, -{limit}), {limit}) - {x}", None, {limit: _tried(x, LEVELS)})
+    late, memory = _delayed(x, f"sensor_delay_{x}", f"{x}_delayed", "")
+    return [
+        Effect("sensor offset", "sensor", x, _term("1", f"sensor_offset_{x}")),
+        Effect("sensor gain", "sensor", x, _term(x, f"sensor_gain_{x}")),
+        Effect("sensor drift", "sensor", x, _term("t", f"sensor_drift_{x}")),
+        Effect("sensor clipping", "sensor", x, Dictionary((cut,))),
+        Effect("sensor delay", "sensor", x, late, memory),
+    ]
+
+
+def is_scanned(effect: Effect) -> bool:
+    """Whether the effect has an inner parameter that is scanned."""
+    terms = [*effect.term, *(term for rates in effect.memory.values() for term in rates)]
+    return any(isinstance(p.guess, Scan | Tried) for term in terms for p in term.inner.values())
 
 
 def _is_in(model: Model, effect: Effect) -> bool:
     """Whether the model can do already what the effect does: a term of the same body, or the same change of dx/dt."""
     terms = model.H if effect.slot == "H" else getattr(model, effect.slot).get(effect.equation, Dictionary())
     bodies = {term.body for term in terms}
-    if any(term.body in bodies or term.name in model.entries for term in effect.term):
+    if any(term.body in bodies for term in effect.term) or set(effect.memory) & set(model.states):
         return True
-    scanned = any(isinstance(p.guess, Scan) for term in effect.term for p in term.inner.values())
-    return bool(model.free) and not scanned and _is_spanned(model, effect)
+    if any(term.name in model.entries for term in effect.term if term.name):
+        return True
+    return bool(model.free) and not is_scanned(effect) and _is_spanned(model, effect)
 
 
 def _is_spanned(model: Model, effect: Effect) -> bool:
-    """Whether the slope of dx/dt in the effect's coefficient is a sum of slopes in the model's own parameters.
+    """Whether the slope of dx/dt, and of what is shown, in the effect's coefficient is a sum of the model's own slopes.
 
     Looked at in random states and at random parameter values (fixed seed): an identity holds in all of them.
     """
     larger = model.add(effect)
     rng = np.random.default_rng(0)
-    slopes = larger.rhs().jacobian()
     # The same values for the whole test: the model's parameters must explain the effect at one point of theta.
     theta = np.array([model.values.get(n) or rng.uniform(0.5, 1.5) for n in larger.free])
-    rows = []
-    for _ in range(4 * len(theta) + 20):
-        x, u, t = rng.normal(size=model.n_states), rng.normal(size=model.n_inputs), rng.uniform(0, 3)
-        rows.append(np.array(slopes(x, u, t, theta, np.zeros(model.n_states))[3]))
-    columns = np.nan_to_num(np.vstack(rows))
+    n = 4 * len(theta) + 20
+    x, u, t = rng.normal(size=(larger.n_states, n)), rng.normal(size=(larger.n_inputs, n)), rng.uniform(0, 3, (1, n))
+    columns = np.nan_to_num(np.array(_slopes(larger).map("slopes", "serial", n, [3], [])(x, u, t, theta)))
+    columns = columns.reshape(2 * larger.n_states, n, len(theta)).reshape(-1, len(theta))
     new = [i for i, name in enumerate(larger.free) if name not in model.entries]
     own = columns[:, [i for i in range(len(theta)) if i not in new]]
     left = columns[:, new] - own @ np.linalg.lstsq(own, columns[:, new], rcond=None)[0]
     return bool(np.linalg.norm(left) < 1e-8 * np.linalg.norm(columns[:, new]))
+
+
+def _slopes(model: Model) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> slopes of dx/dt and of what is shown in theta, (2 n_states, n_free)."""
+    rhs, output = model.rhs(), model.output()
+    arguments = [ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(rhs.n_in())]
+    both = ca.vertcat(rhs(*arguments), output(*arguments))
+    return ca.Function("slopes", arguments, [ca.densify(ca.jacobian(both, arguments[3]))])

@@ -20,7 +20,7 @@ from phsi_opt.identified import PARAMETER_COLUMNS, Identified
 from phsi_opt.model import BY_EQUATION, FirstOrder, Model, PseudoHamiltonian, place_of
 from phsi_opt.simulate import simulate
 from phsi_opt.solver import Outcome
-from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term
+from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term, Tried
 
 FORMAT = "phsi_opt fit 1"
 
@@ -225,6 +225,7 @@ def to_json(fit: Fit) -> dict[str, Any]:
             "kind": type(model).__name__,
             "states": list(model.states),
             "inputs": list(model.inputs),
+            "memory": list(model.memory),
             "S": [list(row) for row in model.S],
             "H": [_term_json(term) for term in model.H],
             "R": {name: [_term_json(term) for term in terms] for name, terms in model.R.items()},
@@ -271,7 +272,9 @@ def from_json(content: dict[str, Any]) -> Fit:
     """The fit that `to_json` wrote."""
     m = content["model"]
     slots = {slot: {n: _dictionary(terms) for n, terms in m.get(slot, {}).items()} for slot in BY_EQUATION}
-    common: dict[str, Any] = {"states": m["states"], "inputs": m["inputs"], **slots}
+    common: dict[str, Any] = {
+        "states": m["states"], "inputs": m["inputs"], "memory": m.get("memory", []), **slots,
+    }  # fmt: skip
     energy = {"S": m["S"], "H": _dictionary(m["H"])} if m["kind"] == "PseudoHamiltonian" else {}
     model: Model = {"PseudoHamiltonian": PseudoHamiltonian, "FirstOrder": FirstOrder}[m["kind"]](**common, **energy)
     names = tuple(str(name) for name in content.get("names", model.free))
@@ -331,7 +334,7 @@ def _term_from(content: dict[str, Any]) -> Term:
 
 
 def _parameter_from(content: dict[str, Any]) -> Parameter:
-    guesses = {"Scan": Scan, "Share": Share}
+    guesses = {"Scan": Scan, "Share": Share, "Tried": Tried}
     guess = content["guess"]
     made = None if guess is None else guesses[guess[0]](*guess[1:])
     return Parameter(**{**content, "guess": made})

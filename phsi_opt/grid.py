@@ -7,6 +7,7 @@ rows (n_samples, n_states) become CasADi's columns.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -16,6 +17,7 @@ from scipy.sparse import bsr_matrix
 from phsi_opt.integrators import integrator
 from phsi_opt.measurements import Measurements, Trajectory
 from phsi_opt.model import Model
+from phsi_opt.theta import Theta
 
 FINE = 8  # steps of the integration that checks one step of a scheme
 
@@ -53,6 +55,10 @@ class Grid:
     def first(self) -> np.ndarray:
         """First node of each trajectory."""
         return np.flatnonzero(np.diff(self.trajectory, prepend=-1))
+
+    def split(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Values at the nodes, per trajectory."""
+        return tuple(values[a:b] for a, b in pairwise([*self.first.tolist(), self.n_nodes]))
 
     def intervals(self, keep: np.ndarray) -> "Grid":
         """The same nodes with only the intervals ``keep``."""
@@ -233,6 +239,17 @@ def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> tuple[
     made = _along(ca.Function("slopes", arguments, slopes), nodes, columns, theta)
     by_x, by_theta = (np.array(part).T.reshape(grid.n_nodes, n, -1) for part in made)
     return by_x, by_theta
+
+
+def output_slopes_of(unknown: Theta, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """Slope of `outputs` at every node in each entry of theta, (n_nodes, n_states, n_theta)."""
+    model = unknown.model
+    slopes = np.zeros((grid.n_nodes, model.n_states, len(unknown)))
+    if model.sensor:
+        own = output_slopes(model, grid, x, unknown.by_trajectory(theta))[1]
+        places = unknown.table[:, grid.trajectory].T[:, None, :]
+        np.put_along_axis(slopes, np.broadcast_to(places, own.shape), own, axis=2)
+    return slopes
 
 
 def output_slope(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:

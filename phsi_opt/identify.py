@@ -89,7 +89,16 @@ def loss_methods(loss: Loss) -> Callable[[Task, Any, Fit | None, Any], State]:
 
 
 def matched(model: Model, data: Measurements) -> Measurements:
-    """The measurements with their states and inputs in the model's order; raises `DataError` if they do not match."""
+    """The measurements with their states and inputs in the model's order; raises `DataError` if they do not match.
+
+    States that are the memory of an effect need not be in the measurements: nobody measures them.
+    """
+    if unknown := [name for name in model.memory if name not in data.states]:
+        runs = tuple(
+            replace(run, x=np.column_stack([run.x, np.full((run.n_samples, len(unknown)), np.nan)]))
+            for run in data.trajectories
+        )
+        data = replace(data, trajectories=runs, states=(*data.states, *unknown))
     for what, mine, theirs in (("state", model.states, data.states), ("input", model.inputs, data.inputs)):
         for name in mine:
             if name not in theirs:

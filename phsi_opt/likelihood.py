@@ -69,7 +69,7 @@ def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune:
         with suppress(SolveError):  # it is only a second chance
             states.append(solve.staged(begin.other()))
     state = _best(states, begin)
-    for _ in range(REFINEMENTS if loss.steps is None else 0):
+    for _ in range(REFINEMENTS if loss.steps is None and task.settings.thorough else 0):
         finer = finer_steps(state) if state.solution.outcome.success else None
         if finer is None:
             break
@@ -181,10 +181,15 @@ def _from_fit(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.
     grid, unknown = grid_of(task.data), Theta.of(task.model, task.runs)
     lengths = [run.n_samples for run in task.data.trajectories]
     own = [len(x) for x in start.states] == lengths
-    model = starting.resolved(task.model, grid, np.concatenate(start.states) if own else np.nan_to_num(grid.y))
+    kept = [start.model.states.index(name) for name in task.model.states if name in start.model.states]
+    x = np.concatenate(start.states)[:, kept] if own else np.nan_to_num(grid.y)
+    model = starting.resolved(task.model, grid, x)
     default = unknown.spread(np.array([model.values[name] for name in model.free]))
     theta = unknown.from_values(start.estimates, default)
-    states = start.states if own else _at_theta(model, grid, unknown, theta, sigma, loss, known)
+    if own:  # the memory of an effect that the fit did not have follows from its states
+        states = grid.split(starting.remembered(model, grid, x, np.asarray(unknown.by_trajectory(theta))))
+    else:
+        states = _at_theta(model, grid, unknown, theta, sigma, loss, known)
     steps = start.steps if loss.steps is None and [len(n) + 1 for n in start.steps] == lengths else ()
     return Beginning(model, theta, states, sigma, (), steps)
 
@@ -195,9 +200,9 @@ def _at_theta(
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
     """States at the samples for given parameters: the data where they are complete, else with a missing force."""
     if grid.measured.all() and not model.sensor:
-        return _split(grid, grid.y)
+        return grid.split(grid.y)
     values = unknown.by_trajectory(theta)
-    return _split(grid, starting.smoothed(model, grid, sigma, loss.integrator, known, values, rounds=1).x)
+    return grid.split(starting.smoothed(model, grid, sigma, loss.integrator, known, values, rounds=1).x)
 
 
 def _ready(task: Task, core: Model, grid: Grid, x: np.ndarray, sigma: np.ndarray, notes: tuple[str, ...]) -> Beginning:
@@ -205,7 +210,7 @@ def _ready(task: Task, core: Model, grid: Grid, x: np.ndarray, sigma: np.ndarray
     model = task.model.with_values({name: value for name, value in core.values.items() if name in task.model.entries})
     model = starting.resolved(model, grid, x)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
-    return Beginning(model, theta, _split(grid, x), sigma, notes)
+    return Beginning(model, theta, grid.split(x), sigma, notes)
 
 
 def _from_states(task: Task, loss: MaximumLikelihood, grid: Grid, x: np.ndarray) -> State:
@@ -213,10 +218,6 @@ def _from_states(task: Task, loss: MaximumLikelihood, grid: Grid, x: np.ndarray)
     thetas = starting.starting_values(task.model, known, task.l1)
     states = [solve_defects(task, PHSILoss(loss.integrator), task.model, known, theta, task.l1) for theta in thetas]
     return chosen(states, lambda s: (not s.solution.outcome.success, s.solution.outcome.objective))
-
-
-def _split(grid: Grid, x: np.ndarray) -> tuple[np.ndarray, ...]:
-    return tuple(x[a:b] for a, b in pairwise([*grid.first.tolist(), grid.n_nodes]))
 
 
 def _moved_starts(begin: Beginning, task: Task, loss: MaximumLikelihood, known: np.ndarray) -> list[Beginning]:
@@ -291,7 +292,7 @@ class _Solve:
         longest = max(float(run.t[-1] - run.t[0]) for run in task.data.trajectories)
         if loss.window is None:
             state = solve(begin, None)
-            if state.solution.outcome.success:
+            if state.solution.outcome.success or not task.settings.thorough:
                 return state
             task.say("the whole record could not be solved; going through windows")
         window, exact = loss.window or longest / WINDOWS, False

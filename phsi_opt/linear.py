@@ -90,6 +90,12 @@ class Reduced:
         theta = covariance @ (g_theta - self._border.T @ alone)
         return theta, (alone - self._followed @ theta)[: self._n_x]
 
+    def multipliers(self, g: np.ndarray, covariance: np.ndarray, g_theta: np.ndarray | float = 0.0) -> np.ndarray:
+        """What the objective gains per unit of an offset of each constraint, for gradients g in x and g_theta."""
+        alone = self._band.solve(np.concatenate([g, np.zeros(self._band.n - self._n_x)]))
+        theta = covariance @ (g_theta - self._border.T @ alone)
+        return (alone - self._followed @ theta)[self._n_x :]
+
     @property
     def following(self) -> np.ndarray:
         """How the states of a record follow a change of theta, (n_nodes, n_states, n_theta)."""

@@ -54,8 +54,9 @@ def positions(model: Model) -> tuple[int, ...]:
 
 
 def forced_rows(model: Model) -> tuple[int, ...]:
-    """Equations in which a force may be missing: all but those of positions."""
-    return tuple(i for i in range(model.n_states) if i not in positions(model))
+    """Equations in which a force may be missing: all but those of positions and of an effect's memory."""
+    kinematic = positions(model)
+    return tuple(i for i, name in enumerate(model.states) if i not in kinematic and name not in model.memory)
 
 
 def default_prior(model: Model, grid: Grid, point: Point) -> ForcePrior:

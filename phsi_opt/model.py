@@ -31,6 +31,8 @@ class Addition(Protocol):
     def equation(self) -> str: ...
     @property
     def term(self) -> Dictionary: ...
+    @property
+    def memory(self) -> Mapping[str, Dictionary]: ...
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,9 @@ class Model:
     """What every model has: states, inputs, loss R and force F per equation. See `PseudoHamiltonian`, `FirstOrder`.
 
     ``sensor`` holds, per state, what its sensor adds to it: measured = state + sensor terms, such as an offset
-    ``formula("b", b=Parameter(0.0))`` or a gain ``formula("(g - 1)*q", g=Parameter(1.0))``.
+    ``formula("b", b=Parameter(0.0))`` or a gain ``formula("(g - 1)*q", g=Parameter(1.0))``. ``memory`` names the states
+    that are the memory of an effect (a lag, a hysteresis): their equations stand in F and the measurements need not
+    know them.
     """
 
     states: Sequence[str]  # a tuple once checked
@@ -59,6 +63,7 @@ class Model:
     sensor: Mapping[str, Dictionary] = field(default_factory=dict)
     S: Any = None
     H: Dictionary = field(default_factory=Dictionary)
+    memory: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "states", _names(self.states, "states"))
@@ -69,6 +74,9 @@ class Model:
         object.__setattr__(self, "H", _dictionary(self.H, "H"))
         for slot in BY_EQUATION:
             object.__setattr__(self, slot, self._equations(getattr(self, slot), slot))
+        object.__setattr__(self, "memory", _names(self.memory, "memory", empty=True))
+        for name in self.memory:
+            self.index(name, "memory")
         self._check_names()
 
     def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
@@ -90,11 +98,12 @@ class Model:
 
     def _check_names(self) -> None:
         variables = set(self.states) | set(self.inputs) | {"t"}
-        if clash := set(self.entries) & (variables | set(self.efforts)):
+        if clash := set(self.entries) & (variables | set(self.efforts) | set(self.slopes)):
             raise ModelError(f"parameter name {sorted(clash)[0]!r} is also a state, an input or an effort; rename it.")
         for slot, _, term in self.placed():
             allowed = set(self.states) | set(term.inner)
             allowed |= set() if slot == "H" else {"t", *self.inputs, *self.efforts}
+            allowed |= set(self.slopes) if slot == "F" else set()
             for name in sorted(names_of(term.body) - allowed):
                 raise ModelError(self._unknown_name(name, slot, term, allowed))
 
@@ -118,6 +127,11 @@ class Model:
     def efforts(self) -> tuple[str, ...]:
         """Names of the efforts dH/dx_i in formulas of R and F (velocities, for momenta)."""
         return tuple(f"dH_d{name}" for name in self.states)
+
+    @property
+    def slopes(self) -> tuple[str, ...]:
+        """Names, in formulas of F, of the slope of the equation's other force terms in each input."""
+        return tuple(f"dF_d{name}" for name in self.inputs)
 
     def index(self, state: str, what: str = "state") -> int:
         """Position of a state; raises `ModelError` for an unknown name."""
@@ -160,7 +174,9 @@ class Model:
         return {name: entry.parameter.start for name, entry in self.entries.items()}
 
     def add(self, effect: Addition) -> "Model":
-        """A new model with the effect's terms added in its slot."""
+        """A new model with the effect's terms added in its slot, and its memory as further states at the end."""
+        if effect.memory:
+            return self._remembering(effect.memory).add(replace(effect, memory={}))  # type: ignore[type-var]
         if effect.slot == "H":
             return replace(self, H=self.H + effect.term)
         if effect.slot not in BY_EQUATION:
@@ -172,6 +188,14 @@ class Model:
         new = old.get(effect.equation, Dictionary()) + effect.term
         changed: dict[str, Any] = {effect.slot: {**old, effect.equation: new}}
         return replace(self, **changed)
+
+    def _remembering(self, memory: Mapping[str, Dictionary]) -> "Model":
+        n, more = self.n_states, len(memory)
+        S = np.zeros((n + more, n + more))
+        S[:n, :n] = self.S
+        return replace(
+            self, states=(*self.states, *memory), S=S, F={**self.F, **memory}, memory=(*self.memory, *memory)
+        )
 
     def without(self, names: set[str]) -> "Model":
         """A new model without the terms whose coefficients are named."""
@@ -233,11 +257,23 @@ class Model:
         energy = self._sum(self.H, "H", known, values, backend)
         efforts = self._efforts(energy, x, backend)
         known.update(zip(self.efforts, efforts, strict=True))
-        loss, force, sensor = (
+        loss, sensor = (
             [self._sum(slot.get(n, Dictionary()), place_of(kind, n), known, values, backend) for n in self.states]
-            for kind, slot in (("R", self.R), ("F", self.F), ("sensor", self.sensor))
+            for kind, slot in (("R", self.R), ("sensor", self.sensor))
         )
+        force = [self._force(name, u, known, values, backend) for name in self.states]
         return Expressions(energy, efforts, loss, force, sensor)
+
+    def _force(self, equation: str, u: Sequence[Any], known: Mapping[str, Any], values: Mapping[str, Any],
+               backend: int) -> Any:  # fmt: skip
+        """F of one equation; terms that name a slope in an input see the slope of the other terms."""
+        terms, place = self.F.get(equation, Dictionary()), place_of("F", equation)
+        later = tuple(term for term in terms if names_of(term.body) & set(self.slopes))
+        force = self._sum(Dictionary(tuple(t for t in terms if t not in later)), place, known, values, backend)
+        if not later:
+            return force
+        slopes = {name: _slope(force, u[i], backend) for i, name in enumerate(self.slopes)}
+        return force + self._sum(Dictionary(later), place, {**known, **slopes}, values, backend)
 
     def _sum(
         self, terms: Dictionary, place: str, known: Mapping[str, Any], values: Mapping[str, Any], backend: int
@@ -342,13 +378,14 @@ class FirstOrder(Model):
         R: Mapping[str, Dictionary] | None = None,
         sensor: Mapping[str, Dictionary] | None = None,
         *,
+        memory: Sequence[str] = (),
         S: Any = None,
         H: Dictionary | None = None,
     ) -> None:
         if H or np.any(S):  # `dataclasses.replace` passes them on, empty
             raise ModelError("a FirstOrder model has no S and no H; use PseudoHamiltonian, or put the terms into F.")
         parts = {"states": states, "F": F, "inputs": inputs, "R": R or {}, "sensor": sensor or {}, "S": None,
-                 "H": Dictionary()}  # fmt: skip
+                 "H": Dictionary(), "memory": memory}  # fmt: skip
         for name, value in parts.items():
             object.__setattr__(self, name, value)
         self.__post_init__()
@@ -369,6 +406,12 @@ def canonical(n: int) -> np.ndarray:
         raise ModelError(f"canonical({n!r}): n is the number of positions, a whole number of at least 1.")
     zero, one = np.zeros((n, n)), np.eye(n)
     return np.block([[zero, one], [-one, zero]])
+
+
+def _slope(expression: Any, variable: Any, backend: int) -> Any:
+    if backend == CASADI:
+        return ca.jacobian(expression, variable) if isinstance(expression, ca.SX) else 0.0
+    return expression.diff(variable) if hasattr(expression, "diff") else 0
 
 
 def _fixed(term: Term, place: str, names: Collection[str]) -> Term:

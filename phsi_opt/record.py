@@ -5,12 +5,11 @@ a trajectory that the fit has not seen, follow from the record by maximum likeli
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 
 from phsi_opt.fit import Fit
-from phsi_opt.grid import Grid, grid_of, output_slopes, outputs
+from phsi_opt.grid import Grid, grid_of, output_slopes, output_slopes_of, outputs
 from phsi_opt.likelihood import on_record
 from phsi_opt.linear import Reduced
 from phsi_opt.losses import MaximumLikelihood
@@ -105,16 +104,12 @@ def bands(
     following, left = reduced.following, reduced.start_covariances(starts, grid.trajectory)
     following, left = following * point.x_scale[:, None], left * np.outer(point.x_scale, point.x_scale)
     if fit.model.sensor:
-        by_x, by_theta = output_slopes(fit.model, grid, nodes, unknown.by_trajectory(theta))
-        own = np.zeros((grid.n_nodes, fit.model.n_states, len(unknown)))
-        places = unknown.table[:, grid.trajectory].T[:, None, :]
-        np.put_along_axis(own, np.broadcast_to(places, by_theta.shape), by_theta, axis=2)
-        following = by_x @ following + own * point.theta_scale
+        by_x = output_slopes(fit.model, grid, nodes, unknown.by_trajectory(theta))[0]
+        following = by_x @ following + output_slopes_of(unknown, grid, nodes, theta) * point.theta_scale
         left = by_x @ left @ by_x.transpose(0, 2, 1)
     variance = np.einsum("aij,jk,aik->ai", following, covariance, following) + np.einsum("aii->ai", left)
     deviation = np.sqrt(np.maximum(variance, 0.0))
-    edges = [*grid.first.tolist(), grid.n_nodes]
-    return tuple(deviation[a:b] for a, b in pairwise(edges))
+    return grid.split(deviation)
 
 
 def _covariance(fit: Fit, unknown: Theta, scale: np.ndarray, information: np.ndarray) -> np.ndarray:
@@ -140,5 +135,4 @@ def shown(model: Model, data: Measurements, states: Sequence[np.ndarray], values
     if not model.sensor:
         return tuple(states)
     grid: Grid = grid_of(data)
-    y = np.array(outputs(model, grid, np.concatenate(states).T, values)).T
-    return tuple(y[a:b] for a, b in pairwise([*grid.first.tolist(), grid.n_nodes]))
+    return grid.split(np.array(outputs(model, grid, np.concatenate(states).T, values)).T)

@@ -60,12 +60,16 @@ MEANINGS = {
 
 @dataclass(frozen=True)
 class Settings:
-    """How hard to try: tolerance on the scaled optimality conditions, and limits."""
+    """How hard to try: tolerance on the scaled optimality conditions, and limits.
+
+    ``thorough`` False: no windows where the whole record fails, and no finer steps than those of the start.
+    """
 
     tolerance: float = 1e-8
     max_iterations: int = 500
     max_seconds: float = 600.0
     show: bool = False
+    thorough: bool = True
 
 
 @dataclass(frozen=True)

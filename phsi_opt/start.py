@@ -8,6 +8,7 @@ once the frequency is fixed) solved at every step of the scan.
 import warnings
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import cvxpy as cp
@@ -22,10 +23,11 @@ from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, Known, estimate_force
 from phsi_opt.model import Model, place_of
 from phsi_opt.noise import difference_noise
-from phsi_opt.terms import Scan, Share
+from phsi_opt.terms import Scan, Share, Tried
 from phsi_opt.theta import Theta
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
+MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 N_STARTS = 3  # frequencies of the scan that are tried
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 CLEANEST = (
@@ -174,24 +176,123 @@ def smoothed(
 
 
 def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
-    """The model with every `Share` guess replaced by its value over the states x."""
+    """The model with every `Share` and `Tried` guess replaced by its value (the middle one) over the states x."""
     for slot, equation, term in model.placed():
         for inner, parameter in term.inner.items():
-            if isinstance(parameter.guess, Share) and parameter.value is None:
-                size = root_mean_square(model, grid, x, parameter.guess.of)
-                name = term.inner_name(inner, place_of(slot, equation))
-                model = model.with_values({name: parameter.guess.share * size})
+            guess = parameter.guess
+            if parameter.value is not None or not isinstance(guess, Share | Tried):
+                continue
+            name = term.inner_name(inner, place_of(slot, equation))
+            if isinstance(guess, Share):
+                value = guess.share * root_mean_square(model, grid, x, guess.of)
+            else:
+                value = tried_values(model, grid, x, guess)[len(guess.shares) // 2]
+            model = model.with_values({name: float(np.clip(value, parameter.lower, parameter.upper))})
     return model
+
+
+def tried_values(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
+    """The values to try for a parameter, over the states x."""
+    if guess.of == "t":
+        size = float(np.max(grid.t - grid.t[grid.first][grid.trajectory]))
+    elif guess.of == "dt":
+        size = float(np.median(np.diff(grid.t[grid.sample])[np.diff(grid.trajectory[grid.sample]) == 0]))
+    else:
+        size = float(np.max(np.abs(_along_nodes(model, grid, x, guess.of)), initial=0.0)) or 1.0
+    return size * np.array(guess.shares)
 
 
 def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:
     """Root mean square of a formula over the nodes; 1 where it vanishes."""
-    theta = np.array([model.values[name] for name in model.free])
-    values = np.array(
-        model.function(expression).map(grid.n_nodes)(x.T, grid.u.T, grid.t[None, :], ca.repmat(theta, 1, grid.n_nodes))
-    )
-    size = float(np.sqrt(np.mean(values[np.isfinite(values)] ** 2))) if np.isfinite(values).any() else 0.0
+    values = _along_nodes(model, grid, x, expression)
+    size = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
     return size if size > 0 else 1.0
+
+
+def _along_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
+    """Values of a formula at the nodes, those that are finite."""
+    theta = np.array([model.values[name] for name in model.free])
+    mapped = model.function(expression).map("mapped", "serial", grid.n_nodes, [3], [])
+    values = np.array(mapped(_padded(model, x).T, grid.u.T, grid.t[None, :], theta)).ravel()
+    return values[np.isfinite(values)]
+
+
+def _padded(model: Model, x: np.ndarray) -> np.ndarray:
+    """States with zeros for those at the end that x does not hold yet."""
+    return np.pad(x, ((0, 0), (0, model.n_states - x.shape[1])))
+
+
+def remembered(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    """States (n_nodes, n_states) with the memory of the model's effects integrated along the other states ``x``.
+
+    ``x`` holds the other states and those of older effects; ``theta`` is (n_free,) or (n_free, n_trajectories). A
+    memory begins at rest where its equation is linear in it, else at zero.
+    """
+    return x if x.shape[1] == model.n_states else Memory(model, grid, x)(theta)
+
+
+class Memory:
+    """The memory of a model's effects along given states, as a function of the parameters (see `remembered`)."""
+
+    def __init__(self, model: Model, grid: Grid, x: np.ndarray) -> None:
+        self.model, self.grid, self.x = model, grid, x
+        one, self.at = _memory_step(model, x.shape[1]), []
+        self.along = []
+        for run in range(len(grid.first)):
+            at = np.flatnonzero(grid.trajectory[grid.begin] == run)
+            self.at.append(at)
+            self.along.append(one.mapaccum("memory", len(at)))
+        self.rest = _rest(model, x.shape[1])
+
+    def __call__(self, theta: np.ndarray) -> np.ndarray:
+        """The states with their memory, (n_nodes, n_states)."""
+        grid, x, n_old = self.grid, self.x, self.x.shape[1]
+        result = _padded(self.model, x)
+        columns = theta if theta.ndim == 2 else theta[:, None]
+        for run, (first, at, along) in enumerate(zip(grid.first, self.at, self.along, strict=True)):
+            values = columns[:, run % columns.shape[1]]
+            z0 = np.array(self.rest(x[first], grid.u0[at[0]], grid.t[first], values)).ravel()
+            z0 = z0 if np.all(np.isfinite(z0)) else np.zeros(len(z0))
+            ends = [x[grid.begin[at]].T, x[grid.begin[at] + 1].T, grid.u0[at].T, grid.u1[at].T]
+            times = [grid.t[grid.begin[at]][None, :], grid.h[at][None, :]]
+            z = np.array(along(z0, *ends, *times, np.repeat(values[:, None], len(at), axis=1)))
+            result[first, n_old:], result[grid.begin[at] + 1, n_old:] = z0, z.T
+        return result
+
+
+def _memory_step(model: Model, n_old: int) -> ca.Function:
+    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> z at the end of an interval, by four steps of RK4."""
+    n_new, m, rhs = model.n_states - n_old, model.n_inputs, model.rhs()
+    z, x0, x1 = ca.SX.sym("z", n_new), ca.SX.sym("x0", n_old), ca.SX.sym("x1", n_old)
+    u0, u1, t0, h = ca.SX.sym("u0", m), ca.SX.sym("u1", m), ca.SX.sym("t0"), ca.SX.sym("h")
+    theta = ca.SX.sym("theta", len(model.free))
+
+    def rate(value: Any, share: float) -> Any:
+        x = ca.vertcat(x0 + share * (x1 - x0), value)
+        return rhs(x, u0 + share * (u1 - u0), t0 + share * h, theta)[n_old:]
+
+    end, step = z, h / MEMORY_STEPS
+    for k in range(MEMORY_STEPS):
+        a, b, c = k / MEMORY_STEPS, (k + 0.5) / MEMORY_STEPS, (k + 1) / MEMORY_STEPS
+        k1 = rate(end, a)
+        k2 = rate(end + step / 2 * k1, b)
+        k3 = rate(end + step / 2 * k2, b)
+        k4 = rate(end + step * k3, c)
+        end = end + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function("step", [z, x0, x1, u0, u1, t0, h, theta], [end])
+
+
+def _rest(model: Model, n_old: int) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> the memory whose rates vanish, if they are linear in it; else zeros."""
+    n_new, rhs = model.n_states - n_old, model.rhs()
+    x, u, t = ca.SX.sym("x", n_old), ca.SX.sym("u", model.n_inputs), ca.SX.sym("t")
+    theta, z = ca.SX.sym("theta", len(model.free)), ca.SX.sym("z", n_new)
+    rates = rhs(ca.vertcat(x, z), u, t, theta)[n_old:]
+    slope = ca.jacobian(rates, z)
+    if ca.depends_on(slope, z):
+        return ca.Function("rest", [x, u, t, theta], [ca.DM.zeros(n_new)])
+    at_zero = ca.substitute(rates, z, ca.DM.zeros(n_new))
+    return ca.Function("rest", [x, u, t, theta], [-ca.solve(slope, at_zero)])
 
 
 def starting_values(model: Model, grid: Grid, l1: dict[str, float]) -> list[np.ndarray]:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from phsi_opt.compare import Comparison, compare
-from phsi_opt.diagnose import NAMED, Diagnosis, best_candidate, diagnose
+from phsi_opt.diagnose import NAMED, Diagnosis, delta_bic, diagnose, independent_share, starting_from
 from phsi_opt.effects import Effect, effect_named
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import ModelError, PhsiOptError
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step of a study: the effect that was added (None at the beginning), the fit, and both comparisons."""
+    """One step of a study: what was done, the effects that the model has since, the fit, and both comparisons."""
 
-    effect: Effect | None
+    label: str
+    effects: tuple[Effect, ...]
     fit: Fit
     train: Comparison
     held_out: Comparison | None
@@ -51,13 +52,14 @@ class Study:
         loss: MaximumLikelihood | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> None:
+        self.base = model
         self.train = matched(model, train)
         self.held_out = None if held_out is None else matched(model, held_out)
         self._loss, self._say = loss or MaximumLikelihood(), progress or (lambda line: None)
         self._diagnoses: dict[int, Diagnosis] = {}
         self.stopped = ""
         self._say("fitting the base model")
-        self.steps: list[Step] = [self._step(None, identify(model, self.train, self._loss))]
+        self.steps: list[Step] = [self._step("base model", (), identify(model, self.train, self._loss))]
 
     @property
     def fit(self) -> Fit:
@@ -87,11 +89,31 @@ class Study:
                 raise ModelError(f"which equation does {effect!r} act in? Write study.add({effect!r}, '<state>').")
             effect = effect_named(self.model, effect, equation)
         known = self._diagnoses.get(len(self.steps))
-        done = None if known is None else next((c.fit for c in known.ranked if c.effect == effect and c.fit), None)
+        found = None if known is None else next((c for c in known.ranked if c.effect == effect), None)
         self._say(f"adding {effect}")
-        fit = done or identify(self.model.add(effect), self.train, self._loss, start=self.fit)
-        self.steps.append(self._step(effect, fit))
+        if found is not None and found.fit is not None:
+            model, start = found.fit.model, found.fit
+        else:
+            values = starting_from(effect, self.fit, self.train) if found is None else found.values
+            model, start = self.model.add(effect).with_values(values), self.fit
+        fit = identify(model, self.train, self._loss, start=start)
+        self.steps.append(self._step(str(effect), (*self.effects, effect), fit))
         return fit
+
+    def remove(self, effect: str | Effect, equation: str | None = None) -> Fit:
+        """Take out an effect of an earlier step, re-fit all that is left together, and return the fit."""
+        name = effect if isinstance(effect, str) else effect.name
+        place = equation if isinstance(effect, str) else effect.equation
+        found = [e for e in self.effects if e.name == name and place in (None, e.equation)]
+        if len(found) != 1:
+            raise ModelError(
+                f"{len(found)} effects named {name!r} on {place or 'any equation'} were added; added are "
+                f"{', '.join(map(str, self.effects)) or 'none'}."
+            )
+        self._say(f"removing {found[0]}")
+        kept = tuple(e for e in self.effects if e is not found[0])
+        self.steps.append(self._step(f"without {found[0]}", kept, self._fit_with(kept)))
+        return self.fit
 
     def undo(self) -> Fit:
         """Take back the last effect and return the fit before it."""
@@ -103,15 +125,18 @@ class Study:
         return self.fit
 
     def auto(self, max_steps: int = 4) -> str:
-        """Diagnose and add while an effect is significant; returns (and keeps in ``stopped``) why it stopped."""
+        """Diagnose and add while an effect is significant; returns (and keeps in ``stopped``) why it stopped.
+
+        After each step, effects that were added before and that BIC no longer asks for are taken out again.
+        """
         for _ in range(max_steps):
             diagnosis = self.diagnose()
             self._say(f"{diagnosis.verdict}: {diagnosis.reason}")
-            candidate = best_candidate(diagnosis)
-            if diagnosis.verdict != NAMED or candidate is None:
+            if diagnosis.verdict != NAMED:
                 self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}"
                 return self.stopped
-            self.add(candidate.effect)
+            self.add(diagnosis.together[0])
+            self._check_earlier()
         self.stopped = f"the limit of {max_steps} steps was reached; call auto again to go on"
         return self.stopped
 
@@ -122,8 +147,7 @@ class Study:
         for number, step in enumerate(self.steps):
             judged = step.held_out or step.train
             held_out = float("nan") if step.held_out is None else step.held_out.rmse
-            name = "base model" if step.effect is None else str(step.effect)
-            rows.append((number, name, step.train.rmse, held_out, judged.noise_floor, step.fit.bic))
+            rows.append((number, step.label, step.train.rmse, held_out, judged.noise_floor, step.fit.bic))
         return pd.DataFrame(rows, columns=["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"])
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
@@ -144,6 +168,31 @@ class Study:
 
         return write_report(self, Path(path))
 
-    def _step(self, effect: Effect | None, fit: Fit) -> Step:
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects that the present model has beyond the base model, in the order in which they were added."""
+        return self.steps[-1].effects
+
+    def _check_earlier(self) -> None:
+        """Take out each earlier effect without which BIC is lower."""
+        for effect in self.effects[:-1]:
+            try:
+                without = self._fit_with(tuple(e for e in self.effects if e is not effect))
+            except PhsiOptError:
+                continue
+            if delta_bic(self.fit, without, independent_share(self.steps[-1].train)) < 0:
+                self._say(f"{effect} has become superfluous")
+                kept = tuple(e for e in self.effects if e is not effect)
+                self.steps.append(self._step(f"without {effect}", kept, without))
+
+    def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
+        """The base model with the effects, all parameters re-estimated together from their present values."""
+        model = self.base
+        for effect in effects:
+            model = model.add(effect)
+        known = {name: value for name, value in self.model.values.items() if name in model.entries}
+        return identify(model.with_values(known), self.train, self._loss, start=self.fit)
+
+    def _step(self, label: str, effects: tuple[Effect, ...], fit: Fit) -> Step:
         held_out = None if self.held_out is None else compare(fit, self.held_out)
-        return Step(effect, fit, compare(fit, self.train), held_out)
+        return Step(label, effects, fit, compare(fit, self.train), held_out)

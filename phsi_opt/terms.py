@@ -33,6 +33,20 @@ class Share:
 
 
 @dataclass(frozen=True)
+class Tried:
+    """Start by trying several values and keeping the best: shares of the largest absolute value of an expression.
+
+    Of "t" they are shares of the duration of a record, of "dt" multiples of the time between samples.
+    """
+
+    of: str
+    shares: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shares", tuple(float(share) for share in self.shares))
+
+
+@dataclass(frozen=True)
 class Parameter:
     """A named number of the model.
 
@@ -46,7 +60,7 @@ class Parameter:
     upper: float = np.inf
     unit: str = ""
     fixed: bool = False
-    guess: Scan | Share | None = None
+    guess: Scan | Share | Tried | None = None
     per_trajectory: bool = False
 
     def __post_init__(self) -> None:

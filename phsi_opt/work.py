@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -99,8 +98,8 @@ class State:
     @property
     def states(self) -> tuple[np.ndarray, ...]:
         """States at the samples, per trajectory."""
-        edges = [*self.grid.first.tolist(), self.grid.n_nodes]
-        return tuple(self.nodes[a:b][self.grid.sample[a:b]] for a, b in pairwise(edges))
+        both = zip(self.grid.split(self.nodes), self.grid.split(self.grid.sample), strict=True)
+        return tuple(x[sample] for x, sample in both)
 
     @cached_property
     def reduced(self) -> Reduced:

@@ -1,0 +1,345 @@
+"""Screening: what every effect of a catalogue would do to the misfit, computed without re-fitting.
+
+The likelihood of the whole record is linearised at the states of the missing-force estimate, with the dynamics hard:
+
+    minimise 1/2 |r - C z - Y c|^2 over z = (theta, x) and c, subject to d + J z + D c = 0
+
+d are the defects of the fitted model at these states, D and Y what a candidate's coefficients c do to defects and to
+what the sensors show. One factorisation serves all candidates: what is left of D and Y in the residuals, with states
+and base parameters following, is the candidate's trace T; its coefficients, their errors and the fall of the misfit
+are those of a small regression of r on T. Inner parameters are scanned, each value a column more.
+
+A sensor's candidate is a model whose dynamics are right, so Y is taken at states that obey them: at those of the
+missing force, a gain of the sensor would stand in for every force.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import product
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.sparse import csc_matrix, diags, hstack
+from scipy.stats import chi2
+
+from phsi_opt.effects import Effect
+from phsi_opt.errors import PhsiOptError
+from phsi_opt.fit import Fit
+from phsi_opt.grid import defect_jacobian, defects, output_slopes, output_slopes_of, outputs
+from phsi_opt.linear import Reduced
+from phsi_opt.measurements import Measurements
+from phsi_opt.missing import ForceEstimate, Sensed
+from phsi_opt.model import Model
+from phsi_opt.record import matrix_of, parameters_of
+from phsi_opt.start import Memory, frequencies, resolved, tried_values
+from phsi_opt.terms import Scan, Tried
+from phsi_opt.theta import Theta
+from phsi_opt.uncertainty import inverse
+
+SCHEME = "srk4"
+NO_TRACE = 1e-6  # squared size of a trace, in units of the noise, below which the record does not excite an effect
+ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
+ROUNDS = 2  # of finer values around the best one of a scan
+COARSE = 48  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
+EXACT = 8  # best frequencies that are worked out exactly
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """What screening expects of one effect.
+
+    ``coefficient`` and ``std_error``: the expected one (the amplitude of a wave, the inner parameter where the effect
+    has no coefficient); ``drop``: expected fall of the misfit in units of the noise variance, with ``n_free``
+    parameters and ``n_tried`` values scanned; ``values``: where to start a re-fit; ``trace``: (n_values, k).
+    """
+
+    effect: Effect
+    coefficient: float
+    std_error: float
+    drop: float
+    n_free: int
+    n_tried: int
+    p_value: float
+    values: dict[str, float]
+    trace: np.ndarray = field(repr=False)
+    explained: np.ndarray = field(repr=False)  # trace times coefficients
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """An effect in the model: names of its linear coefficients, values to try per inner parameter, frequency."""
+
+    effect: Effect
+    model: Model
+    linear: list[str]
+    tried: dict[str, np.ndarray]
+    frequency: str | None
+
+
+class Screen:
+    """The record, linearised once; then one small regression per candidate (see the module's text)."""
+
+    def __init__(self, fit: Fit, data: Measurements, estimate: ForceEstimate) -> None:
+        model, grid, x = fit.model, estimate.grid, estimate.x
+        self.model, self.grid, self.x = model, grid, x
+        unknown = Theta.of(model, tuple(run.name for run in data.trajectories))
+        self.values = matrix_of(model, parameters_of(fit, data))  # (n_free, n_trajectories)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = self.values
+        symbol, free = ca.MX.sym("x", x.size), ca.MX.sym("theta", len(unknown))
+        states = ca.reshape(symbol, model.n_states, grid.n_nodes)
+        d = ca.vec(defects(model, grid, SCHEME, states, unknown.by_trajectory(free)))
+        value, A, B = ca.Function("linear", [symbol, free], [d, ca.jacobian(d, symbol), ca.jacobian(d, free)])(
+            x.ravel(), theta
+        )
+        self.defects = np.array(value).ravel()
+        of_runs, n_theta = np.asarray(unknown.by_trajectory(theta)), len(unknown)
+        sensed, seen = Sensed.at(model, grid, x, of_runs), grid.measured
+        self.weight = np.where(seen, 1 / estimate.sigma, 0.0).ravel()
+        weighted = diags(self.weight)
+        own = output_slopes_of(unknown, grid, x, theta).reshape(x.size, n_theta)
+        slopes, through_sensors = _scaled(csc_matrix(B.sparse()), weighted @ csc_matrix(own))
+        self.seen_of = csc_matrix(hstack([through_sensors, weighted @ sensed.slope]))  # from theta and x to residuals
+        r = np.where(seen, (grid.y - sensed.shown) / estimate.sigma, 0.0).ravel()
+        x_places = slice(n_theta, n_theta + x.size)
+        hessian = csc_matrix(self.seen_of.T @ self.seen_of)
+        self.reduced = Reduced(grid, model.n_states, hessian, hstack([slopes, A.sparse()]), slice(0, n_theta), x_places)
+        self.covariance = inverse(self.reduced.information)
+        self.n_theta, self.n_values = n_theta, int(seen.sum())
+        g = self.seen_of.T @ r
+        step = self.reduced.solve(g[n_theta:], -self.defects, self.covariance, g[:n_theta])
+        self.residual = r - self.seen_of @ np.concatenate(step)
+        self.obeying = x + np.asarray(step[1]).reshape(x.shape)  # states that the base model can take
+        self.shown = Sensed.at(model, grid, self.obeying, of_runs).shown
+
+    @property
+    def misfit(self) -> float:
+        """Squared residuals that the model leaves, in units of the noise variance."""
+        return float(self.residual @ self.residual)
+
+    def screened(self, effects: Iterable[Effect]) -> list[Screened]:
+        """What is expected of each effect that leaves a trace in the record; most convincing first."""
+        found = [one for effect in effects if (one := self.candidate(effect)) is not None]
+        return sorted(found, key=lambda one: -self.score([one]))
+
+    def score(self, group: list[Screened]) -> float:
+        """n log(misfit before / after) - k log n for the effects of a group together."""
+        n, k = self.n_values, sum(one.n_free for one in group)
+        drop = group[0].drop if len(group) == 1 else self._joint_drop(group)
+        left = max(self.misfit - drop, float(n), 1e-9 * self.misfit)
+        return float(n * np.log(max(self.misfit, left) / left) - k * np.log(n))
+
+    def pairs(self, found: list[Screened], most: int) -> list[tuple[Screened, Screened]]:
+        """The pairs of effects that explain most together."""
+        scored = [
+            (self.score([a, b]), i, j) for i, a in enumerate(found) for j, b in enumerate(found[:i]) if a.drop or b.drop
+        ]
+        best = sorted(scored, key=lambda row: -row[0])[:most]
+        return [(found[j], found[i]) if found[j].drop >= found[i].drop else (found[i], found[j]) for _, i, j in best]
+
+    def candidate(self, effect: Effect) -> Screened | None:
+        """What is expected of one effect; None where it leaves no trace in the record."""
+        if effect.slot == "sensor" and not self.grid.measured[:, self.model.index(effect.equation)].any():
+            return None
+        try:
+            trial = self._trial(effect)
+        except PhsiOptError:
+            return None
+        columns = _Columns(self, trial)
+        if trial.frequency is not None:
+            tried = frequencies(self.grid, self.grid.t)
+            best = self._best_frequency(trial, columns, tried)
+            return self._judged(
+                trial, {trial.frequency: best}, self.traces(*columns({trial.frequency: best})), len(tried)
+            )
+        points = [dict(zip(trial.tried, map(float, v), strict=True)) for v in product(*trial.tried.values())]
+        n_tried = len(points)
+        best_point, trace = self._best(trial, columns, points)
+        if len(trial.tried) == 1 and n_tried > 1:
+            (name,) = trial.tried
+            around = np.sort(trial.tried[name])
+            for _ in range(ROUNDS):
+                around = _finer(around, best_point[name])
+                near = [{name: float(value)} for value in around]
+                best_point, trace = self._best(trial, columns, near)
+        return self._judged(trial, best_point, trace, n_tried)
+
+    def stands_in(self, one: Screened, other: Screened) -> bool:
+        """Whether ``other`` explains what ``one`` explains, up to what noise hides."""
+        left = one.explained - other.trace @ np.linalg.lstsq(other.trace, one.explained, rcond=1e-10)[0]
+        return float(left @ left) < ALIKE
+
+    def traces(self, D: np.ndarray, Y: np.ndarray) -> np.ndarray:
+        """What is left in the weighted residuals of columns of defects D and of values shown Y, base re-estimated."""
+        shown = self.weight[:, None] * Y
+        g = -(self.seen_of.T @ shown)
+        n = self.n_theta
+        return np.asarray(shown + self.seen_of @ np.concatenate(self.reduced.solve(g[n:], -D, self.covariance, g[:n])))
+
+    def _trial(self, effect: Effect) -> _Trial:
+        model = self.model.add(effect)
+        new = [name for name in model.entries if name not in self.model.entries]
+        entries = model.entries
+        scans = [name for name in new if isinstance(entries[name].parameter.guess, Scan)]
+        x = self.x
+        tried = {
+            name: tried_values(model, self.grid, x, guess)
+            for name in new
+            if isinstance(guess := entries[name].parameter.guess, Tried) and entries[name].parameter.value is None
+        }
+        model = resolved(model, self.grid, x)
+        linear = [name for name in new if entries[name].prunable and not entries[name].parameter.fixed]
+        if not linear and not tried:  # a user's formula: linearised in its parameters, at their start
+            linear = [name for name in model.free if name in new]
+        return _Trial(effect, model, linear, tried, scans[0] if scans and linear else None)
+
+    def theta_at(self, model: Model, values: dict[str, float]) -> np.ndarray:
+        """The base's parameters and the values given, (n_free, n_trajectories)."""
+        old = dict(zip(self.model.free, self.values, strict=True))
+        n = self.values.shape[1]
+        rows = [old.get(name, np.full(n, values.get(name, model.values[name]))) for name in model.free]
+        return np.array(rows).reshape(-1, n)
+
+    def _best(
+        self, trial: _Trial, columns: "_Columns", points: list[dict[str, float]]
+    ) -> tuple[dict[str, float], np.ndarray]:
+        made = [columns(point) for point in points]
+        traces = self.traces(np.hstack([D for D, _ in made]), np.hstack([Y for _, Y in made]))
+        parts = np.split(traces, len(points), axis=1)
+        drops = [self._regression(trial, part)[1] for part in parts]
+        best = int(np.argmax(drops))
+        return points[best], parts[best]
+
+    def _best_frequency(self, trial: _Trial, columns: "_Columns", tried: np.ndarray) -> float:
+        """The frequency whose waves explain most.
+
+        The correlation of a wave's trace with the residuals needs no trace, only the residuals' adjoint: a Fourier
+        sum. The size of the trace changes slowly with the frequency and is interpolated. The best few are exact.
+        """
+        name, n, grid = trial.frequency, self.n_theta, self.grid
+        assert name is not None
+        if len(tried) > COARSE:
+            g = self.seen_of.T @ self.residual
+            adjoint = self.reduced.multipliers(g[n:], self.covariance, g[:n])
+            still = columns({name: 0.0})[0].sum(axis=1)  # a wave of frequency zero: cos = 1, sin = 0
+            power = (adjoint * still).reshape(grid.n_intervals, -1).sum(axis=1)
+            middle = grid.t[grid.begin] + grid.h / 2
+            against = np.array([np.abs(np.exp(1j * w * middle) @ power) ** 2 for w in tried])
+            coarse = tried[np.unique(np.linspace(0, len(tried) - 1, COARSE).astype(int))]
+            sizes = np.sum(self._wave_traces(columns, name, coarse) ** 2, axis=(0, 2))
+            size = np.exp(np.interp(tried, coarse, np.log(np.maximum(sizes, 1e-300))))
+            tried = tried[np.argsort(-against / size)[:EXACT]]
+        traces = self._wave_traces(columns, name, tried)
+        drops = [self._regression(trial, traces[:, i])[1] for i in range(len(tried))]
+        return float(tried[int(np.argmax(drops))])
+
+    def _wave_traces(self, columns: "_Columns", name: str, tried: np.ndarray) -> np.ndarray:
+        """(n_values, n_tried, k)"""
+        made = [columns({name: float(w)}) for w in tried]
+        traces = self.traces(np.hstack([D for D, _ in made]), np.hstack([Y for _, Y in made]))
+        return traces.reshape(len(traces), len(tried), -1)
+
+    def _regression(self, trial: _Trial, trace: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+        """Coefficients within their bounds, fall of the misfit, information."""
+        information, right = trace.T @ trace, trace.T @ self.residual
+        if not trial.linear:  # the effect has no coefficient: it is there as a whole
+            return np.ones(1), float(2 * right[0] - information[0, 0]), information
+        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        factor = np.linalg.cholesky(information / np.outer(size, size) + 1e-10 * np.eye(len(size)))
+        bounds = [(trial.model.entries[name].parameter.lower, trial.model.entries[name].parameter.upper)
+                  for name in trial.linear]  # fmt: skip
+        lower, upper = np.array(bounds).T * size
+        z = np.linalg.solve(factor, right / size)
+        c = np.linalg.solve(factor.T, z)
+        if np.any(c < lower) or np.any(c > upper):
+            c = lsq_linear(factor.T, z, (lower, np.maximum(upper, lower + 1e-300))).x
+        c = c / size
+        return c, float(2 * c @ right - c @ information @ c), information
+
+    def _judged(self, trial: _Trial, point: dict[str, float], trace: np.ndarray, n_tried: int) -> Screened | None:
+        c, drop, information = self._regression(trial, trace)
+        if not np.all(np.isfinite(trace)) or np.trace(information) < NO_TRACE:
+            return None
+        drop = max(drop, 0.0)
+        free = [name for name in trial.model.free if name not in self.model.entries]
+        left = max(self.misfit - drop, 1.0) / max(self.n_values - len(c), 1)
+        spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0.0) * max(left, 1.0))
+        values = {**point, **dict(zip(trial.linear, c.tolist(), strict=False))}
+        values = {name: _within(trial.model, name, value) for name, value in values.items()}
+        if trial.linear:
+            size = float(np.hypot(*c)) if trial.frequency and len(c) == 2 else float(c[-1])
+            error = float(np.max(spread)) if trial.frequency else float(spread[-1])
+        else:
+            size, error = next(iter(point.values())), np.nan
+        residual = self.residual - trace @ c
+        share = worth(residual[self.weight > 0])
+        gain = share * self.n_values * np.log(max(self.misfit, 1e-300) / max(self.misfit - drop, 1e-300))
+        p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), len(free))))
+        return Screened(trial.effect, size, error, drop, len(free), n_tried, p, values, trace, trace @ c)
+
+    def _joint_drop(self, group: list[Screened]) -> float:
+        trace = np.hstack([one.trace for one in group])
+        c = np.linalg.lstsq(trace, self.residual, rcond=1e-10)[0]
+        return float(np.sum((trace @ c) ** 2))
+
+
+class _Columns:
+    """What a trial's coefficients do to the defects and to what is shown, as functions of its inner parameters."""
+
+    def __init__(self, screen: Screen, trial: _Trial) -> None:
+        self.screen, self.trial = screen, trial
+        self.chosen = [trial.model.free.index(name) for name in trial.linear]
+        n_runs = screen.values.shape[1]
+        self.states = screen.obeying if trial.effect.slot == "sensor" else screen.x
+        self.memory = Memory(trial.model, screen.grid, self.states) if trial.effect.memory else None
+        self.slopes = (
+            defect_jacobian(trial.model, screen.grid, SCHEME, self.chosen, n_runs)
+            if self.chosen and trial.effect.slot != "sensor"
+            else None
+        )
+
+    def __call__(self, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """D (n_defects, k) and Y (n_nodes * n_states, k)."""
+        screen, model, grid = self.screen, self.trial.model, self.screen.grid
+        theta = screen.theta_at(model, values)
+        x = self.states if self.memory is None else self.memory(theta)
+        n_old, k = screen.model.n_states, max(len(self.chosen), 1)
+        D, Y = np.zeros((grid.n_intervals, n_old, k)), np.zeros((grid.n_nodes, n_old, k))
+        if self.slopes is not None:
+            D = np.array(self.slopes(x.T, theta)).reshape(grid.n_intervals, model.n_states, k)[:, :n_old]
+        elif self.trial.effect.slot == "sensor":
+            if self.chosen:
+                Y = output_slopes(model, grid, x, theta)[1][:, :n_old, self.chosen]
+            else:
+                Y = (np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T[:, :n_old] - screen.shown)[..., None]
+        else:
+            d = np.array(defects(model, grid, SCHEME, ca.DM(x.T), theta)).T[:, :n_old]
+            D = (d - screen.defects.reshape(grid.n_intervals, n_old))[..., None]
+        return np.nan_to_num(D.reshape(-1, k)), np.nan_to_num(Y.reshape(-1, k))
+
+
+def worth(residual: np.ndarray) -> float:
+    """Share of independent values among residuals in the order of time, by their correlation with the next one."""
+    squares = float(residual @ residual)
+    correlation = float(np.clip(residual[1:] @ residual[:-1] / squares if squares > 0 else 0.0, 0.0, 0.999))
+    return (1 - correlation) / (1 + correlation)
+
+
+def _finer(values: np.ndarray, best: float) -> np.ndarray:
+    """The best value and two points towards each of its neighbours (of positive, sorted values)."""
+    i = int(np.argmin(np.abs(values - best)))
+    low, high = values[max(i - 1, 0)], values[min(i + 1, len(values) - 1)]
+    around = [best, np.sqrt(low * best), np.sqrt(high * best)]
+    return np.unique(around)
+
+
+def _within(model: Model, name: str, value: float) -> float:
+    parameter = model.entries[name].parameter
+    return float(np.clip(value, parameter.lower, parameter.upper))
+
+
+def _scaled(B: csc_matrix, D: csc_matrix) -> tuple[csc_matrix, csc_matrix]:
+    norms = np.sqrt(np.asarray(B.power(2).sum(axis=0) + D.power(2).sum(axis=0)).ravel())
+    scale = diags(1 / np.where(norms > 0, norms, 1.0))
+    return csc_matrix(B @ scale), csc_matrix(D @ scale)
