@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 N_REFITS = 5
 N_PAIRS = 2
 NEAR = 0.6  # share of the best score that a candidate must promise once another one leaves noise
+WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which one is re-fitted
 PAIRED = 12  # best candidates among which pairs are sought
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
@@ -234,7 +235,7 @@ class _Work:
         result: list[Candidate] = []
         promised = 0.0
         for candidate, one in zip(candidates[:N_REFITS], found, strict=False):
-            if promised and screen.score([one]) < NEAR * promised:
+            if screen.score([one]) < NEAR * promised or one.p_value * len(found) > WORTH_A_FIT:
                 break
             new = self.refitted(candidate, one)
             result.append(new)
@@ -261,12 +262,12 @@ class _Work:
 
     def ranked(self, refitted: list[Candidate]) -> list[Candidate]:
         """By BIC, the best one's correlation of residuals taken for all; those that were not re-fitted last."""
-        done = [c for c in refitted if c.fit is not None and c.trained is not None]
+        done = [(c, c.fit, c.trained) for c in refitted if c.fit is not None and c.trained is not None]
         if not done:
             return refitted
-        best = min(done, key=lambda c: deviance(c.fit))
-        share = independent_share(best.trained)
-        result = [replace(c, delta_bic=delta_bic(self.fit, c.fit, share)) for c in done]
+        best = min(done, key=lambda row: deviance(row[1]))
+        share = independent_share(best[2])
+        result = [replace(c, delta_bic=delta_bic(self.fit, fit, share)) for c, fit, _ in done]
         result.sort(key=lambda c: c.delta_bic)
         result = [replace(c, confusable_with=_tied(c, result)) for c in result]
         return result + [c for c in refitted if c.fit is None]

@@ -3,7 +3,7 @@
 A case is drawn from its row and seed: one or two masses, parameters within a factor of three, starts, input, measured
 channels, noise. The size of the effect is then set so that the best re-fit of the model without it has a free-run error
 of a given multiple of the noise floor, log-uniform from 3 to 30. The re-fit is least squares on the noise-free samples
-(Gauss-Newton over the model's free parameters and starting states; slopes by differences, all variations integrated
+(Levenberg and Marquardt over the free parameters and starting states; slopes by differences, all variations integrated
 together), so that calibrating costs less than the diagnosis. Where the target would ask for more than the effect can
 physically be (`LIMITS`: a dead zone of 80 % of the input, friction that stops the machine within a period), the effect
 has the largest size allowed if that still shows three times the floor; otherwise the case is drawn anew. The error is
@@ -263,6 +263,7 @@ class Refit:
             self.drive = replace(self.drive, values=self.drive.values[:N_TRAIN])
         self.starts = setting.starts[:N_TRAIN]
         self.theta = np.array([_values(setting.machine)[name] for name in setting.free])
+        self.begun = self.theta, self.starts
 
     def _runs(self, theta: Array, starts: Array) -> Array:
         """Measured channels (n_variations, n_times, n_trajectories, n_seen) of (n_variations, ...) parameters."""
@@ -272,27 +273,36 @@ class Refit:
         x = simulate(_with_values(s.machine, values), (), starts, self.drive, s.t, STEPS)
         return np.moveaxis(x, 1, 0)[..., list(s.seen)]
 
-    def error(self, y: Array, rounds: int = 4) -> float:
-        """Free-run error over the channels, each in its standard deviations; goes on from the last call's optimum."""
+    def error(self, y: Array, rounds: int = 10) -> float:
+        """Free-run error over the channels, each in its standard deviations (Levenberg and Marquardt).
+
+        Goes on from the last call's optimum.
+        """
         target = y[:, :N_TRAIN, list(self.setting.seen)]
         scale = target.std(axis=(0, 1))
-        best = np.inf
+        best, damping = np.inf, 1e-3
         theta, starts = self.theta, self.starts
         for _ in range(rounds):
             runs, slopes = self._slopes(theta, starts)
-            left = (target - runs) / scale
-            error = float(np.sqrt(np.mean(left**2)))
+            error = float(np.sqrt(np.mean(((target - runs) / scale) ** 2)))
             if error < best:
-                settled = error > 0.98 * best
-                best, self.theta, self.starts = error, theta, starts
+                settled = error > 0.98 * best and damping <= 1e-3
+                best, self.theta, self.starts, damping = error, theta, starts, max(damping / 10, 1e-6)
+                columns, left = self._columns(slopes / scale), ((target - runs) / scale).ravel()
                 if settled:
                     break
-                change = self._change(left, slopes / scale)
             else:
-                change = change / 4
+                damping *= 20
+            change = _damped(columns, left, damping)
             theta = np.maximum(self.theta + change[: len(self.theta)], 0.0)
             starts = self.starts + change[len(self.theta) :].reshape(self.starts.shape)
         return best
+
+    def move(self, factor: float) -> None:
+        """Where the optimum should be for ``factor`` times the last size: in proportion from that without an effect."""
+        theta, starts = self.begun
+        self.theta = np.maximum(theta + factor * (self.theta - theta), 0.0)
+        self.starts = starts + factor * (self.starts - starts)
 
     def _slopes(self, theta: Array, starts: Array) -> tuple[Array, Array]:
         """The runs and their slopes in every parameter and (for all trajectories at once) every starting value."""
@@ -304,14 +314,18 @@ class Refit:
         runs = self._runs(moved, begun)
         return runs[0], (runs[1:] - runs[0]) / h
 
-    def _change(self, left: Array, slopes: Array) -> Array:
+    def _columns(self, slopes: Array) -> Array:
         n_theta, n_x = len(self.theta), self.starts.shape[1]
-        of_theta = slopes[:n_theta].reshape(n_theta, -1).T
-        own = np.zeros((N_TRAIN, n_x, *left.shape))
+        own = np.zeros((N_TRAIN, n_x, *slopes.shape[1:]))
         for run in range(N_TRAIN):  # a starting value moves its own trajectory alone
             own[run, :, :, run] = slopes[n_theta:, :, run]
-        columns = np.concatenate([of_theta, own.reshape(N_TRAIN * n_x, -1).T], axis=1)
-        return np.linalg.lstsq(columns, left.ravel(), rcond=1e-9)[0]
+        return np.concatenate([slopes[:n_theta].reshape(n_theta, -1), own.reshape(N_TRAIN * n_x, -1)]).T
+
+
+def _damped(columns: Array, left: Array, damping: float) -> Array:
+    information = columns.T @ columns
+    ridge = np.diag(np.diag(information) * damping + 1e-12 * np.trace(information))
+    return np.linalg.solve(information + ridge, columns.T @ left)
 
 
 # --- the hidden effect
@@ -403,6 +417,7 @@ def calibrated(hidden: Hidden, s: Setting, noise: float, target: float) -> tuple
         if 1.5 * error * largest / size < noise * QUIETEST:
             return None  # even the largest size will hardly show
         size = min(_next_size(points, wanted), largest)
+        refit.move(size / points[-1][0])
     ratio = float(np.sqrt(1 + (error / noise) ** 2))
     good = QUIETEST * 0.9 <= ratio <= 1.4 * target and error < 1.3 * OF_SIGNAL
     return (trial, ratio) if good else None
@@ -417,11 +432,11 @@ def _rounded(hidden: Hidden) -> Hidden:
 
 
 def _next_size(points: list[tuple[float, float]], wanted: float) -> float:
-    """Between the sizes that enclose the wanted error, in proportion; else beyond the largest, at most eight times."""
+    """Between the sizes that enclose the wanted error, in proportion; else beyond the largest, at most four times."""
     below = max((p for p in points if p[1] < wanted), key=lambda p: p[0])
     above = min((p for p in points if p[1] >= wanted), key=lambda p: p[0], default=None)
     if above is None or above[0] <= below[0]:
-        return below[0] * float(np.clip(wanted / max(below[1], 1e-9), 1.2, 8.0))
+        return below[0] * float(np.clip(wanted / max(below[1], 1e-9), 1.2, 4.0))
     share = (wanted - below[1]) / (above[1] - below[1])
     return below[0] + float(np.clip(share, 0.1, 0.9)) * (above[0] - below[0])
 
@@ -470,7 +485,7 @@ def _two_case(row: Row, seed: int, rng: np.random.Generator, noise: float, targe
     drive = setting.drive and replace(setting.drive, values=setting.drive.values[:N_TRAIN])
     rounded = tuple(_rounded(h) for h in both)
     y = measured(setting.machine, rounded, setting.starts[:N_TRAIN], drive, setting.t, 2 * STEPS)
-    error = Refit(setting).error(y, rounds=6)
+    error = Refit(setting).error(y)
     ratio = float(np.sqrt(1 + (error / noise) ** 2))
     return _made(row, seed, rng, noise, target, setting, tuple(both), ratio) if error < 1.3 * OF_SIGNAL else None
 
@@ -548,7 +563,7 @@ def _truth(hidden: Hidden, s: Setting) -> Truth:
 
 # --- the tanks of the thesis
 
-N_TANK_TRAIN, N_TANK_TEST, TANK_TIMES = 4, 2, np.linspace(0.0, 1.0, 101)
+N_TANK_TRAIN, N_TANK_TEST, TANK_TIMES = 3, 2, np.linspace(0.0, 0.6, 61)
 TANK_LIMITS = {
     "linear leak": 2.0,
     "turbulent leak": 2.0,
