@@ -11,13 +11,13 @@ from scipy.stats import chi2
 
 from phsi_opt.errors import SolveError
 from phsi_opt.fit import Fit
+from phsi_opt.free_run import free_run
 from phsi_opt.grid import grid_of
 from phsi_opt.identify import matched
 from phsi_opt.measurements import Measurements, Trajectory
 from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
 from phsi_opt.record import bands, explained, matrix_of, parameters_of, shown
-from phsi_opt.simulate import simulate
 from phsi_opt.start import initial_noise, remembered, smoothed
 from phsi_opt.work import data_digest
 
@@ -203,7 +203,7 @@ def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:
     """The simulation from x0; where it breaks off, values far beyond every measurement."""
     try:
-        return simulate(model, run.t, x0, run.u, hold=hold)
+        return free_run(model, run.t, x0, run.u, hold)
     except SolveError:
         return np.where(np.arange(run.n_samples)[:, None] == 0, x0, LOST * np.nanstd(run.x))
 

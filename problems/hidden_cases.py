@@ -8,7 +8,8 @@ together), so that calibrating costs less than the diagnosis. Where the target w
 physically be (`LIMITS`: a dead zone of 80 % of the input, friction that stops the machine within a period), the effect
 has the largest size allowed if that still shows three times the floor; otherwise the case is drawn anew. The error is
 also kept below 0.7 of the signal's own standard deviation: at 10 % noise that is 7 times the floor, and 30 times would
-be a machine that has nothing in common with its model.
+be a machine that has nothing in common with its model. Some effects hardly reach three times a floor of 10 % at all
+(drag beside a damper that is free): after `PATIENCE` experiments drawn in vain, 1.5 times is enough.
 """
 
 import zlib
@@ -41,7 +42,8 @@ NOISE_LEVELS = (0.01, 0.03, 0.1)
 LOUDEST, QUIETEST = 30.0, 3.0  # free-run error over noise floor
 OF_SIGNAL = 0.7  # largest free-run error over the standard deviation of the signal
 N_TRAIN, N_TEST = 3, 2
-ATTEMPTS = 40
+ATTEMPTS, PATIENCE = 40, 8
+FAINTEST = 1.5  # ratio that is enough after ``PATIENCE`` attempts
 STEPS = 2  # between samples, where a machine is simulated quickly
 
 LOSS = ("viscous damping", "coulomb friction", "stribeck friction", "quadratic drag", "cubic drag",
@@ -70,6 +72,20 @@ class Row:
     kind: str  # "one", "nothing", "two", "outside", "sensor", "tanks"
     effects: tuple[str, ...]
     noise: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Noise (relative), the free-run error over the noise floor that is asked for, and the least that is accepted."""
+
+    noise: float
+    target: float
+    least: float
+
+    @property
+    def wanted(self) -> float:
+        """The error that is asked for without the noise, in standard deviations of the signal."""
+        return float(self.noise * np.sqrt(self.target**2 - 1))
 
 
 @dataclass(frozen=True)
@@ -371,7 +387,7 @@ def _unit(hidden: Hidden, s: Setting) -> float:
         )
     if hidden.name in ("input lag", "input delay"):
         return s.period
-    if hidden.name == "input saturation":
+    if hidden.name in ("input saturation", "input gain"):
         return 1.0
     if hidden.name == "input dead zone":
         assert s.drive is not None
@@ -401,11 +417,11 @@ def place_of_effect(rng: np.random.Generator, name: str, s: Setting) -> int:
     return int(rng.integers(s.machine.n))
 
 
-def calibrated(hidden: Hidden, s: Setting, noise: float, target: float) -> tuple[Hidden, float] | None:
-    """The effect at the size that meets the target, and the ratio reached; None where three times the floor is not."""
+def calibrated(hidden: Hidden, s: Setting, aim: Aim) -> tuple[Hidden, float] | None:
+    """The effect at the size that meets the target, and the ratio reached; None where the least ratio is not."""
     unit = _unit(hidden, s)
     largest = LIMITS.get(hidden.name, LIMIT) * unit
-    wanted = noise * np.sqrt(target**2 - 1)
+    wanted = aim.wanted
     refit, size, points = Refit(s), largest / 8, [(0.0, 0.0)]
     drive = s.drive and replace(s.drive, values=s.drive.values[:N_TRAIN])
     for _ in range(6):
@@ -414,12 +430,12 @@ def calibrated(hidden: Hidden, s: Setting, noise: float, target: float) -> tuple
         points.append((size, error))
         if 0.8 * wanted < error < 1.25 * wanted or (size >= largest and error < wanted):
             break
-        if 1.5 * error * largest / size < noise * QUIETEST:
+        if 1.5 * error * largest / size < aim.noise * np.sqrt(aim.least**2 - 1):
             return None  # even the largest size will hardly show
         size = min(_next_size(points, wanted), largest)
         refit.move(size / points[-1][0])
-    ratio = float(np.sqrt(1 + (error / noise) ** 2))
-    good = QUIETEST * 0.9 <= ratio <= 1.4 * target and error < 1.3 * OF_SIGNAL
+    ratio = float(np.sqrt(1 + (error / aim.noise) ** 2))
+    good = 0.9 * aim.least <= ratio <= 1.4 * aim.target and error < 1.3 * OF_SIGNAL
     return (trial, ratio) if good else None
 
 
@@ -448,29 +464,29 @@ def draw(row: Row, seed: int) -> Case:
     """The case of a row and a seed; drawn anew, from the same generator, until the effect shows."""
     rng = np.random.default_rng([zlib.crc32(row.name.encode()), seed])
     made = {"tanks": _tanks_case, "nothing": _nothing_case, "two": _two_case}.get(row.kind, _one_case)
-    for _ in range(ATTEMPTS):
+    for attempt in range(ATTEMPTS):
         noise = float(rng.choice(row.noise))
         loudest = min(LOUDEST, OF_SIGNAL / noise)
         target = float(_log_uniform(rng, QUIETEST, loudest))
-        case = made(row, seed, rng, noise, target)
+        case = made(row, seed, rng, Aim(noise, target, QUIETEST if attempt < PATIENCE else FAINTEST))
         if case is not None:
             return case
     raise ArithmeticError(f"row {row.name!r}, seed {seed}: no experiment shows the effect in {ATTEMPTS} attempts.")
 
 
-def _one_case(row: Row, seed: int, rng: np.random.Generator, noise: float, target: float) -> Case | None:
+def _one_case(row: Row, seed: int, rng: np.random.Generator, aim: Aim) -> Case | None:
     name = str(rng.choice(row.effects))
     setting = draw_setting(rng, (name,))
     at = place_of_effect(rng, name, setting)
-    found = calibrated(Hidden(name, at, 0.0, _shape(rng, name, at, setting)), setting, noise, target)
-    return None if found is None else _made(row, seed, rng, noise, target, setting, (found[0],), found[1])
+    found = calibrated(Hidden(name, at, 0.0, _shape(rng, name, at, setting)), setting, aim)
+    return None if found is None else _made(row, seed, rng, aim, setting, (found[0],), found[1])
 
 
-def _nothing_case(row: Row, seed: int, rng: np.random.Generator, noise: float, target: float) -> Case | None:
-    return _made(row, seed, rng, noise, 1.0, draw_setting(rng, ()), (), 1.0)
+def _nothing_case(row: Row, seed: int, rng: np.random.Generator, aim: Aim) -> Case | None:
+    return _made(row, seed, rng, replace(aim, target=1.0), draw_setting(rng, ()), (), 1.0)
 
 
-def _two_case(row: Row, seed: int, rng: np.random.Generator, noise: float, target: float) -> Case | None:
+def _two_case(row: Row, seed: int, rng: np.random.Generator, aim: Aim) -> Case | None:
     """Two effects, each of which alone meets the target; errors of both together are computed once more."""
     pairs = list(combinations(row.effects, 2))
     names = pairs[rng.integers(len(pairs))]
@@ -478,7 +494,7 @@ def _two_case(row: Row, seed: int, rng: np.random.Generator, noise: float, targe
     both = []
     for name in names:
         at = place_of_effect(rng, name, setting)
-        found = calibrated(Hidden(name, at, 0.0, _shape(rng, name, at, setting)), setting, noise, target)
+        found = calibrated(Hidden(name, at, 0.0, _shape(rng, name, at, setting)), setting, aim)
         if found is None:
             return None
         both.append(found[0])
@@ -486,18 +502,18 @@ def _two_case(row: Row, seed: int, rng: np.random.Generator, noise: float, targe
     rounded = tuple(_rounded(h) for h in both)
     y = measured(setting.machine, rounded, setting.starts[:N_TRAIN], drive, setting.t, 2 * STEPS)
     error = Refit(setting).error(y)
-    ratio = float(np.sqrt(1 + (error / noise) ** 2))
-    return _made(row, seed, rng, noise, target, setting, tuple(both), ratio) if error < 1.3 * OF_SIGNAL else None
+    ratio = float(np.sqrt(1 + (error / aim.noise) ** 2))
+    return _made(row, seed, rng, aim, setting, tuple(both), ratio) if error < 1.3 * OF_SIGNAL else None
 
 
 def _made(
-    row: Row, seed: int, rng: np.random.Generator, noise: float, target: float, s: Setting,
+    row: Row, seed: int, rng: np.random.Generator, aim: Aim, s: Setting,
     hidden: tuple[Hidden, ...], ratio: float,
 ) -> Case | None:  # fmt: skip
     y = np.moveaxis(measured(s.machine, hidden, s.starts, s.drive, s.t), 0, 1)  # (n_runs, n_times, n_states)
     if hidden and not shows_held_out(y[..., list(s.seen)], np.moveaxis(s.nominal, 0, 1)[..., list(s.seen)], N_TRAIN):
         return None
-    deviation = noise * y[:N_TRAIN].std(axis=(0, 1))
+    deviation = aim.noise * y[:N_TRAIN].std(axis=(0, 1))
     unseen = [k for k in range(y.shape[-1]) if k not in s.seen]
     noises = deviation * rng.normal(size=y.shape)
     y[..., unseen] = np.nan
@@ -521,7 +537,7 @@ def _made(
     train, test = slice(0, N_TRAIN), slice(N_TRAIN, None)
     return Case(
         row, seed, model_of(s, rng), data(y + noises, train), data(y + noises, test), data(y, train, deviation),
-        deviation, noises[test], noise, tuple(_truth(h, s) for h in hidden), settings, target, ratio,
+        deviation, noises[test], aim.noise, tuple(_truth(h, s) for h in hidden), settings, aim.target, ratio,
     )  # fmt: skip
 
 
@@ -588,7 +604,7 @@ def tanks_model(known_pipes: bool) -> ph.PseudoHamiltonian:
     )  # fmt: skip
 
 
-def _tanks_case(row: Row, seed: int, rng: np.random.Generator, noise: float, target: float) -> Case | None:
+def _tanks_case(row: Row, seed: int, rng: np.random.Generator, aim: Aim) -> Case | None:
     name, matrix, t = str(rng.choice(row.effects)), _tank_matrix(), TANK_TIMES
     pipe = name in CLOGS
     at = int(rng.integers(5)) if pipe else 5 + int(rng.integers(4))
@@ -596,7 +612,7 @@ def _tanks_case(row: Row, seed: int, rng: np.random.Generator, noise: float, tar
     starts = np.concatenate([flows, rng.uniform(0.5, 2.0, (len(flows), 4))], axis=1)  # levels are positive
     healthy = tank_states(matrix, None, starts, t, 1e-6)
     shape = {"brim": float(np.quantile(healthy[..., at], rng.uniform(0.5, 0.8)))}
-    found = _tank_size(Hidden(name, at, 0.0, shape), matrix, starts, healthy, noise, target)
+    found = _tank_size(Hidden(name, at, 0.0, shape), matrix, starts, healthy, aim)
     if found is None:
         return None
     hidden, ratio = found
@@ -604,7 +620,7 @@ def _tanks_case(row: Row, seed: int, rng: np.random.Generator, noise: float, tar
     y = np.moveaxis(tank_states(matrix, hidden, starts, t), 0, 1)
     if not shows_held_out(y, np.moveaxis(healthy, 0, 1), N_TANK_TRAIN):
         return None
-    deviation = noise * y[:N_TANK_TRAIN].std(axis=(0, 1))
+    deviation = aim.noise * y[:N_TANK_TRAIN].std(axis=(0, 1))
     noises, states = deviation * rng.normal(size=y.shape), FLOWS + LEVELS
 
     def data(runs: Array, sigma: Array | None = None) -> ph.Measurements:
@@ -620,15 +636,13 @@ def _tanks_case(row: Row, seed: int, rng: np.random.Generator, noise: float, tar
     train, test = slice(0, N_TANK_TRAIN), slice(N_TANK_TRAIN, None)
     return Case(
         row, seed, tanks_model(known_pipes), data((y + noises)[train]), data((y + noises)[test]),
-        data(y[train], deviation), deviation, noises[test], noise, (truth,), settings, target, ratio,
+        data(y[train], deviation), deviation, noises[test], aim.noise, (truth,), settings, aim.target, ratio,
     )  # fmt: skip
 
 
-def _tank_size(
-    hidden: Hidden, matrix: Array, starts: Array, healthy: Array, noise: float, target: float
-) -> tuple[Hidden, float] | None:
+def _tank_size(hidden: Hidden, matrix: Array, starts: Array, healthy: Array, aim: Aim) -> tuple[Hidden, float] | None:
     """The size of a fault by its change of the training runs; nearly nothing of the healthy model is free to follow."""
-    wanted, largest = noise * np.sqrt(target**2 - 1), TANK_LIMITS[hidden.name]
+    wanted, largest = aim.wanted, TANK_LIMITS[hidden.name]
     train, size, points = slice(0, N_TANK_TRAIN), TANK_LIMITS[hidden.name] / 8, [(0.0, 0.0)]
     for _ in range(6):
         x = tank_states(matrix, replace(hidden, size=size), starts[train], TANK_TIMES, 1e-6)
@@ -637,8 +651,8 @@ def _tank_size(
         if 0.8 * wanted < error < 1.25 * wanted or (size >= largest and error < wanted):
             break
         size = min(_next_size(points, wanted), largest)
-    ratio = float(np.sqrt(1 + (error / noise) ** 2))
-    return (replace(hidden, size=points[-1][0]), ratio) if QUIETEST * 0.9 <= ratio <= 1.4 * target else None
+    ratio = float(np.sqrt(1 + (error / aim.noise) ** 2))
+    return (replace(hidden, size=points[-1][0]), ratio) if 0.9 * aim.least <= ratio <= 1.4 * aim.target else None
 
 
 def _rows() -> dict[str, Row]:
