@@ -152,6 +152,12 @@ def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
     return _along(defect(model, scheme), grid, _columns(grid, x), theta)
 
 
+def defect_function(model: Model, grid: Grid, scheme: str, n_columns: int = 1) -> ca.Function:
+    """Function (x, theta) -> `defects`, for many evaluations; theta has ``n_columns`` (see `defect_jacobian`)."""
+    x, theta = ca.MX.sym("x", model.n_states, grid.n_nodes), ca.MX.sym("theta", len(model.free), n_columns)
+    return ca.Function("defects", [x, theta], [defects(model, grid, scheme, x, theta)])
+
+
 def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
     """What the sensors show at the nodes, (n_states, n_nodes)."""
     columns = [x, grid.u.T, grid.t[None, :]]

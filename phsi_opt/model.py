@@ -5,7 +5,8 @@ file also turns a model into CasADi functions. It knows nothing of data, losses 
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -80,7 +81,8 @@ class Model:
         self._check_names()
 
     def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
-        return {**vars(self), **{slot: dict(getattr(self, slot)) for slot in BY_EQUATION}}
+        kept = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {**kept, **{slot: dict(getattr(self, slot)) for slot in BY_EQUATION}}
 
     def __setstate__(self, parts: dict[str, Any]) -> None:
         for name, value in parts.items():
@@ -150,8 +152,8 @@ class Model:
             rows += [(slot, equation, term) for equation, terms in dictionaries.items() for term in terms]
         return rows
 
-    @property
-    def entries(self) -> dict[str, Entry]:
+    @cached_property
+    def entries(self) -> Mapping[str, Entry]:
         """Every parameter by name, in the order of the model. A formula's parameter may stand in several terms."""
         found: dict[str, Entry] = {}
         for slot, equation, term in self.placed():
@@ -161,7 +163,7 @@ class Model:
             for name, parameter, prunable in rows:
                 assert parameter is not None
                 _register(found, Entry(name, parameter, slot, equation, prunable))
-        return found
+        return MappingProxyType(found)
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -293,6 +295,10 @@ class Model:
 
     def rhs(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, theta in the order of `free`."""
+        return self._rhs
+
+    @cached_property
+    def _rhs(self) -> ca.Function:
         x, u, t, theta, values = self._symbols()
         e = self.expressions([x[i] for i in range(self.n_states)], [u[i] for i in range(self.n_inputs)], t, values)
         return ca.Function("rhs", [x, u, t, theta], [ca.densify(self.derivative(e))], ["x", "u", "t", "theta"], ["dx"])

@@ -26,7 +26,7 @@ from scipy.stats import chi2
 from phsi_opt.effects import Effect
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.fit import Fit
-from phsi_opt.grid import defect_jacobian, defects, output_slopes, output_slopes_of, outputs
+from phsi_opt.grid import defect_function, defect_jacobian, defects, output_slopes, output_slopes_of, outputs
 from phsi_opt.linear import Reduced
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, Sensed
@@ -293,11 +293,11 @@ class _Columns:
         n_runs = screen.values.shape[1]
         self.states = screen.obeying if trial.effect.slot == "sensor" else screen.x
         self.memory = Memory(trial.model, screen.grid, self.states) if trial.effect.memory else None
-        self.slopes = (
-            defect_jacobian(trial.model, screen.grid, SCHEME, self.chosen, n_runs)
-            if self.chosen and trial.effect.slot != "sensor"
-            else None
-        )
+        self.slopes = self.function = None
+        if trial.effect.slot != "sensor" and self.chosen:
+            self.slopes = defect_jacobian(trial.model, screen.grid, SCHEME, self.chosen, n_runs)
+        elif trial.effect.slot != "sensor":
+            self.function = defect_function(trial.model, screen.grid, SCHEME, n_runs)
 
     def __call__(self, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """D (n_defects, k) and Y (n_nodes * n_states, k)."""
@@ -308,13 +308,13 @@ class _Columns:
         D, Y = np.zeros((grid.n_intervals, n_old, k)), np.zeros((grid.n_nodes, n_old, k))
         if self.slopes is not None:
             D = np.array(self.slopes(x.T, theta)).reshape(grid.n_intervals, model.n_states, k)[:, :n_old]
-        elif self.trial.effect.slot == "sensor":
+        elif self.function is None:
             if self.chosen:
                 Y = output_slopes(model, grid, x, theta)[1][:, :n_old, self.chosen]
             else:
                 Y = (np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T[:, :n_old] - screen.shown)[..., None]
         else:
-            d = np.array(defects(model, grid, SCHEME, ca.DM(x.T), theta)).T[:, :n_old]
+            d = np.array(self.function(x.T, theta)).T[:, :n_old]
             D = (d - screen.defects.reshape(grid.n_intervals, n_old))[..., None]
         return np.nan_to_num(D.reshape(-1, k)), np.nan_to_num(Y.reshape(-1, k))
 
