@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 N_REFITS = 5
 N_PAIRS = 2
-NEAR = 0.6  # share of the best score that a candidate must promise once another one leaves noise
+HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
 WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which one is re-fitted
 PAIRED = 12  # best candidates among which pairs are sought
 RATE = 0.01  # false-discovery rate over all candidates
@@ -233,14 +233,15 @@ class _Work:
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
         result: list[Candidate] = []
-        promised = 0.0
+        enough = np.inf
         for candidate, one in zip(candidates[:N_REFITS], found, strict=False):
-            if screen.score([one]) < NEAR * promised or one.p_value * len(found) > WORTH_A_FIT:
+            expected = max(screen.misfit - one.drop, screen.n_values)
+            if expected > HOPELESS * enough or one.p_value * len(found) > WORTH_A_FIT:
                 break
             new = self.refitted(candidate, one)
             result.append(new)
             if new.trained is not None and is_adequate(new.trained):
-                promised = max(promised, screen.score([one]))
+                enough = min(enough, expected)
         return self.ranked(result)
 
     def refitted(self, candidate: Candidate, screened: Screened) -> Candidate:

@@ -263,7 +263,7 @@ def on_record(
 
     ``sigma``: the known noise per state; ``x``: states at the samples to start from; ``steps``: in their gaps.
     """
-    task = Task(model, data, {}, None, Settings(max_iterations=100), lambda line: None)
+    task = Task(model, data, {}, None, Settings(max_iterations=60, thorough=False), lambda line: None)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
     begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps))
     state = _Solve(task, loss, np.zeros(model.n_states, dtype=bool)).staged(begin)
