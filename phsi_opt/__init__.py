@@ -1,7 +1,8 @@
 """phsi_opt: identify energy-based models of dynamical systems from measurements, by optimisation."""
 
 from phsi_opt.compare import Comparison, compare
-from phsi_opt.diagnose import Diagnosis, diagnose
+from phsi_opt.diagnose import diagnose
+from phsi_opt.diagnosis import Diagnosis
 from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.fit import Fit

@@ -9,28 +9,24 @@
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from scipy.stats import chi2, false_discovery_control
 
 from phsi_opt.compare import Comparison, compared, force_of
+from phsi_opt.diagnosis import NAMED, NOTHING, UNEXPLAINED, Candidate, Diagnosis
 from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import PhsiOptError
+from phsi_opt.evidence import ABOVE_FLOOR, delta_bic, deviance, explained_share, falls, independent_share, is_adequate
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
-from phsi_opt.missing import ForceEstimate, force_deviation
+from phsi_opt.missing import ForceEstimate
 from phsi_opt.screen import Screen, Screened
 from phsi_opt.solver import Settings
 from phsi_opt.start import resolved
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 N_REFITS = 5
 N_PAIRS = 2
@@ -39,102 +35,9 @@ WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which
 PAIRED = 12  # best candidates among which pairs are sought
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
-FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
-ABOVE_FLOOR = 1.1  # free-run error over the noise floor from which a model counts as failing
-WHITE = 1e-3  # p-value below which residuals are not white
 NEARLY_ALL = 0.9  # share of the squared error above the noise floor that an effect must explain to be named
 
 QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False)  # a candidate that takes more is not the one
-
-NOTHING, NAMED, UNEXPLAINED = "nothing missing", "missing: named", "missing: unexplained"
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One effect with what screening expects of it, and, if it was re-fitted, what came out.
-
-    ``p_value`` is adjusted for all candidates (Benjamini and Hochberg) and for the values that were scanned.
-    """
-
-    effect: Effect
-    coefficient: float
-    std_error: float
-    drop: float  # expected fall of the misfit, in units of the noise variance
-    values: dict[str, float] = field(default_factory=dict)
-    confusable_with: tuple[str, ...] = ()
-    p_value: float = np.nan
-    delta_bic: float = np.nan
-    fit: Fit | None = field(repr=False, default=None)
-    trained: Comparison | None = field(repr=False, default=None)
-    comparison: Comparison | None = field(repr=False, default=None)
-
-    @property
-    def held_out_rmse(self) -> float:
-        """Free-run error of the re-fitted model on the data held out (on the training data where none were)."""
-        return np.nan if self.comparison is None else self.comparison.rmse
-
-
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """What `diagnose` found: `verdict`, `reason`, `where`, `missing_force`, `candidates`, `effects`."""
-
-    fit: Fit
-    estimate: ForceEstimate = field(repr=False)
-    base: Comparison = field(repr=False)
-    ranked: tuple[Candidate, ...] = field(repr=False)
-    verdict: str
-    reason: str
-    together: tuple[Effect, ...] = ()  # what the verdict names: one effect, or two that are needed together
-
-    @property
-    def effects(self) -> list[Effect]:
-        """The candidate effects, best first."""
-        return [candidate.effect for candidate in self.ranked]
-
-    @property
-    def candidates(self) -> pd.DataFrame:
-        """The candidates, best first, as a table with the columns named below.
-
-        delta_bic and held_out_rmse are those of the re-fit, NaN for candidates that screening ruled out.
-        """
-        rows = [
-            (c.effect.name, c.effect.slot, c.effect.equation, c.coefficient, c.std_error, c.p_value, c.delta_bic,
-             c.held_out_rmse, ", ".join(c.confusable_with))
-            for c in self.ranked
-        ]  # fmt: skip
-        columns = ["effect", "slot", "equation", "coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]
-        return pd.DataFrame(rows, columns=[*columns, "confusable_with"])
-
-    @cached_property
-    def missing_force(self) -> pd.DataFrame:
-        """trajectory, t (middle of the interval), then force and standard deviation per equation."""
-        grid = self.estimate.grid
-        frame = pd.DataFrame({"trajectory": grid.trajectory[grid.begin], "t": grid.t[grid.begin] + grid.h / 2})
-        deviation = force_deviation(self.estimate)
-        for k, row in enumerate(self.estimate.prior.rows):
-            name = self.fit.model.states[row]
-            frame[name], frame[f"std_{name}"] = self.estimate.w[:, k], deviation[:, k]
-        return frame
-
-    @property
-    def where(self) -> pd.DataFrame:
-        """Strongest first: equation, trajectory, time window, state region, frequency, strength (rms of the force)."""
-        rows = [_where(self, k, row) for k, row in enumerate(self.estimate.prior.rows)]
-        columns = ["equation", "trajectory", "time_window", "state_region", "frequency", "strength"]
-        return pd.DataFrame(rows, columns=columns).sort_values("strength", ascending=False, ignore_index=True)
-
-    def plot(self, ax: "Axes | None" = None, trajectory: int = 0) -> "Axes":
-        """The missing force along one trajectory, with its standard deviation."""
-        from phsi_opt.plotting import plot_missing_force
-
-        return plot_missing_force(self, ax, trajectory)
-
-    def __str__(self) -> str:
-        shown = self.candidates.head(6).to_string(index=False, float_format=lambda v: f"{v:.4g}")
-        where = self.where.to_string(index=False, float_format=lambda v: f"{v:.4g}")
-        return f"{self.verdict}: {self.reason}\nwhere it fails\n{where}\ncandidates, best first\n{shown}"
-
-    __repr__ = __str__
 
 
 def diagnose(
@@ -170,7 +73,7 @@ def diagnose(
         refitted.sort(key=lambda c: c.effect not in together)
     everyone = _adjusted(refitted + candidates[len(refitted) :])
     verdict, reason, named = work.verdict(everyone, together)
-    return Diagnosis(fit, work.estimate, work.base, everyone, verdict, reason, named)
+    return Diagnosis(fit, data, work.estimate, work.base, everyone, verdict, reason, named)
 
 
 def starting_from(effect: Effect, fit: Fit, data: Measurements) -> dict[str, float]:
@@ -309,14 +212,9 @@ class _Work:
             if adequate or share > NEARLY_ALL:
                 left = "" if adequate else "; what it leaves is not noise: diagnose again"
                 return NAMED, f"{c.effect}, {change}{left}", (c.effect,)
-            return (
-                UNEXPLAINED,
-                (
-                    f"{errors}; the nearest known effect, {c.effect}, explains {100 * share:.0f} % of the squared error above "
-                    f"the floor, and what it leaves is not noise ({change})"
-                ),
-                (),
-            )
+            part = f"explains {100 * share:.0f} % of the squared error above the floor"
+            nearest = f"the nearest known effect, {c.effect}, {part}, and what it leaves is not noise ({change})"
+            return UNEXPLAINED, f"{errors}; {nearest}", ()
         if not is_failing:
             return NOTHING, f"{errors}; no effect of the catalogue lowers it significantly", ()
         return UNEXPLAINED, f"{errors}, but no effect of the catalogue lowers it significantly", ()
@@ -360,78 +258,3 @@ def _size(fit: Fit, names: list[str]) -> tuple[float, float]:
     size = float(np.linalg.norm(values))
     direction = values / max(size, 1e-300)
     return size, float(np.sqrt(direction @ covariance @ direction))
-
-
-def is_adequate(comparison: Comparison) -> bool:
-    """Whether the residuals look like noise: as large as the noise floor, and white."""
-    whiteness = comparison.table["whiteness"].to_numpy()
-    is_white = np.nanmin(whiteness) * len(whiteness) > WHITE
-    return bool(is_white and comparison.rmse < ABOVE_FLOOR * comparison.noise_floor)
-
-
-def delta_bic(old: Fit, new: Fit, share: float) -> float:
-    """Change of BIC from one fit to another, for residuals worth ``share`` of as many independent ones."""
-    n = max(share * new.n_values, 3.0)
-    return float(share * (deviance(new) - deviance(old)) + (len(new.names) - len(old.names)) * np.log(n))
-
-
-def deviance(fit: Fit) -> float:
-    """-2 log likelihood of a maximum-likelihood fit."""
-    return fit.bic - len(fit.names) * float(np.log(fit.n_values))
-
-
-def explained_share(old: Comparison, new: Comparison) -> float:
-    """Share of the squared error above the noise floor that is gone."""
-    above = max(old.rmse**2 - old.noise_floor**2, 1e-300)
-    return (old.rmse**2 - new.rmse**2) / above
-
-
-def independent_share(comparison: Comparison) -> float:
-    """Independent residuals among all, by their correlation at the first lag."""
-    products, squares = 0.0, 0.0
-    for run in comparison.residuals:
-        for column in (run * comparison.weights).T:
-            r = column[np.isfinite(column)]
-            products, squares = products + float(np.sum(r[1:] * r[:-1])), squares + float(np.sum(r**2))
-    correlation = float(np.clip(products / squares if squares > 0 else 0.0, 0.0, 0.999))
-    return (1 - correlation) / (1 + correlation)
-
-
-def independent_samples(comparison: Comparison) -> float:
-    """Number of independent values that the residuals are worth."""
-    measured = sum(int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories)
-    return max(measured * independent_share(comparison), 3.0)
-
-
-def falls(old: Comparison, new: Comparison) -> bool:
-    """Whether the error of ``new`` on the same data is significantly below ``old``'s (blocks of residuals, paired)."""
-    difference = old.squares - new.squares
-    n_blocks = int(np.clip(min(independent_samples(old), independent_samples(new)) / 2, 4, 40))
-    means = np.array([block.mean() for block in np.array_split(difference, n_blocks)])
-    spread = means.std(ddof=1) / np.sqrt(n_blocks)
-    return bool(means.mean() > FALL * spread and new.rmse < old.rmse)
-
-
-def _where(diagnosis: Diagnosis, k: int, row: int) -> tuple[Any, ...]:
-    """Where the force of one equation is strongest: a tenth of a trajectory, a region of the states, a frequency."""
-    estimate, model = diagnosis.estimate, diagnosis.fit.model
-    grid, w = estimate.grid, estimate.w[:, k]
-    windows = []
-    for run in range(int(grid.trajectory[-1]) + 1):
-        of_run = np.flatnonzero(grid.trajectory[grid.begin] == run)
-        windows += [
-            (float(np.sqrt(np.mean(w[part] ** 2))), run, part) for part in np.array_split(of_run, 10) if len(part)
-        ]
-    _, run, part = max(windows, key=lambda window: window[0])
-    span = f"{grid.t[grid.begin[part[0]]]:.3g} to {grid.t[grid.begin[part[-1]] + 1]:.3g}"
-    strong = np.abs(w) >= np.quantile(np.abs(w), 0.75)
-    region = ", ".join(_range(model.states[i], estimate.x[grid.begin[strong], i]) for i in range(model.n_states))
-    longest = np.flatnonzero(grid.trajectory[grid.begin] == np.bincount(grid.trajectory[grid.begin]).argmax())
-    spectrum = np.abs(np.fft.rfft(w[longest] - w[longest].mean()))
-    peak = np.fft.rfftfreq(len(longest), float(np.median(grid.h)))[int(np.argmax(spectrum))]
-    return model.states[row], run, span, region, float(peak), float(np.sqrt(np.mean(w**2)))
-
-
-def _range(name: str, values: np.ndarray) -> str:
-    low, high = np.quantile(values, [0.1, 0.9])
-    return f"{name} {low:.3g} to {high:.3g}"

@@ -10,7 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 if TYPE_CHECKING:
     from phsi_opt.compare import Comparison
-    from phsi_opt.diagnose import Diagnosis
+    from phsi_opt.diagnosis import Diagnosis
     from phsi_opt.profile import Profile
 
 MEASURED, MODEL, FLOOR = "0.55", "C0", "C2"
@@ -52,7 +52,7 @@ def plot_missing_force(diagnosis: "Diagnosis", ax: Axes | None = None, trajector
             part["t"], w - 2 * s, w + 2 * s, color=f"C{n}", alpha=0.2, lw=0, label="two standard deviations"
         )
     ax.axhline(0, color="0.3", lw=0.8)
-    units = diagnosis.base.data.units
+    units = diagnosis.data.units
     states = {units.get(diagnosis.fit.model.states[row], "") for row in diagnosis.estimate.prior.rows}
     unit = f"{states.pop()}/{units['t']}" if len(states) == 1 and "" not in states and units.get("t") else ""
     ax.set(

@@ -37,7 +37,7 @@ from phsi_opt.where import (
 )
 
 if TYPE_CHECKING:
-    from phsi_opt.diagnose import Diagnosis
+    from phsi_opt.diagnosis import Diagnosis
 
 FORCE, CLOUD, LEVEL = "C0", "0.75", "0.55"
 N_CELLS, N_BARS, MOST_DOTS = 14, 16, 4000
@@ -54,7 +54,7 @@ def plot_where(diagnosis: "Diagnosis", equation: str | None = None) -> Figure:
     plot_map(diagnosis, equation, ax=axes[0, 1])
     plot_dependence(diagnosis, equation=equation, ax=axes[1, 0])
     plot_spectrum(diagnosis, equation, ax=axes[1, 1])
-    said = sentences(diagnosis.fit, diagnosis.estimate, names_of_runs(diagnosis), diagnosis.base.data.units)
+    said = sentences(diagnosis.fit, diagnosis.estimate, diagnosis.runs, diagnosis.data.units)
     own = next(sentence for sentence in said if sentence.startswith(f"d{equation}/dt"))
     figure.suptitle(fill(own, 120), fontsize=11)
     return figure
@@ -68,7 +68,7 @@ def plot_force(
     Raises `ModelError` for a trajectory that is not there.
     """
     ax, equation, path = _axes(ax, (8.0, 3.6)), _equation(diagnosis, equation), _along(diagnosis)
-    w, runs = path.of(equation), names_of_runs(diagnosis)
+    w, runs = path.of(equation), diagnosis.runs
     run = int(_row(diagnosis, equation)["trajectory"]) if trajectory is None else trajectory
     if run not in path.run:
         raise ModelError(f"trajectory={trajectory!r} is not one of the record; expected 0 to {path.run[-1]}.")
@@ -81,7 +81,7 @@ def plot_force(
     outside = np.mean(np.abs(w[part]) > 2 * deviation)
     name = runs[run] if runs else f"trajectory {run}"
     _titled(ax, f"{name}: d{equation}/dt surely lacks a force during {100 * outside:.0f} % of the time")
-    ax.set(xlabel=_label("t", diagnosis.base.data.units.get("t", "")), ylabel=_force_label(diagnosis, equation))
+    ax.set(xlabel=_label("t", diagnosis.data.units.get("t", "")), ylabel=_force_label(diagnosis, equation))
     ax.margins(y=0.25)
     ax.legend(loc="upper right", frameon=False, ncols=2)
     return ax
@@ -128,7 +128,7 @@ def plot_dependence(
     Raises `ModelError` for a variable that the force was not compared with.
     """
     ax, equation, path = _axes(ax, (6.0, 4.6)), _equation(diagnosis, equation), _along(diagnosis)
-    found = depends_on(diagnosis.fit, diagnosis.estimate, names_of_runs(diagnosis))
+    found = depends_on(diagnosis.fit, diagnosis.estimate, diagnosis.runs)
     found = found[found["equation"] == equation]
     variable = _variable(path, equation, variable, found)
     share = float(found.set_index("variable")["share"][variable])
@@ -166,7 +166,7 @@ def _is_constant(found: pd.DataFrame) -> bool:
 def plot_spectrum(diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | None = None) -> Axes:
     """Amplitude of the missing force (its mean apart) by frequency, and the level that its uncertainty explains."""
     ax, equation, path = _axes(ax, (6.0, 4.0)), _equation(diagnosis, equation), _along(diagnosis)
-    w, unit = path.of(equation), frequency_unit(diagnosis.base.data.units)
+    w, unit = path.of(equation), frequency_unit(diagnosis.data.units)
     f, amplitude = spectrum(path.t, path.run, w - w.mean())
     draws = uncertain(diagnosis.estimate)[:, path.equations.index(equation)]
     level = _smooth(np.quantile(spectrum(path.t, path.run, draws)[1], LEVEL_SHARE, axis=1))
@@ -208,16 +208,6 @@ def _binned(z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
     return ((edges[:-1] + edges[1:]) / 2)[enough], mean[enough], spread[enough], float(edges[1] - edges[0])
 
 
-def names_of_runs(diagnosis: "Diagnosis") -> tuple[str, ...]:
-    """Names of the trajectories of the estimate; () where the measurements at hand are others (those held out)."""
-    grid, data = diagnosis.estimate.grid, diagnosis.base.data
-    times = np.concatenate([run.t for run in data.trajectories])
-    if np.array_equal(grid.t[grid.sample], times):
-        return tuple(run.name for run in data.trajectories)
-    names = tuple(diagnosis.fit.by_trajectory)
-    return names if len(names) == int(grid.trajectory[-1]) + 1 else ()
-
-
 def _equation(diagnosis: "Diagnosis", equation: str | None) -> str:
     """The equation asked for, or that whose missing force is strongest over its uncertainty."""
     model = diagnosis.fit.model
@@ -249,7 +239,7 @@ def _variable(path: Along, equation: str, variable: str | None, found: pd.DataFr
 
 
 def _along(diagnosis: "Diagnosis") -> Along:
-    return along(diagnosis.fit, diagnosis.estimate, names_of_runs(diagnosis))
+    return along(diagnosis.fit, diagnosis.estimate, diagnosis.runs)
 
 
 def _row(diagnosis: "Diagnosis", equation: str) -> pd.Series:
@@ -269,7 +259,7 @@ def _region(diagnosis: "Diagnosis", path: Along, equation: str, plane: Sequence[
 
 def _variable_label(diagnosis: "Diagnosis", name: str) -> str:
     """Name and unit; a velocity has the unit of its position over that of the time."""
-    units, model = diagnosis.base.data.units, diagnosis.fit.model
+    units, model = diagnosis.data.units, diagnosis.fit.model
     if name not in model.efforts:
         return _label(name, units.get(name, ""))
     row = np.array(model.S)[:, model.efforts.index(name)]
@@ -278,7 +268,7 @@ def _variable_label(diagnosis: "Diagnosis", name: str) -> str:
 
 
 def _force_label(diagnosis: "Diagnosis", equation: str, what: str = "missing force") -> str:
-    return _label(what, force_unit(equation, diagnosis.base.data.units))
+    return _label(what, force_unit(equation, diagnosis.data.units))
 
 
 def _titled(ax: Axes, text: str) -> None:

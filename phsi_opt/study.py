@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from phsi_opt.compare import Comparison, compare
-from phsi_opt.diagnose import NAMED, Diagnosis, delta_bic, diagnose, independent_share, starting_from
+from phsi_opt.diagnose import diagnose, starting_from
+from phsi_opt.diagnosis import NAMED, Diagnosis
 from phsi_opt.effects import Effect, effect_named
 from phsi_opt.errors import ModelError, PhsiOptError
+from phsi_opt.evidence import delta_bic, independent_share
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood

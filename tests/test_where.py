@@ -9,7 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from phsi_opt.compare import compare, force_of
-from phsi_opt.diagnose import Diagnosis
+from phsi_opt.diagnosis import Diagnosis
 from phsi_opt.errors import ModelError
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify
@@ -239,7 +239,7 @@ def closing() -> Iterator[None]:
 
 def diagnosis_of(case: Case) -> Diagnosis:
     fit, data, estimate = case
-    return Diagnosis(fit, estimate, compare(fit, data), (), "", "")
+    return Diagnosis(fit, data, estimate, compare(fit, data), (), "", "")
 
 
 @pytest.mark.usefixtures("closing")

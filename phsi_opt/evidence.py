@@ -1,0 +1,60 @@
+"""Evidence for a larger model: likelihoods and free-run errors, from residuals that may be correlated."""
+
+import numpy as np
+
+from phsi_opt.compare import Comparison
+from phsi_opt.fit import Fit
+
+ABOVE_FLOOR = 1.1  # free-run error over the noise floor from which a model counts as failing
+WHITE = 1e-3  # p-value below which residuals are not white
+FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
+
+
+def is_adequate(comparison: Comparison) -> bool:
+    """Whether the residuals look like noise: as large as the noise floor, and white."""
+    whiteness = comparison.table["whiteness"].to_numpy()
+    is_white = np.nanmin(whiteness) * len(whiteness) > WHITE
+    return bool(is_white and comparison.rmse < ABOVE_FLOOR * comparison.noise_floor)
+
+
+def delta_bic(old: Fit, new: Fit, share: float) -> float:
+    """Change of BIC from one fit to another, for residuals worth ``share`` of as many independent ones."""
+    n = max(share * new.n_values, 3.0)
+    return float(share * (deviance(new) - deviance(old)) + (len(new.names) - len(old.names)) * np.log(n))
+
+
+def deviance(fit: Fit) -> float:
+    """-2 log likelihood of a maximum-likelihood fit."""
+    return fit.bic - len(fit.names) * float(np.log(fit.n_values))
+
+
+def explained_share(old: Comparison, new: Comparison) -> float:
+    """Share of the squared error above the noise floor that is gone."""
+    above = max(old.rmse**2 - old.noise_floor**2, 1e-300)
+    return (old.rmse**2 - new.rmse**2) / above
+
+
+def independent_share(comparison: Comparison) -> float:
+    """Independent residuals among all, by their correlation at the first lag."""
+    products, squares = 0.0, 0.0
+    for run in comparison.residuals:
+        for column in (run * comparison.weights).T:
+            r = column[np.isfinite(column)]
+            products, squares = products + float(np.sum(r[1:] * r[:-1])), squares + float(np.sum(r**2))
+    correlation = float(np.clip(products / squares if squares > 0 else 0.0, 0.0, 0.999))
+    return (1 - correlation) / (1 + correlation)
+
+
+def independent_samples(comparison: Comparison) -> float:
+    """Number of independent values that the residuals are worth."""
+    measured = sum(int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories)
+    return max(measured * independent_share(comparison), 3.0)
+
+
+def falls(old: Comparison, new: Comparison) -> bool:
+    """Whether the error of ``new`` on the same data is significantly below ``old``'s (blocks of residuals, paired)."""
+    difference = old.squares - new.squares
+    n_blocks = int(np.clip(min(independent_samples(old), independent_samples(new)) / 2, 4, 40))
+    means = np.array([block.mean() for block in np.array_split(difference, n_blocks)])
+    spread = means.std(ddof=1) / np.sqrt(n_blocks)
+    return bool(means.mean() > FALL * spread and new.rmse < old.rmse)
