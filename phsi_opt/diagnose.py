@@ -27,6 +27,7 @@ from phsi_opt.missing import ForceEstimate
 from phsi_opt.screen import Screen, Screened
 from phsi_opt.solver import Settings
 from phsi_opt.start import resolved
+from phsi_opt.terms import Share
 
 N_REFITS = 5
 N_PAIRS = 2
@@ -37,7 +38,10 @@ RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 NEARLY_ALL = 0.9  # share of the squared error above the noise floor that an effect must explain to be named
 
-QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False)  # a candidate that takes more is not the one
+# A candidate that takes more is not the one.
+QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0)
+    tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0
+)  # a candidate that takes more is not it
 
 
 def diagnose(
@@ -74,13 +78,6 @@ def diagnose(
     everyone = _adjusted(refitted + candidates[len(refitted) :])
     verdict, reason, named = work.verdict(everyone, together)
     return Diagnosis(fit, data, work.estimate, work.base, everyone, verdict, reason, named)
-
-
-def starting_from(effect: Effect, fit: Fit, data: Measurements) -> dict[str, float]:
-    """Where to start the parameters of an effect that is added to ``fit``, by screening it alone."""
-    data = matched(fit.model, data)
-    one = Screen(fit, data, force_of(fit, data)).candidate(effect)
-    return {} if one is None else one.values
 
 
 def _candidate(one: Screened, found: list[Screened], screen: Screen) -> Candidate:
@@ -127,11 +124,33 @@ class _Work:
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise)
         try:
             new = identify(model, data, self.loss, start=start, settings=QUICK)
-            trained = _compared(new, data, self.estimate)
+            new, trained = self.sharpened(new, _compared(new, data, self.estimate))
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained
         except PhsiOptError as error:
             self.say(f"not re-fitted: {error}")
             return None
+
+    def sharpened(self, fit: Fit, trained: Comparison) -> tuple[Fit, Comparison]:
+        """The fit with the widths of its new effects made smaller, on a finer grid, while that explains more.
+
+        A solver needs the corner of dry friction rounded at first; beside a body that sticks, the rounding shows.
+        """
+        new = [e for n, e in fit.model.entries.items() if n not in self.fit.model.entries and e.parameter.fixed]
+        stages = {e.name: e.parameter.guess.sharper for e in new if isinstance(e.parameter.guess, Share)}
+        for stage in range(max(map(len, stages.values()), default=0)):
+            if is_adequate(trained):
+                break
+            values = {n: fit.model.values[n] * factors[stage] for n, factors in stages.items() if stage < len(factors)}
+            start = replace(fit, steps=tuple(n * (1 + min(stage, 1)) for n in fit.steps))
+            try:
+                finer = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=QUICK)
+                compared_again = _compared(finer, self.data, self.estimate)
+            except PhsiOptError:
+                break
+            if deviance(finer) >= deviance(fit):
+                break
+            fit, trained = finer, compared_again
+        return fit, trained
 
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""

@@ -34,6 +34,7 @@ REFINEMENTS = 5
 NOISE_ROUNDS = 6
 SUSPICIOUS = 2.0  # residuals over the scatter of neighbouring samples, beyond which a second start is tried
 GAUSS_NEWTON = 30  # iterations after which the exact Hessian takes over: it converges in a few, or not at all
+BRIEF = 15  # iterations with the exact Hessian where a solve need not be thorough
 SAME = 0.005  # change of the logarithm of the noise at which its estimate stays
 CLEAN = 0.01  # root mean square residual, over the noise assumed, of data without noise
 VISIBLE = 0.1  # integration error that is refined: share of a standard error, or of the noise
@@ -318,12 +319,13 @@ class _Solve:
             grid = cut(grid, window)
         program = loss.program(model, grid, point, l1, sigma, unknown)
         quick = replace(task.settings, max_iterations=min(GAUSS_NEWTON, task.settings.max_iterations))
-        solver, z = Solver(program, task.settings if exact else quick, exact), program.start
+        full = task.settings if task.settings.thorough else replace(quick, max_iterations=BRIEF)
+        solver, z = Solver(program, full if exact else quick, exact), program.start
         for _ in range(NOISE_ROUNDS if self.estimated.any() else 1):
             solution = solver.solve(z, sigma, raise_on_failure=False)
             if not solution.outcome.success and not exact:
                 task.say(f"not solved ({solution.outcome.status}); again with the exact Hessian")
-                solver, exact = Solver(program, task.settings, exact=True), True
+                solver, exact = Solver(program, full, exact=True), True
                 solution = solver.solve(z, sigma, raise_on_failure=False)
             where = "" if window is None else f" in windows of {window:.3g}"
             task.say(f"maximum likelihood, {len(theta)} parameters, {nodes.size} states{where}: {solution.outcome}")

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from phsi_opt.compare import Comparison, compare
-from phsi_opt.diagnose import diagnose, starting_from
-from phsi_opt.diagnosis import NAMED, Diagnosis
+from phsi_opt.diagnose import diagnose
+from phsi_opt.diagnosis import NAMED, Candidate, Diagnosis
 from phsi_opt.effects import Effect, effect_named
-from phsi_opt.errors import ModelError, PhsiOptError
+from phsi_opt.errors import ModelError, PhsiOptError, SolveError
 from phsi_opt.evidence import delta_bic, independent_share
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
@@ -93,12 +93,10 @@ class Study:
         known = self._diagnoses.get(len(self.steps))
         found = None if known is None else next((c for c in known.ranked if c.effect == effect), None)
         self._say(f"adding {effect}")
-        if found is not None and found.fit is not None:
-            model, start = found.fit.model, found.fit
-        else:
-            values = starting_from(effect, self.fit, self.train) if found is None else found.values
-            model, start = self.model.add(effect).with_values(values), self.fit
-        fit = identify(model, self.train, self._loss, start=start)
+        if found is None or found.fit is None:
+            alone = diagnose(self.fit, self.train, effects=[effect], loss=self._loss)
+            found = next(iter(alone.ranked), None)
+        fit = self._fitted(effect, found)
         self.steps.append(self._step(str(effect), (*self.effects, effect), fit))
         return fit
 
@@ -186,6 +184,16 @@ class Study:
                 self._say(f"{effect} has become superfluous")
                 kept = tuple(e for e in self.effects if e is not effect)
                 self.steps.append(self._step(f"without {effect}", kept, without))
+
+    def _fitted(self, effect: Effect, found: Candidate | None) -> Fit:
+        """The model with the effect, from what the diagnosis found of it."""
+        if found is not None and found.fit is not None:
+            try:
+                return identify(found.fit.model, self.train, self._loss, start=found.fit)
+            except SolveError:  # the brief fit of the diagnosis is an optimum, on its own grid
+                return found.fit
+        values = {} if found is None else found.values
+        return identify(self.model.add(effect).with_values(values), self.train, self._loss, start=self.fit)
 
     def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
         """The base model with the effects, all parameters re-estimated together from their present values."""

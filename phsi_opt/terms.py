@@ -26,10 +26,17 @@ class Scan:
 
 @dataclass(frozen=True)
 class Share:
-    """Start at a share of the root mean square of an expression over the data, such as 5 % of the velocity."""
+    """Start at a share of the root mean square of an expression over the data, such as 5 % of the velocity.
+
+    ``sharper``: factors by which the diagnosis makes a width smaller, one after the other, while that fits better.
+    """
 
     of: str
     share: float
+    sharper: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sharper", tuple(float(factor) for factor in self.sharper))
 
 
 @dataclass(frozen=True)

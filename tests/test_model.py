@@ -1,7 +1,8 @@
 """Models: what they compute, that a change makes a new one, and what they refuse."""
 
 import pickle
-from dataclasses import FrozenInstanceError, dataclass
+from collections.abc import Mapping
+from dataclasses import FrozenInstanceError, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ class Effect:
     slot: str
     equation: str
     term: Dictionary
+    memory: Mapping[str, Dictionary] = field(default_factory=dict)
 
 
 def spring(**changes: Any) -> PseudoHamiltonian:
