@@ -40,8 +40,6 @@ NEARLY_ALL = 0.9  # share of the squared error above the noise floor that an eff
 
 # A candidate that takes more is not the one.
 QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0)
-    tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0
-)  # a candidate that takes more is not it
 
 
 def diagnose(
