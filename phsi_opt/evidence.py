@@ -6,6 +6,7 @@ from phsi_opt.compare import Comparison
 from phsi_opt.fit import Fit
 
 ABOVE_FLOOR = 1.1  # free-run error over the noise floor from which a model counts as failing
+LIKE_NOISE = 1.25  # the same, of white residuals: beside a strong missing force the floor itself is estimated too low
 WHITE = 1e-3  # p-value below which residuals are not white
 FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
 
@@ -14,7 +15,7 @@ def is_adequate(comparison: Comparison) -> bool:
     """Whether the residuals look like noise: as large as the noise floor, and white."""
     whiteness = comparison.table["whiteness"].to_numpy()
     is_white = np.nanmin(whiteness) * len(whiteness) > WHITE
-    return bool(is_white and comparison.rmse < ABOVE_FLOOR * comparison.noise_floor)
+    return bool(is_white and comparison.rmse < LIKE_NOISE * comparison.noise_floor)
 
 
 def delta_bic(old: Fit, new: Fit, share: float) -> float:
@@ -52,9 +53,17 @@ def independent_samples(comparison: Comparison) -> float:
 
 
 def falls(old: Comparison, new: Comparison) -> bool:
-    """Whether the error of ``new`` on the same data is significantly below ``old``'s (blocks of residuals, paired)."""
-    difference = old.squares - new.squares
+    """Whether the error of ``new`` on the same data is significantly below that of ``old``.
+
+    Logarithms of mean squares are compared in blocks of time: an error that dies away with the motion counts in every
+    block alike.
+    """
     n_blocks = int(np.clip(min(independent_samples(old), independent_samples(new)) / 2, 4, 40))
-    means = np.array([block.mean() for block in np.array_split(difference, n_blocks)])
-    spread = means.std(ddof=1) / np.sqrt(n_blocks)
-    return bool(means.mean() > FALL * spread and new.rmse < old.rmse)
+    before, after = (_block_means(one.squares, n_blocks) for one in (old, new))
+    fall = np.log(before / after)
+    spread = fall.std(ddof=1) / np.sqrt(n_blocks)
+    return bool(fall.mean() > FALL * spread and new.rmse < old.rmse)
+
+
+def _block_means(squares: np.ndarray, n_blocks: int) -> np.ndarray:
+    return np.array([max(float(block.mean()), 1e-300) for block in np.array_split(squares, n_blocks)])
