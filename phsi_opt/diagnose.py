@@ -36,6 +36,7 @@ WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which
 PAIRED = 12  # best candidates among which pairs are sought
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
+NO_BETTER = 1.0  # fall of -2 log likelihood below which a sharper corner of dry friction is not worth its steps
 NEARLY_ALL = 0.9  # share of the squared error above the noise floor that an effect must explain to be named
 
 # A candidate that takes more is not the one.
@@ -122,13 +123,14 @@ class _Work:
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise)
         try:
             new = identify(model, data, self.loss, start=start, settings=QUICK)
-            new, trained = self.sharpened(new, _compared(new, data, self.estimate))
+            new = self.sharpened(new)
+            trained = _compared(new, data, self.estimate)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained
         except PhsiOptError as error:
             self.say(f"not re-fitted: {error}")
             return None
 
-    def sharpened(self, fit: Fit, trained: Comparison) -> tuple[Fit, Comparison]:
+    def sharpened(self, fit: Fit) -> Fit:
         """The fit with the widths of its new effects made smaller, on a finer grid, while that explains more.
 
         A solver needs the corner of dry friction rounded at first; beside a body that sticks, the rounding shows.
@@ -136,19 +138,16 @@ class _Work:
         new = [e for n, e in fit.model.entries.items() if n not in self.fit.model.entries and e.parameter.fixed]
         stages = {e.name: e.parameter.guess.sharper for e in new if isinstance(e.parameter.guess, Share)}
         for stage in range(max(map(len, stages.values()), default=0)):
-            if is_adequate(trained):
-                break
             values = {n: fit.model.values[n] * factors[stage] for n, factors in stages.items() if stage < len(factors)}
             start = replace(fit, steps=tuple(n * (1 + min(stage, 1)) for n in fit.steps))
             try:
                 finer = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=QUICK)
-                compared_again = _compared(finer, self.data, self.estimate)
             except PhsiOptError:
                 break
-            if deviance(finer) >= deviance(fit):
+            if deviance(finer) > deviance(fit) - NO_BETTER:
                 break
-            fit, trained = finer, compared_again
-        return fit, trained
+            fit = finer
+        return fit
 
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
