@@ -239,15 +239,20 @@ def _paths(u: str, p: str) -> Iterator[tuple[str, Dictionary, dict[str, Dictiona
 
 
 def _delayed(signal: str, tau: str, state: str, factor: str) -> tuple[Dictionary, dict[str, Dictionary]]:
-    """factor (s(t - tau) - s(t)) by Pade's approximation of order two: two states (a, b), s(t - tau) = s - tau b.
+    """factor (s(t - tau) - s(t)) by Pade's approximation of order three, with three states a, b = a', c = a''.
 
-    a' = b, b' = 12/tau^2 (s - a) - 6/tau b; its phase is right to 1 % up to tau times the frequency = 2.
+    c' = 120/tau^3 (s - a) - 60/tau^2 b - 12/tau c and s(t - tau) = s - 2 (s - a) + tau^2/5 c; the phase is right to 1 %
+    up to tau times the frequency = 4.
     """
-    inner, rate = {tau: _tried("dt", DELAYS, "s")}, f"{state}_rate"
-    slow = Dictionary((Term(rate, None, {}),))
-    fast = Dictionary((Term(f"12/{tau}**2*({signal} - {state}) - 6/{tau}*{rate}", None, inner),))
-    term = Dictionary((Term(f"-{factor}*{tau}*{rate}" if factor else f"-{tau}*{rate}", None, inner),))
-    return term, {state: slow, rate: fast}
+    inner, rate, bend = {tau: _tried("dt", DELAYS, "s")}, f"{state}_rate", f"{state}_bend"
+    late = f"2*({state} - {signal}) + {tau}**2/5*{bend}"
+    force = f"120/{tau}**3*({signal} - {state}) - 60/{tau}**2*{rate} - 12/{tau}*{bend}"
+    memory = {
+        state: Dictionary((Term(rate, None, {}),)),
+        rate: Dictionary((Term(bend, None, {}),)),
+        bend: Dictionary((Term(force, None, inner),)),
+    }
+    return Dictionary((Term(f"{factor}*({late})" if factor else late, None, inner),)), memory
 
 
 def _sensors(x: str) -> list[Effect]:
@@ -288,8 +293,11 @@ def _is_spanned(model: Model, effect: Effect) -> bool:
     """
     larger = model.add(effect)
     rng = np.random.default_rng(0)
-    # The same values for the whole test: the model's parameters must explain the effect at one point of theta.
-    theta = np.array([model.values.get(n) or rng.uniform(0.5, 1.5) for n in larger.free])
+    # The same values for the whole test: the model's parameters must explain the effect at one point of theta. The
+    # effect's coefficient is zero there, so that no parameter acts through it.
+    values = {n: model.values.get(n) or rng.uniform(0.5, 1.5) for n in larger.free}
+    values |= {n: 0.0 for n in larger.free if n not in model.entries and larger.entries[n].prunable}
+    theta = np.array(list(values.values()))
     n = 4 * len(theta) + 20
     x, u, t = rng.normal(size=(larger.n_states, n)), rng.normal(size=(larger.n_inputs, n)), rng.uniform(0, 3, (1, n))
     columns = np.nan_to_num(np.array(_slopes(larger).map("slopes", "serial", n, [3], [])(x, u, t, theta)))
