@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LOST = 1e3  # in standard deviations of the measurements: stands for a simulation that broke off
+BEYOND_SCATTER = 1.5  # estimated noise over the scatter of neighbouring samples, beyond which a sensor is doubted
 WORST_OF_NOISE = 4.0  # standard deviations of noise beyond which a single residual ends the free-run horizon
 
 
@@ -193,11 +194,20 @@ def compared(fit: Fit, data: Measurements, sigma: np.ndarray, guess: Sequence[np
 
 
 def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
-    """The force that the fitted model lacks along measurements that are `matched` to it, with the noise."""
+    """The force that the fitted model lacks along measurements that are `matched` to it, with the noise.
+
+    No force can explain a sensor that contradicts another one; that would count as noise. Where the noise of a channel
+    comes out far beyond the scatter of neighbouring samples, that of all channels is taken from their scatter.
+    """
     given = np.array([(data.noise or {}).get(name, np.nan) for name in fit.model.states])
     theta = matrix_of(fit.model, parameters_of(fit, data)) if fit.by_trajectory else None
     model = fit.model if fit.by_trajectory else fit.model.frozen()
-    return smoothed(model, grid_of(data), initial_noise(data, given), "srk4", np.isfinite(given), theta)
+    grid, start = grid_of(data), initial_noise(data, given)
+    estimate = smoothed(model, grid, start, "srk4", np.isfinite(given), theta)
+    measured, scatter = grid.measured.any(axis=0), np.where(np.isfinite(given), given, initial_noise(data))
+    if measured.sum() == 1 or not np.any(measured & (estimate.sigma > BEYOND_SCATTER * scatter)):
+        return estimate  # one sensor contradicts nobody
+    return smoothed(model, grid, scatter, "srk4", known_noise=True, theta=theta)
 
 
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:

@@ -5,7 +5,8 @@
 3. The best few, and where one is not enough the best pairs, are re-fitted by maximum likelihood and judged by BIC, with
    correlated residuals counted for the independent ones they are worth, and by the free run on data held out.
 4. The verdict: an effect is named when it is significant (false-discovery rate over all candidates), when the held-out
-   error falls, and when it, alone or with one more, leaves residuals like noise or explains nearly all that is missing.
+   error falls, and when it, alone or with one more, leaves residuals like noise. Effects that explain most of what is
+   missing but leave more than noise are proposed, and the verdict says that something remains unexplained.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +19,16 @@ from phsi_opt.compare import Comparison, compared, force_of
 from phsi_opt.diagnosis import NAMED, NOTHING, UNEXPLAINED, Candidate, Diagnosis
 from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.evidence import ABOVE_FLOOR, delta_bic, deviance, explained_share, falls, independent_share, is_adequate
+from phsi_opt.evidence import (
+    ABOVE_FLOOR,
+    delta_bic,
+    deviance,
+    explained_share,
+    explains,
+    falls,
+    independent_share,
+    is_adequate,
+)
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
@@ -33,11 +43,10 @@ N_REFITS = 5
 N_PAIRS = 2
 HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
 WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which one is re-fitted
-PAIRED = 12  # best candidates among which pairs are sought
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 NO_BETTER = 1.0  # fall of -2 log likelihood below which a sharper corner of dry friction is not worth its steps
-NEARLY_ALL = 0.9  # share of the squared error above the noise floor that an effect must explain to be named
+MOST = 0.5  # share of the squared error above the floor from which effects that leave more than noise are proposed
 
 # A candidate that takes more is not the one.
 QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0)
@@ -69,14 +78,23 @@ def diagnose(
     found = screen.screened(listed)
     candidates = [_candidate(one, found, screen) for one in found]
     refitted = work.best_of(screen, found, candidates)
-    together: tuple[Effect, ...] = ()
-    left = [work.trained, *(c.trained for c in refitted[:1] if c.trained is not None)]
-    if refitted and not any(map(is_adequate, left)):
-        together = work.pair(screen, found, refitted[0])
-        refitted.sort(key=lambda c: c.effect not in together)
     everyone = _adjusted(refitted + candidates[len(refitted) :])
-    verdict, reason, named = work.verdict(everyone, together)
+    proposal = work.proposed(screen, found, everyone)
+    if proposal is not None:
+        everyone = tuple(sorted(everyone, key=lambda c: c.effect not in proposal.effects))
+    verdict, reason, named = work.verdict(proposal)
     return Diagnosis(fit, data, work.estimate, work.base, everyone, verdict, reason, named)
+
+
+@dataclass(frozen=True, eq=False)
+class _Proposal:
+    """One effect, or two together, with what is left when they are added; ``words`` on the first one's size."""
+
+    effects: tuple[Effect, ...]
+    fit: Fit
+    trained: Comparison
+    comparison: Comparison
+    words: str = ""
 
 
 def _candidate(one: Screened, found: list[Screened], screen: Screen) -> Candidate:
@@ -192,48 +210,47 @@ class _Work:
         result = [replace(c, confusable_with=_tied(c, result)) for c in result]
         return result + [c for c in refitted if c.fit is None]
 
-    def pair(self, screen: Screen, found: list[Screened], best: Candidate) -> tuple[Effect, ...]:
-        """Two effects that together leave noise, where one alone does not; empty where there are none."""
-        for first, second in screen.pairs(found[:PAIRED], N_PAIRS):
+    def proposed(self, screen: Screen, found: list[Screened], everyone: tuple[Candidate, ...]) -> _Proposal | None:
+        """The best significant effect; two together where one alone leaves more than noise and two explain more."""
+        best = None
+        c = next((c for c in everyone if self.is_significant(c)), None)
+        if c is not None and c.fit is not None and c.trained is not None and c.comparison is not None:
+            tie = f"; not told apart from {', '.join(c.confusable_with)}" if c.confusable_with else ""
+            words = f", coefficient {c.coefficient:.4g} +- {c.std_error:.2g}{tie}"
+            best = _Proposal((c.effect,), c.fit, c.trained, c.comparison, words)
+        if is_adequate(self.trained) or (best and explains(self.base, best.trained, best.comparison)):
+            return best
+        for first, second in screen.pairs(found, N_PAIRS):
             self.say(f"re-fitting with {first.effect} and {second.effect}")
             result = self.refit([first.effect, second.effect], {**first.values, **second.values})
             if result is None:
                 continue
             new, trained, comparison = result
             share = independent_share(trained)
-            better = best.fit is None or delta_bic(best.fit, new, share) < -CLOSE
-            if better and is_adequate(trained) and falls(self.base, comparison):
-                return first.effect, second.effect
-        return ()
+            better = delta_bic(self.fit if best is None else best.fit, new, share) < -CLOSE
+            if better and falls(self.base if best is None else best.comparison, comparison):
+                best = _Proposal((first.effect, second.effect), new, trained, comparison)
+        return best
 
-    def verdict(
-        self, everyone: tuple[Candidate, ...], together: tuple[Effect, ...]
-    ) -> tuple[str, str, tuple[Effect, ...]]:
-        """Verdict, reason in words, and the effects that it names."""
+    def verdict(self, proposal: _Proposal | None) -> tuple[str, str, tuple[Effect, ...]]:
+        """Verdict, reason in words, and the effects that it names or, if they leave more than noise, proposes."""
         base, where = self.base, "held-out" if self.is_held_out else "training"
         errors = f"{where} error {base.rmse:.4g}, noise floor {base.noise_floor:.4g}"
-        c = next((c for c in everyone if self.is_significant(c)), None)
-        is_failing = not is_adequate(self.trained) or base.rmse > ABOVE_FLOOR * base.noise_floor
-        if together:
-            names = " and ".join(map(str, together))
-            return NAMED, f"{names} are needed together: neither alone leaves residuals like noise ({errors})", together
-        if c is not None and c.comparison is not None and c.trained is not None:
-            adequate = is_adequate(c.trained)
-            share = explained_share(base, c.comparison)
-            tie = f"; not told apart from {', '.join(c.confusable_with)}" if c.confusable_with else ""
-            change = (
-                f"coefficient {c.coefficient:.4g} +- {c.std_error:.2g}; the {where} error falls from "
-                f"{base.rmse:.4g} to {c.held_out_rmse:.4g} (noise floor {base.noise_floor:.4g}){tie}"
-            )
-            if adequate or share > NEARLY_ALL:
-                left = "" if adequate else "; what it leaves is not noise: diagnose again"
-                return NAMED, f"{c.effect}, {change}{left}", (c.effect,)
-            part = f"explains {100 * share:.0f} % of the squared error above the floor"
-            nearest = f"the nearest known effect, {c.effect}, {part}, and what it leaves is not noise ({change})"
-            return UNEXPLAINED, f"{errors}; {nearest}", ()
-        if not is_failing:
-            return NOTHING, f"{errors}; no effect of the catalogue lowers it significantly", ()
-        return UNEXPLAINED, f"{errors}, but no effect of the catalogue lowers it significantly", ()
+        none = "no effect of the catalogue lowers it significantly"
+        if proposal is None:
+            is_failing = not is_adequate(self.trained) or base.rmse > ABOVE_FLOOR * base.noise_floor
+            return (UNEXPLAINED, f"{errors}, but {none}", ()) if is_failing else (NOTHING, f"{errors}; {none}", ())
+        after = proposal.comparison
+        names = " and ".join(map(str, proposal.effects)) + (" together" if len(proposal.effects) > 1 else "")
+        change = (
+            f"the {where} error falls from {base.rmse:.4g} to {after.rmse:.4g} (noise floor {after.noise_floor:.4g})"
+        )
+        if explains(base, proposal.trained, after):
+            return NAMED, f"{names}{proposal.words}; {change}", proposal.effects
+        share = explained_share(base, after)
+        part = f"explain {100 * share:.0f} % of the squared error above the noise floor, and leave more than noise"
+        reason = f"no known effect explains it all. The nearest, {names}{proposal.words}, {part}: {change}"
+        return UNEXPLAINED, reason, proposal.effects if share > MOST else ()
 
     def is_significant(self, c: Candidate) -> bool:
         """Whether p-value and BIC hold, and the error on the judging data falls."""

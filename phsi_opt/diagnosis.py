@@ -61,7 +61,7 @@ class Diagnosis:
     ranked: tuple[Candidate, ...] = field(repr=False)
     verdict: str
     reason: str
-    together: tuple[Effect, ...] = ()  # what the verdict names: one effect, or two that are needed together
+    together: tuple[Effect, ...] = ()  # what the verdict names, or the nearest to it: one effect, or two together
 
     @property
     def effects(self) -> list[Effect]:

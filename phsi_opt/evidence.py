@@ -7,6 +7,7 @@ from phsi_opt.fit import Fit
 
 ABOVE_FLOOR = 1.1  # free-run error over the noise floor from which a model counts as failing
 LIKE_NOISE = 1.25  # the same, of white residuals: beside a strong missing force the floor itself is estimated too low
+NEARLY_ALL = 0.97  # share of the squared error above the floor that is explained, where the rest is not white
 WHITE = 1e-3  # p-value below which residuals are not white
 FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
 
@@ -16,6 +17,12 @@ def is_adequate(comparison: Comparison) -> bool:
     whiteness = comparison.table["whiteness"].to_numpy()
     is_white = np.nanmin(whiteness) * len(whiteness) > WHITE
     return bool(is_white and comparison.rmse < LIKE_NOISE * comparison.noise_floor)
+
+
+def explains(old: Comparison, trained: Comparison, judged: Comparison) -> bool:
+    """Whether a larger model explains what was missing: what it leaves is like noise, or as small as the noise."""
+    small = judged.rmse < ABOVE_FLOOR * judged.noise_floor and trained.rmse < ABOVE_FLOOR * trained.noise_floor
+    return is_adequate(trained) or (small and explained_share(old, judged) > NEARLY_ALL)
 
 
 def delta_bic(old: Fit, new: Fit, share: float) -> float:

@@ -15,7 +15,7 @@ missing force, a gain of the sensor would stand in for every force.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import combinations, pairwise, product
 
 import casadi as ca
 import numpy as np
@@ -121,22 +121,34 @@ class Screen:
     def screened(self, effects: Iterable[Effect]) -> list[Screened]:
         """What is expected of each effect that leaves a trace in the record; most convincing first."""
         found = [one for effect in effects if (one := self.candidate(effect)) is not None]
-        return sorted(found, key=lambda one: -self.score([one]))
+        return sorted(found, key=lambda one: -self.score(one))
 
-    def score(self, group: list[Screened]) -> float:
-        """n log(misfit before / after) - k log n for the effects of a group together."""
-        n, k = self.n_values, sum(one.n_free for one in group)
-        drop = group[0].drop if len(group) == 1 else self._joint_drop(group)
+    def score(self, one: Screened) -> float:
+        """n log(misfit before / after) - k log n, with what is expected of the effect."""
+        return self._score(one.drop, one.n_free)
+
+    def _score(self, drop: float, n_free: int) -> float:
+        n = self.n_values
         left = max(self.misfit - drop, float(n), 1e-9 * self.misfit)
-        return float(n * np.log(max(self.misfit, left) / left) - k * np.log(n))
+        return float(n * np.log(max(self.misfit, left) / left) - n_free * np.log(n))
 
     def pairs(self, found: list[Screened], most: int) -> list[tuple[Screened, Screened]]:
-        """The pairs of effects that explain most together."""
-        scored = [
-            (self.score([a, b]), i, j) for i, a in enumerate(found) for j, b in enumerate(found[:i]) if a.drop or b.drop
-        ]
-        best = sorted(scored, key=lambda row: -row[0])[:most]
-        return [(found[j], found[i]) if found[j].drop >= found[i].drop else (found[i], found[j]) for _, i, j in best]
+        """The pairs of effects that explain most together, the stronger of each first."""
+        if not found:
+            return []
+        traces = np.hstack([one.trace for one in found])
+        gram, right = traces.T @ traces, traces.T @ self.residual
+        edges = np.cumsum([0, *(one.trace.shape[1] for one in found)])
+        at = [np.arange(i, j) for i, j in pairwise(edges)]
+
+        def score(i: int, j: int) -> float:
+            both = np.r_[at[i], at[j]]
+            drop = float(right[both] @ np.linalg.lstsq(gram[np.ix_(both, both)], right[both], rcond=1e-10)[0])
+            return self._score(drop, found[i].n_free + found[j].n_free)
+
+        scored = sorted(((score(i, j), i, j) for i, j in combinations(range(len(found)), 2)), reverse=True)
+        ordered = [(i, j) if found[i].drop >= found[j].drop else (j, i) for _, i, j in scored[:most]]
+        return [(found[i], found[j]) for i, j in ordered]
 
     def candidate(self, effect: Effect) -> Screened | None:
         """What is expected of one effect; None where it leaves no trace in the record."""
@@ -277,11 +289,6 @@ class Screen:
         gain = share * self.n_values * np.log(max(self.misfit, 1e-300) / max(self.misfit - drop, 1e-300))
         p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), len(free))))
         return Screened(trial.effect, size, error, drop, len(free), n_tried, p, values, trace, trace @ c)
-
-    def _joint_drop(self, group: list[Screened]) -> float:
-        trace = np.hstack([one.trace for one in group])
-        c = np.linalg.lstsq(trace, self.residual, rcond=1e-10)[0]
-        return float(np.sum((trace @ c) ** 2))
 
 
 class _Columns:

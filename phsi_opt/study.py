@@ -9,7 +9,7 @@ import pandas as pd
 
 from phsi_opt.compare import Comparison, compare
 from phsi_opt.diagnose import diagnose
-from phsi_opt.diagnosis import NAMED, Candidate, Diagnosis
+from phsi_opt.diagnosis import Candidate, Diagnosis
 from phsi_opt.effects import Effect, effect_named
 from phsi_opt.errors import ModelError, PhsiOptError, SolveError
 from phsi_opt.evidence import delta_bic, independent_share
@@ -127,12 +127,13 @@ class Study:
     def auto(self, max_steps: int = 4) -> str:
         """Diagnose and add while an effect is significant; returns (and keeps in ``stopped``) why it stopped.
 
+        An effect is added when the diagnosis names it, or when it explains most of what is missing.
         After each step, effects that were added before and that BIC no longer asks for are taken out again.
         """
         for _ in range(max_steps):
             diagnosis = self.diagnose()
             self._say(f"{diagnosis.verdict}: {diagnosis.reason}")
-            if diagnosis.verdict != NAMED:
+            if not diagnosis.together:
                 self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}"
                 return self.stopped
             self.add(diagnosis.together[0])

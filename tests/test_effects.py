@@ -9,6 +9,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.effects import Effect, effect_named
 from phsi_opt.grid import grid_of
+from phsi_opt.model import Model
 from phsi_opt.start import remembered
 
 M, K, X, U, T = 2.0, 3.0, np.array([0.7, -1.2]), np.array([0.9]), 0.4
@@ -35,13 +36,15 @@ def change(model: ph.PseudoHamiltonian, name: str, equation: str, values: dict[s
     larger = larger.with_values({n: v for n, v in values.items() if n not in larger.states})
     extended = np.r_[x, [values.get(z, 0.0) for z in larger.memory]]
 
-    def both(m: ph.PseudoHamiltonian, at: np.ndarray) -> np.ndarray:
+    def both(m: Model, at: np.ndarray) -> np.ndarray:
         theta = np.array([m.values[n] for n in m.free])
         return np.concatenate([np.array(f(at, U, T, theta)).ravel()[: len(x)] for f in (m.rhs(), m.output())])
 
     return both(larger, extended) - both(model, x)
 
 
+DELAYED_INPUT = {"delay_u_p": 0.1, "u_delayed_p": 0.8, "u_delayed_p_bend": 3.0}
+DELAYED_SENSOR = {"sensor_delay_q": 0.1, "q_delayed": 0.5, "q_delayed_bend": 3.0}
 CASES = [
     ("viscous damping", "p", {"viscous_damping_p": 0.3}, -0.3 * V, 0),
     ("coulomb friction", "p", {"coulomb_friction_p": 0.3, "coulomb_friction_p.v0": 1e-6}, -0.3 * np.sign(V), 0),
@@ -62,13 +65,13 @@ CASES = [
     ("input dead zone", "p", {"dead_zone_u_p": 0.25}, -5 * 0.25, 0),
     ("input saturation", "p", {"saturation_u_p": 0.25}, -5 * (U[0] - 0.25), 0),
     ("input lag", "p", {"lag_u_p": 0.1, "u_lagged_p": 0.5}, 5 * (0.5 - U[0]), 0),
-    ("input delay", "p", {"delay_u_p": 0.1, "u_delayed_p": 0.8, "u_delayed_p_bend": 3.0}, 5 * (2 * (0.8 - U[0]) + 0.1**2 / 5 * 3), 0),
+    ("input delay", "p", DELAYED_INPUT, 5 * (2 * (0.8 - U[0]) + 0.1**2 / 5 * 3), 0),
     ("hysteresis", "p", {"hysteresis_force_p": 0.3, "hysteresis_p": 0.5}, -0.3 * 0.5, 0),
     ("sensor offset", "q", {"sensor_offset_q": 0.3}, 0, 0.3),
     ("sensor gain", "q", {"sensor_gain_q": 0.3}, 0, 0.3 * Q),
     ("sensor drift", "q", {"sensor_drift_q": 0.3}, 0, 0.3 * T),
     ("sensor clipping", "q", {"clipping_q": 0.5}, 0, 0.5 - Q),
-    ("sensor delay", "q", {"sensor_delay_q": 0.1, "q_delayed": 0.5, "q_delayed_bend": 3.0}, 0, 2 * (0.5 - Q) + 0.1**2 / 5 * 3),
+    ("sensor delay", "q", DELAYED_SENSOR, 0, 2 * (0.5 - Q) + 0.1**2 / 5 * 3),
 ]  # fmt: skip
 
 
