@@ -138,7 +138,10 @@ class _Work:
         model = resolved(model.with_values(values), grid, self.estimate.x)
         pairs = zip(self.fit.model.states, self.estimate.sigma, strict=True)
         noise = {name: float(s) for name, s in pairs if name in data.measured}
-        start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise)
+        # The fast part of a memory, that of a short delay, is not seen by steps as long as the samples.
+        finer = 2 if any(effect.memory for effect in effects) else 1
+        steps = tuple(finer * n for n in self.fit.steps)
+        start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
         try:
             new = identify(model, data, self.loss, start=start, settings=QUICK)
             new = self.sharpened(new)
