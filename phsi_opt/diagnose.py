@@ -42,6 +42,7 @@ from phsi_opt.terms import Share
 N_REFITS = 5
 N_PAIRS = 2
 HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
+CERTAIN = 0.8  # share of the best one's score below which a candidate is no rival, once the best leaves noise
 WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which one is re-fitted
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
@@ -173,15 +174,16 @@ class _Work:
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
         result: list[Candidate] = []
-        enough = np.inf
+        enough, promised = np.inf, -np.inf
         for candidate, one in zip(candidates[:N_REFITS], found, strict=False):
             expected = max(screen.misfit - one.drop, screen.n_values)
-            if expected > HOPELESS * enough or one.p_value * len(found) > WORTH_A_FIT:
+            behind = screen.score(one) < CERTAIN * promised - CLOSE
+            if behind or expected > HOPELESS * enough or one.p_value * len(found) > WORTH_A_FIT:
                 break
             new = self.refitted(candidate, one)
             result.append(new)
             if new.trained is not None and is_adequate(new.trained):
-                enough = min(enough, expected)
+                enough, promised = min(enough, expected), max(promised, screen.score(one))
         return self.ranked(result)
 
     def refitted(self, candidate: Candidate, screened: Screened) -> Candidate:

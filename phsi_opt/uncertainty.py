@@ -61,7 +61,11 @@ def inverse(information: np.ndarray, held: Sequence[int] = ()) -> np.ndarray:
     ridge[list(held)] = 1e12
     values, vectors = np.linalg.eigh(information)
     positive = (vectors * np.maximum(values, 0.0)) @ vectors.T  # a direction without information may round below zero
-    return np.linalg.inv(positive + np.diag(ridge))
+    held_fast = positive + np.diag(ridge)
+    try:
+        return np.linalg.inv(held_fast)
+    except np.linalg.LinAlgError:  # information that spans more digits than numbers have
+        return np.linalg.pinv(held_fast, rcond=1e-15, hermitian=True)
 
 
 def _held(names: Sequence[str], solution: Solution) -> list[int]:
