@@ -184,13 +184,15 @@ def _task(job: tuple[str, int]) -> dict[str, object]:
 
 
 def main(names: list[str], n_seeds: int, jobs: int = 2) -> None:
-    """Examine what is not yet in the tables, row by row, and write the page."""
+    """Examine what is not yet in the tables, the first seeds of all rows first, and write the page."""
     FOLDER.mkdir(parents=True, exist_ok=True)
+    done = {name: set(table(name)["seed"]) if _path(name).exists() else set() for name in names}
+    tasks = [(name, seed) for seed in range(n_seeds) for name in names if seed not in done[name]]
+    for record in _computed(tasks, jobs):
+        name = str(record["row"])
+        line = pd.DataFrame([record], columns=COLUMNS)
+        line.to_csv(_path(name), mode="a", header=not _path(name).exists(), index=False, float_format="%.6g")
     for name in names:
-        done = set(table(name)["seed"]) if _path(name).exists() else set()
-        for record in _computed([(name, seed) for seed in range(n_seeds) if seed not in done], jobs):
-            line = pd.DataFrame([record], columns=COLUMNS)
-            line.to_csv(_path(name), mode="a", header=not _path(name).exists(), index=False, float_format="%.6g")
         rows = table(name).sort_values("seed", kind="stable")
         rows.to_csv(_path(name), index=False, float_format="%.6g")
         print(_line(name, rows), flush=True)
