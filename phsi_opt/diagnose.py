@@ -43,6 +43,7 @@ N_REFITS = 5
 N_PAIRS = 2
 HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
 CERTAIN = 0.8  # share of the best one's score below which a candidate is no rival, once the best leaves noise
+SEEN = 0.01  # screened p-value from which a candidate is compared with the others
 WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which one is re-fitted
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
@@ -99,7 +100,8 @@ class _Proposal:
 
 
 def _candidate(one: Screened, found: list[Screened], screen: Screen) -> Candidate:
-    alike = tuple(str(o.effect) for o in found if o is not one and one.drop > 0 and screen.stands_in(one, o))
+    is_seen = one.p_value < SEEN  # what leaves nothing is like everything
+    alike = tuple(str(o.effect) for o in found if o is not one and is_seen and screen.stands_in(one, o))
     return Candidate(one.effect, one.coefficient, one.std_error, one.drop, one.values, alike, one.p_value)
 
 

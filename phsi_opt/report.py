@@ -35,7 +35,8 @@ def report_text(study: "Study") -> str:
         study.stopped or "not asked yet: call `study.auto()` or `study.diagnose()`",
     ]
     for number, diagnosis in sorted(study._diagnoses.items()):
-        parts += [f"### Diagnosis before step {number}", _block(str(diagnosis))]
+        said = "\n".join(f"- {sentence}" for sentence in diagnosis.sentences)
+        parts += [f"### Diagnosis before step {number}", said, _block(str(diagnosis))]
     return "\n\n".join(parts) + "\n"
 
 
