@@ -47,7 +47,10 @@ SEEN = 0.01  # screened p-value from which a candidate is compared with the othe
 WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which one is re-fitted
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
-NO_BETTER = 1.0  # fall of -2 log likelihood below which a sharper corner of dry friction is not worth its steps
+# Rise of -2 log likelihood up to which the sharper corner of dry friction is taken: friction is sharp, and the corners
+# that fall between samples make the likelihood rough.
+WORSE = 4.0
+CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
 MOST = 0.5  # share of the squared error above the floor from which effects that leave more than noise are proposed
 
 # A candidate that takes more is not the one.
@@ -155,23 +158,26 @@ class _Work:
             return None
 
     def sharpened(self, fit: Fit) -> Fit:
-        """The fit with the widths of its new effects made smaller, on a finer grid, while that explains more.
+        """The fit with the widths of its new effects made smaller, on a finer grid, as long as that explains as much.
 
         A solver needs the corner of dry friction rounded at first; beside a body that sticks, the rounding shows.
         """
         new = [e for n, e in fit.model.entries.items() if n not in self.fit.model.entries and e.parameter.fixed]
-        stages = {e.name: e.parameter.guess.sharper for e in new if isinstance(e.parameter.guess, Share)}
-        for stage in range(max(map(len, stages.values()), default=0)):
-            values = {n: fit.model.values[n] * factors[stage] for n, factors in stages.items() if stage < len(factors)}
-            start = replace(fit, steps=tuple(n * (1 + min(stage, 1)) for n in fit.steps))
+        guesses = {e.name: guess for e in new if isinstance(guess := e.parameter.guess, Share) and guess.sharper}
+        best = fit
+        for stage in range(max((len(guess.sharper) for guess in guesses.values()), default=0)):
+            steps = fit.steps
+            for name, guess in guesses.items():
+                steps = _finer_at_corner(fit, self.data, guess.of, fit.model.values[name], steps)
+            values = {n: fit.model.values[n] * guess.sharper[stage] for n, guess in guesses.items()}
+            start = replace(fit, steps=steps)
             try:
-                finer = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=QUICK)
+                fit = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=QUICK)
             except PhsiOptError:
                 break
-            if deviance(finer) > deviance(fit) - NO_BETTER:
-                break
-            fit = finer
-        return fit
+            if deviance(fit) < deviance(best) + WORSE:
+                best = fit
+        return best
 
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
@@ -266,6 +272,19 @@ class _Work:
 
 def _compared(fit: Fit, data: Measurements, estimate: ForceEstimate) -> Comparison:
     return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
+
+
+def _finer_at_corner(
+    fit: Fit, data: Measurements, of: str, width: float, steps: tuple[np.ndarray, ...]
+) -> tuple[np.ndarray, ...]:
+    """More steps in the gaps between samples in which ``of`` passes its corner: is zero, or near it."""
+    formula, result = fit.model.function(of), []
+    theta = np.array([fit.model.values[name] for name in fit.model.free])
+    for run, x, n in zip(data.trajectories, fit.states, steps, strict=True):
+        v = np.array(formula.map("v", "serial", len(x), [3], [])(x.T, run.u.T, run.t[None, :], theta)).ravel()
+        near = (v[1:] * v[:-1] < 0) | (np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < CORNER * width)
+        result.append(np.where(near, np.maximum(n, AT_CORNER), n))
+    return tuple(result)
 
 
 def _new_names(old: Fit, new: Fit) -> list[str]:
