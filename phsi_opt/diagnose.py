@@ -83,7 +83,8 @@ def diagnose(
     found = screen.screened(listed)
     candidates = [_candidate(one, found, screen) for one in found]
     refitted = work.best_of(screen, found, candidates)
-    everyone = _adjusted(refitted + candidates[len(refitted) :])
+    tried = [c.effect for c in refitted]
+    everyone = _adjusted(refitted + [c for c in candidates if c.effect not in tried])
     proposal = work.proposed(screen, found, everyone)
     if proposal is not None:
         everyone = tuple(sorted(everyone, key=lambda c: c.effect not in proposal.effects))
@@ -135,8 +136,13 @@ class _Work:
         base = trained if held_out is None else _compared(fit, judging, judged)
         return cls(fit, data, judging, estimate, judged, trained, base, loss, say, held_out is not None)
 
-    def refit(self, effects: Sequence[Effect], values: dict[str, float]) -> tuple[Fit, Comparison, Comparison] | None:
-        """The fit with the effects, begun at the states of the missing-force estimate, and its comparisons."""
+    def refit(
+        self, effects: Sequence[Effect], values: dict[str, float], rival: Fit | None = None
+    ) -> tuple[Fit, Comparison, Comparison] | None:
+        """The fit with the effects, begun at the states of the missing-force estimate, and its comparisons.
+
+        Dry friction is sharpened, unless a ``rival`` is better already.
+        """
         grid, data = self.estimate.grid, self.data
         model = self.fit.model
         for effect in effects:
@@ -150,7 +156,8 @@ class _Work:
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
         try:
             new = identify(model, data, self.loss, start=start, settings=QUICK)
-            new = self.sharpened(new)
+            if rival is None or delta_bic(rival, new, 1.0) < 0:
+                new = self.sharpened(new)
             trained = _compared(new, data, self.estimate)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained
         except PhsiOptError as error:
@@ -183,21 +190,24 @@ class _Work:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
         result: list[Candidate] = []
         enough, promised = np.inf, -np.inf
-        for candidate, one in zip(candidates[:N_REFITS], found, strict=False):
+        best: Fit | None = None
+        for candidate, one in _simple_first(list(zip(candidates[:N_REFITS], found, strict=False))):
             expected = max(screen.misfit - one.drop, screen.n_values)
             behind = screen.score(one) < CERTAIN * promised - CLOSE
             if behind or expected > HOPELESS * enough or one.p_value * len(found) > WORTH_A_FIT:
                 break
-            new = self.refitted(candidate, one)
+            new = self.refitted(candidate, one, best)
             result.append(new)
+            if new.fit is not None and (best is None or delta_bic(best, new.fit, 1.0) < 0):
+                best = new.fit
             if new.trained is not None and is_adequate(new.trained):
                 enough, promised = min(enough, expected), max(promised, screen.score(one))
         return self.ranked(result)
 
-    def refitted(self, candidate: Candidate, screened: Screened) -> Candidate:
+    def refitted(self, candidate: Candidate, screened: Screened, rival: Fit | None) -> Candidate:
         """The candidate with its re-fit."""
         self.say(f"re-fitting with {candidate.effect}")
-        result = self.refit([candidate.effect], candidate.values)
+        result = self.refit([candidate.effect], candidate.values, rival)
         if result is None:
             return candidate
         new, trained, comparison = result
@@ -268,6 +278,21 @@ class _Work:
     def is_significant(self, c: Candidate) -> bool:
         """Whether p-value and BIC hold, and the error on the judging data falls."""
         return c.comparison is not None and c.p_value < RATE and c.delta_bic < 0 and falls(self.base, c.comparison)
+
+
+def _simple_first(rows: list[tuple[Candidate, Screened]]) -> list[tuple[Candidate, Screened]]:
+    """The same order, but of dry frictions on one equation the one with fewer parameters comes first."""
+    result = list(rows)
+    for equation in {candidate.effect.equation for candidate, _ in rows}:
+        at = [i for i, (c, _) in enumerate(rows) if c.effect.equation == equation and _is_dry(c.effect)]
+        for i, row in zip(at, sorted((rows[i] for i in at), key=lambda row: row[1].n_free), strict=True):
+            result[i] = row
+    return result
+
+
+def _is_dry(effect: Effect) -> bool:
+    inner = [parameter.guess for term in effect.term for parameter in term.inner.values()]
+    return any(isinstance(guess, Share) and bool(guess.sharper) for guess in inner)
 
 
 def _compared(fit: Fit, data: Measurements, estimate: ForceEstimate) -> Comparison:

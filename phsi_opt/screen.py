@@ -15,6 +15,7 @@ missing force, a gain of the sensor would stand in for every force.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations, pairwise, product
 
 import casadi as ca
@@ -41,7 +42,7 @@ SCHEME = "srk4"
 NO_TRACE = 1e-6  # squared size of a trace, in units of the noise, below which the record does not excite an effect
 ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
 ROUNDS = 2  # of finer values around the best one of a scan
-COARSE = 48  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
+COARSE = 24  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
 EXACT = 8  # best frequencies that are worked out exactly
 
 
@@ -113,7 +114,7 @@ class Screen:
         self.obeying = x + np.asarray(step[1]).reshape(x.shape)  # states that the base model can take
         self.shown = Sensed.at(model, grid, self.obeying, of_runs).shown
 
-    @property
+    @cached_property
     def misfit(self) -> float:
         """Squared residuals that the model leaves, in units of the noise variance."""
         return float(self.residual @ self.residual)
@@ -237,7 +238,7 @@ class Screen:
             still = columns({name: 0.0})[0].sum(axis=1)  # a wave of frequency zero: cos = 1, sin = 0
             power = (adjoint * still).reshape(grid.n_intervals, -1).sum(axis=1)
             middle = grid.t[grid.begin] + grid.h / 2
-            against = np.array([np.abs(np.exp(1j * w * middle) @ power) ** 2 for w in tried])
+            against = np.abs(_fourier(middle, power, tried)) ** 2
             coarse = tried[np.unique(np.linspace(0, len(tried) - 1, COARSE).astype(int))]
             sizes = np.sum(self._wave_traces(columns, name, coarse) ** 2, axis=(0, 2))
             size = np.exp(np.interp(tried, coarse, np.log(np.maximum(sizes, 1e-300))))
@@ -331,6 +332,16 @@ def worth(residual: np.ndarray) -> float:
     squares = float(residual @ residual)
     correlation = float(np.clip(residual[1:] @ residual[:-1] / squares if squares > 0 else 0.0, 0.0, 0.999))
     return (1 - correlation) / (1 + correlation)
+
+
+def _fourier(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+    """sum y exp(i omega t) at evenly spaced frequencies: each wave is the last one times that of the spacing."""
+    wave, turn = y * np.exp(1j * frequencies[0] * t), np.exp(1j * (frequencies[1] - frequencies[0]) * t)
+    result = np.zeros(len(frequencies), dtype=complex)
+    for k in range(len(frequencies)):
+        result[k] = wave.sum()
+        wave = wave * turn
+    return result
 
 
 def _finer(values: np.ndarray, best: float) -> np.ndarray:

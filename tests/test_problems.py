@@ -1,6 +1,7 @@
 """The scripts under problems/, small."""
 
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import phsi_opt as ph
 from phsi_opt.effects import Effect, effect_named
 
 
-@pytest.mark.parametrize("name", ["ball_and_hoop", "emps", "silverbox", "cascaded_tanks"])
+@pytest.mark.parametrize("name", ["ball_and_hoop", "emps", "silverbox", "cascaded_tanks", "quarter_drone"])
 def test_a_script_of_measured_data_says_where_it_looked_for_them(
     name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -67,3 +68,36 @@ def _drag() -> Effect:
     from measured.ball_and_hoop import model
 
     return effect_named(model(), "quadratic drag", "y")
+
+
+def test_the_windows_of_the_quarter_drone_share_their_ends_and_keep_the_mean_command() -> None:
+    import numpy as np
+    from measured.quarter_drone import FLYING, THIN, WINDOW, load
+
+    path = present("quarter_drone")
+    data = load(path, "steps")
+    runs = data.trajectories
+    assert len(runs) == round((FLYING[1] - FLYING[0]) / WINDOW)
+    for earlier, later in pairwise(runs):
+        assert earlier.t[-1] == later.t[0] and earlier.x[-1, 0] == later.x[0, 0]
+    (whole,) = load(path, "steps", thin=1, window=FLYING[1] - FLYING[0]).trajectories
+    assert runs[0].u[:-1].mean() == pytest.approx(whole.u[: THIN * (len(runs[0].t) - 1)].mean())
+    assert np.all(np.abs(np.rad2deg(whole.x[:, 0])) < 90)
+
+
+def test_a_story_tells_each_step_and_why_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import measured.story as story
+    from demo import measurements, model
+
+    monkeypatch.setattr(story, "RESULTS", tmp_path)
+    train, held_out = measurements()[:2].split(0.5)
+    found = story.told(model(), train, held_out, max_steps=1, say=lambda line: None)
+    assert found.how == ["base model", "named"]
+    assert [d.verdict for d in found.diagnoses] == ["missing: named", "nothing missing"]
+    text = story.page(found, "spring", "A spring.", {"again": [1.0, 0.5]}, scale=1e3, unit="mm")
+    assert "| 1 | coulomb friction on p | named |" in text
+    assert 'The last verdict is "nothing missing"' in text
+    assert {path.name for path in (tmp_path / "measured").iterdir()} == {
+        "spring_history.png",
+        "spring_missing_force.png",
+    }

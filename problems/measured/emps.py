@@ -9,6 +9,8 @@ therefore the model's error, and what it weighs most depends on the length of th
 reference fit, windows of 1 s with free starting states are shown beside it. Both are thinned: positions at every
 `THIN`-th sample, the force as its mean in between, which leaves the momentum exact.
 
+A study then starts from a mass with viscous friction alone and has to find what it lacks, in the windows of 1 s.
+
     python problems/measured/emps.py [FOLDER]
 """
 
@@ -22,6 +24,7 @@ from scipy.optimize import least_squares
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from measured.paths import folder
+from measured.story import Story, page, told
 from provenance import write
 
 import phsi_opt as ph
@@ -63,6 +66,14 @@ def model(values: dict[str, float]) -> ph.PseudoHamiltonian:
     )  # fmt: skip
 
 
+def base_model() -> ph.PseudoHamiltonian:
+    """A mass with viscous friction, driven by the force."""
+    return ph.PseudoHamiltonian(
+        states=["q", "p"], inputs=["u"], S=ph.canonical(1), R=ph.damping("p"), F={"p": ph.formula("u")},
+        H=ph.formula("p**2/(2*M)", M=ph.Parameter(80.0, lower=1, unit="kg")),
+    )  # fmt: skip
+
+
 def free_run_error(values: dict[str, float], data: ph.Measurements) -> float:
     """Root mean square error (mm) of free runs, the starting state of each trajectory estimated from all of it."""
     squares = [np.square(_residual(values, run)) for run in data.trajectories]
@@ -85,6 +96,7 @@ def main(path: Path) -> dict[str, dict[str, float]]:
     if not path.exists():
         print(f"skipped: the data are not at {path}; give their folder, or set PHSI_OPT_DATA")
         return {}
+    tell(path)
     start = {"M": 80.0, "Fv": 100.0, "Fc": 5.0, "offset": 0.0}
     fits = {}
     for label, window in (("whole record", None), (SHORT, WINDOW)):
@@ -99,6 +111,22 @@ def main(path: Path) -> dict[str, dict[str, float]]:
         print(label, errors[label], flush=True)
     write("emps.md", _page(fits, values, errors))
     return {"values": values, **errors}
+
+
+def tell(path: Path) -> Story:
+    """The study without hints, on a page of its own."""
+    train, judging = (load(path / name, WINDOW) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"))
+    story = told(base_model(), train, judging)
+    published = free_run_error(PUBLISHED, judging)
+    print(story.study.history.to_string(index=False), published, sep="\n", flush=True)
+    text = (
+        f"The base model is a mass with viscous friction. Fitted are {SHORT} of the record without pulses, {SHORT} of "
+        f"the record with pulses judge, both thinned to every {THIN}th sample, 100 Hz. On these the published values "
+        f"(mass, viscous and Coulomb friction, offset) leave {published:.3f} mm."
+    )
+    told_so = page(story, "emps", text, scale=1e3, unit="mm")
+    write("emps_story.md", f"# EMPS linear drive, told step by step\n\n{told_so}")
+    return story
 
 
 def _page(fits: dict[str, ph.Fit], values: dict[str, float], errors: dict[str, dict[str, float]]) -> str:
