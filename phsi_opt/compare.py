@@ -1,7 +1,8 @@
 """Model against measurements: the free run, its errors, and what the noise alone would leave."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 LOST = 1e3  # in standard deviations of the measurements: stands for a simulation that broke off
+LARGER = 10.0  # times the rates: size of the force from which a second search begins
 BEYOND_SCATTER = 1.5  # estimated noise over the scatter of neighbouring samples, beyond which a sensor is doubted
 WORST_OF_NOISE = 4.0  # standard deviations of noise beyond which a single residual ends the free-run horizon
 
@@ -205,9 +207,24 @@ def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
     grid, start = grid_of(data), initial_noise(data, given)
     estimate = smoothed(model, grid, start, "srk4", np.isfinite(given), theta)
     measured, scatter = grid.measured.any(axis=0), np.where(np.isfinite(given), given, initial_noise(data))
-    if measured.sum() == 1 or not np.any(measured & (estimate.sigma > BEYOND_SCATTER * scatter)):
+
+    def is_doubtful(found: ForceEstimate) -> bool:
+        return bool(np.any(measured & (found.sigma > BEYOND_SCATTER * scatter)))
+
+    if is_doubtful(estimate):  # a search for the force's size that began too low ends with everything called noise
+        larger = replace(estimate.prior, size=LARGER * default_size(estimate))
+        with suppress(SolveError):
+            again = smoothed(model, grid, scatter, "srk4", np.isfinite(given), theta, prior=larger)
+            estimate = max(estimate, again, key=lambda found: found.log_evidence)
+    if measured.sum() == 1 or not is_doubtful(estimate):
         return estimate  # one sensor contradicts nobody
     return smoothed(model, grid, scatter, "srk4", known_noise=True, theta=theta)
+
+
+def default_size(estimate: ForceEstimate) -> np.ndarray:
+    """Size of the rates of the forced equations along the estimated states."""
+    rates = np.sqrt(np.mean(estimate.grid.rates(estimate.x) ** 2, axis=0))
+    return np.maximum(rates[list(estimate.prior.rows)], estimate.prior.size)
 
 
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:

@@ -40,6 +40,7 @@ from phsi_opt.start import resolved
 from phsi_opt.terms import Share
 
 N_REFITS = 5
+AT_LEAST = 3  # of a model that fails, however correlated its residuals
 N_PAIRS = 2
 HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
 CERTAIN = 0.8  # share of the best one's score below which a candidate is no rival, once the best leaves noise
@@ -189,12 +190,13 @@ class _Work:
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
         result: list[Candidate] = []
-        enough, promised = np.inf, -np.inf
+        enough, promised, is_failing = np.inf, -np.inf, not is_adequate(self.trained)
         best: Fit | None = None
         for candidate, one in _simple_first(list(zip(candidates[:N_REFITS], found, strict=False))):
             expected = max(screen.misfit - one.drop, screen.n_values)
             behind = screen.score(one) < CERTAIN * promised - CLOSE
-            if behind or expected > HOPELESS * enough or one.p_value * len(found) > WORTH_A_FIT:
+            is_worth = one.p_value * len(found) < WORTH_A_FIT or (is_failing and len(result) < AT_LEAST)
+            if behind or expected > HOPELESS * enough or not is_worth:
                 break
             new = self.refitted(candidate, one, best)
             result.append(new)
@@ -271,7 +273,10 @@ class _Work:
         if explains(base, proposal.trained, after):
             return NAMED, f"{names}{proposal.words}; {change}", proposal.effects
         share = explained_share(base, after)
-        part = f"explain {100 * share:.0f} % of the squared error above the noise floor, and leave more than noise"
+        verbs = ("explains", "leaves") if len(proposal.effects) == 1 else ("explain", "leave")
+        part = (
+            f"{verbs[0]} {100 * share:.0f} % of the squared error above the noise floor, and {verbs[1]} more than noise"
+        )
         reason = f"no known effect explains it all. The nearest, {names}{proposal.words}, {part}: {change}"
         return UNEXPLAINED, reason, proposal.effects if share > MOST else ()
 

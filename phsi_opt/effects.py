@@ -69,6 +69,8 @@ def catalogue(model: Model) -> list[Effect]:
         if name in moved_by:
             effects += [*_energies(moved_by[name], name), _parametric(model, moved_by[name], name)]
             effects.append(_hysteresis(moved_by[name], name))
+    stores = [name for name in model.states if _is_storage(model, name, moved_by)]
+    effects += [_spilled(model, source, name) for source in stores for name in stores if name != source]
     for (p1, q1), (_, q2) in combinations(moved_by.items(), 2):
         body = f"({q1} - {q2})**2/2"
         effects.append(Effect("coupling stiffness", "H", p1, _term(body, f"coupling_stiffness_{q1}_{q2}")))
@@ -134,6 +136,19 @@ def _losses(model: Model, name: str, position: str | None) -> list[Effect]:
         loss("overflow", over, {"limit": _tried(v, LEVELS)}),
     ]
     return [e for e in effects if not is_storage or e.name == "linear leak"] + leaks
+
+
+def _spilled(model: Model, source: str, name: str) -> Effect:
+    """What overflows from one storage runs into another one."""
+    level = source if isinstance(model, FirstOrder) else f"dH_d{source}"
+    body = f"max({level} - limit, 0)"
+    term = _term(body, f"overflow_{source}_{name}", {"limit": _tried(level, LEVELS)}, lower=0.0)
+    return Effect(f"overflow from {source}", "F", name, term)
+
+
+def _is_storage(model: Model, name: str, moved_by: Mapping[str, str]) -> bool:
+    outside = name not in moved_by and name not in moved_by.values() and name not in model.memory
+    return outside and (isinstance(model, FirstOrder) or name not in _moving(model))
 
 
 def _moving(model: Model) -> set[str]:

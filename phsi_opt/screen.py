@@ -39,7 +39,7 @@ from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 
 SCHEME = "srk4"
-NO_TRACE = 1e-6  # squared size of a trace, in units of the noise, below which the record does not excite an effect
+NO_TRACE = 1e-6  # squared trace of an effect of natural size, in units of the noise, below which it is not excited
 ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
 ROUNDS = 2  # of finer values around the best one of a scan
 COARSE = 24  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
@@ -130,7 +130,7 @@ class Screen:
 
     def _score(self, drop: float, n_free: int) -> float:
         n = self.n_values
-        left = max(self.misfit - drop, float(n), 1e-9 * self.misfit)
+        left = max(self.misfit - drop, 1e-9 * self.misfit)
         return float(n * np.log(max(self.misfit, left) / left) - n_free * np.log(n))
 
     def pairs(self, found: list[Screened], most: int) -> list[tuple[Screened, Screened]]:
@@ -270,9 +270,20 @@ class Screen:
         c = c / size
         return c, float(2 * c @ right - c @ information @ c), information
 
+    def _strength(self, D: np.ndarray, Y: np.ndarray) -> float:
+        """What a coefficient of one changes of a rate, or of what is shown, as a share of its size: free of units."""
+        n = self.model.n_states
+        rates, spread = self.grid.rates(self.x), np.std(self.x, axis=0)
+        parts = [
+            np.sqrt(np.mean(columns.reshape(-1, n, columns.shape[1]) ** 2, axis=(0, 2))) / np.maximum(size, 1e-300)
+            for columns, size in ((D, np.sqrt(np.mean(rates**2, axis=0))), (Y, spread))
+        ]
+        return float(np.max(parts))
+
     def _judged(self, trial: _Trial, point: dict[str, float], trace: np.ndarray, n_tried: int) -> Screened | None:
         c, drop, information = self._regression(trial, trace)
-        if not np.all(np.isfinite(trace)) or np.trace(information) < NO_TRACE:
+        strength = self._strength(*_Columns(self, trial)(point))
+        if not np.all(np.isfinite(trace)) or not np.trace(information) > NO_TRACE * strength**2:
             return None
         drop = max(drop, 0.0)
         free = [name for name in trial.model.free if name not in self.model.entries]

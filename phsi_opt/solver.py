@@ -200,6 +200,8 @@ def _options(program: Program, hessian: ca.Function, settings: Settings) -> dict
             "mu_strategy": "adaptive",
             # Approximate minimum degree that sees dense rows (each parameter's): time in proportion to the samples.
             "mumps_pivot_order": 6,
+            # Pivoting for size alone fills the factors of a badly scaled record until they do not fit (EMPS, 1 kHz).
+            "mumps_pivtol": 1e-9,
         },
     }
 

@@ -136,7 +136,13 @@ class Study:
             if not diagnosis.together:
                 self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}"
                 return self.stopped
-            self.add(diagnosis.together[0])
+            fitted = [c.effect for c in diagnosis.ranked if c.fit is not None]
+            known = [effect for effect in diagnosis.together if effect in fitted] or list(diagnosis.together)
+            try:
+                self.add(known[0])
+            except SolveError as error:
+                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {known[0]} could not be added: {error}"
+                return self.stopped
             self._check_earlier()
         self.stopped = f"the limit of {max_steps} steps was reached; call auto again to go on"
         return self.stopped
