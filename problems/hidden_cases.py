@@ -301,6 +301,8 @@ class Refit:
         for _ in range(rounds):
             runs, slopes = self._slopes(theta, starts)
             error = float(np.sqrt(np.mean(((target - runs) / scale) ** 2)))
+            if not np.isfinite(error) and not np.isfinite(best):  # the hidden effect or the start runs away
+                return np.inf
             if error < best:
                 settled = error > 0.98 * best and damping <= 1e-3
                 best, self.theta, self.starts, damping = error, theta, starts, max(damping / 10, 1e-6)

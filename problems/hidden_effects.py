@@ -51,7 +51,7 @@ def examine(row: Row, seed: int) -> dict[str, object]:
     record: dict[str, object] = {"row": row.name, "seed": seed, "right": False, "tie": False, "outcome": "examined"}
     try:
         case = draw(row, seed)
-    except ArithmeticError as error:
+    except (ArithmeticError, ValueError) as error:
         return record | {"outcome": f"not drawn: {str(error)[:200]}"}
     record |= _described(case) | {"drawing": time.perf_counter() - began}
     began = time.perf_counter()
