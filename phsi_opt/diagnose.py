@@ -40,12 +40,11 @@ from phsi_opt.start import resolved
 from phsi_opt.terms import Share
 
 N_REFITS = 5
-AT_LEAST = 3  # of a model that fails, however correlated its residuals
 N_PAIRS = 2
 HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
 CERTAIN = 0.8  # share of the best one's score below which a candidate is no rival, once the best leaves noise
-SEEN = 0.01  # screened p-value from which a candidate is compared with the others
-WORTH_A_FIT = 0.1  # screened p-value times the number of candidates up to which one is re-fitted
+SEEN = 0.01  # screened p-value up to which a candidate is compared with the others
+WORTH_A_FIT = 0.1  # the same up to which a candidate for a model that does not fail is re-fitted
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 # Rise of -2 log likelihood up to which the sharper corner of dry friction is taken: friction is sharp, and the corners
@@ -195,7 +194,7 @@ class _Work:
         for candidate, one in _simple_first(list(zip(candidates[:N_REFITS], found, strict=False))):
             expected = max(screen.misfit - one.drop, screen.n_values)
             behind = screen.score(one) < CERTAIN * promised - CLOSE
-            is_worth = one.p_value * len(found) < WORTH_A_FIT or (is_failing and len(result) < AT_LEAST)
+            is_worth = is_failing or one.p_value * len(found) < WORTH_A_FIT
             if behind or expected > HOPELESS * enough or not is_worth:
                 break
             new = self.refitted(candidate, one, best)
