@@ -29,7 +29,21 @@ PLAYS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest position: play, 
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of the largest position: displacement over which a hysteresis yields
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)  # of the largest level or value: overflow, clipping
 INPUTS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest input: dead zone, saturation
-DELAYS = (1.0, 2.0, 3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0)  # times between samples: lags, delays
+DELAYS = (
+    0.5,
+    1.0,
+    2.0,
+    3.0,
+    5.0,
+    8.0,
+    13.0,
+    21.0,
+    34.0,
+    55.0,
+    89.0,
+    144.0,
+    233.0,
+)  # times between samples: lags, delays
 
 
 @dataclass(frozen=True)
@@ -248,7 +262,7 @@ def _paths(u: str, p: str) -> Iterator[tuple[str, Dictionary, dict[str, Dictiona
     yield "input saturation", formula(beyond, limit, u, INPUTS), {}
     lag, lagged = f"lag_{u}_{p}", f"{u}_lagged_{p}"
     late = Dictionary((Term(f"{gain}*({lagged} - {u})", None, {}),))
-    yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", DELAYS, "s")}
+    yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", (0.25, *DELAYS), "s")}
     term, memory = _delayed(u, f"delay_{u}_{p}", f"{u}_delayed_{p}", gain)
     yield "input delay", term, memory
 
