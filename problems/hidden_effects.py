@@ -366,7 +366,7 @@ _INTRODUCTION = [
 def _markdown(records: list[dict[str, object]] | pd.DataFrame) -> str:
     frame = pd.DataFrame(records)
     rows = [list(frame.columns), ["---"] * len(frame.columns), *frame.astype(str).to_numpy().tolist()]
-    return "\n".join("| " + " | ".join(cell.replace("|", " or ") for cell in row) + " |" for row in rows)
+    return "\n".join("| " + " | ".join(str(cell).replace("|", " or ") for cell in row) + " |" for row in rows)
 
 
 def _group(effect: str) -> str:
