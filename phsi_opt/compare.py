@@ -218,7 +218,9 @@ def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
             estimate = max(estimate, again, key=lambda found: found.log_evidence)
     if measured.sum() == 1 or not is_doubtful(estimate):
         return estimate  # one sensor contradicts nobody
-    return smoothed(model, grid, scatter, "srk4", known_noise=True, theta=theta)
+    with suppress(SolveError):
+        return smoothed(model, grid, scatter, "srk4", known_noise=True, theta=theta)
+    return estimate
 
 
 def default_size(estimate: ForceEstimate) -> np.ndarray:
