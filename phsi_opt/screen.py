@@ -162,10 +162,8 @@ class Screen:
         columns = _Columns(self, trial)
         if trial.frequency is not None:
             tried = frequencies(self.grid, self.grid.t)
-            best = self._best_frequency(trial, columns, tried)
-            return self._judged(
-                trial, {trial.frequency: best}, self.traces(*columns({trial.frequency: best})), len(tried)
-            )
+            point = {trial.frequency: self._best_frequency(trial, columns, tried)}
+            return self._judged(trial, columns, point, self.traces(*columns(point)), len(tried))
         points = [dict(zip(trial.tried, map(float, v), strict=True)) for v in product(*trial.tried.values())]
         n_tried = len(points)
         best_point, trace = self._best(trial, columns, points)
@@ -176,7 +174,7 @@ class Screen:
                 around = _finer(around, best_point[name])
                 near = [{name: float(value)} for value in around]
                 best_point, trace = self._best(trial, columns, near)
-        return self._judged(trial, best_point, trace, n_tried)
+        return self._judged(trial, columns, best_point, trace, n_tried)
 
     def stands_in(self, one: Screened, other: Screened) -> bool:
         """Whether ``other`` explains what ``one`` explains, up to what noise hides."""
@@ -280,9 +278,11 @@ class Screen:
         ]
         return float(np.max(parts))
 
-    def _judged(self, trial: _Trial, point: dict[str, float], trace: np.ndarray, n_tried: int) -> Screened | None:
+    def _judged(
+        self, trial: _Trial, columns: "_Columns", point: dict[str, float], trace: np.ndarray, n_tried: int
+    ) -> Screened | None:
         c, drop, information = self._regression(trial, trace)
-        strength = self._strength(*_Columns(self, trial)(point))
+        strength = self._strength(*columns(point))
         if not np.all(np.isfinite(trace)) or not np.trace(information) > NO_TRACE * strength**2:
             return None
         drop = max(drop, 0.0)
