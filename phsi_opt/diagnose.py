@@ -53,8 +53,9 @@ WORSE = 4.0
 CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
 MOST = 0.5  # share of the squared error above the floor from which effects that leave more than noise are proposed
 
-# A candidate that takes more is not the one.
+# A candidate that takes more is hardly the one. PATIENT: the most promising of those, where no other explains the data.
 QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0)
+PATIENT = Settings(tolerance=1e-7, max_iterations=200, max_seconds=30.0)
 
 
 def diagnose(
@@ -137,11 +138,13 @@ class _Work:
         return cls(fit, data, judging, estimate, judged, trained, base, loss, say, held_out is not None)
 
     def refit(
-        self, effects: Sequence[Effect], values: dict[str, float], rival: Fit | None = None
-    ) -> tuple[Fit, Comparison, Comparison] | None:
+        self, effects: Sequence[Effect], values: dict[str, float], beside: dict[str, float] | None = None,
+        rival: Fit | None = None, settings: Settings = QUICK,
+    ) -> tuple[Fit, Comparison, Comparison, Fit] | None:  # fmt: skip
         """The fit with the effects, begun at the states of the missing-force estimate, and its comparisons.
 
-        Dry friction is sharpened, unless a ``rival`` is better already.
+        Dry friction is sharpened, unless a ``rival`` is better already; the last is the fit before that. The base's
+        parameters start from the values ``beside``.
         """
         grid, data = self.estimate.grid, self.data
         model = self.fit.model
@@ -153,13 +156,14 @@ class _Work:
         # The fast part of a memory, that of a short delay, is not seen by steps as long as the samples.
         finer = 2 if any(effect.memory for effect in effects) else 1
         steps = tuple(finer * n for n in self.fit.steps)
-        start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
+        own = self.fit.model.with_values({n: v for n, v in (beside or {}).items() if n in self.fit.model.entries})
+        start = replace(self.fit, model=own, states=grid.split(self.estimate.x), noise=noise, steps=steps)
         try:
-            new = identify(model, data, self.loss, start=start, settings=QUICK)
+            blunt = new = identify(model, data, self.loss, start=start, settings=settings)
             if rival is None or delta_bic(rival, new, 1.0) < 0:
                 new = self.sharpened(new)
             trained = _compared(new, data, self.estimate)
-            return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained
+            return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained, blunt
         except PhsiOptError as error:
             self.say(f"not re-fitted: {error}")
             return None
@@ -197,25 +201,41 @@ class _Work:
             is_worth = is_failing or one.p_value * len(found) < WORTH_A_FIT
             if behind or expected > HOPELESS * enough or not is_worth:
                 break
-            new = self.refitted(candidate, one, best)
+            new, blunt = self.refitted(candidate, one, best)
             result.append(new)
-            if new.fit is not None and (best is None or delta_bic(best, new.fit, 1.0) < 0):
-                best = new.fit
+            if blunt is not None and (best is None or delta_bic(best, blunt, 1.0) < 0):
+                best = blunt
             if new.trained is not None and is_adequate(new.trained):
                 enough, promised = min(enough, expected), max(promised, screen.score(one))
+        if result and not np.isfinite(enough):
+            result = self.patiently(screen, result, found, best)
         return self.ranked(result)
 
-    def refitted(self, candidate: Candidate, screened: Screened, rival: Fit | None) -> Candidate:
-        """The candidate with its re-fit."""
+    def patiently(
+        self, screen: Screen, tried: list[Candidate], found: list[Screened], rival: Fit | None
+    ) -> list[Candidate]:
+        """The most promising candidate that was not re-fitted has more time, if those re-fitted promise less."""
+        rows = [(c, one) for c in tried for one in found if one.effect is c.effect]
+        candidate, one = max(rows, key=lambda row: screen.score(row[1]))
+        if candidate.fit is not None:
+            return tried
+        new, _ = self.refitted(candidate, one, rival, PATIENT)
+        return [new if c is candidate else c for c in tried]
+
+    def refitted(
+        self, candidate: Candidate, screened: Screened, rival: Fit | None, settings: Settings = QUICK
+    ) -> tuple[Candidate, Fit | None]:
+        """The candidate with its re-fit, and the fit before dry friction is sharpened."""
         self.say(f"re-fitting with {candidate.effect}")
-        result = self.refit([candidate.effect], candidate.values, rival)
+        result = self.refit([candidate.effect], candidate.values, screened.beside, rival, settings)
         if result is None:
-            return candidate
-        new, trained, comparison = result
+            return candidate, None
+        new, trained, comparison, blunt = result
         names = _new_names(self.fit, new)
         size, error = _size(new, [n for n in names if new.model.entries[n].prunable] or names[:1])
-        return replace(candidate, coefficient=size, std_error=error, fit=new, trained=trained, comparison=comparison,
-                       p_value=screened.n_tried * self.p_value(new, trained))  # fmt: skip
+        p_value = screened.n_tried * self.p_value(new, trained)
+        found = replace(candidate, coefficient=size, std_error=error, fit=new, trained=trained, comparison=comparison)
+        return replace(found, p_value=p_value), blunt
 
     def p_value(self, new: Fit, trained: Comparison) -> float:
         """Of the likelihood ratio, correlated residuals counted as fewer independent ones."""
@@ -249,7 +269,7 @@ class _Work:
             result = self.refit([first.effect, second.effect], {**first.values, **second.values})
             if result is None:
                 continue
-            new, trained, comparison = result
+            new, trained, comparison, _ = result
             share = independent_share(trained)
             better = delta_bic(self.fit if best is None else best.fit, new, share) < -CLOSE
             if better and falls(self.base if best is None else best.comparison, comparison):

@@ -64,6 +64,12 @@ class Grid:
         """The same nodes with only the intervals ``keep``."""
         return replace(self, begin=self.begin[keep], h=self.h[keep], u0=self.u0[keep], u1=self.u1[keep])
 
+    def apart(self) -> "Grid":
+        """The same intervals, each with two nodes of its own, one after the other."""
+        node = np.column_stack([self.begin, self.begin + 1]).ravel()
+        moved = {name: getattr(self, name)[node] for name in ("t", "y", "trajectory", "sample", "u")}
+        return replace(self, **moved, begin=2 * np.arange(self.n_intervals))
+
     def rates(self, x: np.ndarray) -> np.ndarray:
         """(x1 - x0)/h per interval."""
         return (x[self.begin + 1] - x[self.begin]) / self.h[:, None]

@@ -131,7 +131,8 @@ def _beginning(
     complete_data = bool(grid.measured.all())
     x = grid.y
     if not complete_data:
-        estimate = starting.smoothed(core, grid, sigma, loss.integrator, known, rounds=2)
+        guessed = starting.resolved(core, grid, np.nan_to_num(grid.y))
+        estimate = starting.smoothed(guessed, grid, sigma, loss.integrator, known, rounds=2)
         x, sigma = estimate.x, estimate.sigma
     core = starting.resolved(core, grid, x)
     given = {name for name, e in task.model.entries.items() if e.parameter.value is not None and not e.prunable}

@@ -18,7 +18,7 @@ from phsi_opt.grid import Grid, output_slope, outputs
 from phsi_opt.linear import Banded, along_time
 from phsi_opt.losses import ForcePrior, MissingForce, Point
 from phsi_opt.model import Model
-from phsi_opt.solver import Settings, Solver
+from phsi_opt.solver import Settings, Solution, Solver
 from phsi_opt.theta import Theta
 
 Known = bool | np.ndarray  # whether the noise is known, of all states or of each
@@ -27,6 +27,7 @@ PROBED = 200_000  # values that all probes together look at, at least
 SHRINKING = (1.0, 0.1, 0.01)  # sizes of the force while parameters and states are found together
 SETTLED = 0.02  # change of the logarithm of a variance at which its updates end
 LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
+GENEROUS = 100.0  # factor on the size of the force after a search from its usual size failed
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,10 @@ def estimate_force(
     start, evidence = program.start, -np.inf
     for _ in range(rounds):
         solution = solver.solve(start, np.r_[prior.size, sigma], raise_on_failure=False)
-        if not solution.outcome.success and solution.outcome.infeasibility > 1e-3:
+        if _is_lost(solution):  # a force large enough lets the states follow the data, whatever the model
+            prior = replace(prior, size=GENEROUS * prior.size)
+            solution = solver.solve(program.start, np.r_[prior.size, sigma], raise_on_failure=False)
+        if _is_lost(solution):
             raise SolveError(f"The missing force could not be estimated: {solution.outcome}")
         start = solution.z
         x = solution.values["x"].reshape(point.x.shape)
@@ -111,11 +115,15 @@ def softened(model: Model, grid: Grid, unknown: Theta, point: Point, sigma: np.n
     solver, start = Solver(program, Settings(tolerance=1e-4, max_iterations=60)), program.start
     for factor in SHRINKING:
         solution = solver.solve(start, np.r_[factor * prior.size, sigma], raise_on_failure=False)
-        if not solution.outcome.success and solution.outcome.infeasibility > 1e-3:
+        if _is_lost(solution):
             break
         start = solution.z
         point = replace(point, theta=solution.values["theta"], x=solution.values["x"].reshape(point.x.shape))
     return point
+
+
+def _is_lost(solution: Solution) -> bool:
+    return not solution.outcome.success and solution.outcome.infeasibility > 1e-3
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,8 +33,8 @@ from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, Sensed
 from phsi_opt.model import Model
 from phsi_opt.record import matrix_of, parameters_of
-from phsi_opt.start import Memory, frequencies, resolved, tried_values
-from phsi_opt.terms import Scan, Tried
+from phsi_opt.start import Memory, at_rest, frequencies, resolved, tried_values
+from phsi_opt.terms import Scan, Share, Tried
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 
@@ -52,7 +52,8 @@ class Screened:
 
     ``coefficient`` and ``std_error``: the expected one (the amplitude of a wave, the inner parameter where the effect
     has no coefficient); ``drop``: expected fall of the misfit in units of the noise variance, with ``n_free``
-    parameters and ``n_tried`` values scanned; ``values``: where to start a re-fit; ``trace``: (n_values, k).
+    parameters and ``n_tried`` values scanned; ``values``: where to start a re-fit, ``beside`` those of the base's own
+    parameters; ``trace``: (n_values, k).
     """
 
     effect: Effect
@@ -63,6 +64,7 @@ class Screened:
     n_tried: int
     p_value: float
     values: dict[str, float]
+    beside: dict[str, float]
     trace: np.ndarray = field(repr=False)
     explained: np.ndarray = field(repr=False)  # trace times coefficients
 
@@ -100,7 +102,9 @@ class Screen:
         self.weight = np.where(seen, 1 / estimate.sigma, 0.0).ravel()
         weighted = diags(self.weight)
         own = output_slopes_of(unknown, grid, x, theta).reshape(x.size, n_theta)
-        slopes, through_sensors = _scaled(csc_matrix(B.sparse()), weighted @ csc_matrix(own))
+        self.unknown, self.theta = unknown, theta
+        self.scale = _scale(csc_matrix(B.sparse()), weighted @ csc_matrix(own))
+        slopes, through_sensors = B.sparse() @ diags(self.scale), weighted @ csc_matrix(own) @ diags(self.scale)
         self.seen_of = csc_matrix(hstack([through_sensors, weighted @ sensed.slope]))  # from theta and x to residuals
         r = np.where(seen, (grid.y - sensed.shown) / estimate.sigma, 0.0).ravel()
         x_places = slice(n_theta, n_theta + x.size)
@@ -109,7 +113,7 @@ class Screen:
         self.covariance = inverse(self.reduced.information)
         self.n_theta, self.n_values = n_theta, int(seen.sum())
         g = self.seen_of.T @ r
-        step = self.reduced.solve(g[n_theta:], -self.defects, self.covariance, g[:n_theta])
+        self.step = step = self.reduced.solve(g[n_theta:], -self.defects, self.covariance, g[:n_theta])
         self.residual = r - self.seen_of @ np.concatenate(step)
         self.obeying = x + np.asarray(step[1]).reshape(x.shape)  # states that the base model can take
         self.shown = Sensed.at(model, grid, self.obeying, of_runs).shown
@@ -183,10 +187,18 @@ class Screen:
 
     def traces(self, D: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """What is left in the weighted residuals of columns of defects D and of values shown Y, base re-estimated."""
-        shown = self.weight[:, None] * Y
-        g = -(self.seen_of.T @ shown)
-        n = self.n_theta
-        return np.asarray(shown + self.seen_of @ np.concatenate(self.reduced.solve(g[n:], -D, self.covariance, g[:n])))
+        return np.asarray(self.weight[:, None] * Y + self.seen_of @ np.concatenate(self._followed(D, Y)))
+
+    def _followed(self, D: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How the base's parameters (scaled) and the states follow the columns D and Y."""
+        g, n = -(self.seen_of.T @ (self.weight[:, None] * Y)), self.n_theta
+        return self.reduced.solve(g[n:], -D, self.covariance, g[:n])
+
+    def beside(self, D: np.ndarray, Y: np.ndarray, c: np.ndarray) -> dict[str, float]:
+        """Values of the base's parameters beside an effect of coefficients c, within their bounds."""
+        found = self.theta + self.scale * (self.step[0] + self._followed(D, Y)[0] @ c)
+        bounds = np.array([(e.parameter.lower, e.parameter.upper) for e in self.unknown.entries]).reshape(-1, 2)
+        return dict(zip(self.unknown.names, np.clip(found, *bounds.T).tolist(), strict=True))
 
     def _trial(self, effect: Effect) -> _Trial:
         model = self.model.add(effect)
@@ -256,11 +268,12 @@ class Screen:
         information, right = trace.T @ trace, trace.T @ self.residual
         if not trial.linear:  # the effect has no coefficient: it is there as a whole
             return np.ones(1), float(2 * right[0] - information[0, 0]), information
+        at_rest = [(0.0, 1.0)] * (trace.shape[1] - len(trial.linear))
         size = np.sqrt(np.maximum(np.diag(information), 1e-300))
         factor = np.linalg.cholesky(information / np.outer(size, size) + 1e-10 * np.eye(len(size)))
         bounds = [(trial.model.entries[name].parameter.lower, trial.model.entries[name].parameter.upper)
                   for name in trial.linear]  # fmt: skip
-        lower, upper = np.array(bounds).T * size
+        lower, upper = np.array(bounds + at_rest).T * size
         z = np.linalg.solve(factor, right / size)
         c = np.linalg.solve(factor.T, z)
         if np.any(c < lower) or np.any(c > upper):
@@ -282,7 +295,9 @@ class Screen:
         self, trial: _Trial, columns: "_Columns", point: dict[str, float], trace: np.ndarray, n_tried: int
     ) -> Screened | None:
         c, drop, information = self._regression(trial, trace)
-        strength = self._strength(*columns(point))
+        D, Y = columns(point)
+        k = len(trial.linear) or 1
+        strength = self._strength(D[:, :k], Y[:, :k])
         if not np.all(np.isfinite(trace)) or not np.trace(information) > NO_TRACE * strength**2:
             return None
         drop = max(drop, 0.0)
@@ -292,15 +307,18 @@ class Screen:
         values = {**point, **dict(zip(trial.linear, c.tolist(), strict=False))}
         values = {name: _within(trial.model, name, value) for name, value in values.items()}
         if trial.linear:
-            size = float(np.hypot(*c)) if trial.frequency and len(c) == 2 else float(c[-1])
-            error = float(np.max(spread)) if trial.frequency else float(spread[-1])
+            size = float(np.hypot(*c)) if trial.frequency and len(c) == 2 else float(c[k - 1])
+            error = float(np.max(spread)) if trial.frequency else float(spread[k - 1])
         else:
             size, error = next(iter(point.values())), np.nan
         residual = self.residual - trace @ c
         share = worth(residual[self.weight > 0])
         gain = share * self.n_values * np.log(max(self.misfit, 1e-300) / max(self.misfit - drop, 1e-300))
-        p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), len(free))))
-        return Screened(trial.effect, size, error, drop, len(free), n_tried, p, values, trace, trace @ c)
+        n_free = len(free) + trace.shape[1] - k
+        p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), n_free)))
+        return Screened(
+            trial.effect, size, error, drop, n_free, n_tried, p, values, self.beside(D, Y, c), trace, trace @ c
+        )
 
 
 class _Columns:
@@ -313,29 +331,61 @@ class _Columns:
         self.states = screen.obeying if trial.effect.slot == "sensor" else screen.x
         self.memory = Memory(trial.model, screen.grid, self.states) if trial.effect.memory else None
         self.slopes = self.function = None
+        self.grid = screen.grid if self.memory is None else screen.grid.apart()
         if trial.effect.slot != "sensor" and self.chosen:
-            self.slopes = defect_jacobian(trial.model, screen.grid, SCHEME, self.chosen, n_runs)
+            self.slopes = defect_jacobian(trial.model, self.grid, SCHEME, self.chosen, n_runs)
         elif trial.effect.slot != "sensor":
-            self.function = defect_function(trial.model, screen.grid, SCHEME, n_runs)
+            self.function = defect_function(trial.model, self.grid, SCHEME, n_runs)
+        self.rest = self._rest()
+
+    def _states(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States at the nodes, and at the nodes of the intervals: a memory acts there with its mean.
+
+        A memory shorter than an interval is not what lies half way between its values at the ends.
+        """
+        if self.memory is None:
+            return self.states, self.states
+        x, means = self.memory(theta)
+        along = x[np.column_stack([self.screen.grid.begin, self.screen.grid.begin + 1]).ravel()]
+        along[:, -means.shape[1] :] = np.repeat(means, 2, axis=0)
+        return x, along
+
+    def _rest(self) -> np.ndarray:
+        """Defects of a body at rest, (n_defects, 1 or 0 columns), where the effect is dry friction.
+
+        There the friction is what the rest of the model makes it, whatever its coefficient.
+        """
+        screen, entries = self.screen, self.trial.model.entries
+        inner = [(n, e.parameter.guess) for n, e in entries.items() if n not in screen.model.entries]
+        corners = [(name, g) for name, g in inner if isinstance(g, Share) and g.sharper]
+        defects = np.zeros((screen.grid.n_intervals, screen.model.n_states))
+        for name, guess in corners[:1]:
+            still = at_rest(self.trial.model, screen.grid, screen.x, guess.of, self.trial.model.values[name])
+            row = screen.model.index(self.trial.effect.equation)
+            defects[still, row] = -screen.defects.reshape(defects.shape)[still, row]
+        return defects.reshape(-1, 1)[:, : int(defects.any())]
 
     def __call__(self, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """D (n_defects, k) and Y (n_nodes * n_states, k)."""
         screen, model, grid = self.screen, self.trial.model, self.screen.grid
         theta = screen.theta_at(model, values)
-        x = self.states if self.memory is None else self.memory(theta)
+        x, along = self._states(theta)
         n_old, k = screen.model.n_states, max(len(self.chosen), 1)
         D, Y = np.zeros((grid.n_intervals, n_old, k)), np.zeros((grid.n_nodes, n_old, k))
         if self.slopes is not None:
-            D = np.array(self.slopes(x.T, theta)).reshape(grid.n_intervals, model.n_states, k)[:, :n_old]
+            D = np.array(self.slopes(along.T, theta)).reshape(grid.n_intervals, model.n_states, k)[:, :n_old]
         elif self.function is None:
             if self.chosen:
                 Y = output_slopes(model, grid, x, theta)[1][:, :n_old, self.chosen]
             else:
                 Y = (np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T[:, :n_old] - screen.shown)[..., None]
         else:
-            d = np.array(self.function(x.T, theta)).T[:, :n_old]
+            d = np.array(self.function(along.T, theta)).T[:, :n_old]
             D = (d - screen.defects.reshape(grid.n_intervals, n_old))[..., None]
-        return np.nan_to_num(D.reshape(-1, k)), np.nan_to_num(Y.reshape(-1, k))
+        D, Y, n_rest = np.nan_to_num(D.reshape(-1, k)), np.nan_to_num(Y.reshape(-1, k)), self.rest.shape[1]
+        if n_rest:
+            D = np.hstack([np.where(self.rest != 0, 0.0, D), self.rest])
+        return D, np.pad(Y, ((0, 0), (0, n_rest)))
 
 
 def worth(residual: np.ndarray) -> float:
@@ -368,7 +418,7 @@ def _within(model: Model, name: str, value: float) -> float:
     return float(np.clip(value, parameter.lower, parameter.upper))
 
 
-def _scaled(B: csc_matrix, D: csc_matrix) -> tuple[csc_matrix, csc_matrix]:
+def _scale(B: csc_matrix, D: csc_matrix) -> np.ndarray:
+    """Per column of B above D: one over its norm."""
     norms = np.sqrt(np.asarray(B.power(2).sum(axis=0) + D.power(2).sum(axis=0)).ravel())
-    scale = diags(1 / np.where(norms > 0, norms, 1.0))
-    return csc_matrix(B @ scale), csc_matrix(D @ scale)
+    return 1 / np.where(norms > 0, norms, 1.0)

@@ -58,6 +58,11 @@ MEANINGS = {
 }
 
 
+# Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over the last `SETTLING` of them the
+# objective stays to this share, and the constraints hold. Without curvature that would also be slow progress.
+SETTLING, SETTLED, HOLDING = 8, 1e-6, 1e-5
+
+
 @dataclass(frozen=True)
 class Settings:
     """How hard to try: tolerance on the scaled optimality conditions, and limits.
@@ -126,6 +131,7 @@ class Solver:
 
     def __init__(self, program: Program, settings: Settings | None = None, exact: bool = False) -> None:
         self.program = program
+        self.is_curved = exact or program.exact is None
         hessian = program.exact() if exact and program.exact is not None else program.hessian
         problem = {"x": program.z, "p": program.settings, "f": program.objective, "g": program.g}
         self._ipopt = ca.nlpsol("program", "ipopt", problem, _options(program, hessian, settings or Settings()))
@@ -144,7 +150,7 @@ class Solver:
         )  # fmt: skip
         seconds = time.perf_counter() - began
         z = np.array(result["x"]).ravel()
-        outcome = _outcome(program, self._ipopt.stats(), z, result, seconds)
+        outcome = _outcome(program, self._ipopt.stats(), z, result, seconds, self.is_curved)
         if outcome.status == "User_Requested_Stop":
             raise KeyboardInterrupt
         if raise_on_failure and not outcome.success:
@@ -208,7 +214,9 @@ def _options(program: Program, hessian: ca.Function, settings: Settings) -> dict
     }
 
 
-def _outcome(program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float) -> Outcome:
+def _outcome(
+    program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float, is_curved: bool
+) -> Outcome:
     status = str(stats["return_status"])
     usable, sentence, advice = MEANINGS.get(
         status, (False, f"the solver stopped: {status}", "Try other starting values.")
@@ -217,12 +225,22 @@ def _outcome(program: Program, stats: dict[str, Any], z: np.ndarray, result: dic
     outside = np.maximum(program.g_lower - g, g - program.g_upper)
     worst = int(np.argmax(outside)) if outside.size else 0
     infeasibility = max(float(outside[worst]), 0.0) if outside.size else 0.0
+    if not usable and is_curved and _is_settled(stats):
+        usable, sentence, advice = True, "the iterates settled at a kink of the model, where no slope vanishes", ""
     if not usable and infeasibility > 1e-6:
         sentence += f"; the largest violation is {infeasibility:.1e} in {program.name_of(worst, program.constraints)}"
     return Outcome(
         usable, status, sentence, advice, int(stats["iter_count"]), seconds, float(result["f"]), infeasibility,
         _at_bounds(program, z),
     )  # fmt: skip
+
+
+def _is_settled(stats: dict[str, Any]) -> bool:
+    last = {name: np.array(stats.get("iterations", {}).get(name, []))[-SETTLING:] for name in ("obj", "inf_pr")}
+    objective, violation = last["obj"], last["inf_pr"]
+    if len(objective) < SETTLING or not np.all(np.isfinite(objective)):
+        return False
+    return bool(np.ptp(objective) <= SETTLED * np.max(np.abs(objective)) and np.max(violation) < HOLDING)
 
 
 def _at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:

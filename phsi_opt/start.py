@@ -29,6 +29,7 @@ from phsi_opt.theta import Theta
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 N_STARTS = 3  # frequencies of the scan that are tried
+STILL, STAYING = 4.0, 5.0  # widths of dry friction's corner that count as rest, and how often as long as turning takes
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 CLEANEST = (
     1e-5  # least noise that is assumed, as a share of the spread of a channel: weights stay within double precision
@@ -211,10 +212,28 @@ def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -
 
 def _along_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
     """Values of a formula at the nodes, those that are finite."""
+    values = _at_nodes(model, grid, x, expression)
+    return values[np.isfinite(values)]
+
+
+def _at_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
     theta = np.array([model.values[name] for name in model.free])
     mapped = model.function(expression).map("mapped", "serial", grid.n_nodes, [3], [])
-    values = np.array(mapped(_padded(model, x).T, grid.u.T, grid.t[None, :], theta)).ravel()
-    return values[np.isfinite(values)]
+    return np.array(mapped(_padded(model, x).T, grid.u.T, grid.t[None, :], theta)).ravel()
+
+
+def at_rest(model: Model, grid: Grid, x: np.ndarray, of: str, width: float) -> np.ndarray:
+    """Whether a body stays at rest along each interval: its speed, a formula, is within some widths of zero.
+
+    A body that only turns round is as slow, but passes through in a time that its usual acceleration tells.
+    """
+    speed = _at_nodes(model, grid, x, of)
+    slow = np.maximum(np.abs(speed[grid.begin]), np.abs(speed[grid.begin + 1])) < STILL * width
+    acceleration = np.sqrt(np.nanmean(grid.rates(speed[:, None]) ** 2))
+    run = grid.trajectory[grid.begin]
+    stretch = np.cumsum(np.r_[True, (slow[1:] != slow[:-1]) | (run[1:] != run[:-1])]) - 1
+    lasts = np.bincount(stretch, grid.h)[stretch]
+    return slow & (lasts * acceleration > STAYING * 2 * STILL * width)
 
 
 def _padded(model: Model, x: np.ndarray) -> np.ndarray:
@@ -228,7 +247,7 @@ def remembered(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np
     ``x`` holds the other states and those of older effects; ``theta`` is (n_free,) or (n_free, n_trajectories). A
     memory begins at rest where its equation is linear in it, else at zero.
     """
-    return x if x.shape[1] == model.n_states else Memory(model, grid, x)(theta)
+    return x if x.shape[1] == model.n_states else Memory(model, grid, x)(theta)[0]
 
 
 class Memory:
@@ -244,10 +263,10 @@ class Memory:
             self.along.append(one.mapaccum("memory", len(at)))
         self.rest = _rest(model, x.shape[1])
 
-    def __call__(self, theta: np.ndarray) -> np.ndarray:
-        """The states with their memory, (n_nodes, n_states)."""
+    def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The states with their memory, (n_nodes, n_states), and the memory's means over the intervals."""
         grid, x, n_old = self.grid, self.x, self.x.shape[1]
-        result = _padded(self.model, x)
+        result, means = _padded(self.model, x), np.zeros((grid.n_intervals, self.model.n_states - n_old))
         columns = theta if theta.ndim == 2 else theta[:, None]
         for run, (first, at, along) in enumerate(zip(grid.first, self.at, self.along, strict=True)):
             values = columns[:, run % columns.shape[1]]
@@ -255,31 +274,35 @@ class Memory:
             z0 = z0 if np.all(np.isfinite(z0)) else np.zeros(len(z0))
             ends = [x[grid.begin[at]].T, x[grid.begin[at] + 1].T, grid.u0[at].T, grid.u1[at].T]
             times = [grid.t[grid.begin[at]][None, :], grid.h[at][None, :]]
-            z = np.array(along(z0, *ends, *times, np.repeat(values[:, None], len(at), axis=1)))
-            result[first, n_old:], result[grid.begin[at] + 1, n_old:] = z0, z.T
-        return result
+            z, mean = along(z0, *ends, *times, np.repeat(values[:, None], len(at), axis=1))
+            result[first, n_old:], result[grid.begin[at] + 1, n_old:] = z0, z.full().T
+            means[at] = mean.full().T
+        return result, means
 
 
 def _memory_step(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> z at the end of an interval, by four steps of RK4."""
+    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> z at the end of an interval, its mean over the interval.
+
+    Steps of the trapezoidal rule with the slope taken at their beginning: a short delay is stiff.
+    """
     n_new, m, rhs = model.n_states - n_old, model.n_inputs, model.rhs()
     z, x0, x1 = ca.SX.sym("z", n_new), ca.SX.sym("x0", n_old), ca.SX.sym("x1", n_old)
     u0, u1, t0, h = ca.SX.sym("u0", m), ca.SX.sym("u1", m), ca.SX.sym("t0"), ca.SX.sym("h")
-    theta = ca.SX.sym("theta", len(model.free))
+    theta, share = ca.SX.sym("theta", len(model.free)), ca.SX.sym("share")
 
-    def rate(value: Any, share: float) -> Any:
-        x = ca.vertcat(x0 + share * (x1 - x0), value)
-        return rhs(x, u0 + share * (u1 - u0), t0 + share * h, theta)[n_old:]
+    def rate(value: Any, at: Any) -> Any:
+        x = ca.vertcat(x0 + at * (x1 - x0), value)
+        return rhs(x, u0 + at * (u1 - u0), t0 + at * h, theta)[n_old:]
 
-    end, step = z, h / MEMORY_STEPS
+    step, given = h / MEMORY_STEPS, [x0, x1, u0, u1, t0, h, theta]
+    both = rate(z, share) + rate(z, share + 1 / MEMORY_STEPS)
+    end = z + step / 2 * ca.solve(ca.SX.eye(n_new) - step / 2 * ca.jacobian(rate(z, share), z), both)
+    one = ca.Function("part", [z, share, *given], [end])
+    at, mean = z, ca.SX.zeros(n_new)
     for k in range(MEMORY_STEPS):
-        a, b, c = k / MEMORY_STEPS, (k + 0.5) / MEMORY_STEPS, (k + 1) / MEMORY_STEPS
-        k1 = rate(end, a)
-        k2 = rate(end + step / 2 * k1, b)
-        k3 = rate(end + step / 2 * k2, b)
-        k4 = rate(end + step * k3, c)
-        end = end + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return ca.Function("step", [z, x0, x1, u0, u1, t0, h, theta], [end])
+        after = one(at, k / MEMORY_STEPS, *given)
+        at, mean = after, mean + (at + after) / (2 * MEMORY_STEPS)
+    return ca.Function("step", [z, *given], [at, mean])
 
 
 def _rest(model: Model, n_old: int) -> ca.Function:

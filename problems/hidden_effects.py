@@ -84,7 +84,7 @@ def _one(case: Case) -> dict[str, object]:
     diagnosis = ph.diagnose(fit, case.train, held_out=case.test)
     table = diagnosis.candidates
     found: dict[str, object] = {
-        "base_error": ph.compare(fit, case.test).rmse / floor(case),
+        "base_error": diagnosis.base.rmse / floor(case),
         "verdict": diagnosis.verdict,
     }
     if case.row.kind == "nothing":
