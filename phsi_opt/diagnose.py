@@ -143,7 +143,7 @@ class _Work:
     ) -> tuple[Fit, Comparison, Comparison, Fit] | None:  # fmt: skip
         """The fit with the effects, begun at the states of the missing-force estimate, and its comparisons.
 
-        Dry friction is sharpened, unless a ``rival`` is better already; the last is the fit before that. The base's
+        Dry friction is sharpened if it is clearly better than a ``rival``; the last is the fit before that. The base's
         parameters start from the values ``beside``.
         """
         grid, data = self.estimate.grid, self.data
@@ -160,7 +160,7 @@ class _Work:
         start = replace(self.fit, model=own, states=grid.split(self.estimate.x), noise=noise, steps=steps)
         try:
             blunt = new = identify(model, data, self.loss, start=start, settings=settings)
-            if rival is None or delta_bic(rival, new, 1.0) < 0:
+            if rival is None or delta_bic(rival, new, 1.0) < -CLOSE:
                 new = self.sharpened(new)
             trained = _compared(new, data, self.estimate)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained, blunt

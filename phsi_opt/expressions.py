@@ -138,7 +138,15 @@ def _check_call(node: ast.Call, text: str) -> None:
 
 def names_of(node: ast.AST | str) -> set[str]:
     """Names that a formula uses: states, inputs, parameters, the time (not its functions, not pi)."""
-    tree = parse(node) if isinstance(node, str) else node
+    return set(_names_in(node)) if isinstance(node, str) else _names_below(node)
+
+
+@lru_cache(maxsize=1024)
+def _names_in(text: str) -> frozenset[str]:
+    return frozenset(_names_below(parse(text)))
+
+
+def _names_below(tree: ast.AST) -> set[str]:
     called = {id(part.func) for part in ast.walk(tree) if isinstance(part, ast.Call)}
     found = {part.id for part in ast.walk(tree) if isinstance(part, ast.Name) and id(part) not in called}
     return found - set(CONSTANTS)

@@ -305,9 +305,15 @@ class Model:
 
     def output(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
+        return self._output
+
+    @cached_property
+    def _output(self) -> ca.Function:
         x, u, t, theta, values = self._symbols()
-        e = self.expressions([x[i] for i in range(self.n_states)], [u[i] for i in range(self.n_inputs)], t, values)
-        shown = x + ca.vertcat(*(ca.SX(added) for added in e.sensor))
+        shown = x
+        if self.sensor:
+            e = self.expressions([x[i] for i in range(self.n_states)], [u[i] for i in range(self.n_inputs)], t, values)
+            shown = x + ca.vertcat(*(ca.SX(added) for added in e.sensor))
         return ca.Function("output", [x, u, t, theta], [ca.densify(shown)], ["x", "u", "t", "theta"], ["y"])
 
     def derivative(self, e: "Expressions") -> Any:
