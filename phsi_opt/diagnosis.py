@@ -11,10 +11,12 @@ import pandas as pd
 from phsi_opt.compare import Comparison
 from phsi_opt.effects import Effect
 from phsi_opt.fit import Fit
+from phsi_opt.follows import depends_on, leading
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, force_deviation
+from phsi_opt.power import Power, power
 from phsi_opt.separate import Separation, separating
-from phsi_opt.where import Power, depends_on, leading, located, power, sentences
+from phsi_opt.where import located, sentences
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,27 +14,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from phsi_opt.along import Along, along, force_unit, frequency_unit, spectrum
 from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.follows import CLEAR, cleaned, depends_on, variables
 from phsi_opt.missing import positions
-from phsi_opt.where import (
-    CLEAR,
-    SEEN,
-    Along,
-    along,
-    cleaned,
-    depends_on,
-    deviation_of,
-    force_unit,
-    frequency_unit,
-    located,
-    period_of,
-    plane_of,
-    region_of,
-    sentences,
-    spectrum,
-    uncertain,
-    variables,
-)
+from phsi_opt.power import period_of, plane_of
+from phsi_opt.where import SEEN, deviation_of, located, region_of, sentences, uncertain
 
 if TYPE_CHECKING:
     from phsi_opt.diagnosis import Diagnosis
