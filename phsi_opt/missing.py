@@ -25,6 +25,7 @@ Known = bool | np.ndarray  # whether the noise is known, of all states or of eac
 N_PROBES = 24
 PROBED = 200_000  # values that all probes together look at, at least
 SHRINKING = (1.0, 0.1, 0.01)  # sizes of the force while parameters and states are found together
+ROUGH = 30  # iterations while the force's size is still sought: beside sharp friction a generous force takes hundreds
 SETTLED = 0.02  # change of the logarithm of a variance at which its updates end
 LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
 GENEROUS = 100.0  # factor on the size of the force after a search from its usual size failed
@@ -81,13 +82,16 @@ def estimate_force(
     prior = prior or default_prior(model, grid, point)
     theta = point.theta
     program = MissingForce(integrator).program(model, grid, point, prior, sigma)
-    solver = Solver(program, Settings(tolerance=1e-6, max_iterations=200))
+    solver = Solver(program, Settings(tolerance=1e-6, max_iterations=ROUGH))
     start, evidence = program.start, -np.inf
-    for _ in range(rounds):
+    for rest in reversed(range(rounds)):
         solution = solver.solve(start, np.r_[prior.size, sigma], raise_on_failure=False)
         if _is_lost(solution):  # a force large enough lets the states follow the data, whatever the model
             prior = replace(prior, size=GENEROUS * prior.size)
             solution = solver.solve(program.start, np.r_[prior.size, sigma], raise_on_failure=False)
+        if _is_lost(solution) or not (rest or solution.outcome.success):
+            solver = Solver(program, Settings(tolerance=1e-6, max_iterations=200))
+            solution = solver.solve(solution.z, np.r_[prior.size, sigma], raise_on_failure=False)
         if _is_lost(solution):
             raise SolveError(f"The missing force could not be estimated: {solution.outcome}")
         start = solution.z

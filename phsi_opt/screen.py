@@ -11,10 +11,15 @@ are those of a small regression of r on T. Inner parameters are scanned, each va
 
 A sensor's candidate is a model whose dynamics are right, so Y is taken at states that obey them: at those of the
 missing force, a gain of the sensor would stand in for every force.
+
+Some effects only repeat what the base parameters can do: where the momentum is not measured, a gain of the input is a
+change of mass and friction. Along states that obey the base model such an effect leaves no trace. Along those of the
+missing force it seems to explain everything: the whole equation, missing force included, is scaled to nothing. So an
+effect is left out whose trace, for columns of one size, all but vanishes along the fit's own states.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, pairwise, product
 
@@ -40,6 +45,9 @@ from phsi_opt.uncertainty import inverse
 
 SCHEME = "srk4"
 NO_TRACE = 1e-6  # squared trace of an effect of natural size, in units of the noise, below which it is not excited
+IMITATED = 1e-2  # squared trace along the fit's own states, over that at the missing force's, of what others can do
+BACK = 4  # steps of Newton's method to states that obey the model, at most
+OBEYED = 1e-4  # defects, as a share of those at the missing force's states, that count as none
 ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
 ROUNDS = 2  # of finer values around the best one of a scan
 COARSE = 24  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
@@ -86,6 +94,7 @@ class Screen:
     def __init__(self, fit: Fit, data: Measurements, estimate: ForceEstimate) -> None:
         model, grid, x = fit.model, estimate.grid, estimate.x
         self.model, self.grid, self.x = model, grid, x
+        self._given = fit, data, estimate
         unknown = Theta.of(model, tuple(run.name for run in data.trajectories))
         self.values = matrix_of(model, parameters_of(fit, data))  # (n_free, n_trajectories)
         theta = np.zeros(len(unknown))
@@ -117,6 +126,21 @@ class Screen:
         self.residual = r - self.seen_of @ np.concatenate(step)
         self.obeying = x + np.asarray(step[1]).reshape(x.shape)  # states that the base model can take
         self.shown = Sensed.at(model, grid, self.obeying, of_runs).shown
+
+    @cached_property
+    def own(self) -> "Screen | None":
+        """The same along the fit's states, which obey the base model; None: not of these data, or all are measured."""
+        fit, data, estimate = self._given
+        is_of_these = [len(x) for x in fit.states] == [run.n_samples for run in data.trajectories]
+        if not is_of_these or self.grid.measured.any(axis=0).all():  # nothing that is measured can be scaled
+            return None
+        own = Screen(fit, data, replace(estimate, x=np.concatenate(fit.states)))
+        for _ in range(BACK):  # the fit's steps may be finer than those of this grid
+            if np.linalg.norm(own.defects) < OBEYED * np.linalg.norm(self.defects):
+                break
+            back = own.reduced.respond(-own.defects, np.zeros_like(own.covariance))[1]
+            own = Screen(fit, data, replace(estimate, x=own.x + back.reshape(own.x.shape)))
+        return own
 
     @cached_property
     def misfit(self) -> float:
@@ -164,21 +188,20 @@ class Screen:
         except PhsiOptError:
             return None
         columns = _Columns(self, trial)
-        if trial.frequency is not None:
-            tried = frequencies(self.grid, self.grid.t)
-            point = {trial.frequency: self._best_frequency(trial, columns, tried)}
-            return self._judged(trial, columns, point, self.traces(*columns(point)), len(tried))
         points = [dict(zip(trial.tried, map(float, v), strict=True)) for v in product(*trial.tried.values())]
         n_tried = len(points)
-        best_point, trace = self._best(trial, columns, points)
-        if len(trial.tried) == 1 and n_tried > 1:
+        if trial.frequency is not None:
+            tried = frequencies(self.grid, self.grid.t)
+            points, n_tried = [{trial.frequency: self._best_frequency(trial, columns, tried)}], len(tried)
+        best = self._best(trial, columns, points)
+        if best is not None and len(trial.tried) == 1 and n_tried > 1:
             (name,) = trial.tried
             around = np.sort(trial.tried[name])
             for _ in range(ROUNDS):
-                around = _finer(around, best_point[name])
+                around = _finer(around, best[0][name])
                 near = [{name: float(value)} for value in around]
-                best_point, trace = self._best(trial, columns, near)
-        return self._judged(trial, columns, best_point, trace, n_tried)
+                best = self._best(trial, columns, near) or best
+        return None if best is None else self._judged(trial, columns, *best, n_tried)
 
     def stands_in(self, one: Screened, other: Screened) -> bool:
         """Whether ``other`` explains what ``one`` explains, up to what noise hides."""
@@ -226,13 +249,16 @@ class Screen:
 
     def _best(
         self, trial: _Trial, columns: "_Columns", points: list[dict[str, float]]
-    ) -> tuple[dict[str, float], np.ndarray]:
+    ) -> tuple[dict[str, float], np.ndarray] | None:
+        """The point that explains most, with its trace, among those that the base parameters do not imitate."""
         made = [columns(point) for point in points]
         traces = self.traces(np.hstack([D for D, _ in made]), np.hstack([Y for _, Y in made]))
         parts = np.split(traces, len(points), axis=1)
         drops = [self._regression(trial, part)[1] for part in parts]
-        best = int(np.argmax(drops))
-        return points[best], parts[best]
+        for i in np.argsort(drops)[::-1]:
+            if self._score(drops[i], parts[i].shape[1]) <= 0 or not self._is_imitated(columns, points[i], parts[i]):
+                return points[i], parts[i]
+        return None
 
     def _best_frequency(self, trial: _Trial, columns: "_Columns", tried: np.ndarray) -> float:
         """The frequency whose waves explain most.
@@ -290,6 +316,16 @@ class Screen:
             for columns, size in ((D, np.sqrt(np.mean(rates**2, axis=0))), (Y, spread))
         ]
         return float(np.max(parts))
+
+    def _is_imitated(self, columns: "_Columns", point: dict[str, float], trace: np.ndarray) -> bool:
+        """Whether the base parameters can do what the effect does, along states that obey the base model."""
+        own = columns.own
+        if own is None:
+            return False
+        here, there = self._strength(*columns(point)), self._strength(*own(point))
+        left = own.screen.traces(*own(point))
+        # Of no strength there: the base model's states do not reach what excites the effect.
+        return there > 0 and bool(np.sum(left**2) / there**2 < IMITATED * np.sum(trace**2) / max(here, 1e-300) ** 2)
 
     def _judged(
         self, trial: _Trial, columns: "_Columns", point: dict[str, float], trace: np.ndarray, n_tried: int
@@ -364,6 +400,11 @@ class _Columns:
             row = screen.model.index(self.trial.effect.equation)
             defects[still, row] = -screen.defects.reshape(defects.shape)[still, row]
         return defects.reshape(-1, 1)[:, : int(defects.any())]
+
+    @cached_property
+    def own(self) -> "_Columns | None":
+        """The columns along the states of the fit."""
+        return None if self.screen.own is None else _Columns(self.screen.own, self.trial)
 
     def __call__(self, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """D (n_defects, k) and Y (n_nodes * n_states, k)."""

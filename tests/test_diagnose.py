@@ -86,6 +86,45 @@ def test_an_effect_that_the_record_does_not_excite_leaves_no_trace(
     assert screen.candidate(effect_named(fit.model, "sensor offset", "p")) is None
 
 
+def driven(mass: ph.Parameter) -> ph.PseudoHamiltonian:
+    """A driven mass with viscous friction."""
+    H = ph.formula("p**2/(2*M)", M=mass)
+    return ph.PseudoHamiltonian(
+        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=H, R=ph.damping("p"), F={"p": ph.formula("u")}
+    )
+
+
+def pushed(extra: str, gain: str = "1") -> ph.Measurements:
+    """Positions of a mass of two, pushed to and fro, with more friction or another gain than `driven` has."""
+    u = 2 * np.sin(0.9 * T[:, None]) + np.sin(2.3 * T[:, None] + 1)
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=ph.formula("p**2/(2*2)"), R={"p": ph.formula(extra)},
+        F={"p": ph.formula(f"{gain}*u")},
+    )  # fmt: skip
+    x = ph.simulate(model, T, [0.0, 1.0], u) + NOISE * np.random.default_rng(11).normal(size=(len(T), 2))
+    x[:, 1] = np.nan
+    return ph.Measurements.from_arrays([T], [x], [u], states=["q", "p"], inputs=["u"])
+
+
+def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
+    data = pushed("0.5 + 0.6*(dH_dp**4 + 0.05**4)**(-0.25)")
+    fit = ph.identify(driven(ph.Parameter(1.5, lower=0.1)), data)
+    screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
+    # Gain, mass and friction have a common factor: with the missing force beside them, the gain would explain it all.
+    for name, equation in (("input gain", "p"), ("sensor gain", "q")):
+        assert screen.candidate(effect_named(fit.model, name, equation)) is None
+    found = screen.screened(ph.catalogue(fit.model))
+    assert found[0].effect.name in ("coulomb friction", "stribeck friction")
+
+
+def test_a_gain_beside_a_known_mass_is_a_candidate() -> None:
+    data = pushed("0.5", gain="1.3")
+    fit = ph.identify(driven(ph.Parameter(2.0, fixed=True)), data)
+    screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
+    found = screen.candidate(effect_named(fit.model, "input gain", "p"))
+    assert found is not None and found.coefficient == pytest.approx(0.3, abs=0.05)
+
+
 def test_a_sign_that_physics_forbids_is_not_proposed() -> None:
     data = measured(truth(R="0.3 - 0.1*abs(dH_dp)"), seed=1)  # damping that falls with the speed
     fit = ph.identify(base(), data)
