@@ -10,7 +10,9 @@
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import comb
 
 import numpy as np
 from scipy.stats import chi2, false_discovery_control
@@ -21,26 +23,29 @@ from phsi_opt.effects import Effect, catalogue
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.evidence import (
     ABOVE_FLOOR,
+    MOST,
     delta_bic,
     deviance,
     explained_share,
     explains,
     falls,
-    independent_share,
+    falls_or_most,
     is_adequate,
+    share_of,
 )
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate
+from phsi_opt.model import Model
 from phsi_opt.screen import Screen, Screened
 from phsi_opt.solver import Settings
 from phsi_opt.start import resolved
 from phsi_opt.terms import Share
 
 N_REFITS = 5
-N_PAIRS = 2
+N_PAIRS = 4
 HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
 CERTAIN = 0.8  # share of the best one's score below which a candidate is no rival, once the best leaves noise
 SEEN = 0.01  # screened p-value up to which a candidate is compared with the others
@@ -50,12 +55,11 @@ CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 # Rise of -2 log likelihood up to which the sharper corner of dry friction is taken: friction is sharp, and the corners
 # that fall between samples make the likelihood rough.
 WORSE = 4.0
+PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
 CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
-MOST = 0.5  # share of the squared error above the floor from which effects that leave more than noise are proposed
 
-# A candidate that takes more is hardly the one. PATIENT: the most promising of those, where no other explains the data.
+# A candidate that takes more is hardly the one.
 QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0)
-PATIENT = Settings(tolerance=1e-7, max_iterations=200, max_seconds=30.0)
 
 
 def diagnose(
@@ -90,7 +94,8 @@ def diagnose(
     if proposal is not None:
         everyone = tuple(sorted(everyone, key=lambda c: c.effect not in proposal.effects))
     verdict, reason, named = work.verdict(proposal)
-    return Diagnosis(fit, data, work.estimate, work.base, everyone, verdict, reason, named)
+    nearest = proposal.fit if proposal is not None and named else None
+    return Diagnosis(fit, data, work.estimate, work.base, everyone, verdict, reason, named, nearest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,34 +144,41 @@ class _Work:
 
     def refit(
         self, effects: Sequence[Effect], values: dict[str, float], beside: dict[str, float] | None = None,
-        rival: Fit | None = None, settings: Settings = QUICK,
+        rival: Fit | None = None,
     ) -> tuple[Fit, Comparison, Comparison, Fit] | None:  # fmt: skip
-        """The fit with the effects, begun at the states of the missing-force estimate, and its comparisons.
+        """The fit with the effects and its comparisons.
 
-        Dry friction is sharpened if it is clearly better than a ``rival``; the last is the fit before that. The base's
-        parameters start from the values ``beside``.
+        It begins at the states of the missing-force estimate, the base's parameters at the values ``beside``. Dry
+        friction is sharpened if it is clearly better than a ``rival``; the last is the fit before that.
         """
-        grid, data = self.estimate.grid, self.data
         model = self.fit.model
         for effect in effects:
             model = model.add(effect)
-        model = resolved(model.with_values(values), grid, self.estimate.x)
-        pairs = zip(self.fit.model.states, self.estimate.sigma, strict=True)
-        noise = {name: float(s) for name, s in pairs if name in data.measured}
+        model = resolved(model.with_values(values), self.estimate.grid, self.estimate.x)
         # The fast part of a memory, that of a short delay, is not seen by steps as long as the samples.
         finer = 2 if any(effect.memory for effect in effects) else 1
-        steps = tuple(finer * n for n in self.fit.steps)
-        own = self.fit.model.with_values({n: v for n, v in (beside or {}).items() if n in self.fit.model.entries})
-        start = replace(self.fit, model=own, states=grid.split(self.estimate.x), noise=noise, steps=steps)
         try:
-            blunt = new = identify(model, data, self.loss, start=start, settings=settings)
+            blunt = new = self.begun(model, finer, beside or {})
             if rival is None or delta_bic(rival, new, 1.0) < -CLOSE:
                 new = self.sharpened(new)
-            trained = _compared(new, data, self.estimate)
+            trained = _compared(new, self.data, self.estimate)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained, blunt
         except PhsiOptError as error:
             self.say(f"not re-fitted: {error}")
             return None
+
+    def begun(self, model: Model, finer: int, beside: dict[str, float]) -> Fit:
+        """The brief re-fit of a larger model, through windows if the whole record at once cannot be solved."""
+        grid, data, own = self.estimate.grid, self.data, self.fit.model
+        pairs = zip(own.states, self.estimate.sigma, strict=True)
+        noise = {name: float(s) for name, s in pairs if name in data.measured}
+        own = own.with_values({name: value for name, value in beside.items() if name in own.entries})
+        steps = tuple(finer * n for n in self.fit.steps)
+        start = replace(self.fit, model=own, states=grid.split(self.estimate.x), noise=noise, steps=steps)
+        with suppress(PhsiOptError):
+            return identify(model, data, self.loss, start=start, settings=QUICK)
+        window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
+        return identify(model, data, replace(self.loss, window=window), start=start, settings=QUICK)
 
     def sharpened(self, fit: Fit) -> Fit:
         """The fit with the widths of its new effects made smaller, on a finer grid, as long as that explains as much.
@@ -195,7 +207,9 @@ class _Work:
         result: list[Candidate] = []
         enough, promised, is_failing = np.inf, -np.inf, not is_adequate(self.trained)
         best: Fit | None = None
-        for candidate, one in _simple_first(list(zip(candidates[:N_REFITS], found, strict=False))):
+        # What chance explains as well, among so many values scanned, comes last.
+        rows = sorted(zip(candidates, found, strict=True), key=lambda row: row[1].p_value >= 1.0)
+        for candidate, one in _simple_first(rows[:N_REFITS]):
             expected = max(screen.misfit - one.drop, screen.n_values)
             behind = screen.score(one) < CERTAIN * promised - CLOSE
             is_worth = is_failing or one.p_value * len(found) < WORTH_A_FIT
@@ -207,27 +221,12 @@ class _Work:
                 best = blunt
             if new.trained is not None and is_adequate(new.trained):
                 enough, promised = min(enough, expected), max(promised, screen.score(one))
-        if result and not np.isfinite(enough):
-            result = self.patiently(screen, result, found, best)
         return self.ranked(result)
 
-    def patiently(
-        self, screen: Screen, tried: list[Candidate], found: list[Screened], rival: Fit | None
-    ) -> list[Candidate]:
-        """The most promising candidate that was not re-fitted has more time, if those re-fitted promise less."""
-        rows = [(c, one) for c in tried for one in found if one.effect is c.effect]
-        candidate, one = max(rows, key=lambda row: screen.score(row[1]))
-        if candidate.fit is not None:
-            return tried
-        new, _ = self.refitted(candidate, one, rival, PATIENT)
-        return [new if c is candidate else c for c in tried]
-
-    def refitted(
-        self, candidate: Candidate, screened: Screened, rival: Fit | None, settings: Settings = QUICK
-    ) -> tuple[Candidate, Fit | None]:
+    def refitted(self, candidate: Candidate, screened: Screened, rival: Fit | None) -> tuple[Candidate, Fit | None]:
         """The candidate with its re-fit, and the fit before dry friction is sharpened."""
         self.say(f"re-fitting with {candidate.effect}")
-        result = self.refit([candidate.effect], candidate.values, screened.beside, rival, settings)
+        result = self.refit([candidate.effect], candidate.values, screened.beside, rival)
         if result is None:
             return candidate, None
         new, trained, comparison, blunt = result
@@ -239,16 +238,16 @@ class _Work:
 
     def p_value(self, new: Fit, trained: Comparison) -> float:
         """Of the likelihood ratio, correlated residuals counted as fewer independent ones."""
-        gain = (deviance(self.fit) - deviance(new)) * independent_share(trained)
+        gain = (deviance(self.fit) - deviance(new)) * share_of(self.trained, trained)
         return float(chi2.sf(max(gain, 0.0), len(new.names) - len(self.fit.names)))
 
     def ranked(self, refitted: list[Candidate]) -> list[Candidate]:
-        """By BIC, the best one's correlation of residuals taken for all; those that were not re-fitted last."""
+        """By BIC, the best one's share of independent residuals taken for all; those that were not re-fitted last."""
         done = [(c, c.fit, c.trained) for c in refitted if c.fit is not None and c.trained is not None]
         if not done:
             return refitted
         best = min(done, key=lambda row: deviance(row[1]))
-        share = independent_share(best[2])
+        share = share_of(self.trained, best[2])
         result = [replace(c, delta_bic=delta_bic(self.fit, fit, share)) for c, fit, _ in done]
         result.sort(key=lambda c: c.delta_bic)
         result = [replace(c, confusable_with=_tied(c, result)) for c in result]
@@ -270,9 +269,10 @@ class _Work:
             if result is None:
                 continue
             new, trained, comparison, _ = result
-            share = independent_share(trained)
+            share = share_of(self.trained if best is None else best.trained, trained)
             better = delta_bic(self.fit if best is None else best.fit, new, share) < -CLOSE
-            if better and falls(self.base if best is None else best.comparison, comparison):
+            better &= comb(len(found), 2) * self.p_value(new, trained) < RATE
+            if better and falls_or_most(self.base if best is None else best.comparison, comparison):
                 best = _Proposal((first.effect, second.effect), new, trained, comparison)
         return best
 

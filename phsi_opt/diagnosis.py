@@ -64,6 +64,7 @@ class Diagnosis:
     verdict: str
     reason: str
     together: tuple[Effect, ...] = ()  # what the verdict names, or the nearest to it: one effect, or two together
+    nearest: Fit | None = field(repr=False, default=None)  # the brief re-fit with them
 
     @property
     def effects(self) -> list[Effect]:

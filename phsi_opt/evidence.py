@@ -1,6 +1,9 @@
 """Evidence for a larger model: likelihoods and free-run errors, from residuals that may be correlated."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.signal import fftconvolve
 
 from phsi_opt.compare import Comparison
 from phsi_opt.fit import Fit
@@ -9,6 +12,7 @@ ABOVE_FLOOR = 1.1  # free-run error over the noise floor from which a model coun
 LIKE_NOISE = 1.25  # the same, of white residuals: beside a strong missing force the floor itself is estimated too low
 NEARLY_ALL = 0.97  # share of the squared error above the floor that is explained, where the rest is not white
 WHITE = 1e-3  # p-value below which residuals are not white
+MOST = 0.5  # share of the squared error above the floor from which effects that leave more than noise are proposed
 FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
 
 
@@ -42,21 +46,51 @@ def explained_share(old: Comparison, new: Comparison) -> float:
     return (old.rmse**2 - new.rmse**2) / above
 
 
-def independent_share(comparison: Comparison) -> float:
-    """Independent residuals among all, by their correlation at the first lag."""
-    products, squares = 0.0, 0.0
-    for run in comparison.residuals:
-        for column in (run * comparison.weights).T:
-            r = column[np.isfinite(column)]
-            products, squares = products + float(np.sum(r[1:] * r[:-1])), squares + float(np.sum(r**2))
-    correlation = float(np.clip(products / squares if squares > 0 else 0.0, 0.0, 0.999))
-    return (1 - correlation) / (1 + correlation)
+def spread_together(series: Sequence[np.ndarray]) -> float:
+    """How much more the sum of values in the order of time varies than if they were independent.
+
+    One plus twice their correlations, over lags up to the first pair of neighbouring lags whose sum is not positive
+    (Geyer's initial positive sequence); (1 + rho)/(1 - rho) where each value keeps a share rho of the last one.
+    ``series`` holds one array per trajectory.
+    """
+    covariance = np.zeros(max((len(s) for s in series), default=0) + 2)
+    for s in series:
+        covariance[: len(s)] += fftconvolve(s, s[::-1])[len(s) - 1 :]
+    if covariance[0] <= 0:
+        return 1.0
+    pairs = covariance[: len(covariance) // 2 * 2].reshape(-1, 2).sum(axis=1) / covariance[0]
+    ends = np.flatnonzero(pairs <= 0)
+    return max(float(2 * pairs[: ends[0] if len(ends) else None].sum() - 1), 1.0)
+
+
+def independent_share(changes: Sequence[np.ndarray], residuals: Sequence[np.ndarray]) -> float:
+    """Independent values among the residuals, for one ``change`` of what the model shows: naive over actual variance.
+
+    Both (n_samples, n_channels) per trajectory, in units of the residuals' own size. What a coefficient can explain by
+    chance depends on its trace times the residual: a slow error of the model does not imitate a fast trace.
+    """
+    scores = [np.sum(change * r, axis=1) for change, r in zip(changes, residuals, strict=True)]
+    naive = sum(float(np.sum(change**2)) for change in changes)
+    actual = sum(float(s @ s) for s in scores) * spread_together(scores)
+    return float(min(naive / actual, 1.0)) if actual > 0 else 1.0
+
+
+def share_of(old: Comparison, new: Comparison) -> float:
+    """`independent_share` for the change from one model to a larger one, on the same data."""
+    n = min(run.shape[1] for run in (old.residuals[0], new.residuals[0]))  # without the memory of the new effects
+    before, after = ([run[:, :n] for run in one.residuals] for one in (old, new))
+    left = np.concatenate(after)
+    size = np.array([np.sqrt(np.nanmean(r**2)) if np.isfinite(r).any() else np.inf for r in left.T])
+    size = np.maximum(size, 1e-300)
+    changes = [np.nan_to_num((a - b) / size) for a, b in zip(before, after, strict=True)]
+    return independent_share(changes, [np.nan_to_num(r / size) for r in after])
 
 
 def independent_samples(comparison: Comparison) -> float:
     """Number of independent values that the residuals are worth."""
+    columns = [c[np.isfinite(c)] for run in comparison.residuals for c in (run * comparison.weights).T]
     measured = sum(int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories)
-    return max(measured * independent_share(comparison), 3.0)
+    return max(measured / spread_together(columns), 3.0)
 
 
 def falls(old: Comparison, new: Comparison) -> bool:
@@ -70,6 +104,11 @@ def falls(old: Comparison, new: Comparison) -> bool:
     fall = np.log(before / after)
     spread = fall.std(ddof=1) / np.sqrt(n_blocks)
     return bool(fall.mean() > FALL * spread and new.rmse < old.rmse)
+
+
+def falls_or_most(old: Comparison, new: Comparison) -> bool:
+    """The same, or most of the error is gone: a record of few independent samples can show no more."""
+    return falls(old, new) or explained_share(old, new) > MOST
 
 
 def _block_means(squares: np.ndarray, n_blocks: int) -> np.ndarray:

@@ -21,7 +21,7 @@ effect is left out whose trace, for columns of one size, all but vanishes along 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, pairwise, product
+from itertools import combinations, product
 
 import casadi as ca
 import numpy as np
@@ -31,6 +31,7 @@ from scipy.stats import chi2
 
 from phsi_opt.effects import Effect
 from phsi_opt.errors import PhsiOptError
+from phsi_opt.evidence import independent_share
 from phsi_opt.fit import Fit
 from phsi_opt.grid import defect_function, defect_jacobian, defects, output_slopes, output_slopes_of, outputs
 from phsi_opt.linear import Reduced
@@ -51,6 +52,7 @@ OBEYED = 1e-4  # defects, as a share of those at the missing force's states, tha
 ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
 ROUNDS = 2  # of finer values around the best one of a scan
 COARSE = 24  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
+KEPT = 20_000  # rows of every trace scanned that are kept, for the pairs
 EXACT = 8  # best frequencies that are worked out exactly
 
 
@@ -75,6 +77,8 @@ class Screened:
     beside: dict[str, float]
     trace: np.ndarray = field(repr=False)
     explained: np.ndarray = field(repr=False)  # trace times coefficients
+    # Inner values, and their traces in the rows that are kept.
+    scanned: tuple[tuple[dict[str, float], np.ndarray], ...] = field(repr=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +125,9 @@ class Screen:
         self.reduced = Reduced(grid, model.n_states, hessian, hstack([slopes, A.sparse()]), slice(0, n_theta), x_places)
         self.covariance = inverse(self.reduced.information)
         self.n_theta, self.n_values = n_theta, int(seen.sum())
+        rows = np.flatnonzero(self.weight)
+        few = np.random.default_rng(0).choice(rows, KEPT, replace=False) if len(rows) > KEPT else rows
+        self.kept = np.sort(few)
         g = self.seen_of.T @ r
         self.step = step = self.reduced.solve(g[n_theta:], -self.defects, self.covariance, g[:n_theta])
         self.residual = r - self.seen_of @ np.concatenate(step)
@@ -162,22 +169,44 @@ class Screen:
         return float(n * np.log(max(self.misfit, left) / left) - n_free * np.log(n))
 
     def pairs(self, found: list[Screened], most: int) -> list[tuple[Screened, Screened]]:
-        """The pairs of effects that explain most together, the stronger of each first."""
-        if not found:
+        """The pairs of effects that explain most together, the stronger of each first, with values to start from.
+
+        Coefficients keep their bounds, and inner parameters are chosen for the two together: what spills over a rim
+        explains little until a loss makes the level right, and then at another rim.
+        """
+        points = [(i, point, trace) for i, one in enumerate(found) for point, trace in one.scanned]
+        if not points:
             return []
-        traces = np.hstack([one.trace for one in found])
-        gram, right = traces.T @ traces, traces.T @ self.residual
-        edges = np.cumsum([0, *(one.trace.shape[1] for one in found)])
-        at = [np.arange(i, j) for i, j in pairwise(edges)]
+        traces = np.hstack([trace for *_, trace in points])
+        bounds = [self._bounds(found[i], point, trace.shape[1]) for i, point, trace in points]
+        joint = _Joint.of(traces, self.residual[self.kept], bounds)
+        best: dict[tuple[int, int], tuple[float, int, int]] = {}
+        for a, b in combinations(range(len(points)), 2):
+            i, j = points[a][0], points[b][0]
+            if i != j and (drop := self.n_values / len(self.kept) * joint.drop(a, b)) > 0:
+                score = self._score(drop, found[i].n_free + found[j].n_free)
+                best[i, j] = max(best.get((i, j), (-np.inf, a, b)), (score, a, b))
+        chosen = sorted(best.items(), key=lambda item: -item[1][0])[:most]
+        return [self._together(found, points, joint, a, b) for _, (_, a, b) in chosen]
 
-        def score(i: int, j: int) -> float:
-            both = np.r_[at[i], at[j]]
-            drop = float(right[both] @ np.linalg.lstsq(gram[np.ix_(both, both)], right[both], rcond=1e-10)[0])
-            return self._score(drop, found[i].n_free + found[j].n_free)
+    def _together(
+        self, found: list[Screened], points: list[tuple[int, dict[str, float], np.ndarray]], joint: "_Joint", a: int,
+        b: int,
+    ) -> tuple[Screened, Screened]:  # fmt: skip
+        pair = []
+        for (i, point, _), c in zip((points[a], points[b]), joint.coefficients(a, b), strict=True):
+            linear = [name for name in found[i].values if name not in point]
+            values = {**found[i].values, **point, **dict(zip(linear, c.tolist(), strict=False))}
+            pair.append(replace(found[i], values=values))
+        first, second = sorted(pair, key=lambda one: -one.drop)
+        return first, second
 
-        scored = sorted(((score(i, j), i, j) for i, j in combinations(range(len(found)), 2)), reverse=True)
-        ordered = [(i, j) if found[i].drop >= found[j].drop else (j, i) for _, i, j in scored[:most]]
-        return [(found[i], found[j]) for i, j in ordered]
+    def _bounds(self, one: Screened, point: dict[str, float], k: int) -> np.ndarray:
+        """(k, 2): the bounds of the coefficients; an effect without one, and a body at rest, can only be there."""
+        entries = self.model.add(one.effect).entries
+        linear = [entries[name].parameter for name in one.values if name not in point]
+        own = [(p.lower, p.upper) for p in linear]
+        return np.array(own + [(0.0, 1.0 if own else np.inf)] * (k - len(own)))
 
     def candidate(self, effect: Effect) -> Screened | None:
         """What is expected of one effect; None where it leaves no trace in the record."""
@@ -193,15 +222,19 @@ class Screen:
         if trial.frequency is not None:
             tried = frequencies(self.grid, self.grid.t)
             points, n_tried = [{trial.frequency: self._best_frequency(trial, columns, tried)}], len(tried)
-        best = self._best(trial, columns, points)
-        if best is not None and len(trial.tried) == 1 and n_tried > 1:
+        ranked = self._ranked(trial, columns, points)
+        if not ranked:
+            return None
+        best = ranked[0]
+        if len(trial.tried) == 1 and n_tried > 1:
             (name,) = trial.tried
             around = np.sort(trial.tried[name])
             for _ in range(ROUNDS):
                 around = _finer(around, best[0][name])
                 near = [{name: float(value)} for value in around]
-                best = self._best(trial, columns, near) or best
-        return None if best is None else self._judged(trial, columns, *best, n_tried)
+                best = (self._ranked(trial, columns, near) or [best])[0]
+        one = self._judged(trial, columns, *best, n_tried)
+        return one and replace(one, scanned=(*one.scanned, *self._kept(ranked)) if len(points) > 1 else one.scanned)
 
     def stands_in(self, one: Screened, other: Screened) -> bool:
         """Whether ``other`` explains what ``one`` explains, up to what noise hides."""
@@ -222,6 +255,13 @@ class Screen:
         found = self.theta + self.scale * (self.step[0] + self._followed(D, Y)[0] @ c)
         bounds = np.array([(e.parameter.lower, e.parameter.upper) for e in self.unknown.entries]).reshape(-1, 2)
         return dict(zip(self.unknown.names, np.clip(found, *bounds.T).tolist(), strict=True))
+
+    def _by_run(self, change: np.ndarray, residual: np.ndarray) -> list[list[np.ndarray]]:
+        """Both per trajectory, (n_samples, n_states), in units of the residual's size in each state."""
+        seen, r = self.grid.measured, residual.reshape(self.grid.y.shape)
+        size = np.sqrt(np.sum(r**2, axis=0) / np.maximum(seen.sum(axis=0), 1)) + 1e-300
+        edges = self.grid.first[1:]
+        return [np.split(values.reshape(r.shape) / size, edges) for values in (change, residual)]
 
     def _trial(self, effect: Effect) -> _Trial:
         model = self.model.add(effect)
@@ -247,18 +287,22 @@ class Screen:
         rows = [old.get(name, np.full(n, values.get(name, model.values[name]))) for name in model.free]
         return np.array(rows).reshape(-1, n)
 
-    def _best(
+    def _ranked(
         self, trial: _Trial, columns: "_Columns", points: list[dict[str, float]]
-    ) -> tuple[dict[str, float], np.ndarray] | None:
-        """The point that explains most, with its trace, among those that the base parameters do not imitate."""
+    ) -> list[tuple[dict[str, float], np.ndarray]]:
+        """The points with their traces, the one that explains most first, without what the base can imitate."""
         made = [columns(point) for point in points]
         traces = self.traces(np.hstack([D for D, _ in made]), np.hstack([Y for _, Y in made]))
         parts = np.split(traces, len(points), axis=1)
         drops = [self._regression(trial, part)[1] for part in parts]
-        for i in np.argsort(drops)[::-1]:
+        order = np.argsort(drops)[::-1]
+        for n, i in enumerate(order):
             if self._score(drops[i], parts[i].shape[1]) <= 0 or not self._is_imitated(columns, points[i], parts[i]):
-                return points[i], parts[i]
-        return None
+                return [(points[k], parts[k]) for k in order[n:]]
+        return []
+
+    def _kept(self, ranked: list[tuple[dict[str, float], np.ndarray]]) -> list[tuple[dict[str, float], np.ndarray]]:
+        return [(point, trace[self.kept]) for point, trace in ranked]
 
     def _best_frequency(self, trial: _Trial, columns: "_Columns", tried: np.ndarray) -> float:
         """The frequency whose waves explain most.
@@ -348,13 +392,61 @@ class Screen:
         else:
             size, error = next(iter(point.values())), np.nan
         residual = self.residual - trace @ c
-        share = worth(residual[self.weight > 0])
+        share = independent_share(*self._by_run(trace @ c, residual))
         gain = share * self.n_values * np.log(max(self.misfit, 1e-300) / max(self.misfit - drop, 1e-300))
         n_free = len(free) + trace.shape[1] - k
         p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), n_free)))
-        return Screened(
-            trial.effect, size, error, drop, n_free, n_tried, p, values, self.beside(D, Y, c), trace, trace @ c
-        )
+        beside, scanned = self.beside(D, Y, c), tuple(self._kept([(point, trace)]))
+        return Screened(trial.effect, size, error, drop, n_free, n_tried, p, values, beside, trace, trace @ c, scanned)
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """The regression of the residual on the traces of two of many points together, from their common products."""
+
+    size: np.ndarray  # of each column
+    gram: np.ndarray  # of the columns over their size
+    right: np.ndarray
+    bounds: np.ndarray  # of the coefficients times the size
+    edges: np.ndarray  # where the columns of each point begin
+
+    @classmethod
+    def of(cls, traces: np.ndarray, residual: np.ndarray, bounds: list[np.ndarray]) -> "_Joint":
+        size = np.maximum(np.linalg.norm(traces, axis=0), 1e-300)
+        gram = (traces / size).T @ (traces / size) + 1e-10 * np.eye(len(size))
+        edges = np.cumsum([0, *map(len, bounds)])
+        return cls(size, gram, (traces / size).T @ residual, np.concatenate(bounds) * size[:, None], edges)
+
+    def _at(self, point: int) -> np.ndarray:
+        return np.arange(self.edges[point], self.edges[point + 1])
+
+    def _solved(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+        """The columns of both, and their coefficients; what would leave its bounds is left out."""
+        both = np.r_[self._at(a), self._at(b)]
+        c, left = np.zeros(len(both)), np.arange(len(both))
+        while len(left):
+            at = both[left]
+            c = np.zeros(len(both))
+            c[left] = np.linalg.solve(self.gram[np.ix_(at, at)], self.right[at])
+            inside = (c[left] >= self.bounds[at, 0]) & (c[left] <= self.bounds[at, 1])
+            if inside.all():
+                break
+            left = left[inside]
+        return both, c if len(left) else 0 * c
+
+    def drop(self, a: int, b: int) -> float:
+        """Fall of the misfit; none where one of the two does nothing."""
+        both, c = self._solved(a, b)
+        n = len(self._at(a))
+        if not (c[:n].any() and c[n:].any()):
+            return 0.0
+        return float(2 * c @ self.right[both] - c @ self.gram[np.ix_(both, both)] @ c)
+
+    def coefficients(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
+        """Of the first and of the second."""
+        both, c = self._solved(a, b)
+        c, n = c / self.size[both], len(self._at(a))
+        return c[:n], c[n:]
 
 
 class _Columns:
@@ -427,13 +519,6 @@ class _Columns:
         if n_rest:
             D = np.hstack([np.where(self.rest != 0, 0.0, D), self.rest])
         return D, np.pad(Y, ((0, 0), (0, n_rest)))
-
-
-def worth(residual: np.ndarray) -> float:
-    """Share of independent values among residuals in the order of time, by their correlation with the next one."""
-    squares = float(residual @ residual)
-    correlation = float(np.clip(residual[1:] @ residual[:-1] / squares if squares > 0 else 0.0, 0.0, 0.999))
-    return (1 - correlation) / (1 + correlation)
 
 
 def _fourier(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:

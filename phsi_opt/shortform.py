@@ -12,9 +12,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from phsi_opt.effects import TURNOVER
+from phsi_opt.evidence import spread_together
 from phsi_opt.expressions import NUMPY, evaluate
 from phsi_opt.orthogonal import NOTHING, Record, Response
-from phsi_opt.screen import worth
 from phsi_opt.terms import Parameter, Term
 
 PLACES, WIDTHS = np.linspace(0.04, 0.96, 16), (0.05, 0.1, 0.2, 0.4)  # of corners and pulses: quantiles, shares of range
@@ -33,8 +33,8 @@ def short_form(
     """
     target = response.traces(curve[:, None])[:, 0]
     rest = response.residual - target
-    unit = max(float(np.mean(rest**2)), 1.0) / worth(rest)
-    price = np.log(max(worth(rest) * len(rest), 2.0))  # of a parameter
+    unit = max(float(np.mean(rest**2)), 1.0) * spread_together([rest])
+    price = np.log(max(len(rest) / spread_together([rest]), 2.0))  # of a parameter
     listed = [(term, c) for term in candidates(names, record.v) if (c := _values(names, record, term)) is not None]
     traces = response.traces(np.column_stack([values for _, values in listed]))
     terms: list[Term] = []

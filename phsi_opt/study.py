@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from phsi_opt.compare import Comparison, compare
+from phsi_opt.compare import Comparison, compare, compared
 from phsi_opt.diagnose import diagnose
 from phsi_opt.diagnosis import Candidate, Diagnosis
 from phsi_opt.effects import Effect, effect_named
 from phsi_opt.errors import ModelError, PhsiOptError, SolveError
-from phsi_opt.evidence import delta_bic, independent_share
+from phsi_opt.evidence import delta_bic, share_of
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
@@ -127,7 +127,8 @@ class Study:
     def auto(self, max_steps: int = 4) -> str:
         """Diagnose and add while an effect is significant; returns (and keeps in ``stopped``) why it stopped.
 
-        An effect is added when the diagnosis names it, or when it explains most of what is missing.
+        An effect is added when the diagnosis names it, or when it explains most of what is missing; two together where
+        the first has no fit alone.
         After each step, effects that were added before and that BIC no longer asks for are taken out again.
         """
         for _ in range(max_steps):
@@ -141,8 +142,10 @@ class Study:
             try:
                 self.add(known[0])
             except SolveError as error:
-                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {known[0]} could not be added: {error}"
-                return self.stopped
+                if diagnosis.nearest is None or len(diagnosis.together) == 1:
+                    self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {known[0]} could not be added: {error}"
+                    return self.stopped
+                self._add_together(diagnosis.together, diagnosis.nearest)
             self._check_earlier()
         self.stopped = f"the limit of {max_steps} steps was reached; call auto again to go on"
         return self.stopped
@@ -180,6 +183,19 @@ class Study:
         """The effects that the present model has beyond the base model, in the order in which they were added."""
         return self.steps[-1].effects
 
+    def _add_together(self, effects: tuple[Effect, ...], nearest: Fit) -> None:
+        """Add effects in one step, from their brief re-fit."""
+        label = " and ".join(map(str, effects))
+        self._say(f"adding {label}")
+        self.steps.append(self._step(label, (*self.effects, *effects), self._refined(nearest)))
+
+    def _refined(self, brief: Fit) -> Fit:
+        """A brief re-fit of a diagnosis made thorough; it is an optimum, on its own grid, should that fail."""
+        try:
+            return identify(brief.model, self.train, self._loss, start=brief)
+        except SolveError:
+            return brief
+
     def _check_earlier(self) -> None:
         """Take out each earlier effect without which BIC is lower."""
         for effect in self.effects[:-1]:
@@ -187,7 +203,9 @@ class Study:
                 without = self._fit_with(tuple(e for e in self.effects if e is not effect))
             except PhsiOptError:
                 continue
-            if delta_bic(self.fit, without, independent_share(self.steps[-1].train)) < 0:
+            train = self.steps[-1].train
+            smaller = compared(without, self.train, train.noise[: without.model.n_states], without.states)
+            if delta_bic(self.fit, without, share_of(smaller, train)) < 0:
                 self._say(f"{effect} has become superfluous")
                 kept = tuple(e for e in self.effects if e is not effect)
                 self.steps.append(self._step(f"without {effect}", kept, without))
@@ -195,10 +213,7 @@ class Study:
     def _fitted(self, effect: Effect, found: Candidate | None) -> Fit:
         """The model with the effect, from what the diagnosis found of it."""
         if found is not None and found.fit is not None:
-            try:
-                return identify(found.fit.model, self.train, self._loss, start=found.fit)
-            except SolveError:  # the brief fit of the diagnosis is an optimum, on its own grid
-                return found.fit
+            return self._refined(found.fit)
         values = {} if found is None else found.values
         return identify(self.model.add(effect).with_values(values), self.train, self._loss, start=self.fit)
 

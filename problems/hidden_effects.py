@@ -122,19 +122,16 @@ def _two(case: Case) -> dict[str, object]:
     """Two effects are hidden: the study adds by itself, a step at a time, until it stops."""
     study = ph.Study(case.model, case.train, held_out=case.test)
     found: dict[str, object] = {"base_error": study.history["held_out_rmse"].iloc[0] / floor(case)}
-    added: list[str] = []
-    alike: list[set[str]] = []
+    alike: dict[str, set[str]] = {}  # each effect that was added, with what it could not be told from
     for _ in range(MOST_STEPS):
-        table = study.diagnose().candidates
+        table, n_steps = study.diagnose().candidates, len(study.steps)
         study.auto(max_steps=1)
-        new = list(study.history["effect"][1:])
-        if len(new) == len(added):
+        if len(study.steps) == n_steps:
             break
-        texts = table["effect"] + " on " + table["equation"]
-        ties = table.loc[texts == new[-1], "confusable_with"]
-        alike.append({new[-1], *str(ties.iloc[0] if len(ties) else "").split(", ")})
-        added = new
-    right, with_ties = matches(case.truths, [{text} for text in added]), matches(case.truths, alike)
+        ties = dict(zip(table["effect"] + " on " + table["equation"], table["confusable_with"], strict=True))
+        alike = {str(e): alike.get(str(e), {str(e), *ties.get(str(e), "").split(", ")}) for e in study.effects}
+    added = list(alike)
+    right, with_ties = matches(case.truths, [{text} for text in added]), matches(case.truths, list(alike.values()))
     found |= {"verdict": study.diagnose().verdict, "added": "; ".join(added), "right": right,
               "tie": with_ties and not right,
               "after": study.history["held_out_rmse"].iloc[-1] / floor(case)}  # fmt: skip

@@ -1,5 +1,6 @@
 """Screening and verdicts: what is expected without a re-fit comes out of it, and nothing false is named."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from phsi_opt.compare import force_of
 from phsi_opt.effects import effect_named
 from phsi_opt.evidence import delta_bic, falls, is_adequate
 from phsi_opt.identify import matched
-from phsi_opt.screen import Screen
+from phsi_opt.screen import Screen, Screened, _Columns
 
 T = np.linspace(0.0, 14.0, 281)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
@@ -133,6 +134,43 @@ def test_a_sign_that_physics_forbids_is_not_proposed() -> None:
         one = screen.candidate(effect_named(fit.model, name, "p"))
         # Zero up to rounding: the data ask for a negative drag, R >= 0 forbids it.
         assert one is not None and 0 <= one.coefficient < 1e-6 and one.drop < 1e-6
+
+
+def test_a_pair_keeps_the_bounds_of_both_and_chooses_inner_values_together(
+    drag: tuple[ph.Fit, ph.Measurements, Screen],
+) -> None:
+    fit, _, screen = drag
+    names = ["quadratic drag", "coulomb friction", "gap", "stribeck friction", "constant force"]
+    found = screen.screened([effect_named(fit.model, name, "p") for name in names])
+    pairs = screen.pairs(found, 100)
+    assert pairs
+    for first, second in pairs:
+        assert first.effect != second.effect
+        entries = fit.model.add(first.effect).add(second.effect).entries
+        values = {**first.values, **second.values}
+        assert all(entries[n].parameter.lower <= v <= entries[n].parameter.upper for n, v in values.items())
+        # Two explain at least what the better one explains.
+        together = np.hstack([_at(screen, one) for one in (first, second)])
+        c = np.array([one.values[n] for one in (first, second) for n in _linear(screen, one)])
+        drop = 2 * c @ together.T @ screen.residual - float(np.sum((together @ c) ** 2))
+        alone = max(float(2 * t @ screen.residual - t @ t) for t in _alone(screen, (first, second)))
+        assert drop > alone - 1e-6 * screen.misfit
+
+
+def _linear(screen: Screen, one: Screened) -> list[str]:
+    return screen._trial(one.effect).linear
+
+
+def _at(screen: Screen, one: Screened) -> np.ndarray:
+    trial = screen._trial(one.effect)
+    return screen.traces(*_Columns(screen, trial)({name: one.values[name] for name in trial.tried}))
+
+
+def _alone(screen: Screen, pair: tuple[Screened, Screened]) -> Iterator[np.ndarray]:
+    """What each explains alone, at its inner values of the pair."""
+    for one in pair:
+        trial, trace = screen._trial(one.effect), _at(screen, one)
+        yield trace @ screen._regression(trial, trace)[0]
 
 
 def test_an_offset_of_one_sensor_is_blamed_on_that_sensor_and_not_on_the_dynamics() -> None:
