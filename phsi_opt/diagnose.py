@@ -154,7 +154,7 @@ class _Work:
         model = self.fit.model
         for effect in effects:
             model = model.add(effect)
-        model = resolved(model.with_values(values), self.estimate.grid, self.estimate.x)
+        model = resolved(model, self.estimate.grid, self.estimate.x).with_values(values)
         # The fast part of a memory, that of a short delay, is not seen by steps as long as the samples.
         finer = 2 if any(effect.memory for effect in effects) else 1
         try:

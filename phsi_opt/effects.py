@@ -29,6 +29,7 @@ PLAYS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest position: play, 
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of the largest position: displacement over which a hysteresis yields
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)  # of the largest level or value: overflow, clipping
 INPUTS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest input: dead zone, saturation
+ALL = 1.0  # of the largest value: no rim, play or limit beyond it does anything
 DELAYS = (
     0.5,
     1.0,
@@ -119,8 +120,8 @@ def _term(body: str, name: str, inner: dict[str, Parameter] | None = None, lower
     return Dictionary((Term(body, Parameter(None, lower=lower), inner or {}, name),))
 
 
-def _tried(of: str, shares: tuple[float, ...], unit: str = "") -> Parameter:
-    return Parameter(None, lower=0.0, unit=unit, guess=Tried(of, shares))
+def _tried(of: str, shares: tuple[float, ...], most: float = np.inf, unit: str = "") -> Parameter:
+    return Parameter(None, lower=0.0, unit=unit, guess=Tried(of, shares, most))
 
 
 def _losses(model: Model, name: str, position: str | None) -> list[Effect]:
@@ -147,7 +148,7 @@ def _losses(model: Model, name: str, position: str | None) -> list[Effect]:
     leaks = [
         loss("turbulent leak", f"({v}**2 + e0**2)**(-0.25)", {"e0": small}),
         loss("saturating leak", f"1/(1 + abs({v})/half)", {"half": _tried(v, (0.03, 0.1, 0.3, 1.0))}),
-        loss("overflow", over, {"limit": _tried(v, LEVELS)}),
+        loss("overflow", over, {"limit": _tried(v, LEVELS, ALL)}),
     ]
     return [e for e in effects if not is_storage or e.name == "linear leak"] + leaks
 
@@ -156,7 +157,7 @@ def _spilled(model: Model, source: str, name: str) -> Effect:
     """What overflows from one storage runs into another one."""
     level = source if isinstance(model, FirstOrder) else f"dH_d{source}"
     body = f"max({level} - limit, 0)"
-    term = _term(body, f"overflow_{source}_{name}", {"limit": _tried(level, LEVELS)}, lower=0.0)
+    term = _term(body, f"overflow_{source}_{name}", {"limit": _tried(level, LEVELS, ALL)}, lower=0.0)
     return Effect(f"overflow from {source}", "F", name, term)
 
 
@@ -172,7 +173,7 @@ def _moving(model: Model) -> set[str]:
 
 def _stribeck(model: Model, name: str, v: str, dry: str, turnover: Parameter) -> Effect:
     """Dry friction that is larger at low speed: f_c + f_s exp(-(v/v_s)^2), against the velocity."""
-    speed = _tried(v, SPEEDS)
+    speed = _tried(v, SPEEDS, ALL)
     more = Term(f"{dry}*exp(-({v}/v_s)**2)", Parameter(None, lower=0.0), {"v0": turnover, "v_s": speed},
                 f"stribeck_friction_{name}")  # fmt: skip
     level = Term(dry, Parameter(None, lower=0.0), {"v0": turnover}, f"coulomb_friction_{name}")
@@ -189,7 +190,7 @@ def _energies(q: str, p: str) -> list[Effect]:
         energy("quadratic stiffness", f"{q}**3/3"),
         energy("cubic stiffness", f"{q}**4/4"),
         energy("gravity torque", f"-cos({q})"),
-        energy("gap", f"max(abs({q}) - play, 0)**2/2", {"play": _tried(q, PLAYS)}, 0.0),
+        energy("gap", f"max(abs({q}) - play, 0)**2/2", {"play": _tried(q, PLAYS, ALL)}, 0.0),
     ]
 
 
@@ -252,8 +253,10 @@ def _actuators(model: Model, p: str) -> list[Effect]:
 def _paths(u: str, p: str) -> Iterator[tuple[str, Dictionary, dict[str, Dictionary]]]:
     gain = f"dF_d{u}"
 
-    def formula(body: str, name: str, of: str, shares: tuple[float, ...], unit: str = "") -> Dictionary:
-        return Dictionary((Term(body, None, {name: _tried(of, shares, unit)}),))
+    def formula(
+        body: str, name: str, of: str, shares: tuple[float, ...], most: float = ALL, unit: str = ""
+    ) -> Dictionary:
+        return Dictionary((Term(body, None, {name: _tried(of, shares, most, unit)}),))
 
     dead, limit = f"dead_zone_{u}_{p}", f"saturation_{u}_{p}"
     yield "input gain", _term(f"{gain}*{u}", f"input_gain_{u}_{p}"), {}
@@ -262,7 +265,7 @@ def _paths(u: str, p: str) -> Iterator[tuple[str, Dictionary, dict[str, Dictiona
     yield "input saturation", formula(beyond, limit, u, INPUTS), {}
     lag, lagged = f"lag_{u}_{p}", f"{u}_lagged_{p}"
     late = Dictionary((Term(f"{gain}*({lagged} - {u})", None, {}),))
-    yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", (0.25, *DELAYS), "s")}
+    yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", (0.25, *DELAYS), np.inf, "s")}
     term, memory = _delayed(u, f"delay_{u}_{p}", f"{u}_delayed_{p}", gain)
     yield "input delay", term, memory
 
@@ -273,7 +276,7 @@ def _delayed(signal: str, tau: str, state: str, factor: str) -> tuple[Dictionary
     c' = 120/tau^3 (s - a) - 60/tau^2 b - 12/tau c and s(t - tau) = s - 2 (s - a) + tau^2/5 c; the phase is right to 1 %
     up to tau times the frequency = 4.
     """
-    inner, rate, bend = {tau: _tried("dt", DELAYS, "s")}, f"{state}_rate", f"{state}_bend"
+    inner, rate, bend = {tau: _tried("dt", DELAYS, unit="s")}, f"{state}_rate", f"{state}_bend"
     late = f"2*({state} - {signal}) + {tau}**2/5*{bend}"
     force = f"120/{tau}**3*({signal} - {state}) - 60/{tau}**2*{rate} - 12/{tau}*{bend}"
     memory = {
@@ -287,7 +290,7 @@ def _delayed(signal: str, tau: str, state: str, factor: str) -> tuple[Dictionary
 def _sensors(x: str) -> list[Effect]:
     """What a sensor of the state x may add to it."""
     limit = f"clipping_{x}"
-    cut = Term(f"min(max({x}, -{limit}), {limit}) - {x}", None, {limit: _tried(x, LEVELS)})
+    cut = Term(f"min(max({x}, -{limit}), {limit}) - {x}", None, {limit: _tried(x, LEVELS, ALL)})
     late, memory = _delayed(x, f"sensor_delay_{x}", f"{x}_delayed", "")
     return [
         Effect("sensor offset", "sensor", x, _term("1", f"sensor_offset_{x}")),

@@ -4,7 +4,7 @@ A model is a frozen record of states, inputs and the dictionaries of its slots; 
 file also turns a model into CasADi functions. It knows nothing of data, losses or solvers.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -15,7 +15,7 @@ import numpy as np
 
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.expressions import CASADI, CONSTANTS, FUNCTIONS, evaluate, names_of
-from phsi_opt.terms import Dictionary, Parameter, Term, with_values
+from phsi_opt.terms import Dictionary, Parameter, Term, with_parameters, with_value
 
 SLOTS = ("H", "R", "F", "sensor")  # where a term may act
 BY_EQUATION = SLOTS[1:]
@@ -218,25 +218,34 @@ class Model:
             if name not in self.entries:
                 raise ModelError(f"parameter {name!r} is not in the model.{did_you_mean(name, self.entries)}")
 
-        def with_new(slot: str, equation: str, terms: Dictionary) -> Dictionary:
-            return Dictionary(tuple(with_values(term, place_of(slot, equation), values) for term in terms))
-
-        slots: dict[str, Any] = {
-            s: {name: with_new(s, name, terms) for name, terms in getattr(self, s).items()} for s in BY_EQUATION
-        }
-        return replace(self, H=with_new("H", "", self.H), **slots)
+        return self._changed(lambda name, p: with_value(p, values[name]) if name in values else p)
 
     def with_fixed(self, values: Mapping[str, float]) -> "Model":
         """A new model with the named parameters known: fixed at these values."""
-        made = self.with_values(values)
 
-        def fix(slot: str, equation: str, terms: Dictionary) -> Dictionary:
-            return Dictionary(tuple(_fixed(term, place_of(slot, equation), values) for term in terms))
+        def hold(name: str, parameter: Parameter) -> Parameter:
+            return replace(parameter, fixed=True, per_trajectory=False) if name in values else parameter
+
+        return self.with_values(values)._changed(hold)
+
+    def with_upper(self, bounds: Mapping[str, float]) -> "Model":
+        """A new model with upper bounds of the named parameters that are no higher than the given ones."""
+
+        def bounded(name: str, parameter: Parameter) -> Parameter:
+            return replace(parameter, upper=min(parameter.upper, bounds[name])) if name in bounds else parameter
+
+        return self._changed(bounded)
+
+    def _changed(self, change: Callable[[str, Parameter], Parameter]) -> "Model":
+        """A new model with each parameter (by its name) changed."""
+
+        def changed(slot: str, equation: str, terms: Dictionary) -> Dictionary:
+            return Dictionary(tuple(with_parameters(term, place_of(slot, equation), change) for term in terms))
 
         slots: dict[str, Any] = {
-            s: {name: fix(s, name, terms) for name, terms in getattr(made, s).items()} for s in BY_EQUATION
+            s: {name: changed(s, name, terms) for name, terms in getattr(self, s).items()} for s in BY_EQUATION
         }
-        return replace(made, H=fix("H", "", made.H), **slots)
+        return replace(self, H=changed("H", "", self.H), **slots)
 
     def frozen(self) -> "Model":
         """A new model with every parameter fixed at its present value."""
@@ -244,14 +253,7 @@ class Model:
 
     def dynamics(self) -> "Model":
         """A new model without sensors (they show the state itself) and with every parameter shared by all runs."""
-
-        def shared(terms: Dictionary) -> Dictionary:
-            return Dictionary(tuple(_shared(term) for term in terms))
-
-        slots: dict[str, Any] = {
-            s: {name: shared(terms) for name, terms in getattr(self, s).items()} for s in ("R", "F")
-        }
-        return replace(self, H=shared(self.H), sensor={}, **slots)
+        return replace(self, sensor={})._changed(lambda name, p: replace(p, per_trajectory=False))
 
     def expressions(self, x: Any, u: Any, t: Any, values: Mapping[str, Any], backend: int = CASADI) -> "Expressions":
         """H, the diagonal of R and F as expressions of the states x, inputs u, time t and parameter values."""
@@ -424,25 +426,6 @@ def _slope(expression: Any, variable: Any, backend: int) -> Any:
     if backend == CASADI:
         return ca.jacobian(expression, variable) if isinstance(expression, ca.SX) else 0.0
     return expression.diff(variable) if hasattr(expression, "diff") else 0
-
-
-def _fixed(term: Term, place: str, names: Collection[str]) -> Term:
-    def hold(parameter: Parameter, name: str) -> Parameter:
-        if name not in names:
-            return parameter
-        return replace(parameter, value=parameter.start, fixed=True, per_trajectory=False)
-
-    coefficient = None if term.coefficient is None else hold(term.coefficient, term.coefficient_name(place))
-    inner = {name: hold(p, term.inner_name(name, place)) for name, p in term.inner.items()}
-    return replace(term, coefficient=coefficient, inner=inner)
-
-
-def _shared(term: Term) -> Term:
-    def hold(parameter: Parameter) -> Parameter:
-        return replace(parameter, per_trajectory=False)
-
-    coefficient = None if term.coefficient is None else hold(term.coefficient)
-    return replace(term, coefficient=coefficient, inner={name: hold(p) for name, p in term.inner.items()})
 
 
 def place_of(slot: str, equation: str) -> str:

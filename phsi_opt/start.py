@@ -187,20 +187,24 @@ def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
             if isinstance(guess, Share):
                 value = guess.share * root_mean_square(model, grid, x, guess.of)
             else:
-                value = tried_values(model, grid, x, guess)[len(guess.shares) // 2]
-            model = model.with_values({name: float(np.clip(value, parameter.lower, parameter.upper))})
+                size = _size_of(model, grid, x, guess)
+                model = model.with_upper({name: guess.most * size})
+                value = size * guess.shares[len(guess.shares) // 2]
+            model = model.with_values({name: value})
     return model
 
 
 def tried_values(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
     """The values to try for a parameter, over the states x."""
+    return _size_of(model, grid, x, guess) * np.array(guess.shares)
+
+
+def _size_of(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> float:
     if guess.of == "t":
-        size = float(np.max(grid.t - grid.t[grid.first][grid.trajectory]))
-    elif guess.of == "dt":
-        size = float(np.median(np.diff(grid.t[grid.sample])[np.diff(grid.trajectory[grid.sample]) == 0]))
-    else:
-        size = float(np.max(np.abs(_along_nodes(model, grid, x, guess.of)), initial=0.0)) or 1.0
-    return size * np.array(guess.shares)
+        return float(np.max(grid.t - grid.t[grid.first][grid.trajectory]))
+    if guess.of == "dt":
+        return float(np.median(np.diff(grid.t[grid.sample])[np.diff(grid.trajectory[grid.sample]) == 0]))
+    return float(np.max(np.abs(_along_nodes(model, grid, x, guess.of)), initial=0.0)) or 1.0
 
 
 def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:

@@ -5,7 +5,7 @@ sum of terms. Bodies are read by `expressions`, so values, names, LaTeX and file
 (H, R, F) is the model's business.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
 from types import MappingProxyType
@@ -43,14 +43,17 @@ class Share:
 class Tried:
     """Start by trying several values and keeping the best: shares of the largest absolute value of an expression.
 
-    Of "t" they are shares of the duration of a record, of "dt" multiples of the time between samples.
+    Of "t" they are shares of the duration of a record, of "dt" multiples of the time between samples. ``most``: upper
+    bound, as a share too; a rim above every level has no slope by which a solver finds back.
     """
 
     of: str
     shares: tuple[float, ...]
+    most: float = np.inf
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shares", tuple(float(share) for share in self.shares))
+        object.__setattr__(self, "most", float(self.most))
 
 
 @dataclass(frozen=True)
@@ -230,17 +233,16 @@ def damping(*states: str) -> dict[str, Dictionary]:
     return {name: Dictionary((Term("1", Parameter(None, lower=0.0)),)) for name in _variables(states)}
 
 
-def with_values(term: Term, place: str, values: Mapping[str, float]) -> Term:
-    """The term with its parameters set to ``values`` (by their names in the model)."""
+def with_parameters(term: Term, place: str, change: Callable[[str, Parameter], Parameter]) -> Term:
+    """The term with ``change`` applied to each of its parameters, which it gets with their names in the model."""
     coefficient = term.coefficient
     if coefficient is not None:
-        coefficient = _set(coefficient, values.get(term.coefficient_name(place)))
-    inner = {name: _set(p, values.get(term.inner_name(name, place))) for name, p in term.inner.items()}
+        coefficient = change(term.coefficient_name(place), coefficient)
+    inner = {name: change(term.inner_name(name, place), p) for name, p in term.inner.items()}
     return replace(term, coefficient=coefficient, inner=inner)
 
 
-def _set(parameter: Parameter, value: float | None) -> Parameter:
-    if value is None:
-        return parameter
+def with_value(parameter: Parameter, value: float) -> Parameter:
+    """The parameter at the value, or at the bound nearest to it."""
     # A solver may stop a rounding error outside a bound; the record must satisfy its own bounds.
     return replace(parameter, value=float(np.clip(value, parameter.lower, parameter.upper)))

@@ -44,7 +44,7 @@ OF_SIGNAL = 0.7  # largest free-run error over the standard deviation of the sig
 N_TRAIN, N_TEST = 3, 2
 ATTEMPTS, PATIENCE = 40, 8
 FAINTEST = 1.5  # ratio that is enough after ``PATIENCE`` attempts
-STEPS = 2  # between samples, where a machine is simulated quickly
+STEPS = 1  # between samples, where a machine is simulated quickly
 
 LOSS = ("viscous damping", "coulomb friction", "stribeck friction", "quadratic drag", "cubic drag",
         "position-dependent damping")  # fmt: skip

@@ -10,7 +10,7 @@ import phsi_opt as ph
 from phsi_opt.effects import Effect, effect_named
 from phsi_opt.grid import grid_of
 from phsi_opt.model import Model
-from phsi_opt.start import remembered
+from phsi_opt.start import Memory, at_rest, remembered, resolved
 
 M, K, X, U, T = 2.0, 3.0, np.array([0.7, -1.2]), np.array([0.9]), 0.4
 Q, V = 0.7, -0.6  # of the state X
@@ -139,6 +139,40 @@ def test_a_delayed_input_arrives_late_and_a_lagged_one_smoothed() -> None:
     z = remembered(lagged, grid, np.zeros((801, 2)), np.array([lagged.values[n] for n in lagged.free]))[200:, 2]
     gain = 1 / np.sqrt(1 + (0.4 * 1.3) ** 2)
     np.testing.assert_allclose(z, gain * np.sin(1.3 * t[200:] - np.arctan(0.4 * 1.3)), atol=0.002)
+
+
+def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
+    t = np.arange(0.0, 20.0, 0.5)
+    u = np.sign(np.sin(0.9 * t))[:, None]
+    data = ph.Measurements.from_arrays(
+        t, np.zeros((len(t), 2)), u, states=["q", "p"], inputs=["u"], hold="zero"
+    )  # each input holds until the next sample, so that a delay of a fifth leaves a fifth of the last one in the mean
+    late = spring().add(effect_named(spring(), "input delay", "p")).with_values({"delay_u_p": 0.1})
+    grid = grid_of(data)
+    theta = np.array([late.values[n] for n in late.free])
+    means = Memory(late, grid, np.zeros((len(t), 2)))(theta)[1]
+    shown = u[:-1, 0] + 2 * (means[:, 0] - u[:-1, 0]) + 0.1**2 / 5 * means[:, 2]
+    expected = u[:-1, 0] - 0.2 * np.diff(u[:-1, 0], prepend=u[0, 0])
+    np.testing.assert_allclose(shown, expected, atol=0.05)  # of a jump of 2: Pade rings behind it, and steps of 0.125
+
+
+def test_a_rim_is_not_sought_above_the_highest_level() -> None:
+    data = ph.Measurements.from_arrays(T * np.arange(5), np.array([[0.5], [2.0], [3.0], [1.0], [0.7]]), states=["h"])
+    model = ph.PseudoHamiltonian(states=["h"], S=[[0.0]], H=ph.formula("h**2/2"))
+    larger = model.add(effect_named(model, "overflow", "h"))
+    grid = grid_of(data)
+    (limit,) = (e.parameter for n, e in resolved(larger, grid, grid.y).entries.items() if n.endswith("limit"))
+    assert limit.upper == 3.0 and 0 < limit.start < 3.0
+    assert resolved(larger, grid, grid.y).with_values({"overflow_h.limit": 9.0}).values["overflow_h.limit"] == 3.0
+
+
+def test_a_body_that_stays_is_at_rest_and_one_that_turns_is_not() -> None:
+    mass = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.formula("p**2/2"))
+    t = np.linspace(0.0, 20.0, 401)
+    turning, dying = np.cos(t), np.where(t < 10, np.cos(t), 0.0)
+    for v, expected in ((turning, 0.0), (dying, 0.5)):
+        grid = grid_of(ph.Measurements.from_arrays(t, np.column_stack([0 * t, v]), states=["q", "p"]))
+        assert at_rest(mass, grid, grid.y, "p", 0.03).mean() == pytest.approx(expected, abs=0.01)
 
 
 def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimated() -> None:
