@@ -76,7 +76,7 @@ class Effect:
 
 def catalogue(model: Model) -> list[Effect]:
     """The effects that apply to the model, each with the slot and equation it acts in; those it has are left out."""
-    moved_by = _position_of(model)
+    moved_by = position_of(model)
     effects: list[Effect] = []
     for i in forced_rows(model):
         name = model.states[i]
@@ -107,7 +107,7 @@ def effect_named(model: Model, name: str, equation: str) -> Effect:
     )
 
 
-def _position_of(model: Model) -> dict[str, str]:
+def position_of(model: Model) -> dict[str, str]:
     """Position q of each momentum p of a canonical pair."""
     found = {}
     for i in positions(model):

@@ -29,7 +29,7 @@ from scipy.optimize import lsq_linear
 from scipy.sparse import csc_matrix, diags, hstack
 from scipy.stats import chi2
 
-from phsi_opt.effects import Effect
+from phsi_opt.effects import Effect, position_of
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.evidence import independent_share
 from phsi_opt.fit import Fit
@@ -479,7 +479,7 @@ class _Columns:
         return x, along
 
     def _rest(self) -> np.ndarray:
-        """Defects of a body at rest, (n_defects, 1 or 0 columns), where the effect is dry friction.
+        """Defects of a body at rest, (n_defects, 1 or 0 columns), where the effect is dry friction on a momentum.
 
         There the friction is what the rest of the model makes it, whatever its coefficient.
         """
@@ -487,7 +487,7 @@ class _Columns:
         inner = [(n, e.parameter.guess) for n, e in entries.items() if n not in screen.model.entries]
         corners = [(name, g) for name, g in inner if isinstance(g, Share) and g.sharper]
         defects = np.zeros((screen.grid.n_intervals, screen.model.n_states))
-        for name, guess in corners[:1]:
+        for name, guess in corners[:1] if self.trial.effect.equation in position_of(screen.model) else ():
             still = at_rest(self.trial.model, screen.grid, screen.x, guess.of, self.trial.model.values[name])
             row = screen.model.index(self.trial.effect.equation)
             defects[still, row] = -screen.defects.reshape(defects.shape)[still, row]

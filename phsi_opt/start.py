@@ -188,8 +188,9 @@ def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
                 value = guess.share * root_mean_square(model, grid, x, guess.of)
             else:
                 size = _size_of(model, grid, x, guess)
-                model = model.with_upper({name: guess.most * size})
                 value = size * guess.shares[len(guess.shares) // 2]
+                if _is_measured(model, grid, guess.of):  # other states may still change their scale
+                    model = model.with_upper({name: guess.most * size})
             model = model.with_values({name: value})
     return model
 
@@ -197,6 +198,13 @@ def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
 def tried_values(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
     """The values to try for a parameter, over the states x."""
     return _size_of(model, grid, x, guess) * np.array(guess.shares)
+
+
+def _is_measured(model: Model, grid: Grid, formula: str) -> bool:
+    """Whether the states that a formula sees, itself or through their efforts, are measured."""
+    seen = grid.measured.any(axis=0)
+    used = names_of(formula)
+    return all(seen[i] for i, name in enumerate(model.states[: len(seen)]) if {name, f"dH_d{name}"} & used)
 
 
 def _size_of(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> float:
