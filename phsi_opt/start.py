@@ -202,7 +202,7 @@ def tried_values(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.nd
 
 def _is_measured(model: Model, grid: Grid, formula: str) -> bool:
     """Whether the states that a formula sees, itself or through their efforts, are measured."""
-    seen = grid.measured.any(axis=0)
+    seen = np.asarray(grid.measured.any(axis=0))
     used = names_of(formula)
     return all(seen[i] for i, name in enumerate(model.states[: len(seen)]) if {name, f"dH_d{name}"} & used)
 
