@@ -144,7 +144,9 @@ def theta_scale(model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, x_sc
     rate = np.sqrt(np.mean(np.square(_smooth_rates(grid, x)), axis=0))
     rate = np.where(rate > 0, rate, x_scale)
     jacobian = np.array(defect_jacobian(model, grid, SCHEME)(x.T, theta))
-    per_equation = np.sqrt(np.nanmean(jacobian.reshape(grid.n_intervals, -1, len(theta)) ** 2, axis=0)) / rate[:, None]
+    slopes = jacobian.reshape(grid.n_intervals, -1, len(theta))
+    n_finite = np.maximum(np.isfinite(slopes).sum(axis=0), 1)
+    per_equation = np.sqrt(np.nansum(slopes**2, axis=0) / n_finite) / rate[:, None]
     strength = np.nan_to_num(per_equation.max(axis=0))
     if model.sensor:  # a sensor's parameter moves what is shown, by the size of the state
         strength = np.maximum(strength, _sensor_strength(model, grid, theta, x) @ (1 / x_scale))
