@@ -55,6 +55,7 @@ CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 # Rise of -2 log likelihood up to which the sharper corner of dry friction is taken: friction is sharp, and the corners
 # that fall between samples make the likelihood rough.
 WORSE = 4.0
+SURE = 2  # number of the first stage of sharpening that is the last one unless it is clearly better
 PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
 CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
 
@@ -198,8 +199,11 @@ class _Work:
                 fit = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=QUICK)
             except PhsiOptError:
                 break
+            is_better = deviance(fit) < deviance(best) - CLOSE
             if deviance(fit) < deviance(best) + WORSE:
                 best = fit
+            if stage >= SURE and not is_better:
+                break
         return best
 
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
@@ -217,10 +221,10 @@ class _Work:
                 break
             new, blunt = self.refitted(candidate, one, best)
             result.append(new)
-            if blunt is not None and (best is None or delta_bic(best, blunt, 1.0) < 0):
-                best = blunt
             if new.trained is not None and is_adequate(new.trained):
-                enough, promised = min(enough, expected), max(promised, screen.score(one))
+                enough, promised, blunt = min(enough, expected), max(promised, screen.score(one)), new.fit
+            if blunt is not None and (best is None or delta_bic(best, blunt, 1.0) < 0):
+                best = blunt  # what leaves noise is the rival as it is, the others before they are sharpened
         return self.ranked(result)
 
     def refitted(self, candidate: Candidate, screened: Screened, rival: Fit | None) -> tuple[Candidate, Fit | None]:
@@ -265,7 +269,8 @@ class _Work:
             return best
         for first, second in screen.pairs(found, N_PAIRS):
             self.say(f"re-fitting with {first.effect} and {second.effect}")
-            result = self.refit([first.effect, second.effect], {**first.values, **second.values})
+            rival = best.fit if best else None
+            result = self.refit([first.effect, second.effect], {**first.values, **second.values}, rival=rival)
             if result is None:
                 continue
             new, trained, comparison, _ = result

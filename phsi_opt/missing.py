@@ -28,6 +28,7 @@ SHRINKING = (1.0, 0.1, 0.01)  # sizes of the force while parameters and states a
 ROUGH = 30  # iterations while the force's size is still sought: beside sharp friction a generous force takes hundreds
 SETTLED = 0.02  # change of the logarithm of a variance at which its updates end
 LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
+LOST = 1e-2  # violation of the (scaled) dynamics beyond which a search that did not end well is of no use
 GENEROUS = 100.0  # factor on the size of the force after a search from its usual size failed
 
 
@@ -127,7 +128,7 @@ def softened(model: Model, grid: Grid, unknown: Theta, point: Point, sigma: np.n
 
 
 def _is_lost(solution: Solution) -> bool:
-    return not solution.outcome.success and solution.outcome.infeasibility > 1e-3
+    return not solution.outcome.success and solution.outcome.infeasibility > LOST
 
 
 @dataclass(frozen=True, eq=False)
