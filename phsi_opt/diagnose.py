@@ -19,7 +19,7 @@ from scipy.stats import chi2, false_discovery_control
 
 from phsi_opt.compare import Comparison, compared, force_of
 from phsi_opt.diagnosis import NAMED, NOTHING, UNEXPLAINED, Candidate, Diagnosis
-from phsi_opt.effects import Effect, catalogue
+from phsi_opt.effects import Effect, catalogue, is_wave
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.evidence import (
     ABOVE_FLOOR,
@@ -39,6 +39,7 @@ from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
+from phsi_opt.pairs import pairs
 from phsi_opt.screen import Screen, Screened
 from phsi_opt.solver import Settings
 from phsi_opt.start import resolved
@@ -171,8 +172,8 @@ class _Work:
     def begun(self, model: Model, finer: int, beside: dict[str, float]) -> Fit:
         """The brief re-fit of a larger model, through windows if the whole record at once cannot be solved."""
         grid, data, own = self.estimate.grid, self.data, self.fit.model
-        pairs = zip(own.states, self.estimate.sigma, strict=True)
-        noise = {name: float(s) for name, s in pairs if name in data.measured}
+        channels = zip(own.states, self.estimate.sigma, strict=True)
+        noise = {name: float(s) for name, s in channels if name in data.measured}
         own = own.with_values({name: value for name, value in beside.items() if name in own.entries})
         steps = tuple(finer * n for n in self.fit.steps)
         start = replace(self.fit, model=own, states=grid.split(self.estimate.x), noise=noise, steps=steps)
@@ -235,7 +236,8 @@ class _Work:
             return candidate, None
         new, trained, comparison, blunt = result
         names = _new_names(self.fit, new)
-        size, error = _size(new, [n for n in names if new.model.entries[n].prunable] or names[:1])
+        linear = [n for n in names if new.model.entries[n].prunable] or names[:1]
+        size, error = _size(new, linear, is_wave(candidate.effect) and len(linear) == 2)
         p_value = screened.n_tried * self.p_value(new, trained)
         found = replace(candidate, coefficient=size, std_error=error, fit=new, trained=trained, comparison=comparison)
         return replace(found, p_value=p_value), blunt
@@ -267,7 +269,7 @@ class _Work:
             best = _Proposal((c.effect,), c.fit, c.trained, c.comparison, words)
         if is_adequate(self.trained) or (best and explains(self.base, best.trained, best.comparison)):
             return best
-        for first, second in screen.pairs(found, N_PAIRS):
+        for first, second in pairs(screen, found, N_PAIRS):
             self.say(f"re-fitting with {first.effect} and {second.effect}")
             rival = best.fit if best else None
             result = self.refit([first.effect, second.effect], {**first.values, **second.values}, rival=rival)
@@ -360,12 +362,11 @@ def _adjusted(candidates: list[Candidate]) -> tuple[Candidate, ...]:
     return tuple(replace(c, p_value=float(q)) for c, q in zip(candidates, false_discovery_control(p), strict=True))
 
 
-def _size(fit: Fit, names: list[str]) -> tuple[float, float]:
-    """Coefficient (amplitude, for a pair; the last of several) and its standard error."""
+def _size(fit: Fit, names: list[str], is_wave: bool) -> tuple[float, float]:
+    """Coefficient (amplitude, for a sine and a cosine; the last of several) and its standard error."""
     at = [fit.names.index(n) for n in names if n in fit.names]
     values = np.array([fit.estimates[fit.names[i]] for i in at])
     covariance = fit.covariance[np.ix_(at, at)]
-    is_wave = len(names) == 2 and all(".omega" not in n and ("sin" in n or "cos" in n) for n in names)
     if not is_wave:
         return float(values[-1]), float(np.sqrt(covariance[-1, -1]))
     size = float(np.linalg.norm(values))

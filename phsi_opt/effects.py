@@ -307,6 +307,11 @@ def is_scanned(effect: Effect) -> bool:
     return any(isinstance(p.guess, Scan | Tried) for term in terms for p in term.inner.values())
 
 
+def is_wave(effect: Effect) -> bool:
+    """Whether the effect has a frequency that is scanned, so that its terms are parts of a wave."""
+    return any(isinstance(p.guess, Scan) for term in effect.term for p in term.inner.values())
+
+
 def _is_in(model: Model, effect: Effect) -> bool:
     """Whether the model can do already what the effect does: a term of the same body, or the same change of dx/dt."""
     terms = model.H if effect.slot == "H" else getattr(model, effect.slot).get(effect.equation, Dictionary())

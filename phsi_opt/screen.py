@@ -21,7 +21,7 @@ effect is left out whose trace, for columns of one size, all but vanishes along 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations, product
+from itertools import product
 
 import casadi as ca
 import numpy as np
@@ -29,22 +29,22 @@ from scipy.optimize import lsq_linear
 from scipy.sparse import csc_matrix, diags, hstack
 from scipy.stats import chi2
 
-from phsi_opt.effects import Effect, position_of
+from phsi_opt.columns import SCHEME, Columns, Trial
+from phsi_opt.effects import Effect
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.evidence import independent_share
 from phsi_opt.fit import Fit
-from phsi_opt.grid import defect_function, defect_jacobian, defects, output_slopes, output_slopes_of, outputs
+from phsi_opt.grid import defects, output_slopes_of
 from phsi_opt.linear import Reduced
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, Sensed
 from phsi_opt.model import Model
 from phsi_opt.record import matrix_of, parameters_of
-from phsi_opt.start import Memory, at_rest, frequencies, resolved, tried_values
-from phsi_opt.terms import Scan, Share, Tried
+from phsi_opt.start import frequencies, resolved, tried_values
+from phsi_opt.terms import Scan, Tried
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 
-SCHEME = "srk4"
 NO_TRACE = 1e-6  # squared trace of an effect of natural size, in units of the noise, below which it is not excited
 IMITATED = 1e-2  # squared trace along the fit's own states, over that at the missing force's, of what others can do
 BACK = 4  # steps of Newton's method to states that obey the model, at most
@@ -79,17 +79,6 @@ class Screened:
     explained: np.ndarray = field(repr=False)  # trace times coefficients
     # Inner values, and their traces in the rows that are kept.
     scanned: tuple[tuple[dict[str, float], np.ndarray], ...] = field(repr=False)
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """An effect in the model: names of its linear coefficients, values to try per inner parameter, frequency."""
-
-    effect: Effect
-    model: Model
-    linear: list[str]
-    tried: dict[str, np.ndarray]
-    frequency: str | None
 
 
 class Screen:
@@ -161,62 +150,23 @@ class Screen:
 
     def score(self, one: Screened) -> float:
         """n log(misfit before / after) - k log n, with what is expected of the effect."""
-        return self._score(one.drop, one.n_free)
+        return self.score_of(one.drop, one.n_free)
 
-    def _score(self, drop: float, n_free: int) -> float:
+    def score_of(self, drop: float, n_free: int) -> float:
+        """The same for any fall of the misfit."""
         n = self.n_values
         left = max(self.misfit - drop, 1e-9 * self.misfit)
         return float(n * np.log(max(self.misfit, left) / left) - n_free * np.log(n))
-
-    def pairs(self, found: list[Screened], most: int) -> list[tuple[Screened, Screened]]:
-        """The pairs of effects that explain most together, the stronger of each first, with values to start from.
-
-        Coefficients keep their bounds, and inner parameters are chosen for the two together: what spills over a rim
-        explains little until a loss makes the level right, and then at another rim.
-        """
-        points = [(i, point, trace) for i, one in enumerate(found) for point, trace in one.scanned]
-        if not points:
-            return []
-        traces = np.hstack([trace for *_, trace in points])
-        bounds = [self._bounds(found[i], point, trace.shape[1]) for i, point, trace in points]
-        joint = _Joint.of(traces, self.residual[self.kept], bounds)
-        best: dict[tuple[int, int], tuple[float, int, int]] = {}
-        for a, b in combinations(range(len(points)), 2):
-            i, j = points[a][0], points[b][0]
-            if i != j and (drop := self.n_values / len(self.kept) * joint.drop(a, b)) > 0:
-                score = self._score(drop, found[i].n_free + found[j].n_free)
-                best[i, j] = max(best.get((i, j), (-np.inf, a, b)), (score, a, b))
-        chosen = sorted(best.items(), key=lambda item: -item[1][0])[:most]
-        return [self._together(found, points, joint, a, b) for _, (_, a, b) in chosen]
-
-    def _together(
-        self, found: list[Screened], points: list[tuple[int, dict[str, float], np.ndarray]], joint: "_Joint", a: int,
-        b: int,
-    ) -> tuple[Screened, Screened]:  # fmt: skip
-        pair = []
-        for (i, point, _), c in zip((points[a], points[b]), joint.coefficients(a, b), strict=True):
-            linear = [name for name in found[i].values if name not in point]
-            values = {**found[i].values, **point, **dict(zip(linear, c.tolist(), strict=False))}
-            pair.append(replace(found[i], values=values))
-        first, second = sorted(pair, key=lambda one: -one.drop)
-        return first, second
-
-    def _bounds(self, one: Screened, point: dict[str, float], k: int) -> np.ndarray:
-        """(k, 2): the bounds of the coefficients; an effect without one, and a body at rest, can only be there."""
-        entries = self.model.add(one.effect).entries
-        linear = [entries[name].parameter for name in one.values if name not in point]
-        own = [(p.lower, p.upper) for p in linear]
-        return np.array(own + [(0.0, 1.0 if own else np.inf)] * (k - len(own)))
 
     def candidate(self, effect: Effect) -> Screened | None:
         """What is expected of one effect; None where it leaves no trace in the record."""
         if effect.slot == "sensor" and not self.grid.measured[:, self.model.index(effect.equation)].any():
             return None
         try:
-            trial = self._trial(effect)
+            trial = self.trial(effect)
         except PhsiOptError:
             return None
-        columns = _Columns(self, trial)
+        columns = Columns(self, trial)
         points = [dict(zip(trial.tried, map(float, v), strict=True)) for v in product(*trial.tried.values())]
         n_tried = len(points)
         if trial.frequency is not None:
@@ -263,7 +213,8 @@ class Screen:
         edges = self.grid.first[1:]
         return [np.split(values.reshape(r.shape) / size, edges) for values in (change, residual)]
 
-    def _trial(self, effect: Effect) -> _Trial:
+    def trial(self, effect: Effect) -> Trial:
+        """The effect in the model, with what is to be tried."""
         model = self.model.add(effect)
         new = [name for name in model.entries if name not in self.model.entries]
         entries = model.entries
@@ -278,7 +229,7 @@ class Screen:
         linear = [name for name in new if entries[name].prunable and not entries[name].parameter.fixed]
         if not linear and not tried:  # a user's formula: linearised in its parameters, at their start
             linear = [name for name in model.free if name in new]
-        return _Trial(effect, model, linear, tried, scans[0] if scans and linear else None)
+        return Trial(effect, model, linear, tried, scans[0] if scans and linear else None)
 
     def theta_at(self, model: Model, values: dict[str, float]) -> np.ndarray:
         """The base's parameters and the values given, (n_free, n_trajectories)."""
@@ -288,7 +239,7 @@ class Screen:
         return np.array(rows).reshape(-1, n)
 
     def _ranked(
-        self, trial: _Trial, columns: "_Columns", points: list[dict[str, float]]
+        self, trial: Trial, columns: Columns, points: list[dict[str, float]]
     ) -> list[tuple[dict[str, float], np.ndarray]]:
         """The points with their traces, the one that explains most first, without what the base can imitate."""
         made = [columns(point) for point in points]
@@ -297,14 +248,14 @@ class Screen:
         drops = [self._regression(trial, part)[1] for part in parts]
         order = np.argsort(drops)[::-1]
         for n, i in enumerate(order):
-            if self._score(drops[i], parts[i].shape[1]) <= 0 or not self._is_imitated(columns, points[i], parts[i]):
+            if self.score_of(drops[i], parts[i].shape[1]) <= 0 or not self._is_imitated(columns, points[i], parts[i]):
                 return [(points[k], parts[k]) for k in order[n:]]
         return []
 
     def _kept(self, ranked: list[tuple[dict[str, float], np.ndarray]]) -> list[tuple[dict[str, float], np.ndarray]]:
         return [(point, trace[self.kept]) for point, trace in ranked]
 
-    def _best_frequency(self, trial: _Trial, columns: "_Columns", tried: np.ndarray) -> float:
+    def _best_frequency(self, trial: Trial, columns: Columns, tried: np.ndarray) -> float:
         """The frequency whose waves explain most.
 
         The correlation of a wave's trace with the residuals needs no trace, only the residuals' adjoint: a Fourier
@@ -327,13 +278,13 @@ class Screen:
         drops = [self._regression(trial, traces[:, i])[1] for i in range(len(tried))]
         return float(tried[int(np.argmax(drops))])
 
-    def _wave_traces(self, columns: "_Columns", name: str, tried: np.ndarray) -> np.ndarray:
+    def _wave_traces(self, columns: Columns, name: str, tried: np.ndarray) -> np.ndarray:
         """(n_values, n_tried, k)"""
         made = [columns({name: float(w)}) for w in tried]
         traces = self.traces(np.hstack([D for D, _ in made]), np.hstack([Y for _, Y in made]))
         return traces.reshape(len(traces), len(tried), -1)
 
-    def _regression(self, trial: _Trial, trace: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    def _regression(self, trial: Trial, trace: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
         """Coefficients within their bounds, fall of the misfit, information."""
         information, right = trace.T @ trace, trace.T @ self.residual
         if not trial.linear:  # the effect has no coefficient: it is there as a whole
@@ -361,7 +312,7 @@ class Screen:
         ]
         return float(np.max(parts))
 
-    def _is_imitated(self, columns: "_Columns", point: dict[str, float], trace: np.ndarray) -> bool:
+    def _is_imitated(self, columns: Columns, point: dict[str, float], trace: np.ndarray) -> bool:
         """Whether the base parameters can do what the effect does, along states that obey the base model."""
         own = columns.own
         if own is None:
@@ -372,7 +323,7 @@ class Screen:
         return there > 0 and bool(np.sum(left**2) / there**2 < IMITATED * np.sum(trace**2) / max(here, 1e-300) ** 2)
 
     def _judged(
-        self, trial: _Trial, columns: "_Columns", point: dict[str, float], trace: np.ndarray, n_tried: int
+        self, trial: Trial, columns: Columns, point: dict[str, float], trace: np.ndarray, n_tried: int
     ) -> Screened | None:
         c, drop, information = self._regression(trial, trace)
         D, Y = columns(point)
@@ -398,127 +349,6 @@ class Screen:
         p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), n_free)))
         beside, scanned = self.beside(D, Y, c), tuple(self._kept([(point, trace)]))
         return Screened(trial.effect, size, error, drop, n_free, n_tried, p, values, beside, trace, trace @ c, scanned)
-
-
-@dataclass(frozen=True, eq=False)
-class _Joint:
-    """The regression of the residual on the traces of two of many points together, from their common products."""
-
-    size: np.ndarray  # of each column
-    gram: np.ndarray  # of the columns over their size
-    right: np.ndarray
-    bounds: np.ndarray  # of the coefficients times the size
-    edges: np.ndarray  # where the columns of each point begin
-
-    @classmethod
-    def of(cls, traces: np.ndarray, residual: np.ndarray, bounds: list[np.ndarray]) -> "_Joint":
-        size = np.maximum(np.linalg.norm(traces, axis=0), 1e-300)
-        gram = (traces / size).T @ (traces / size) + 1e-10 * np.eye(len(size))
-        edges = np.cumsum([0, *map(len, bounds)])
-        return cls(size, gram, (traces / size).T @ residual, np.concatenate(bounds) * size[:, None], edges)
-
-    def _at(self, point: int) -> np.ndarray:
-        return np.arange(self.edges[point], self.edges[point + 1])
-
-    def _solved(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-        """The columns of both, and their coefficients; what would leave its bounds is left out."""
-        both = np.r_[self._at(a), self._at(b)]
-        c, left = np.zeros(len(both)), np.arange(len(both))
-        while len(left):
-            at = both[left]
-            c = np.zeros(len(both))
-            c[left] = np.linalg.solve(self.gram[np.ix_(at, at)], self.right[at])
-            inside = (c[left] >= self.bounds[at, 0]) & (c[left] <= self.bounds[at, 1])
-            if inside.all():
-                break
-            left = left[inside]
-        return both, c if len(left) else 0 * c
-
-    def drop(self, a: int, b: int) -> float:
-        """Fall of the misfit; none where one of the two does nothing."""
-        both, c = self._solved(a, b)
-        n = len(self._at(a))
-        if not (c[:n].any() and c[n:].any()):
-            return 0.0
-        return float(2 * c @ self.right[both] - c @ self.gram[np.ix_(both, both)] @ c)
-
-    def coefficients(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of the first and of the second."""
-        both, c = self._solved(a, b)
-        c, n = c / self.size[both], len(self._at(a))
-        return c[:n], c[n:]
-
-
-class _Columns:
-    """What a trial's coefficients do to the defects and to what is shown, as functions of its inner parameters."""
-
-    def __init__(self, screen: Screen, trial: _Trial) -> None:
-        self.screen, self.trial = screen, trial
-        self.chosen = [trial.model.free.index(name) for name in trial.linear]
-        n_runs = screen.values.shape[1]
-        self.states = screen.obeying if trial.effect.slot == "sensor" else screen.x
-        self.memory = Memory(trial.model, screen.grid, self.states) if trial.effect.memory else None
-        self.slopes = self.function = None
-        self.grid = screen.grid if self.memory is None else screen.grid.apart()
-        if trial.effect.slot != "sensor" and self.chosen:
-            self.slopes = defect_jacobian(trial.model, self.grid, SCHEME, self.chosen, n_runs)
-        elif trial.effect.slot != "sensor":
-            self.function = defect_function(trial.model, self.grid, SCHEME, n_runs)
-        self.rest = self._rest()
-
-    def _states(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the nodes, and at the nodes of the intervals: a memory acts there with its mean.
-
-        A memory shorter than an interval is not what lies half way between its values at the ends.
-        """
-        if self.memory is None:
-            return self.states, self.states
-        x, means = self.memory(theta)
-        along = x[np.column_stack([self.screen.grid.begin, self.screen.grid.begin + 1]).ravel()]
-        along[:, -means.shape[1] :] = np.repeat(means, 2, axis=0)
-        return x, along
-
-    def _rest(self) -> np.ndarray:
-        """Defects of a body at rest, (n_defects, 1 or 0 columns), where the effect is dry friction on a momentum.
-
-        There the friction is what the rest of the model makes it, whatever its coefficient.
-        """
-        screen, entries = self.screen, self.trial.model.entries
-        inner = [(n, e.parameter.guess) for n, e in entries.items() if n not in screen.model.entries]
-        corners = [(name, g) for name, g in inner if isinstance(g, Share) and g.sharper]
-        defects = np.zeros((screen.grid.n_intervals, screen.model.n_states))
-        for name, guess in corners[:1] if self.trial.effect.equation in position_of(screen.model) else ():
-            still = at_rest(self.trial.model, screen.grid, screen.x, guess.of, self.trial.model.values[name])
-            row = screen.model.index(self.trial.effect.equation)
-            defects[still, row] = -screen.defects.reshape(defects.shape)[still, row]
-        return defects.reshape(-1, 1)[:, : int(defects.any())]
-
-    @cached_property
-    def own(self) -> "_Columns | None":
-        """The columns along the states of the fit."""
-        return None if self.screen.own is None else _Columns(self.screen.own, self.trial)
-
-    def __call__(self, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """D (n_defects, k) and Y (n_nodes * n_states, k)."""
-        screen, model, grid = self.screen, self.trial.model, self.screen.grid
-        theta = screen.theta_at(model, values)
-        x, along = self._states(theta)
-        n_old, k = screen.model.n_states, max(len(self.chosen), 1)
-        D, Y = np.zeros((grid.n_intervals, n_old, k)), np.zeros((grid.n_nodes, n_old, k))
-        if self.slopes is not None:
-            D = np.array(self.slopes(along.T, theta)).reshape(grid.n_intervals, model.n_states, k)[:, :n_old]
-        elif self.function is None:
-            if self.chosen:
-                Y = output_slopes(model, grid, x, theta)[1][:, :n_old, self.chosen]
-            else:
-                Y = (np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T[:, :n_old] - screen.shown)[..., None]
-        else:
-            d = np.array(self.function(along.T, theta)).T[:, :n_old]
-            D = (d - screen.defects.reshape(grid.n_intervals, n_old))[..., None]
-        D, Y, n_rest = np.nan_to_num(D.reshape(-1, k)), np.nan_to_num(Y.reshape(-1, k)), self.rest.shape[1]
-        if n_rest:
-            D = np.hstack([np.where(self.rest != 0, 0.0, D), self.rest])
-        return D, np.pad(Y, ((0, 0), (0, n_rest)))
 
 
 def _fourier(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.columns import Columns
 from phsi_opt.compare import force_of
 from phsi_opt.effects import effect_named
 from phsi_opt.evidence import delta_bic, falls, is_adequate
 from phsi_opt.identify import matched
-from phsi_opt.screen import Screen, Screened, _Columns
+from phsi_opt.pairs import pairs
+from phsi_opt.screen import Screen, Screened
 
 T = np.linspace(0.0, 14.0, 281)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
@@ -142,9 +144,9 @@ def test_a_pair_keeps_the_bounds_of_both_and_chooses_inner_values_together(
     fit, _, screen = drag
     names = ["quadratic drag", "coulomb friction", "gap", "stribeck friction", "constant force"]
     found = screen.screened([effect_named(fit.model, name, "p") for name in names])
-    pairs = screen.pairs(found, 100)
-    assert pairs
-    for first, second in pairs:
+    listed = pairs(screen, found, 100)
+    assert listed
+    for first, second in listed:
         assert first.effect != second.effect
         entries = fit.model.add(first.effect).add(second.effect).entries
         values = {**first.values, **second.values}
@@ -158,18 +160,18 @@ def test_a_pair_keeps_the_bounds_of_both_and_chooses_inner_values_together(
 
 
 def _linear(screen: Screen, one: Screened) -> list[str]:
-    return screen._trial(one.effect).linear
+    return screen.trial(one.effect).linear
 
 
 def _at(screen: Screen, one: Screened) -> np.ndarray:
-    trial = screen._trial(one.effect)
-    return screen.traces(*_Columns(screen, trial)({name: one.values[name] for name in trial.tried}))
+    trial = screen.trial(one.effect)
+    return screen.traces(*Columns(screen, trial)({name: one.values[name] for name in trial.tried}))
 
 
 def _alone(screen: Screen, pair: tuple[Screened, Screened]) -> Iterator[np.ndarray]:
     """What each explains alone, at its inner values of the pair."""
     for one in pair:
-        trial, trace = screen._trial(one.effect), _at(screen, one)
+        trial, trace = screen.trial(one.effect), _at(screen, one)
         yield trace @ screen._regression(trial, trace)[0]
 
 
