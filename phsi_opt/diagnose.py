@@ -92,7 +92,8 @@ def diagnose(
     refitted = work.best_of(screen, found, candidates)
     tried = [c.effect for c in refitted]
     everyone = _adjusted(refitted + [c for c in candidates if c.effect not in tried])
-    proposal = work.proposed(screen, found, everyone)
+    failed = [c.effect for c in refitted if c.fit is None]
+    proposal = work.proposed(screen, [one for one in found if one.effect not in failed], everyone)
     if proposal is not None:
         everyone = tuple(sorted(everyone, key=lambda c: c.effect not in proposal.effects))
     verdict, reason, named = work.verdict(proposal)
@@ -260,7 +261,10 @@ class _Work:
         return result + [c for c in refitted if c.fit is None]
 
     def proposed(self, screen: Screen, found: list[Screened], everyone: tuple[Candidate, ...]) -> _Proposal | None:
-        """The best significant effect; two together where one alone leaves more than noise and two explain more."""
+        """The best significant effect; two together where one alone leaves more than noise and two explain more.
+
+        The two are among ``found``; what could not be re-fitted alone can hardly be beside another.
+        """
         best = None
         c = next((c for c in everyone if self.is_significant(c)), None)
         if c is not None and c.fit is not None and c.trained is not None and c.comparison is not None:
