@@ -1,10 +1,11 @@
 """Pairs of effects: what two explain together, each within its bounds and at inner values that suit the other."""
 
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 
+from phsi_opt.errors import ModelError
 from phsi_opt.screen import Screen, Screened
 
 
@@ -26,8 +27,18 @@ def pairs(screen: Screen, found: list[Screened], most: int) -> list[tuple[Screen
         if i != j and (drop := screen.n_values / len(screen.kept) * joint.drop(a, b)) > 0:
             score = screen.score_of(drop, found[i].n_free + found[j].n_free)
             best[i, j] = max(best.get((i, j), (-np.inf, a, b)), (score, a, b))
-    chosen = sorted(best.items(), key=lambda item: -item[1][0])[:most]
-    return [_together(found, points, joint, a, b) for _, (_, a, b) in chosen]
+    ordered = sorted(best.items(), key=lambda item: -item[1][0])
+    chosen = islice(((a, b) for (i, j), (_, a, b) in ordered if _fit_together(screen, found[i], found[j])), most)
+    return [_together(found, points, joint, a, b) for a, b in chosen]
+
+
+def _fit_together(screen: Screen, one: Screened, other: Screened) -> bool:
+    """Whether both can be in one model: Stribeck's friction has Coulomb's in it already."""
+    try:
+        screen.model.add(one.effect).add(other.effect)
+    except ModelError:
+        return False
+    return True
 
 
 def _together(

@@ -146,6 +146,7 @@ def test_a_pair_keeps_the_bounds_of_both_and_chooses_inner_values_together(
     found = screen.screened([effect_named(fit.model, name, "p") for name in names])
     listed = pairs(screen, found, 100)
     assert listed
+    assert not any({a.effect.name, b.effect.name} == {"coulomb friction", "stribeck friction"} for a, b in listed)
     for first, second in listed:
         assert first.effect != second.effect
         entries = fit.model.add(first.effect).add(second.effect).entries
