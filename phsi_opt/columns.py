@@ -36,15 +36,15 @@ class Columns:
     def __init__(self, screen: "Screen", trial: Trial) -> None:
         self.screen, self.trial = screen, trial
         self.chosen = [trial.model.free.index(name) for name in trial.linear]
-        n_runs = screen.values.shape[1]
+        n_runs, n_old = screen.values.shape[1], screen.model.n_states
         self.states = screen.obeying if trial.effect.slot == "sensor" else screen.x
         self.memory = Memory(trial.model, screen.grid, self.states) if trial.effect.memory else None
         self.slopes = self.function = None
         self.grid = screen.grid if self.memory is None else screen.grid.apart()
         if trial.effect.slot != "sensor" and self.chosen:
-            self.slopes = defect_jacobian(trial.model, self.grid, SCHEME, self.chosen, n_runs)
+            self.slopes = defect_jacobian(trial.model, self.grid, SCHEME, self.chosen, n_runs, n_old)
         elif trial.effect.slot != "sensor":
-            self.function = defect_function(trial.model, self.grid, SCHEME, n_runs)
+            self.function = defect_function(trial.model, self.grid, SCHEME, n_runs, n_old)
         self.rest = self._rest()
 
     def _states(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -57,6 +57,7 @@ CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 # that fall between samples make the likelihood rough.
 WORSE = 4.0
 SURE = 2  # number of the first stage of sharpening that is the last one unless it is clearly better
+LONG = 10_000  # states beyond which a re-fit that fails is not begun again
 PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
 CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
 
@@ -86,7 +87,7 @@ def diagnose(
     work = _Work.begin(fit, data, held_out, loss or MaximumLikelihood(), say)
     listed = catalogue(fit.model) if effects is None else effects
     say(f"screening {len(listed)} candidate effects")
-    screen = Screen(fit, data, work.estimate)
+    screen = Screen(fit, data, work.estimate, work.trained.simulated)
     found = screen.screened(listed)
     candidates = [_candidate(one, found, screen) for one in found]
     refitted = work.best_of(screen, found, candidates)
@@ -171,17 +172,22 @@ class _Work:
             return None
 
     def begun(self, model: Model, finer: int, beside: dict[str, float]) -> Fit:
-        """The brief re-fit of a larger model, through windows if the whole record at once cannot be solved."""
+        """The brief re-fit of a larger model, from the base's values ``beside``, else its own, else through windows."""
         grid, data, own = self.estimate.grid, self.data, self.fit.model
         channels = zip(own.states, self.estimate.sigma, strict=True)
         noise = {name: float(s) for name, s in channels if name in data.measured}
-        own = own.with_values({name: value for name, value in beside.items() if name in own.entries})
+        known = own.with_values({name: value for name, value in beside.items() if name in own.entries})
         steps = tuple(finer * n for n in self.fit.steps)
-        start = replace(self.fit, model=own, states=grid.split(self.estimate.x), noise=noise, steps=steps)
-        with suppress(PhsiOptError):
-            return identify(model, data, self.loss, start=start, settings=QUICK)
+        start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
+        is_long = model.n_states * sum(int(n.sum()) for n in steps) > LONG
+        attempts = [(known, self.loss), (own, self.loss)] if beside else [(own, self.loss)]
         window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
-        return identify(model, data, replace(self.loss, window=window), start=start, settings=QUICK)
+        attempts = attempts[:1] if is_long else [*attempts, (own, replace(self.loss, window=window))]
+        for begin, loss in attempts[:-1]:
+            with suppress(PhsiOptError):
+                return identify(model, data, loss, start=replace(start, model=begin), settings=QUICK)
+        begin, loss = attempts[-1]
+        return identify(model, data, loss, start=replace(start, model=begin), settings=QUICK)
 
     def sharpened(self, fit: Fit) -> Fit:
         """The fit with the widths of its new effects made smaller, on a finer grid, as long as that explains as much.
@@ -269,7 +275,8 @@ class _Work:
         c = next((c for c in everyone if self.is_significant(c)), None)
         if c is not None and c.fit is not None and c.trained is not None and c.comparison is not None:
             tie = f"; not told apart from {', '.join(c.confusable_with)}" if c.confusable_with else ""
-            words = f", coefficient {c.coefficient:.4g} +- {c.std_error:.2g}{tie}"
+            error = f" +- {c.std_error:.2g}" if np.isfinite(c.std_error) else ""
+            words = f", coefficient {c.coefficient:.4g}{error}{tie}"
             best = _Proposal((c.effect,), c.fit, c.trained, c.comparison, words)
         if is_adequate(self.trained) or (best and explains(self.base, best.trained, best.comparison)):
             return best
@@ -282,9 +289,20 @@ class _Work:
             new, trained, comparison, _ = result
             share = share_of(self.trained if best is None else best.trained, trained)
             better = delta_bic(self.fit if best is None else best.fit, new, share) < -CLOSE
-            better &= comb(len(found), 2) * self.p_value(new, trained) < RATE
+            n_tried = comb(len(found), 2) * first.n_tried * second.n_tried
+            better &= n_tried * self.p_value(new, trained) < RATE
             if better and falls_or_most(self.base if best is None else best.comparison, comparison):
-                best = _Proposal((first.effect, second.effect), new, trained, comparison)
+                both = _Proposal((first.effect, second.effect), new, trained, comparison)
+                best = self.needed(both, (first, second))
+        return best
+
+    def needed(self, both: _Proposal, pair: tuple[Screened, Screened]) -> _Proposal:
+        """The pair, or the one of the two that does as much alone, from its values beside the other."""
+        best, share = both, share_of(self.trained, both.trained)
+        for one in pair:
+            result = self.refit([one.effect], one.values, rival=both.fit)
+            if result is not None and delta_bic(best.fit, result[0], share) < CLOSE:
+                best = _Proposal((one.effect,), *result[:3])
         return best
 
     def verdict(self, proposal: _Proposal | None) -> tuple[str, str, tuple[Effect, ...]]:

@@ -30,6 +30,7 @@ WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of the largest position: displacement over whi
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)  # of the largest level or value: overflow, clipping
 INPUTS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest input: dead zone, saturation
 ALL = 1.0  # of the largest value: no rim, play or limit beyond it does anything
+MUCH = 3.0  # the same for the speed over which Stribeck's friction falls: beyond it is Coulomb's
 DELAYS = (
     0.5,
     1.0,
@@ -173,7 +174,7 @@ def _moving(model: Model) -> set[str]:
 
 def _stribeck(model: Model, name: str, v: str, dry: str, turnover: Parameter) -> Effect:
     """Dry friction that is larger at low speed: f_c + f_s exp(-(v/v_s)^2), against the velocity."""
-    speed = _tried(v, SPEEDS, ALL)
+    speed = _tried(v, SPEEDS, MUCH)
     more = Term(f"{dry}*exp(-({v}/v_s)**2)", Parameter(None, lower=0.0), {"v0": turnover, "v_s": speed},
                 f"stribeck_friction_{name}")  # fmt: skip
     level = Term(dry, Parameter(None, lower=0.0), {"v0": turnover}, f"coulomb_friction_{name}")

@@ -108,7 +108,8 @@ def falls(old: Comparison, new: Comparison) -> bool:
 
 def falls_or_most(old: Comparison, new: Comparison) -> bool:
     """The same, or most of the error is gone: a record of few independent samples can show no more."""
-    return falls(old, new) or explained_share(old, new) > MOST
+    is_above = old.rmse > ABOVE_FLOOR * old.noise_floor
+    return falls(old, new) or (is_above and explained_share(old, new) > MOST)
 
 
 def _block_means(squares: np.ndarray, n_blocks: int) -> np.ndarray:

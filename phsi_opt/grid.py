@@ -136,32 +136,38 @@ def _refined(trajectory: Trajectory, hold: str, steps: np.ndarray) -> dict[str, 
     return {"t": t, "y": y, "sample": sample, "h": np.diff(t), "u0": u0, "u1": u1, "u": at_node}
 
 
-def defect(model: Model, scheme: str) -> ca.Function:
-    """CasADi function (x0, x1, t0, h, u0, u1, theta) -> (x1 - x0)/h - Psi, the defect of one interval."""
+def defect(model: Model, scheme: str, n_moving: int | None = None) -> ca.Function:
+    """CasADi function (x0, x1, t0, h, u0, u1, theta) -> (x1 - x0)/h - Psi, the defect of one interval.
+
+    ``n_moving``: only the first so many states move along the interval; the others keep what x0 and x1 say.
+    """
     n, m, rhs, psi = model.n_states, model.n_inputs, model.rhs(), integrator(scheme).psi
     x0, x1, theta = ca.SX.sym("x0", n), ca.SX.sym("x1", n), ca.SX.sym("theta", len(model.free))
     t0, h, u0, u1 = ca.SX.sym("t0"), ca.SX.sym("h"), ca.SX.sym("u0", m), ca.SX.sym("u1", m)
 
     def g(x: Any, c: float) -> Any:
-        return rhs(x, u0 + c * (u1 - u0), t0 + c * h, theta)
+        rates = rhs(x, u0 + c * (u1 - u0), t0 + c * h, theta)
+        return rates if n_moving is None else ca.vertcat(rates[:n_moving], ca.SX.zeros(n - n_moving))
 
     value = (x1 - x0) / h - psi(g, x0, x1, h)
     names = ["x0", "x1", "t0", "h", "u0", "u1", "theta"]
     return ca.Function("defect", [x0, x1, t0, h, u0, u1, theta], [ca.densify(value)], names, ["d"])
 
 
-def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any) -> Any:
+def defects(model: Model, grid: Grid, scheme: str, x: Any, theta: Any, n_moving: int | None = None) -> Any:
     """Defects of all intervals, (n_states, n_intervals); x is (n_states, n_nodes), symbolic or numbers.
 
     theta is (n_free,), or (n_free, n_trajectories) where trajectories have parameters of their own.
     """
-    return _along(defect(model, scheme), grid, _columns(grid, x), theta)
+    return _along(defect(model, scheme, n_moving), grid, _columns(grid, x), theta)
 
 
-def defect_function(model: Model, grid: Grid, scheme: str, n_columns: int = 1) -> ca.Function:
+def defect_function(
+    model: Model, grid: Grid, scheme: str, n_columns: int = 1, n_moving: int | None = None
+) -> ca.Function:
     """Function (x, theta) -> `defects`, for many evaluations; theta has ``n_columns`` (see `defect_jacobian`)."""
     x, theta = ca.MX.sym("x", model.n_states, grid.n_nodes), ca.MX.sym("theta", len(model.free), n_columns)
-    return ca.Function("defects", [x, theta], [defects(model, grid, scheme, x, theta)])
+    return ca.Function("defects", [x, theta], [defects(model, grid, scheme, x, theta, n_moving)])
 
 
 def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
@@ -171,13 +177,14 @@ def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
 
 
 def defect_jacobian(
-    model: Model, grid: Grid, scheme: str, only: list[int] | None = None, n_columns: int = 1
-) -> ca.Function:
+    model: Model, grid: Grid, scheme: str, only: list[int] | None = None, n_columns: int = 1,
+    n_moving: int | None = None,
+) -> ca.Function:  # fmt: skip
     """Function (x, theta) -> dd/dtheta: a row per (interval, equation), a column per parameter (or of ``only``).
 
     theta has ``n_columns``: one, or as many as trajectories that have parameters of their own.
     """
-    one = defect(model, scheme)
+    one = defect(model, scheme, n_moving)
     arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
     chosen = list(range(len(model.free))) if only is None else only
     jacobian = ca.densify(ca.jacobian(one(*arguments), arguments[-1])[:, chosen])

@@ -103,7 +103,8 @@ def estimate_force(
         sensed = Sensed.at(model, grid, x, theta)
         old = sigma, prior
         sigma, prior, evidence, linear = _update(grid, point, jacobian, sigma, prior, known_noise, sensed)
-        if max(np.max(np.abs(np.log(sigma / old[0]))), np.max(np.abs(np.log(prior.size / old[1].size)))) < SETTLED:
+        step = max(np.max(np.abs(np.log(sigma / old[0]))), np.max(np.abs(np.log(prior.size / old[1].size))))
+        if step < SETTLED and solution.outcome.success:
             break
     assert point.w is not None
     return ForceEstimate(point.x, point.w, sigma, prior, evidence, grid, linear)

@@ -229,10 +229,13 @@ class Model:
         return self.with_values(values)._changed(hold)
 
     def with_upper(self, bounds: Mapping[str, float]) -> "Model":
-        """A new model with upper bounds of the named parameters that are no higher than the given ones."""
+        """A new model in which the named parameters, and their upper bounds, are no higher than the given ones."""
 
         def bounded(name: str, parameter: Parameter) -> Parameter:
-            return replace(parameter, upper=min(parameter.upper, bounds[name])) if name in bounds else parameter
+            if name not in bounds or bounds[name] >= parameter.upper:
+                return parameter
+            value = None if parameter.value is None else min(parameter.value, bounds[name])
+            return replace(parameter, upper=bounds[name], value=value)
 
         return self._changed(bounded)
 

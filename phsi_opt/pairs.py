@@ -55,11 +55,11 @@ def _together(
 
 
 def _bounds(screen: Screen, one: Screened, point: dict[str, float], k: int) -> np.ndarray:
-    """(k, 2): the bounds of the coefficients; an effect without one, and a body at rest, can only be there."""
+    """(k, 2): the bounds of the coefficients; an effect without one is there as a whole, a body at rest up to that."""
     entries = screen.model.add(one.effect).entries
     linear = [entries[name].parameter for name in one.values if name not in point]
     own = [(p.lower, p.upper) for p in linear]
-    return np.array(own + [(0.0, 1.0 if own else np.inf)] * (k - len(own)))
+    return np.array(own + [(0.0 if own else 1.0, 1.0)] * (k - len(own)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +83,18 @@ class _Joint:
         return np.arange(self.edges[point], self.edges[point + 1])
 
     def _solved(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
-        """The columns of both, and their coefficients; what would leave its bounds is left out."""
+        """The columns of both, and their coefficients; what would leave its bounds is held there."""
         both = np.r_[self._at(a), self._at(b)]
-        c, left = np.zeros(len(both)), np.arange(len(both))
-        while len(left):
-            at = both[left]
-            c = np.zeros(len(both))
-            c[left] = np.linalg.solve(self.gram[np.ix_(at, at)], self.right[at])
-            inside = (c[left] >= self.bounds[at, 0]) & (c[left] <= self.bounds[at, 1])
-            if inside.all():
+        gram, lower, upper = self.gram[np.ix_(both, both)], *self.bounds[both].T
+        c, free = np.where(lower == upper, lower, 0.0), lower < upper
+        while free.any():
+            c[free] = np.linalg.solve(gram[np.ix_(free, free)], (self.right[both] - gram[:, ~free] @ c[~free])[free])
+            outside = free & ((c < lower) | (c > upper))
+            if not outside.any():
                 break
-            left = left[inside]
-        return both, c if len(left) else 0 * c
+            c[outside] = np.clip(c, lower, upper)[outside]
+            free = free & ~outside
+        return both, c
 
     def drop(self, a: int, b: int) -> float:
         """Fall of the misfit; none where one of the two does nothing."""

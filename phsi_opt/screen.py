@@ -18,7 +18,7 @@ missing force it seems to explain everything: the whole equation, missing force 
 effect is left out whose trace, for columns of one size, all but vanishes along the fit's own states.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -48,7 +48,7 @@ from phsi_opt.uncertainty import inverse
 NO_TRACE = 1e-6  # squared trace of an effect of natural size, in units of the noise, below which it is not excited
 IMITATED = 1e-2  # squared trace along the fit's own states, over that at the missing force's, of what others can do
 BACK = 4  # steps of Newton's method to states that obey the model, at most
-OBEYED = 1e-4  # defects, as a share of those at the missing force's states, that count as none
+OBEYED, NEARLY = 1e-4, 1e-2  # defects, as shares of those at the missing force's states: none; few enough
 ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
 ROUNDS = 2  # of finer values around the best one of a scan
 COARSE = 24  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
@@ -84,10 +84,11 @@ class Screened:
 class Screen:
     """The record, linearised once; then one small regression per candidate (see the module's text)."""
 
-    def __init__(self, fit: Fit, data: Measurements, estimate: ForceEstimate) -> None:
+    def __init__(self, fit: Fit, data: Measurements, estimate: ForceEstimate, run: Sequence[np.ndarray] = ()) -> None:
+        """``run``: states of the base model's free run along each trajectory; none: it is not looked for imitations."""
         model, grid, x = fit.model, estimate.grid, estimate.x
         self.model, self.grid, self.x = model, grid, x
-        self._given = fit, data, estimate
+        self._given = fit, data, estimate, run
         unknown = Theta.of(model, tuple(run.name for run in data.trajectories))
         self.values = matrix_of(model, parameters_of(fit, data))  # (n_free, n_trajectories)
         theta = np.zeros(len(unknown))
@@ -125,18 +126,17 @@ class Screen:
 
     @cached_property
     def own(self) -> "Screen | None":
-        """The same along the fit's states, which obey the base model; None: not of these data, or all are measured."""
-        fit, data, estimate = self._given
-        is_of_these = [len(x) for x in fit.states] == [run.n_samples for run in data.trajectories]
-        if not is_of_these or self.grid.measured.any(axis=0).all():  # nothing that is measured can be scaled
+        """The same along states that obey the base model; None where there are none, or where all are measured."""
+        fit, data, estimate, run = self._given
+        if not run or self.grid.measured.any(axis=0).all():  # nothing that is measured can be scaled
             return None
-        own = Screen(fit, data, replace(estimate, x=np.concatenate(fit.states)))
-        for _ in range(BACK):  # the fit's steps may be finer than those of this grid
+        own = Screen(fit, data, replace(estimate, x=np.concatenate(run)))
+        for _ in range(BACK):  # the run's steps are finer than those of this grid
             if np.linalg.norm(own.defects) < OBEYED * np.linalg.norm(self.defects):
-                break
+                return own
             back = own.reduced.respond(-own.defects, np.zeros_like(own.covariance))[1]
             own = Screen(fit, data, replace(estimate, x=own.x + back.reshape(own.x.shape)))
-        return own
+        return own if np.linalg.norm(own.defects) < NEARLY * np.linalg.norm(self.defects) else None
 
     @cached_property
     def misfit(self) -> float:
@@ -201,10 +201,11 @@ class Screen:
         return self.reduced.solve(g[n:], -D, self.covariance, g[:n])
 
     def beside(self, D: np.ndarray, Y: np.ndarray, c: np.ndarray) -> dict[str, float]:
-        """Values of the base's parameters beside an effect of coefficients c, within their bounds."""
+        """Values of the base's parameters beside an effect of coefficients c, at most half way to their bounds."""
         found = self.theta + self.scale * (self.step[0] + self._followed(D, Y)[0] @ c)
         bounds = np.array([(e.parameter.lower, e.parameter.upper) for e in self.unknown.entries]).reshape(-1, 2)
-        return dict(zip(self.unknown.names, np.clip(found, *bounds.T).tolist(), strict=True))
+        found = np.clip(found, *((bounds.T + self.theta) / 2))
+        return dict(zip(self.unknown.names, found.tolist(), strict=True))
 
     def _by_run(self, change: np.ndarray, residual: np.ndarray) -> list[list[np.ndarray]]:
         """Both per trajectory, (n_samples, n_states), in units of the residual's size in each state."""
@@ -317,8 +318,10 @@ class Screen:
         own = columns.own
         if own is None:
             return False
-        here, there = self._strength(*columns(point)), self._strength(*own(point))
-        left = own.screen.traces(*own(point))
+        k = len(columns.trial.linear) or 1
+        (D, Y), (D_own, Y_own) = columns(point), own(point)
+        here, there = self._strength(D[:, :k], Y[:, :k]), self._strength(D_own[:, :k], Y_own[:, :k])
+        left, trace = own.screen.traces(D_own[:, :k], Y_own[:, :k]), trace[:, :k]
         # Of no strength there: the base model's states do not reach what excites the effect.
         return there > 0 and bool(np.sum(left**2) / there**2 < IMITATED * np.sum(trace**2) / max(here, 1e-300) ** 2)
 

@@ -131,7 +131,7 @@ class Solver:
 
     def __init__(self, program: Program, settings: Settings | None = None, exact: bool = False) -> None:
         self.program = program
-        self.is_curved = exact or program.exact is None
+        self.is_exact = exact and program.exact is not None
         hessian = program.exact() if exact and program.exact is not None else program.hessian
         problem = {"x": program.z, "p": program.settings, "f": program.objective, "g": program.g}
         self._ipopt = ca.nlpsol("program", "ipopt", problem, _options(program, hessian, settings or Settings()))
@@ -150,7 +150,7 @@ class Solver:
         )  # fmt: skip
         seconds = time.perf_counter() - began
         z = np.array(result["x"]).ravel()
-        outcome = _outcome(program, self._ipopt.stats(), z, result, seconds, self.is_curved)
+        outcome = _outcome(program, self._ipopt.stats(), z, result, seconds, self.is_exact)
         if outcome.status == "User_Requested_Stop":
             raise KeyboardInterrupt
         if raise_on_failure and not outcome.success:
@@ -217,7 +217,7 @@ def _options(program: Program, hessian: ca.Function, settings: Settings) -> dict
 
 
 def _outcome(
-    program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float, is_curved: bool
+    program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float, is_exact: bool
 ) -> Outcome:
     status = str(stats["return_status"])
     usable, sentence, advice = MEANINGS.get(
@@ -227,7 +227,7 @@ def _outcome(
     outside = np.maximum(program.g_lower - g, g - program.g_upper)
     worst = int(np.argmax(outside)) if outside.size else 0
     infeasibility = max(float(outside[worst]), 0.0) if outside.size else 0.0
-    if not usable and is_curved and _is_settled(stats):
+    if not usable and is_exact and _is_settled(stats):
         usable, sentence, advice = True, "the iterates settled at a kink of the model, where no slope vanishes", ""
     if not usable and infeasibility > 1e-6:
         sentence += f"; the largest violation is {infeasibility:.1e} in {program.name_of(worst, program.constraints)}"

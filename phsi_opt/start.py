@@ -28,6 +28,7 @@ from phsi_opt.theta import Theta
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
+ROOM = 3.0  # factor on bounds that follow from efforts, whose scale depends on parameters
 N_STARTS = 3  # frequencies of the scan that are tried
 STILL, STAYING = 4.0, 5.0  # widths of dry friction's corner that count as rest, and how often as long as turning takes
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
@@ -179,34 +180,38 @@ def smoothed(
 
 
 def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
-    """The model with every `Share` and `Tried` guess replaced by its value (the middle one) over the states x."""
+    """The model with every `Share` and `Tried` guess replaced by its value (the middle one) over the states x.
+
+    What is tried is bounded by them too, also where it has a value already.
+    """
     for slot, equation, term in model.placed():
         for inner, parameter in term.inner.items():
-            guess = parameter.guess
-            if parameter.value is not None or not isinstance(guess, Share | Tried):
-                continue
+            guess, value = parameter.guess, parameter.value
             name = term.inner_name(inner, place_of(slot, equation))
-            if isinstance(guess, Share):
+            if isinstance(guess, Share) and value is None:
                 value = guess.share * root_mean_square(model, grid, x, guess.of)
-            else:
+            elif isinstance(guess, Tried) and not (parameter.fixed and value is not None):
                 size = _size_of(model, grid, x, guess)
-                value = size * guess.shares[len(guess.shares) // 2]
-                if _is_measured(model, grid, guess.of):  # other states may still change their scale
-                    model = model.with_upper({name: guess.most * size})
+                value = size * guess.shares[len(guess.shares) // 2] if value is None else value
+                model = model.with_upper({name: max(_bound(model, grid, guess, size), parameter.lower)})
+            else:
+                continue
             model = model.with_values({name: value})
     return model
+
+
+def _bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
+    """Upper bound of what is tried; none where it follows states that nobody measured: they may change their scale."""
+    used, seen = names_of(guess.of), np.asarray(grid.measured.any(axis=0))
+    efforts = {f"dH_d{name}" for name in model.states} & used
+    if not all(seen[i] for i, name in enumerate(model.states[: len(seen)]) if {name, f"dH_d{name}"} & used):
+        return np.inf
+    return guess.most * size * (ROOM if efforts else 1.0)
 
 
 def tried_values(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
     """The values to try for a parameter, over the states x."""
     return _size_of(model, grid, x, guess) * np.array(guess.shares)
-
-
-def _is_measured(model: Model, grid: Grid, formula: str) -> bool:
-    """Whether the states that a formula sees, itself or through their efforts, are measured."""
-    seen = np.asarray(grid.measured.any(axis=0))
-    used = names_of(formula)
-    return all(seen[i] for i, name in enumerate(model.states[: len(seen)]) if {name, f"dH_d{name}"} & used)
 
 
 def _size_of(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> float:

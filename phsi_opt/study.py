@@ -140,12 +140,10 @@ class Study:
             fitted = [c.effect for c in diagnosis.ranked if c.fit is not None]
             known = [effect for effect in diagnosis.together if effect in fitted] or list(diagnosis.together)
             try:
-                self.add(known[0])
+                self._add_named(diagnosis, known[0])
             except SolveError as error:
-                if diagnosis.nearest is None or len(diagnosis.together) == 1:
-                    self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {known[0]} could not be added: {error}"
-                    return self.stopped
-                self._add_together(diagnosis.together, diagnosis.nearest)
+                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {known[0]} could not be added: {error}"
+                return self.stopped
             self._check_earlier()
         self.stopped = f"the limit of {max_steps} steps was reached; call auto again to go on"
         return self.stopped
@@ -182,6 +180,14 @@ class Study:
     def effects(self) -> tuple[Effect, ...]:
         """The effects that the present model has beyond the base model, in the order in which they were added."""
         return self.steps[-1].effects
+
+    def _add_named(self, diagnosis: Diagnosis, first: Effect) -> None:
+        try:
+            self.add(first)
+        except SolveError:
+            if diagnosis.nearest is None or len(diagnosis.together) == 1:
+                raise
+            self._add_together(diagnosis.together, diagnosis.nearest)
 
     def _add_together(self, effects: tuple[Effect, ...], nearest: Fit) -> None:
         """Add effects in one step, from their brief re-fit."""

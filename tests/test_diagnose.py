@@ -112,12 +112,28 @@ def pushed(extra: str, gain: str = "1") -> ph.Measurements:
 def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
     data = pushed("0.5 + 0.6*(dH_dp**4 + 0.05**4)**(-0.25)")
     fit = ph.identify(driven(ph.Parameter(1.5, lower=0.1)), data)
-    screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
+    screen = Screen(fit, matched(fit.model, data), force_of(fit, data), fit.states)
     # Gain, mass and friction have a common factor: with the missing force beside them, the gain would explain it all.
     for name, equation in (("input gain", "p"), ("sensor gain", "q")):
         assert screen.candidate(effect_named(fit.model, name, equation)) is None
     found = screen.screened(ph.catalogue(fit.model))
     assert found[0].effect.name in ("coulomb friction", "stribeck friction")
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 1.0, 2.0])
+def test_a_delay_acts_on_an_interval_with_the_mean_of_what_arrives(share: float) -> None:
+    data = pushed("0.5")
+    fit = ph.identify(driven(ph.Parameter(2.0, fixed=True)), data)
+    screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
+    h, tau = T[1] - T[0], share * (T[1] - T[0])
+    fine = np.linspace(T[0], T[-1], 40 * (len(T) - 1) + 1)
+    u = data.trajectories[0].u[:, 0]
+    late = np.interp(fine - tau, T, u) - np.interp(fine, T, u)
+    mean = np.array([np.trapezoid(late[i : i + 41], fine[i : i + 41]) / h for i in range(0, len(fine) - 1, 40)])
+    columns = Columns(screen, screen.trial(effect_named(fit.model, "input delay", "p")))
+    change = -columns({"delay_u_p": tau})[0].reshape(-1, 2)[:, 1]
+    # 3 %: Pade's delay of the kinks at the samples, and the steps in which it is followed.
+    assert change[10:] @ mean[10:] / (mean[10:] @ mean[10:]) == pytest.approx(1.0, abs=0.03)
 
 
 def test_a_gain_beside_a_known_mass_is_a_candidate() -> None:

@@ -158,7 +158,7 @@ def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
 
 def test_a_rim_is_not_sought_above_the_highest_level() -> None:
     data = ph.Measurements.from_arrays(T * np.arange(5), np.array([[0.5], [2.0], [3.0], [1.0], [0.7]]), states=["h"])
-    model = ph.PseudoHamiltonian(states=["h"], S=[[0.0]], H=ph.formula("h**2/2"))
+    model = ph.FirstOrder(["h"], {"h": ph.formula("-k*h", k=0.1)})
     larger = model.add(effect_named(model, "overflow", "h"))
     grid = grid_of(data)
     (limit,) = (e.parameter for n, e in resolved(larger, grid, grid.y).entries.items() if n.endswith("limit"))

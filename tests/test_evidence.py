@@ -1,13 +1,14 @@
 """Evidence from correlated residuals: what a candidate explains by chance depends on its trace, too."""
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from phsi_opt.evidence import independent_share, spread_together
+from phsi_opt.evidence import falls_or_most, independent_share, spread_together
 
 N = 1000
 KEPT = 0.9  # share of the last residual that the next one keeps
@@ -48,3 +49,25 @@ def test_a_slow_error_of_the_model_imitates_slow_traces_and_not_fast_ones(
 
 def test_nothing_explained_needs_no_share() -> None:
     assert independent_share([np.zeros((4, 1))], [np.ones((4, 1))]) == 1.0
+
+
+class _Errors:
+    """As much of a comparison as the test of a fall looks at."""
+
+    def __init__(self, residuals: np.ndarray, floor: float) -> None:
+        self.residuals, self.weights, self.noise_floor = (residuals[:, None],), np.ones(1), floor
+        self.data = SimpleNamespace(trajectories=(SimpleNamespace(x=residuals[:, None]),))
+        self.squares, self.rmse = residuals**2, float(np.sqrt(np.mean(residuals**2)))
+
+
+def test_most_of_an_error_at_the_noise_floor_is_nothing() -> None:
+    rng = np.random.default_rng(1)
+    accepted = 0
+    for _ in range(200):
+        old = rng.normal(size=200)
+        new = old + 0.03 * rng.normal(size=200)
+        floor = 0.999 * float(np.sqrt(np.mean(old**2)))
+        accepted += falls_or_most(_Errors(old, floor), _Errors(new, floor))  # type: ignore[arg-type]
+    assert accepted < 20  # 5 % are asked for
+    large, half = 3 * rng.normal(size=12), rng.normal(size=12)
+    assert falls_or_most(_Errors(large, 0.1), _Errors(half, 0.1))  # type: ignore[arg-type]
