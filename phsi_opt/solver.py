@@ -59,8 +59,9 @@ MEANINGS = {
 
 
 # Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over the last `SETTLING` of them the
-# objective stays to this share, and the constraints hold. Without curvature that would also be slow progress.
-SETTLING, SETTLED, HOLDING = 8, 1e-6, 1e-5
+# logarithm of the objective, times the number of residuals (a change of -2 log likelihood), stays within this, and the
+# constraints hold. Without curvature that would also be slow progress.
+SETTLING, SETTLED, HOLDING = 8, 0.05, 1e-5
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,7 @@ def _outcome(
     outside = np.maximum(program.g_lower - g, g - program.g_upper)
     worst = int(np.argmax(outside)) if outside.size else 0
     infeasibility = max(float(outside[worst]), 0.0) if outside.size else 0.0
-    if not usable and is_exact and _is_settled(stats):
+    if not usable and is_exact and _is_settled(stats, program.residual.numel()):
         usable, sentence, advice = True, "the iterates settled at a kink of the model, where no slope vanishes", ""
     if not usable and infeasibility > 1e-6:
         sentence += f"; the largest violation is {infeasibility:.1e} in {program.name_of(worst, program.constraints)}"
@@ -237,12 +238,12 @@ def _outcome(
     )  # fmt: skip
 
 
-def _is_settled(stats: dict[str, Any]) -> bool:
+def _is_settled(stats: dict[str, Any], n_residuals: int) -> bool:
     last = {name: np.array(stats.get("iterations", {}).get(name, []))[-SETTLING:] for name in ("obj", "inf_pr")}
     objective, violation = last["obj"], last["inf_pr"]
     if len(objective) < SETTLING or not np.all(np.isfinite(objective)):
         return False
-    return bool(np.ptp(objective) <= SETTLED * np.max(np.abs(objective)) and np.max(violation) < HOLDING)
+    return bool(n_residuals * np.ptp(objective) <= SETTLED * np.max(np.abs(objective)) and np.max(violation) < HOLDING)
 
 
 def _at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from phsi_opt.losses import PHSILoss, Point
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import PseudoHamiltonian, canonical
 from phsi_opt.nlp import Assembly
-from phsi_opt.solver import Settings, solve
+from phsi_opt.solver import Settings, _is_settled, solve
 from phsi_opt.terms import Dictionary, Parameter, Term, polynomials
 
 POWERS = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)]  # of q and p, total degree 1 to 3
@@ -134,3 +134,16 @@ def test_the_gauss_newton_hessian_is_the_product_of_the_residual_jacobian() -> N
     hessian = np.array(program.hessian(z, [], 1.0, np.zeros(0)))
     # Central differences: an error of step^2 = 1e-12 and rounding of 1e-16 / step = 1e-10.
     np.testing.assert_allclose(hessian, np.triu(jacobian.T @ jacobian), atol=1e-8)
+
+
+def test_a_solve_that_goes_to_and_fro_over_a_kink_has_settled() -> None:
+    def ended(objectives: list[float], violation: float = 1e-8) -> bool:
+        stats = {"iterations": {"obj": objectives, "inf_pr": [violation] * len(objectives)}}
+        return _is_settled(stats, n_residuals=1000)
+
+    over_and_back = [3.0, 1.2] + 5 * [0.96299157, 0.96299151]
+    assert ended(over_and_back)
+    assert not ended(over_and_back, violation=1e-3)  # the constraints do not hold
+    assert not ended([1.0 - 1e-3 * k for k in range(12)])  # still falling
+    assert not ended(over_and_back[:6])  # too few to tell
+    assert not ended([*over_and_back, float("nan")])
