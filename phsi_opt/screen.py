@@ -249,7 +249,9 @@ class Screen:
         drops = [self._regression(trial, part)[1] for part in parts]
         order = np.argsort(drops)[::-1]
         for n, i in enumerate(order):
-            if self.score_of(drops[i], parts[i].shape[1]) <= 0 or not self._is_imitated(columns, points[i], parts[i]):
+            if self.score_of(drops[i], parts[i].shape[1]) <= 0 or not self._is_imitated(
+                columns, points[i], made[i], parts[i]
+            ):
                 return [(points[k], parts[k]) for k in order[n:]]
         return []
 
@@ -313,13 +315,15 @@ class Screen:
         ]
         return float(np.max(parts))
 
-    def _is_imitated(self, columns: Columns, point: dict[str, float], trace: np.ndarray) -> bool:
+    def _is_imitated(
+        self, columns: Columns, point: dict[str, float], made: tuple[np.ndarray, np.ndarray], trace: np.ndarray
+    ) -> bool:
         """Whether the base parameters can do what the effect does, along states that obey the base model."""
         own = columns.own
         if own is None:
             return False
         k = len(columns.trial.linear) or 1
-        (D, Y), (D_own, Y_own) = columns(point), own(point)
+        (D, Y), (D_own, Y_own) = made, own(point)
         here, there = self._strength(D[:, :k], Y[:, :k]), self._strength(D_own[:, :k], Y_own[:, :k])
         left, trace = own.screen.traces(D_own[:, :k], Y_own[:, :k]), trace[:, :k]
         # Of no strength there: the base model's states do not reach what excites the effect.
