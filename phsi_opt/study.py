@@ -12,15 +12,21 @@ from phsi_opt.diagnose import diagnose
 from phsi_opt.diagnosis import Candidate, Diagnosis
 from phsi_opt.effects import Effect, effect_named
 from phsi_opt.errors import ModelError, PhsiOptError, SolveError
-from phsi_opt.evidence import delta_bic, share_of
+from phsi_opt.evidence import delta_bic, deviance, share_of
 from phsi_opt.fit import Fit
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
 from phsi_opt.model import Model
+from phsi_opt.solver import Settings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+# A brief re-fit is an optimum on its own grid: from there a thorough one converges soon, or hardly ever.
+REFINING = Settings(max_iterations=100, max_seconds=60.0)
+NO_WORSE = 10.0  # rise of -2 log likelihood that is another optimum, and not what steps that are finer cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +202,12 @@ class Study:
         self.steps.append(self._step(label, (*self.effects, *effects), self._refined(nearest)))
 
     def _refined(self, brief: Fit) -> Fit:
-        """A brief re-fit of a diagnosis made thorough; it is an optimum, on its own grid, should that fail."""
+        """A brief re-fit of a diagnosis made thorough; kept itself where that fails or is worse."""
         try:
-            return identify(brief.model, self.train, self._loss, start=brief)
+            thorough = identify(brief.model, self.train, self._loss, start=brief, settings=REFINING)
         except SolveError:
             return brief
+        return thorough if deviance(thorough) < deviance(brief) + NO_WORSE else brief
 
     def _check_earlier(self) -> None:
         """Take out each earlier effect without which BIC is lower."""
