@@ -10,8 +10,7 @@ import numpy as np
 from phsi_opt.effects import Effect, position_of
 from phsi_opt.grid import defect_function, defect_jacobian, output_slopes, outputs
 from phsi_opt.model import Model
-from phsi_opt.start import Memory, at_rest
-from phsi_opt.terms import Share
+from phsi_opt.start import Memory, at_rest, corners
 
 if TYPE_CHECKING:
     from phsi_opt.screen import Screen
@@ -64,11 +63,10 @@ class Columns:
 
         There the friction is what the rest of the model makes it, whatever its coefficient.
         """
-        screen, entries = self.screen, self.trial.model.entries
-        inner = [(n, e.parameter.guess) for n, e in entries.items() if n not in screen.model.entries]
-        corners = [(name, g) for name, g in inner if isinstance(g, Share) and g.sharper]
+        screen, entries = self.screen, self.screen.model.entries
+        new = [(name, guess) for name, guess in corners(self.trial.model).items() if name not in entries]
         defects = np.zeros((screen.grid.n_intervals, screen.model.n_states))
-        for name, guess in corners[:1] if self.trial.effect.equation in position_of(screen.model) else ():
+        for name, guess in new[:1] if self.trial.effect.equation in position_of(screen.model) else ():
             still = at_rest(self.trial.model, screen.grid, screen.x, guess.of, self.trial.model.values[name])
             row = screen.model.index(self.trial.effect.equation)
             defects[still, row] = -screen.defects.reshape(defects.shape)[still, row]

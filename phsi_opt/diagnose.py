@@ -41,8 +41,8 @@ from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
 from phsi_opt.pairs import pairs
 from phsi_opt.screen import Screen, Screened
-from phsi_opt.solver import Settings
-from phsi_opt.start import resolved
+from phsi_opt.solver import WAYS, Settings
+from phsi_opt.start import corners, resolved
 from phsi_opt.terms import Share
 
 N_REFITS = 5
@@ -56,13 +56,17 @@ CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 # Rise of -2 log likelihood up to which the sharper corner of dry friction is taken: friction is sharp, and the corners
 # that fall between samples make the likelihood rough.
 WORSE = 4.0
-SURE = 2  # number of the first stage of sharpening that is the last one unless it is clearly better
+SURE = 1  # number of the first stage of sharpening that is the last one unless it is clearly better
 LONG = 10_000  # states beyond which a re-fit that fails is not begun again
 PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
 CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
 
 # A candidate that takes more is hardly the one.
-QUICK = Settings(tolerance=1e-7, max_iterations=40, thorough=False, max_seconds=20.0)
+QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=("gauss-newton", "exact"))
+DRY = replace(QUICK, ways=WAYS)
+A_LITTLE = 0.1  # share of its expected size with which a further effect begins beside a sharp corner
+# Beside a sharp corner IPOPT converges at once or not at all.
+AT_A_CORNER = replace(QUICK, max_iterations=15, ways=("gauss-newton", "along"))
 
 
 def diagnose(
@@ -148,12 +152,13 @@ class _Work:
 
     def refit(
         self, effects: Sequence[Effect], values: dict[str, float], beside: dict[str, float] | None = None,
-        rival: Fit | None = None,
+        rival: Fit | None = None, others: Sequence[Fit] = (),
     ) -> tuple[Fit, Comparison, Comparison, Fit] | None:  # fmt: skip
         """The fit with the effects and its comparisons.
 
-        It begins at the states of the missing-force estimate, the base's parameters at the values ``beside``. Dry
-        friction is sharpened if it is clearly better than a ``rival``; the last is the fit before that.
+        It begins at the states of the missing-force estimate, the base's parameters at the values ``beside``, or at one
+        of the ``others`` that has part of these effects, among them dry friction on a body that sticks. Dry friction
+        is sharpened if it is clearly better than a ``rival``; the last is the fit before that.
         """
         model = self.fit.model
         for effect in effects:
@@ -162,8 +167,9 @@ class _Work:
         # The fast part of a memory, that of a short delay, is not seen by steps as long as the samples.
         finer = 2 if any(effect.memory for effect in effects) else 1
         try:
-            blunt = new = self.begun(model, finer, beside or {})
-            if rival is None or delta_bic(rival, new, 1.0) < -CLOSE:
+            extended = self.extended(model, others)
+            blunt = new = extended or self.begun(model, finer, beside or {})
+            if extended is None and (rival is None or delta_bic(rival, new, 1.0) < -CLOSE):
                 new = self.sharpened(new)
             trained = _compared(new, self.data, self.estimate)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained, blunt
@@ -179,24 +185,42 @@ class _Work:
         known = own.with_values({name: value for name, value in beside.items() if name in own.entries})
         steps = tuple(finer * n for n in self.fit.steps)
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
+        settings = DRY if _corners(model, own) else QUICK
         is_long = model.n_states * sum(int(n.sum()) for n in steps) > LONG
         attempts = [(known, self.loss), (own, self.loss)] if beside else [(own, self.loss)]
         window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
         attempts = attempts[:1] if is_long else [*attempts, (own, replace(self.loss, window=window))]
         for begin, loss in attempts[:-1]:
             with suppress(PhsiOptError):
-                return identify(model, data, loss, start=replace(start, model=begin), settings=QUICK)
+                return identify(model, data, loss, start=replace(start, model=begin), settings=settings)
         begin, loss = attempts[-1]
-        return identify(model, data, loss, start=replace(start, model=begin), settings=QUICK)
+        return identify(model, data, loss, start=replace(start, model=begin), settings=settings)
+
+    def extended(self, model: Model, others: Sequence[Fit]) -> Fit | None:
+        """The re-fit from the best of the ``others`` that the model extends; None: there is none, or it gains nothing.
+
+        Only dry friction whose corner is sharp: beside it a solver cannot begin anew.
+        """
+        smaller = [o for o in others if o.outcome.is_along and set(o.model.entries) < set(model.entries)]
+        if not smaller:
+            return None
+        old = min(smaller, key=deviance)
+        widths = {guess.of: old.model.values[name] for name, guess in _corners(old.model, self.fit.model).items()}
+        sharp = _corners(model, self.fit.model).items()
+        model = model.with_values({name: widths[guess.of] for name, guess in sharp if guess.of in widths})
+        added = [e for name, e in model.entries.items() if name not in old.model.entries and e.prunable]
+        model = model.with_values({e.name: A_LITTLE * model.values[e.name] for e in added})
+        with suppress(PhsiOptError):
+            new = identify(model, self.data, self.loss, start=old, settings=AT_A_CORNER)
+            return new if deviance(new) < deviance(old) else None
+        return None
 
     def sharpened(self, fit: Fit) -> Fit:
         """The fit with the widths of its new effects made smaller, on a finer grid, as long as that explains as much.
 
         A solver needs the corner of dry friction rounded at first; beside a body that sticks, the rounding shows.
         """
-        new = [e for n, e in fit.model.entries.items() if n not in self.fit.model.entries and e.parameter.fixed]
-        guesses = {e.name: guess for e in new if isinstance(guess := e.parameter.guess, Share) and guess.sharper}
-        best = fit
+        guesses, best = _corners(fit.model, self.fit.model), fit
         for stage in range(max((len(guess.sharper) for guess in guesses.values()), default=0)):
             steps = fit.steps
             for name, guess in guesses.items():
@@ -204,7 +228,7 @@ class _Work:
             values = {n: fit.model.values[n] * guess.sharper[stage] for n, guess in guesses.items()}
             start = replace(fit, steps=steps)
             try:
-                fit = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=QUICK)
+                fit = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=AT_A_CORNER)
             except PhsiOptError:
                 break
             is_better = deviance(fit) < deviance(best) - CLOSE
@@ -227,7 +251,7 @@ class _Work:
             is_worth = is_failing or one.p_value * len(found) < WORTH_A_FIT
             if behind or expected > HOPELESS * enough or not is_worth:
                 break
-            new, blunt = self.refitted(candidate, one, best)
+            new, blunt = self.refitted(candidate, one, best, [c.fit for c in result if c.fit is not None])
             result.append(new)
             if new.trained is not None and is_adequate(new.trained):
                 enough, promised, blunt = min(enough, expected), max(promised, screen.score(one)), new.fit
@@ -235,10 +259,12 @@ class _Work:
                 best = blunt  # what leaves noise is the rival as it is, the others before they are sharpened
         return self.ranked(result)
 
-    def refitted(self, candidate: Candidate, screened: Screened, rival: Fit | None) -> tuple[Candidate, Fit | None]:
+    def refitted(
+        self, candidate: Candidate, screened: Screened, rival: Fit | None, others: Sequence[Fit]
+    ) -> tuple[Candidate, Fit | None]:
         """The candidate with its re-fit, and the fit before dry friction is sharpened."""
         self.say(f"re-fitting with {candidate.effect}")
-        result = self.refit([candidate.effect], candidate.values, screened.beside, rival)
+        result = self.refit([candidate.effect], candidate.values, screened.beside, rival, others)
         if result is None:
             return candidate, None
         new, trained, comparison, blunt = result
@@ -283,7 +309,8 @@ class _Work:
         for first, second in pairs(screen, found, N_PAIRS):
             self.say(f"re-fitting with {first.effect} and {second.effect}")
             rival = best.fit if best else None
-            result = self.refit([first.effect, second.effect], {**first.values, **second.values}, rival=rival)
+            values, alone = {**first.values, **second.values}, [c.fit for c in everyone if c.fit is not None]
+            result = self.refit([first.effect, second.effect], values, rival=rival, others=alone)
             if result is None:
                 continue
             new, trained, comparison, _ = result
@@ -352,6 +379,11 @@ def _compared(fit: Fit, data: Measurements, estimate: ForceEstimate) -> Comparis
     return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
 
 
+def _corners(model: Model, base: Model) -> dict[str, Share]:
+    """Those that the base does not have."""
+    return {name: guess for name, guess in corners(model).items() if name not in base.entries}
+
+
 def _finer_at_corner(
     fit: Fit, data: Measurements, of: str, width: float, steps: tuple[np.ndarray, ...]
 ) -> tuple[np.ndarray, ...]:
@@ -361,6 +393,7 @@ def _finer_at_corner(
     for run, x, n in zip(data.trajectories, fit.states, steps, strict=True):
         v = np.array(formula.map("v", "serial", len(x), [3], [])(x.T, run.u.T, run.t[None, :], theta)).ravel()
         near = (v[1:] * v[:-1] < 0) | (np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < CORNER * width)
+        near = np.convolve(near, np.ones(3), "same") > 0  # the corner may move to the gap beside
         result.append(np.where(near, np.maximum(n, AT_CORNER), n))
     return tuple(result)
 

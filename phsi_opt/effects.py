@@ -21,7 +21,7 @@ from phsi_opt.terms import Dictionary, Parameter, Scan, Share, Term, Tried
 # Dry friction turns over within this share of the typical velocity: sharp beside the motion, smooth for the solver. The
 # fourth powers make its plateau flat, so that the share costs no friction at the velocities beyond it.
 TURNOVER = 0.06
-SHARPER = (0.5,) * 6  # the turnover is then made sharper, where that fits better
+SHARPER = (0.25,) * 3  # the turnover is then made sharper, where that fits better
 SLOW = 0.02  # share of the typical velocity within which a hysteresis is rounded
 SMALL_LEVEL = 0.01  # share of the typical level below which a turbulent leak turns laminar
 SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.45)  # of the largest velocity: Stribeck

@@ -6,7 +6,7 @@
 4. More intervals between samples, where the integration error is visible in the estimates.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,12 +16,14 @@ from scipy.stats import norm
 
 from phsi_opt import start as starting
 from phsi_opt.errors import DataError, SolveError
+from phsi_opt.feasible_path import FeasiblePath
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, between, grid_of, local_errors, steps_of
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import softened
 from phsi_opt.model import Model
+from phsi_opt.nlp import Program
 from phsi_opt.noise import difference_noise
 from phsi_opt.one_step import Pruner, chosen, solve_defects
 from phsi_opt.solver import Settings, Solution, Solver
@@ -54,6 +56,7 @@ class Beginning:
     sigma: np.ndarray
     notes: tuple[str, ...] = ()
     steps: tuple[np.ndarray, ...] = ()  # intervals in every gap between samples; empty: one, or what the loss says
+    is_along: bool = False  # whether a solution like it was found along solutions of the model
     other: "Callable[[], Beginning] | None" = None  # a second one, for the case that this one leads nowhere
 
 
@@ -193,7 +196,7 @@ def _from_fit(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.
     else:
         states = _at_theta(model, grid, unknown, theta, sigma, loss, known)
     steps = start.steps if loss.steps is None and [len(n) + 1 for n in start.steps] == lengths else ()
-    return Beginning(model, theta, states, sigma, (), steps)
+    return Beginning(model, theta, states, sigma, (), steps, own and start.outcome.is_along)
 
 
 def _at_theta(
@@ -259,15 +262,16 @@ def _best(states: list[State], begin: Beginning) -> State:
 
 def on_record(
     model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], loss: MaximumLikelihood,
-    steps: Sequence[np.ndarray],
+    steps: Sequence[np.ndarray], is_along: bool = False,
 ) -> State | None:  # fmt: skip
     """The likelihood of a record with its states, and what is still free in ``model``, unknown; None: no success.
 
-    ``sigma``: the known noise per state; ``x``: states at the samples to start from; ``steps``: in their gaps.
+    ``sigma``: the known noise per state; ``x``: states at the samples to start from; ``steps``: in their gaps;
+    ``is_along``: whether the model's own fit was found along its solutions.
     """
     task = Task(model, data, {}, None, Settings(max_iterations=60, thorough=False), lambda line: None)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
-    begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps))
+    begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps), is_along)
     state = _Solve(task, loss, np.zeros(model.n_states, dtype=bool)).staged(begin)
     return state if state.solution.outcome.success else None
 
@@ -289,7 +293,7 @@ class _Solve:
         steps = list(begin.steps) or [np.full(run.n_samples - 1, loss.steps or 1) for run in task.data.trajectories]
 
         def solve(b: Beginning, window: float | None, exact: bool = False) -> State:
-            return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, window, exact)
+            return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, window, exact, begin.is_along)
 
         longest = max(float(run.t[-1] - run.t[0]) for run in task.data.trajectories)
         if loss.window is None:
@@ -308,7 +312,7 @@ class _Solve:
 
     def __call__(
         self, model: Model, steps: list[np.ndarray], theta: np.ndarray, x: tuple[np.ndarray, ...], sigma: np.ndarray,
-        l1: dict[str, float], window: float | None = None, exact: bool = False,
+        l1: dict[str, float], window: float | None = None, exact: bool = False, is_along: bool = False,
     ) -> State:  # fmt: skip
         """Solve from ``theta`` and the states ``x`` at the samples."""
         task, loss = self.task, self.loss
@@ -319,14 +323,13 @@ class _Solve:
         if window is not None:
             grid = cut(grid, window)
         program = loss.program(model, grid, point, l1, sigma, unknown)
-        quick = replace(task.settings, max_iterations=min(GAUSS_NEWTON, task.settings.max_iterations))
-        full = task.settings if task.settings.thorough else replace(quick, max_iterations=BRIEF)
-        solver, z = Solver(program, full if exact else quick, exact), program.start
+        ways, z = self.ways(program, model, grid, unknown, exact, is_along), program.start
+        _, solver = next(ways)
         for _ in range(NOISE_ROUNDS if self.estimated.any() else 1):
             solution = solver.solve(z, sigma, raise_on_failure=False)
-            if not solution.outcome.success and not exact:
-                task.say(f"not solved ({solution.outcome.status}); again with the exact Hessian")
-                solver, exact = Solver(program, full, exact=True), True
+            while not solution.outcome.success and (further := next(ways, None)) is not None:
+                task.say(f"not solved ({solution.outcome.status}); again {further[0]}")
+                exact, solver = True, further[1]
                 solution = solver.solve(z, sigma, raise_on_failure=False)
             where = "" if window is None else f" in windows of {window:.3g}"
             task.say(f"maximum likelihood, {len(theta)} parameters, {nodes.size} states{where}: {solution.outcome}")
@@ -343,6 +346,30 @@ class _Solve:
                 solution = solver.at(solution, sigma)
                 break
         return State(task, loss, model, grid, unknown, point, program, solution, l1, sigma, exact=exact)
+
+    def ways(
+        self, program: Program, model: Model, grid: Grid, unknown: Theta, exact: bool, is_along: bool
+    ) -> Iterator[tuple[str, Solver | FeasiblePath]]:
+        """The ways to solve a program, each made when the one before has failed, and what is new about it.
+
+        The one along solutions of the model comes first where that is how a solution like it was found.
+        """
+        settings = self.task.settings
+        quick = replace(settings, max_iterations=min(GAUSS_NEWTON, settings.max_iterations))
+        full = settings if settings.thorough else replace(quick, max_iterations=BRIEF)
+        is_whole = grid.n_nodes - grid.n_intervals == len(grid.first)
+        has_path = "along" in settings.ways and is_whole and set(program.variables) == {"theta", "x"}
+        along = "along solutions of the model"
+        if has_path and is_along:
+            yield along, FeasiblePath(program, model, grid, unknown, self.loss)
+            if not settings.thorough:
+                return
+        if not exact:
+            yield "with the Gauss-Newton Hessian", Solver(program, quick)
+        if exact or "exact" in settings.ways:
+            yield "with the exact Hessian", Solver(program, full, exact=True)
+        if has_path and not is_along:
+            yield along, FeasiblePath(program, model, grid, unknown, self.loss)
 
 
 def _clean(solution: Solution) -> Solution:

@@ -6,7 +6,7 @@ each variance becomes its sum of squares over the number of its well-determined 
 fixed random probes, so that the result is deterministic.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -43,6 +43,7 @@ class ForceEstimate:
     log_evidence: float
     grid: Grid
     linear: "Linearised"
+    rounded: dict[str, float] = field(default_factory=dict)  # widths of corners that were too sharp for the search
 
 
 def positions(model: Model) -> tuple[int, ...]:

@@ -86,7 +86,7 @@ class Screen:
 
     def __init__(self, fit: Fit, data: Measurements, estimate: ForceEstimate, run: Sequence[np.ndarray] = ()) -> None:
         """``run``: states of the base model's free run along each trajectory; none: it is not looked for imitations."""
-        model, grid, x = fit.model, estimate.grid, estimate.x
+        model, grid, x = fit.model.with_values(estimate.rounded), estimate.grid, estimate.x
         self.model, self.grid, self.x = model, grid, x
         self._given = fit, data, estimate, run
         unknown = Theta.of(model, tuple(run.name for run in data.trajectories))

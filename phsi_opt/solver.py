@@ -4,7 +4,7 @@ It turns symbols into NumPy arrays; nothing symbolic leaves it but the program's
 """
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -58,6 +58,10 @@ MEANINGS = {
 }
 
 
+# With the Gauss-Newton Hessian, with the exact one, along solutions of the model (`feasible_path`).
+WAYS = ("gauss-newton", "exact", "along")
+FEASIBLE_PATH = "Feasible_Path"  # the status of what was solved along solutions of the model instead
+
 # Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over the last `SETTLING` of them the
 # logarithm of the objective, times the number of residuals (a change of -2 log likelihood), stays within this, and the
 # constraints hold. Without curvature that would also be slow progress.
@@ -69,6 +73,7 @@ class Settings:
     """How hard to try: tolerance on the scaled optimality conditions, and limits.
 
     ``thorough`` False: no windows where the whole record fails, and no finer steps than those of the start.
+    ``ways``: those of `WAYS` that are tried for a likelihood, one where another failed.
     """
 
     tolerance: float = 1e-8
@@ -76,6 +81,7 @@ class Settings:
     max_seconds: float = 600.0
     show: bool = False
     thorough: bool = True
+    ways: tuple[str, ...] = WAYS
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,11 @@ class Outcome:
     infeasibility: float
     at_bounds: tuple[str, ...] = ()
 
+    @property
+    def is_along(self) -> bool:
+        """Whether it was found along solutions of the model."""
+        return self.status == FEASIBLE_PATH
+
     def __str__(self) -> str:
         text = f"{self.sentence} ({self.status}, {self.iterations} iterations, {self.seconds:.2f} s)"
         if self.at_bounds:
@@ -101,10 +112,9 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Solution:
-    """The optimal point: unscaled values per block, multipliers per block, scaled vector, outcome."""
+    """The optimal point: unscaled values per block, scaled vector, outcome."""
 
     values: dict[str, np.ndarray]
-    multipliers: dict[str, np.ndarray]
     z: np.ndarray
     residual: np.ndarray
     outcome: Outcome
@@ -156,20 +166,16 @@ class Solver:
             raise KeyboardInterrupt
         if raise_on_failure and not outcome.success:
             raise SolveError(f"The solver failed: {outcome}")
-        multipliers = np.array(result["lam_g"]).ravel()
-        return Solution(
-            program.values(z),
-            {name: multipliers[block.slice] for name, block in program.constraints.items()},
-            z,
-            np.array(self._residual(z, set_to)).ravel(),
-            outcome,
-            self.kkt(z, set_to),
-        )
+        return self.solution(z, set_to, outcome)
+
+    def solution(self, z: np.ndarray, set_to: np.ndarray, outcome: Outcome) -> Solution:
+        """What is known at z (scaled) with the settings ``set_to``, together with how it was found."""
+        residual = np.array(self._residual(z, set_to)).ravel()
+        return Solution(self.program.values(z), z, residual, outcome, self.kkt(z, set_to))
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
         """The same point seen with other settings, which leave it optimal."""
-        residual = np.array(self._residual(solution.z, set_to)).ravel()
-        return replace(solution, residual=residual, kkt=self.kkt(solution.z, set_to))
+        return self.solution(solution.z, set_to, solution.outcome)
 
     def kkt(self, z: np.ndarray, set_to: np.ndarray) -> KKT:
         """Gauss-Newton Hessian and constraint Jacobian at z."""
@@ -234,7 +240,7 @@ def _outcome(
         sentence += f"; the largest violation is {infeasibility:.1e} in {program.name_of(worst, program.constraints)}"
     return Outcome(
         usable, status, sentence, advice, int(stats["iter_count"]), seconds, float(result["f"]), infeasibility,
-        _at_bounds(program, z),
+        at_bounds(program, z),
     )  # fmt: skip
 
 
@@ -246,7 +252,8 @@ def _is_settled(stats: dict[str, Any], n_residuals: int) -> bool:
     return bool(n_residuals * np.ptp(objective) <= SETTLED * np.max(np.abs(objective)) and np.max(violation) < HOLDING)
 
 
-def _at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
+def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
+    """Names of the parameters that z (scaled) has at one of their bounds."""
     if "theta" not in program.variables:
         return ()
     block = program.variables["theta"]

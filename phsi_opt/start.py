@@ -14,7 +14,7 @@ import casadi as ca
 import cvxpy as cp
 import numpy as np
 
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, SolveError
 from phsi_opt.expressions import names_of
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, defect_jacobian, defects, output_slopes, outputs
@@ -29,6 +29,7 @@ from phsi_opt.theta import Theta
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 ROOM = 3.0  # factor on bounds that follow from efforts, whose scale depends on parameters
+ROUNDER = (1.0, 4.0, 16.0)  # factors on the width of corners that are too sharp
 N_STARTS = 3  # frequencies of the scan that are tried
 STILL, STAYING = 4.0, 5.0  # widths of dry friction's corner that count as rest, and how often as long as turning takes
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
@@ -170,13 +171,29 @@ def smoothed(
 ) -> ForceEstimate:  # fmt: skip
     """States, also unmeasured ones, by the missing-force program at the model's present values.
 
-    ``theta``: other values, (n_free, n_trajectories) where trajectories have parameters of their own.
+    ``theta``: other values, (n_free, n_trajectories) where trajectories have parameters of their own. Where a corner of
+    dry friction is too sharp for the search, it is rounded.
     """
     point = first_point(model, grid)
     point = point if theta is None else replace(point, theta=theta)
-    return estimate_force(
-        model, grid, point, sigma, rounds=rounds, known_noise=known_noise, prior=prior, integrator=integrator
-    )
+    widths = {name: model.values[name] for name in corners(model)}
+    for factor in ROUNDER if widths else (1.0,):
+        rounded = {} if factor == 1 else {name: factor * width for name, width in widths.items()}
+        try:
+            found = estimate_force(
+                model.with_values(rounded), grid, point, sigma, rounds=rounds, known_noise=known_noise, prior=prior,
+                integrator=integrator,
+            )  # fmt: skip
+            return replace(found, rounded=rounded)
+        except SolveError as error:
+            failure = error
+    raise failure
+
+
+def corners(model: Model) -> dict[str, Share]:
+    """Of the widths of rounded corners: of what they are a share, and by what factors they may be sharpened."""
+    fixed = [e for e in model.entries.values() if e.parameter.fixed]
+    return {e.name: guess for e in fixed if isinstance(guess := e.parameter.guess, Share) and guess.sharper}
 
 
 def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:

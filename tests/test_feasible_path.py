@@ -1,0 +1,108 @@
+"""Fits along solutions of the model: the optimum of the same likelihood, also where a body sticks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt import likelihood
+from phsi_opt.feasible_path import FeasiblePath
+from phsi_opt.grid import grid_of
+from phsi_opt.solver import Settings, Solver
+from phsi_opt.start import point_at
+from phsi_opt.theta import Theta
+
+T = np.linspace(0.0, 12.0, 161)
+STARTS = ([1.0, 0.0], [-0.7, 0.9])
+NOISE = 0.01
+FRICTION, DAMPING = 0.25, 0.05
+
+
+def rubbing(corner: float, friction: ph.Parameter | float, damping: ph.Parameter | float) -> ph.PseudoHamiltonian:
+    """A spring and a mass with dry friction, whose sign turns over within the velocity ``corner``."""
+    return ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.formula("1.7*q**2/2 + p**2/2"),
+        R={"p": ph.formula("c + f*(dH_dp**4 + v0**4)**(-1/4)", c=damping, f=friction, v0=corner)},
+    )  # fmt: skip
+
+
+def measured(corner: float) -> ph.Measurements:
+    """Positions of two runs that come to rest away from the middle."""
+    rng = np.random.default_rng(0)
+    runs = [ph.simulate(rubbing(corner, FRICTION, DAMPING), T, x0) for x0 in STARTS]
+    runs = [x + NOISE * rng.normal(size=x.shape) for x in runs]
+    for x in runs:
+        x[:, 1] = np.nan
+    return ph.Measurements.from_arrays([T] * 2, runs, states=["q", "p"])
+
+
+def path_and_solver(model: ph.PseudoHamiltonian, data: ph.Measurements, x: np.ndarray) -> tuple[FeasiblePath, Solver]:
+    grid, unknown, loss = grid_of(data), Theta.of(model, ("run 1", "run 2")), ph.MaximumLikelihood()
+    theta = np.array([model.values[name] for name in model.free])
+    point = point_at(model, grid, unknown, theta, x)
+    program = loss.program(model, grid, point, {}, np.array([NOISE, 1.0]), unknown)
+    return FeasiblePath(program, model, grid, unknown, loss), Solver(program, Settings())
+
+
+def test_it_finds_the_optimum_that_ipopt_finds() -> None:
+    # A corner as wide as this is no hindrance to either.
+    data = measured(0.3)
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    nodes = np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
+    path, solver = path_and_solver(model, data, nodes)
+    start, sigma = path.program.start, path.program.set_to
+    mine, ipopt = path.solve(start, sigma), solver.solve(start, sigma)
+    assert mine.outcome.success and mine.outcome.infeasibility < 1e-7
+    # A thousandth of a fall of -2 log likelihood is a thirtieth of a standard error.
+    n = path.program.residual.numel()
+    assert n * (mine.outcome.objective - ipopt.outcome.objective) == pytest.approx(0.0, abs=2e-3)
+    np.testing.assert_allclose(mine.values["x"], ipopt.values["x"], atol=0.05 * NOISE)
+
+
+def test_a_parameter_stays_within_its_bounds() -> None:
+    data = measured(0.3)
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0, upper=0.22), ph.Parameter(0.1, lower=0.0))
+    path, _ = path_and_solver(model, data, np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
+    found = path.solve(path.program.start, path.program.set_to)
+    assert found.outcome.success and found.outcome.at_bounds == ("f",)
+    assert found.values["theta"][model.free.index("f")] == pytest.approx(0.22)
+
+
+def test_every_point_is_on_the_model_or_there_is_none() -> None:
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    path, _ = path_and_solver(model, measured(0.3), np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
+    z = path.program.start.copy()
+    x = z[path.x].reshape(2, len(T), 2)
+    x[:, 1:] = 0.0  # but for the starting states nothing is given
+    found = path.follow(z, path.program.set_to)
+    assert found is not None
+    states = (found.z * path.program.scale)[path.x].reshape(2, len(T), 2)
+    for x, x0 in zip(states, STARTS, strict=True):
+        np.testing.assert_allclose(x, ph.simulate(model, T, x0), atol=2e-4)  # the scheme takes one step per sample
+    assert path.follow(np.where(np.arange(len(z)) == path.theta.start, -1e6, z), path.program.set_to) is None
+
+
+def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
+    data, loss = measured(0.002), ph.MaximumLikelihood(steps=6)
+    model = rubbing(0.002, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    wide = ph.identify(model.with_values({"v0": 0.02}), data, loss)
+    lines: list[str] = []
+    start = replace(wide, model=wide.model.with_values({"v0": 0.002}))
+    brief = Settings(thorough=False)
+    fit = ph.identify(model, data, loss, start=start, settings=brief, progress=lines.append)
+    assert fit.outcome.is_along and any("again along solutions of the model" in line for line in lines)
+    for name, value in (("f", FRICTION), ("c", DAMPING)):
+        assert abs(fit.estimates[name] - value) < 4 * fit.std_errors[name]
+    assert fit.noise["q"] == pytest.approx(NOISE, rel=0.15)
+
+
+def test_a_fit_along_solutions_is_compared_along_solutions(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = measured(0.3)
+    fit = ph.identify(rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0)), data)
+    along = replace(fit, outcome=replace(fit.outcome, status="Feasible_Path"))
+    found = ph.compare(fit, data)
+    used: list[str] = []
+    monkeypatch.setattr(likelihood, "Solver", lambda *a, **k: used.append("ipopt"))
+    assert ph.compare(along, data).rmse == pytest.approx(found.rmse, rel=1e-4)
+    assert not used
