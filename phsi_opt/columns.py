@@ -9,8 +9,9 @@ import numpy as np
 
 from phsi_opt.effects import Effect, position_of
 from phsi_opt.grid import defect_function, defect_jacobian, output_slopes, outputs
+from phsi_opt.guesses import at_rest, corners
+from phsi_opt.memory import Memory
 from phsi_opt.model import Model
-from phsi_opt.start import Memory, at_rest, corners
 
 if TYPE_CHECKING:
     from phsi_opt.screen import Screen

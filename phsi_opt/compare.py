@@ -16,10 +16,11 @@ from phsi_opt.free_run import free_run
 from phsi_opt.grid import grid_of
 from phsi_opt.identify import matched
 from phsi_opt.measurements import Measurements, Trajectory
+from phsi_opt.memory import remembered
 from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
 from phsi_opt.record import bands, explained, matrix_of, parameters_of, shown
-from phsi_opt.start import initial_noise, remembered, smoothed
+from phsi_opt.start import initial_noise, smoothed
 from phsi_opt.work import data_digest
 
 if TYPE_CHECKING:

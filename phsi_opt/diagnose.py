@@ -34,6 +34,7 @@ from phsi_opt.evidence import (
     share_of,
 )
 from phsi_opt.fit import Fit
+from phsi_opt.guesses import corners, resolved
 from phsi_opt.identify import identify, matched
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
@@ -42,7 +43,6 @@ from phsi_opt.model import Model
 from phsi_opt.pairs import pairs
 from phsi_opt.screen import Screen, Screened
 from phsi_opt.solver import WAYS, Settings
-from phsi_opt.start import corners, resolved
 from phsi_opt.terms import Share
 
 N_REFITS = 5

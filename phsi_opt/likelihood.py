@@ -19,8 +19,10 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.feasible_path import FeasiblePath
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, between, grid_of, local_errors, steps_of
+from phsi_opt.guesses import resolved
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.measurements import Measurements
+from phsi_opt.memory import remembered
 from phsi_opt.missing import softened
 from phsi_opt.model import Model
 from phsi_opt.nlp import Program
@@ -134,10 +136,10 @@ def _beginning(
     complete_data = bool(grid.measured.all())
     x = grid.y
     if not complete_data:
-        guessed = starting.resolved(core, grid, np.nan_to_num(grid.y))
+        guessed = resolved(core, grid, np.nan_to_num(grid.y))
         estimate = starting.smoothed(guessed, grid, sigma, loss.integrator, known, rounds=2)
         x, sigma = estimate.x, estimate.sigma
-    core = starting.resolved(core, grid, x)
+    core = resolved(core, grid, x)
     given = {name for name, e in task.model.entries.items() if e.parameter.value is not None and not e.prunable}
     if core.free:
         first = _from_states(replace(task, model=core, pruning=None, say=lambda line: None), loss, grid, x)
@@ -188,11 +190,11 @@ def _from_fit(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.
     own = [len(x) for x in start.states] == lengths
     kept = [start.model.states.index(name) for name in task.model.states if name in start.model.states]
     x = np.concatenate(start.states)[:, kept] if own else np.nan_to_num(grid.y)
-    model = starting.resolved(task.model, grid, x)
+    model = resolved(task.model, grid, x)
     default = unknown.spread(np.array([model.values[name] for name in model.free]))
     theta = unknown.from_values(start.estimates, default)
     if own:  # the memory of an effect that the fit did not have follows from its states
-        states = grid.split(starting.remembered(model, grid, x, np.asarray(unknown.by_trajectory(theta))))
+        states = grid.split(remembered(model, grid, x, np.asarray(unknown.by_trajectory(theta))))
     else:
         states = _at_theta(model, grid, unknown, theta, sigma, loss, known)
     steps = start.steps if loss.steps is None and [len(n) + 1 for n in start.steps] == lengths else ()
@@ -213,7 +215,7 @@ def _at_theta(
 def _ready(task: Task, core: Model, grid: Grid, x: np.ndarray, sigma: np.ndarray, notes: tuple[str, ...]) -> Beginning:
     """The beginning with the values of the dynamics ``core`` and the states x."""
     model = task.model.with_values({name: value for name, value in core.values.items() if name in task.model.entries})
-    model = starting.resolved(model, grid, x)
+    model = resolved(model, grid, x)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
     return Beginning(model, theta, grid.split(x), sigma, notes)
 

@@ -8,6 +8,7 @@ import numpy as np
 from phsi_opt import start as starting
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, grid_of
+from phsi_opt.guesses import resolved
 from phsi_opt.losses import PHSILoss, complete
 from phsi_opt.model import Model
 from phsi_opt.solver import solve
@@ -21,7 +22,7 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None, prune: Pruner) -> 
     """The best of the solutions from several starts, each pruned by ``prune``."""
     grid = task.layout(grid_of(task.data))
     used = complete(task.model, grid)
-    model = starting.resolved(task.model, used, np.nan_to_num(used.y))
+    model = resolved(task.model, used, np.nan_to_num(used.y))
     thetas = [starting.from_fit(model, start)] if start else starting.starting_values(model, used, task.l1)
     states = [
         prune(

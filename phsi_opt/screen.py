@@ -35,12 +35,13 @@ from phsi_opt.errors import PhsiOptError
 from phsi_opt.evidence import independent_share
 from phsi_opt.fit import Fit
 from phsi_opt.grid import defects, output_slopes_of
+from phsi_opt.guesses import resolved, tried_values
 from phsi_opt.linear import Reduced
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, Sensed
 from phsi_opt.model import Model
 from phsi_opt.record import matrix_of, parameters_of
-from phsi_opt.start import frequencies, resolved, tried_values
+from phsi_opt.start import frequencies
 from phsi_opt.terms import Scan, Tried
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse

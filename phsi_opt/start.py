@@ -8,7 +8,6 @@ once the frequency is fixed) solved at every step of the scan.
 import warnings
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import casadi as ca
 import cvxpy as cp
@@ -18,20 +17,18 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.expressions import names_of
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, defect_jacobian, defects, output_slopes, outputs
+from phsi_opt.guesses import corners
 from phsi_opt.losses import ForcePrior, Point, complete, rate_size
 from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate, Known, estimate_force
 from phsi_opt.model import Model, place_of
 from phsi_opt.noise import difference_noise
-from phsi_opt.terms import Scan, Share, Tried
+from phsi_opt.terms import Scan
 from phsi_opt.theta import Theta
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
-MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
-ROOM = 3.0  # factor on bounds that follow from efforts, whose scale depends on parameters
 ROUNDER = (1.0, 4.0, 16.0)  # factors on the width of corners that are too sharp
 N_STARTS = 3  # frequencies of the scan that are tried
-STILL, STAYING = 4.0, 5.0  # widths of dry friction's corner that count as rest, and how often as long as turning takes
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 CLEANEST = (
     1e-5  # least noise that is assumed, as a share of the spread of a channel: weights stay within double precision
@@ -188,170 +185,6 @@ def smoothed(
         except SolveError as error:
             failure = error
     raise failure
-
-
-def corners(model: Model) -> dict[str, Share]:
-    """Of the widths of rounded corners: of what they are a share, and by what factors they may be sharpened."""
-    fixed = [e for e in model.entries.values() if e.parameter.fixed]
-    return {e.name: guess for e in fixed if isinstance(guess := e.parameter.guess, Share) and guess.sharper}
-
-
-def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
-    """The model with every `Share` and `Tried` guess replaced by its value (the middle one) over the states x.
-
-    What is tried is bounded by them too, also where it has a value already.
-    """
-    for slot, equation, term in model.placed():
-        for inner, parameter in term.inner.items():
-            guess, value = parameter.guess, parameter.value
-            name = term.inner_name(inner, place_of(slot, equation))
-            if isinstance(guess, Share) and value is None:
-                value = guess.share * root_mean_square(model, grid, x, guess.of)
-            elif isinstance(guess, Tried) and not (parameter.fixed and value is not None):
-                size = _size_of(model, grid, x, guess)
-                value = size * guess.shares[len(guess.shares) // 2] if value is None else value
-                model = model.with_upper({name: max(_bound(model, grid, guess, size), parameter.lower)})
-            else:
-                continue
-            model = model.with_values({name: value})
-    return model
-
-
-def _bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
-    """Upper bound of what is tried; none where it follows states that nobody measured: they may change their scale."""
-    used, seen = names_of(guess.of), np.asarray(grid.measured.any(axis=0))
-    efforts = {f"dH_d{name}" for name in model.states} & used
-    if not all(seen[i] for i, name in enumerate(model.states[: len(seen)]) if {name, f"dH_d{name}"} & used):
-        return np.inf
-    return guess.most * size * (ROOM if efforts else 1.0)
-
-
-def tried_values(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
-    """The values to try for a parameter, over the states x."""
-    return _size_of(model, grid, x, guess) * np.array(guess.shares)
-
-
-def _size_of(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> float:
-    if guess.of == "t":
-        return float(np.max(grid.t - grid.t[grid.first][grid.trajectory]))
-    if guess.of == "dt":
-        return float(np.median(np.diff(grid.t[grid.sample])[np.diff(grid.trajectory[grid.sample]) == 0]))
-    return float(np.max(np.abs(_along_nodes(model, grid, x, guess.of)), initial=0.0)) or 1.0
-
-
-def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:
-    """Root mean square of a formula over the nodes; 1 where it vanishes."""
-    values = _along_nodes(model, grid, x, expression)
-    size = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-    return size if size > 0 else 1.0
-
-
-def _along_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
-    """Values of a formula at the nodes, those that are finite."""
-    values = _at_nodes(model, grid, x, expression)
-    return values[np.isfinite(values)]
-
-
-def _at_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
-    theta = np.array([model.values[name] for name in model.free])
-    mapped = model.function(expression).map("mapped", "serial", grid.n_nodes, [3], [])
-    return np.array(mapped(_padded(model, x).T, grid.u.T, grid.t[None, :], theta)).ravel()
-
-
-def at_rest(model: Model, grid: Grid, x: np.ndarray, of: str, width: float) -> np.ndarray:
-    """Whether a body stays at rest along each interval: its speed, a formula, is within some widths of zero.
-
-    A body that only turns round is as slow, but passes through in a time that its usual acceleration tells.
-    """
-    speed = _at_nodes(model, grid, x, of)
-    slow = np.maximum(np.abs(speed[grid.begin]), np.abs(speed[grid.begin + 1])) < STILL * width
-    acceleration = np.sqrt(np.nanmean(grid.rates(speed[:, None]) ** 2))
-    run = grid.trajectory[grid.begin]
-    stretch = np.cumsum(np.r_[True, (slow[1:] != slow[:-1]) | (run[1:] != run[:-1])]) - 1
-    lasts = np.bincount(stretch, grid.h)[stretch]
-    return slow & (lasts * acceleration > STAYING * 2 * STILL * width)
-
-
-def _padded(model: Model, x: np.ndarray) -> np.ndarray:
-    """States with zeros for those at the end that x does not hold yet."""
-    return np.pad(x, ((0, 0), (0, model.n_states - x.shape[1])))
-
-
-def remembered(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """States (n_nodes, n_states) with the memory of the model's effects integrated along the other states ``x``.
-
-    ``x`` holds the other states and those of older effects; ``theta`` is (n_free,) or (n_free, n_trajectories). A
-    memory begins at rest where its equation is linear in it, else at zero.
-    """
-    return x if x.shape[1] == model.n_states else Memory(model, grid, x)(theta)[0]
-
-
-class Memory:
-    """The memory of a model's effects along given states, as a function of the parameters (see `remembered`)."""
-
-    def __init__(self, model: Model, grid: Grid, x: np.ndarray) -> None:
-        self.model, self.grid, self.x = model, grid, x
-        one, self.at = _memory_step(model, x.shape[1]), []
-        self.along = []
-        for run in range(len(grid.first)):
-            at = np.flatnonzero(grid.trajectory[grid.begin] == run)
-            self.at.append(at)
-            self.along.append(one.mapaccum("memory", len(at)))
-        self.rest = _rest(model, x.shape[1])
-
-    def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The states with their memory, (n_nodes, n_states), and the memory's means over the intervals."""
-        grid, x, n_old = self.grid, self.x, self.x.shape[1]
-        result, means = _padded(self.model, x), np.zeros((grid.n_intervals, self.model.n_states - n_old))
-        columns = theta if theta.ndim == 2 else theta[:, None]
-        for run, (first, at, along) in enumerate(zip(grid.first, self.at, self.along, strict=True)):
-            values = columns[:, run % columns.shape[1]]
-            z0 = np.array(self.rest(x[first], grid.u0[at[0]], grid.t[first], values)).ravel()
-            z0 = z0 if np.all(np.isfinite(z0)) else np.zeros(len(z0))
-            ends = [x[grid.begin[at]].T, x[grid.begin[at] + 1].T, grid.u0[at].T, grid.u1[at].T]
-            times = [grid.t[grid.begin[at]][None, :], grid.h[at][None, :]]
-            z, mean = along(z0, *ends, *times, np.repeat(values[:, None], len(at), axis=1))
-            result[first, n_old:], result[grid.begin[at] + 1, n_old:] = z0, z.full().T
-            means[at] = mean.full().T
-        return result, means
-
-
-def _memory_step(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> z at the end of an interval, its mean over the interval.
-
-    Steps of the trapezoidal rule with the slope taken at their beginning: a short delay is stiff.
-    """
-    n_new, m, rhs = model.n_states - n_old, model.n_inputs, model.rhs()
-    z, x0, x1 = ca.SX.sym("z", n_new), ca.SX.sym("x0", n_old), ca.SX.sym("x1", n_old)
-    u0, u1, t0, h = ca.SX.sym("u0", m), ca.SX.sym("u1", m), ca.SX.sym("t0"), ca.SX.sym("h")
-    theta, share = ca.SX.sym("theta", len(model.free)), ca.SX.sym("share")
-
-    def rate(value: Any, at: Any) -> Any:
-        x = ca.vertcat(x0 + at * (x1 - x0), value)
-        return rhs(x, u0 + at * (u1 - u0), t0 + at * h, theta)[n_old:]
-
-    step, given = h / MEMORY_STEPS, [x0, x1, u0, u1, t0, h, theta]
-    both = rate(z, share) + rate(z, share + 1 / MEMORY_STEPS)
-    end = z + step / 2 * ca.solve(ca.SX.eye(n_new) - step / 2 * ca.jacobian(rate(z, share), z), both)
-    one = ca.Function("part", [z, share, *given], [end])
-    at, mean = z, ca.SX.zeros(n_new)
-    for k in range(MEMORY_STEPS):
-        after = one(at, k / MEMORY_STEPS, *given)
-        at, mean = after, mean + (at + after) / (2 * MEMORY_STEPS)
-    return ca.Function("step", [z, *given], [at, mean])
-
-
-def _rest(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> the memory whose rates vanish, if they are linear in it; else zeros."""
-    n_new, rhs = model.n_states - n_old, model.rhs()
-    x, u, t = ca.SX.sym("x", n_old), ca.SX.sym("u", model.n_inputs), ca.SX.sym("t")
-    theta, z = ca.SX.sym("theta", len(model.free)), ca.SX.sym("z", n_new)
-    rates = rhs(ca.vertcat(x, z), u, t, theta)[n_old:]
-    slope = ca.jacobian(rates, z)
-    if ca.depends_on(slope, z):
-        return ca.Function("rest", [x, u, t, theta], [ca.DM.zeros(n_new)])
-    at_zero = ca.substitute(rates, z, ca.DM.zeros(n_new))
-    return ca.Function("rest", [x, u, t, theta], [-ca.solve(slope, at_zero)])
 
 
 def starting_values(model: Model, grid: Grid, l1: dict[str, float]) -> list[np.ndarray]:
