@@ -63,10 +63,10 @@ CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samp
 
 # A candidate that takes more is hardly the one.
 QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=("gauss-newton", "exact"))
-DRY = replace(QUICK, ways=WAYS)
+DRY = replace(QUICK, max_seconds=120.0, ways=WAYS)
 A_LITTLE = 0.1  # share of its expected size with which a further effect begins beside a sharp corner
 # Beside a sharp corner IPOPT converges at once or not at all.
-AT_A_CORNER = replace(QUICK, max_iterations=15, ways=("gauss-newton", "along"))
+AT_A_CORNER = replace(DRY, max_iterations=15, ways=("gauss-newton", "along"))
 
 
 def diagnose(

@@ -46,7 +46,10 @@ class _Place:
 class FeasiblePath:
     """The steps for one program in theta and the states alone (no slack variables)."""
 
-    def __init__(self, program: Program, model: Model, grid: Grid, unknown: Theta, loss: MaximumLikelihood) -> None:
+    def __init__(
+        self, program: Program, model: Model, grid: Grid, unknown: Theta, loss: MaximumLikelihood, max_seconds: float
+    ) -> None:
+        self.max_seconds = max_seconds
         self.program, self.grid, self.unknown, self.solver = program, grid, unknown, Solver(program)
         self.theta, self.x = program.variables["theta"].slice, program.variables["x"].slice
         self.lower, self.upper = program.lower[self.theta], program.upper[self.theta]
@@ -59,10 +62,14 @@ class FeasiblePath:
 
     def solve(self, start: np.ndarray, set_to: np.ndarray, raise_on_failure: bool = True) -> Solution:
         """The optimum that is reached from theta and the starting states in ``start`` (scaled), or how far it went."""
-        began, ridge, length, iteration, sentence = time.perf_counter(), 0.0, 1.0, 0, ""
+        began, ridge, length, iteration = time.perf_counter(), 0.0, 1.0, 0
+        sentence, failed = "", "no optimum was found along solutions of the model"
         at = self.follow(start, set_to)
         recent = [np.inf] * 3 + [np.inf if at is None else at.objective]
         while at is not None and not sentence and iteration < MAX_ITERATIONS:
+            if time.perf_counter() - began > self.max_seconds:
+                failed = "the time limit was reached along solutions of the model"
+                break
             iteration += 1
             step = self._step(at, ridge, set_to)
             promise = -float(at.gradient @ step) * self.half
@@ -84,10 +91,16 @@ class FeasiblePath:
             elif gain < AT_KINK and length < 1:
                 sentence = AT_A_KINK
         z, seconds = start if at is None else at.z, time.perf_counter() - began
-        found = self.solver.solution(z, set_to, self._outcome(z, set_to, sentence, iteration, seconds))
-        if raise_on_failure and not sentence:
-            raise SolveError(f"The solver failed: {found.outcome}")
-        return found
+        objective, _, g = self.values(z, set_to)
+        worst = float(np.max(np.abs(np.array(g)), initial=0.0))
+        advice = "" if sentence else "Start from other values, or use more steps per sample."
+        outcome = Outcome(
+            bool(sentence), FEASIBLE_PATH, sentence or failed, advice, iteration, seconds, float(objective), worst,
+            at_bounds(self.program, z),
+        )  # fmt: skip
+        if raise_on_failure and not outcome.success:
+            raise SolveError(f"The solver failed: {outcome}")
+        return self.solver.solution(z, set_to, outcome)
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
         """As `Solver.at`."""
@@ -155,16 +168,6 @@ class FeasiblePath:
                 return new, length
             length *= SHORTER
         return None, length
-
-    def _outcome(self, z: np.ndarray, set_to: np.ndarray, sentence: str, n: int, seconds: float) -> Outcome:
-        objective, _, g = self.values(z, set_to)
-        worst = float(np.max(np.abs(np.array(g)), initial=0.0))
-        failed = "no optimum was found along solutions of the model"
-        advice = "" if sentence else "Start from other values, or use more steps per sample."
-        return Outcome(
-            bool(sentence), FEASIBLE_PATH, sentence or failed, advice, n, seconds, float(objective), worst,
-            at_bounds(self.program, z),
-        )  # fmt: skip
 
 
 def _march(model: Model, scheme: str, scale: np.ndarray) -> ca.Function:

@@ -363,7 +363,7 @@ class _Solve:
         has_path = "along" in settings.ways and is_whole and set(program.variables) == {"theta", "x"}
         along = "along solutions of the model"
         if has_path and is_along:
-            yield along, FeasiblePath(program, model, grid, unknown, self.loss)
+            yield along, FeasiblePath(program, model, grid, unknown, self.loss, settings.max_seconds)
             if not settings.thorough:
                 return
         if not exact:
@@ -371,7 +371,7 @@ class _Solve:
         if exact or "exact" in settings.ways:
             yield "with the exact Hessian", Solver(program, full, exact=True)
         if has_path and not is_along:
-            yield along, FeasiblePath(program, model, grid, unknown, self.loss)
+            yield along, FeasiblePath(program, model, grid, unknown, self.loss, settings.max_seconds)
 
 
 def _clean(solution: Solution) -> Solution:

@@ -42,7 +42,7 @@ def path_and_solver(model: ph.PseudoHamiltonian, data: ph.Measurements, x: np.nd
     theta = np.array([model.values[name] for name in model.free])
     point = point_at(model, grid, unknown, theta, x)
     program = loss.program(model, grid, point, {}, np.array([NOISE, 1.0]), unknown)
-    return FeasiblePath(program, model, grid, unknown, loss), Solver(program, Settings())
+    return FeasiblePath(program, model, grid, unknown, loss, 60.0), Solver(program, Settings())
 
 
 def test_it_finds_the_optimum_that_ipopt_finds() -> None:
@@ -67,6 +67,14 @@ def test_a_parameter_stays_within_its_bounds() -> None:
     found = path.solve(path.program.start, path.program.set_to)
     assert found.outcome.success and found.outcome.at_bounds == ("f",)
     assert found.values["theta"][model.free.index("f")] == pytest.approx(0.22)
+
+
+def test_the_time_limit_ends_it() -> None:
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    path, _ = path_and_solver(model, measured(0.3), np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
+    path.max_seconds = 0.0
+    with pytest.raises(ph.SolveError, match="the time limit was reached along solutions of the model"):
+        path.solve(path.program.start, path.program.set_to)
 
 
 def test_every_point_is_on_the_model_or_there_is_none() -> None:
