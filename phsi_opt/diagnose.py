@@ -281,14 +281,21 @@ class _Work:
         return float(chi2.sf(max(gain, 0.0), len(new.names) - len(self.fit.names)))
 
     def ranked(self, refitted: list[Candidate]) -> list[Candidate]:
-        """By BIC, the best one's share of independent residuals taken for all; those that were not re-fitted last."""
+        """By BIC, the best one's share of independent residuals taken for all; those that were not re-fitted last.
+
+        Where none leaves noise, all are wrong, and of those that BIC hardly tells apart the simplest comes first.
+        """
         done = [(c, c.fit, c.trained) for c in refitted if c.fit is not None and c.trained is not None]
         if not done:
             return refitted
         best = min(done, key=lambda row: deviance(row[1]))
         share = share_of(self.trained, best[2])
-        result = [replace(c, delta_bic=delta_bic(self.fit, fit, share)) for c, fit, _ in done]
-        result.sort(key=lambda c: c.delta_bic)
+        rows = [(delta_bic(self.fit, fit, share), len(fit.names), c) for c, fit, _ in done]
+        rows.sort(key=lambda row: row[0])
+        if not any(is_adequate(trained) for _, _, trained in done):
+            close = rows[0][0] + CLOSE
+            rows.sort(key=lambda row: row[1] if row[0] < close else np.inf)
+        result = [replace(c, delta_bic=bic) for bic, _, c in rows]
         result = [replace(c, confusable_with=_tied(c, result)) for c in result]
         return result + [c for c in refitted if c.fit is None]
 

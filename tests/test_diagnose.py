@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -9,11 +10,14 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.columns import Columns
 from phsi_opt.compare import force_of
+from phsi_opt.diagnosis import Candidate
 from phsi_opt.effects import effect_named
 from phsi_opt.evidence import delta_bic, falls, is_adequate
 from phsi_opt.identify import matched
 from phsi_opt.pairs import pairs
 from phsi_opt.screen import Screen, Screened
+
+diagnosing = import_module("phsi_opt.diagnose")  # the package's name `diagnose` is the verb
 
 T = np.linspace(0.0, 14.0, 281)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
@@ -209,6 +213,27 @@ def test_what_no_known_effect_explains_is_called_so_and_the_nearest_is_told() ->
     found = ph.diagnose(ph.identify(base(), train), train, test)
     assert found.verdict == "missing: unexplained"
     assert "no known effect explains it all" in found.reason or "no effect of the catalogue" in found.reason
+
+
+@pytest.mark.parametrize(("leaves_noise", "first"), [(True, "stribeck friction"), (False, "coulomb friction")])
+def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
+    drag: tuple[ph.Fit, ph.Measurements, Screen], leaves_noise: bool, first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit, data, _ = drag
+    work = diagnosing._Work.begin(fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None)
+    refitted = []
+    for name in ("coulomb friction", "stribeck friction"):
+        effect = effect_named(fit.model, name, "p")
+        found = work.refit([effect], {})
+        assert found is not None
+        refitted.append(Candidate(effect, 0.0, 0.0, 0.0, {}, (), 0.0, fit=found[0], trained=found[1]))
+    n_base = len(fit.names)
+    # The larger one is better, by less than is clear.
+    monkeypatch.setattr(diagnosing, "delta_bic", lambda old, new, share: -100.0 - 2 * (len(new.names) - n_base))
+    monkeypatch.setattr(diagnosing, "is_adequate", lambda trained: leaves_noise)
+    ranked = work.ranked(refitted)
+    assert ranked[0].effect.name == first
+    assert all(c.confusable_with for c in ranked)
 
 
 def test_two_effects_are_both_found_and_added() -> None:
