@@ -81,7 +81,7 @@ def along(fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()) -> Along:
 
     Names matter only where trajectories have parameters of their own.
     """
-    grid, model, x = estimate.grid, fit.model, estimate.x
+    grid, model, x = estimate.grid, fit.model.with_values(estimate.rounded), estimate.x
     middle = (x[grid.begin] + x[grid.begin + 1]) / 2
     u, t = (grid.u0 + grid.u1) / 2, grid.t[grid.begin] + grid.h / 2
     run = grid.trajectory[grid.begin]

@@ -12,7 +12,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from math import comb
+from math import comb, prod
 
 import numpy as np
 from scipy.stats import chi2, false_discovery_control
@@ -42,7 +42,7 @@ from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
 from phsi_opt.pairs import pairs
 from phsi_opt.screen import Screen, Screened
-from phsi_opt.solver import WAYS, Settings
+from phsi_opt.solver import EXACT, FEASIBLE_PATH, GAUSS_NEWTON, WAYS, Settings
 from phsi_opt.terms import Share
 
 N_REFITS = 5
@@ -62,11 +62,13 @@ PIECES = 4  # windows of the longest record with which a re-fit begins that fail
 CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
 
 # A candidate that takes more is hardly the one.
-QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=("gauss-newton", "exact"))
+QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=(GAUSS_NEWTON, EXACT))
 DRY = replace(QUICK, max_seconds=120.0, ways=WAYS)
+SAME_WIDTH = 1.01  # factor up to which two widths of a corner are the same
 A_LITTLE = 0.1  # share of its expected size with which a further effect begins beside a sharp corner
 # Beside a sharp corner IPOPT converges at once or not at all.
-AT_A_CORNER = replace(DRY, max_iterations=15, ways=("gauss-newton", "along"))
+ALONG = replace(DRY, ways=(FEASIBLE_PATH,))
+AT_A_CORNER = replace(DRY, max_iterations=15, ways=(GAUSS_NEWTON, FEASIBLE_PATH))
 
 
 def diagnose(
@@ -153,12 +155,12 @@ class _Work:
     def refit(
         self, effects: Sequence[Effect], values: dict[str, float], beside: dict[str, float] | None = None,
         rival: Fit | None = None, others: Sequence[Fit] = (),
-    ) -> tuple[Fit, Comparison, Comparison, Fit] | None:  # fmt: skip
+    ) -> tuple[Fit, Comparison, Comparison, Fit | None] | None:  # fmt: skip
         """The fit with the effects and its comparisons.
 
         It begins at the states of the missing-force estimate, the base's parameters at the values ``beside``, or at one
         of the ``others`` that has part of these effects, among them dry friction on a body that sticks. Dry friction
-        is sharpened if it is clearly better than a ``rival``; the last is the fit before that.
+        is sharpened if it is clearly better than a ``rival``; the last is the fit before that, if there was one.
         """
         model = self.fit.model
         for effect in effects:
@@ -167,10 +169,11 @@ class _Work:
         # The fast part of a memory, that of a short delay, is not seen by steps as long as the samples.
         finer = 2 if any(effect.memory for effect in effects) else 1
         try:
-            extended = self.extended(model, others)
-            blunt = new = extended or self.begun(model, finer, beside or {})
-            if extended is None and (rival is None or delta_bic(rival, new, 1.0) < -CLOSE):
-                new = self.sharpened(new)
+            new, blunt = self.extended(model, finer, others), None
+            if new is None:
+                new = blunt = self.begun(model, finer, beside or {})
+                if rival is None or delta_bic(rival, new, 1.0) < -CLOSE:
+                    new = self.sharpened(new, model)
             trained = _compared(new, self.data, self.estimate)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained, blunt
         except PhsiOptError as error:
@@ -185,7 +188,7 @@ class _Work:
         known = own.with_values({name: value for name, value in beside.items() if name in own.entries})
         steps = tuple(finer * n for n in self.fit.steps)
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
-        settings = DRY if _corners(model, own) else QUICK
+        settings = DRY if corners(model) else QUICK
         is_long = model.n_states * sum(int(n.sum()) for n in steps) > LONG
         attempts = [(known, self.loss), (own, self.loss)] if beside else [(own, self.loss)]
         window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
@@ -196,39 +199,47 @@ class _Work:
         begin, loss = attempts[-1]
         return identify(model, data, loss, start=replace(start, model=begin), settings=settings)
 
-    def extended(self, model: Model, others: Sequence[Fit]) -> Fit | None:
+    def extended(self, model: Model, finer: int, others: Sequence[Fit]) -> Fit | None:
         """The re-fit from the best of the ``others`` that the model extends; None: there is none, or it gains nothing.
 
         Only dry friction whose corner is sharp: beside it a solver cannot begin anew.
         """
-        smaller = [o for o in others if o.outcome.is_along and set(o.model.entries) < set(model.entries)]
+        smaller = [o for o in others if o.outcome.way == FEASIBLE_PATH and set(o.model.entries) < set(model.entries)]
         if not smaller:
             return None
         old = min(smaller, key=deviance)
         widths = {guess.of: old.model.values[name] for name, guess in _corners(old.model, self.fit.model).items()}
-        sharp = _corners(model, self.fit.model).items()
-        model = model.with_values({name: widths[guess.of] for name, guess in sharp if guess.of in widths})
+        corner = _corners(model, self.fit.model).items()
+        if any(guess.of not in widths for _, guess in corner):  # one that is yet to be sharpened
+            return None
+        sharp = model.with_values({name: widths[guess.of] for name, guess in corner})
         added = [e for name, e in model.entries.items() if name not in old.model.entries and e.prunable]
-        model = model.with_values({e.name: A_LITTLE * model.values[e.name] for e in added})
+        sharp = sharp.with_values({e.name: A_LITTLE * model.values[e.name] for e in added})
+        steps = tuple(np.maximum(n, finer) for n in old.steps)
         with suppress(PhsiOptError):
-            new = identify(model, self.data, self.loss, start=old, settings=AT_A_CORNER)
+            new = identify(sharp, self.data, self.loss, start=replace(old, steps=steps), settings=ALONG)
+            if deviance(new) < deviance(old) - CLOSE:
+                return self.sharpened(new, model)
             return new if deviance(new) < deviance(old) else None
         return None
 
-    def sharpened(self, fit: Fit) -> Fit:
+    def sharpened(self, fit: Fit, blunt: Model) -> Fit:
         """The fit with the widths of its new effects made smaller, on a finer grid, as long as that explains as much.
 
-        A solver needs the corner of dry friction rounded at first; beside a body that sticks, the rounding shows.
+        A solver needs the corner of dry friction rounded at first, as in the model ``blunt``; beside a sticking body
+        the rounding shows. Stages that the fit has behind it are passed over.
         """
         guesses, best = _corners(fit.model, self.fit.model), fit
         for stage in range(max((len(guess.sharper) for guess in guesses.values()), default=0)):
+            values = {n: blunt.values[n] * prod(guess.sharper[: stage + 1]) for n, guess in guesses.items()}
+            if all(fit.model.values[name] < SAME_WIDTH * width for name, width in values.items()):
+                continue
             steps = fit.steps
             for name, guess in guesses.items():
                 steps = _finer_at_corner(fit, self.data, guess.of, fit.model.values[name], steps)
-            values = {n: fit.model.values[n] * guess.sharper[stage] for n, guess in guesses.items()}
-            start = replace(fit, steps=steps)
+            start, settings = replace(fit, steps=steps), ALONG if fit.outcome.way == FEASIBLE_PATH else AT_A_CORNER
             try:
-                fit = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=AT_A_CORNER)
+                fit = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=settings)
             except PhsiOptError:
                 break
             is_better = deviance(fit) < deviance(best) - CLOSE
@@ -400,7 +411,7 @@ def _finer_at_corner(
     for run, x, n in zip(data.trajectories, fit.states, steps, strict=True):
         v = np.array(formula.map("v", "serial", len(x), [3], [])(x.T, run.u.T, run.t[None, :], theta)).ravel()
         near = (v[1:] * v[:-1] < 0) | (np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < CORNER * width)
-        near = np.convolve(near, np.ones(3), "same") > 0  # the corner may move to the gap beside
+        near = np.convolve(near, np.ones(3))[1:-1] > 0  # the corner may move to the gap beside
         result.append(np.where(near, np.maximum(n, AT_CORNER), n))
     return tuple(result)
 

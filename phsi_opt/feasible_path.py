@@ -22,9 +22,10 @@ from phsi_opt.solver import FEASIBLE_PATH, Outcome, Solution, Solver, at_bounds
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 
-# Falls of -2 log likelihood: that a step promises at the optimum, that three steps together make where it has settled,
-# and the same two where a kink is in the way of every longer step.
+# Falls of -2 log likelihood: that a step promises at the optimum, that the last steps together make where it has
+# settled, and that they make, or one promises, where a kink is in the way of every longer step.
 PROMISED, SETTLED, AT_KINK = 1e-3, 0.05, 0.5
+LAST = 3  # steps that are looked at
 AT_A_KINK = "the likelihood settled at a kink of the model, where no slope vanishes"
 SHORTER, TRIALS = 0.3, 4  # factor by which a step is shortened that leads upwards, and how often
 FIRST_RIDGE, GROWTH, LARGEST_RIDGE = 0.1, 10.0, 1.0  # added to the diagonal of the information where no length will do
@@ -65,14 +66,13 @@ class FeasiblePath:
         began, ridge, length, iteration = time.perf_counter(), 0.0, 1.0, 0
         sentence, failed = "", "no optimum was found along solutions of the model"
         at = self.follow(start, set_to)
-        recent = [np.inf] * 3 + [np.inf if at is None else at.objective]
+        recent = [np.inf] * LAST + [np.inf if at is None else at.objective]
         while at is not None and not sentence and iteration < MAX_ITERATIONS:
             if time.perf_counter() - began > self.max_seconds:
                 failed = "the time limit was reached along solutions of the model"
                 break
             iteration += 1
-            step = self._step(at, ridge, set_to)
-            promise = -float(at.gradient @ step) * self.half
+            step, promise = self._step(at, ridge, set_to)
             if promise < PROMISED:
                 sentence = "a local optimum was found along solutions of the model"
                 break
@@ -83,13 +83,13 @@ class FeasiblePath:
             if new is None:
                 ridge, length = max(GROWTH * ridge, FIRST_RIDGE), 1.0
                 continue
-            at, ridge = new, ridge / GROWTH
-            recent = [*recent[1:], at.objective]
-            gain = 2 * self.half * (recent[0] - recent[-1])
-            if gain < SETTLED:
+            at, recent = new, [*recent[1:], new.objective]
+            gain = 2 * self.half * (recent[0] - at.objective)
+            if gain < SETTLED and ridge == 0:
                 sentence = "the likelihood settled along solutions of the model"
             elif gain < AT_KINK and length < 1:
                 sentence = AT_A_KINK
+            ridge = ridge / GROWTH if ridge > FIRST_RIDGE else 0.0
         z, seconds = start if at is None else at.z, time.perf_counter() - began
         objective, _, g = self.values(z, set_to)
         worst = float(np.max(np.abs(np.array(g)), initial=0.0))
@@ -139,11 +139,18 @@ class FeasiblePath:
                 break
         return x
 
-    def _step(self, at: _Place, ridge: float, set_to: np.ndarray) -> np.ndarray:
-        """The Gauss-Newton step of theta and the states; parameters at a bound do not move out of it."""
+    def _step(self, at: _Place, ridge: float, set_to: np.ndarray) -> tuple[np.ndarray, float]:
+        """The damped Gauss-Newton step of theta and the states, and the fall that the undamped one promises."""
         kkt = self.solver.kkt(at.z, set_to)
         reduced = Reduced(self.grid, self.n_states, kkt.hessian, kkt.jacobian, self.theta, self.x)
-        information = reduced.information + ridge * np.diag(np.diag(reduced.information))
+        step = self._bounded(at, reduced, reduced.information)
+        promise = -float(at.gradient @ step) * self.half
+        if ridge > 0:
+            step = self._bounded(at, reduced, reduced.information + ridge * np.diag(np.diag(reduced.information)))
+        return step, promise
+
+    def _bounded(self, at: _Place, reduced: Reduced, information: np.ndarray) -> np.ndarray:
+        """The step for some information on theta; parameters at a bound do not move out of it."""
         theta, held = at.z[self.theta], np.zeros(len(self.lower), dtype=bool)
         no_offset = np.zeros(self.program.g.numel())
         while True:

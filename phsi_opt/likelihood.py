@@ -3,6 +3,7 @@
 1. Start: parameters by the PHSI loss; states from the data, or, where some are missing, from the missing-force program.
 2. Windows, where the whole record cannot be solved (or where they are asked for): pieces with free starting states.
 3. The whole record, with the noise re-estimated until it stays.
+   Each solve by Gauss-Newton steps, where that fails with the exact Hessian, at last along solutions of the model.
 4. More intervals between samples, where the integration error is visible in the estimates.
 """
 
@@ -19,7 +20,7 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.feasible_path import FeasiblePath
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, between, grid_of, local_errors, steps_of
-from phsi_opt.guesses import resolved
+from phsi_opt.guesses import corners, resolved
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.measurements import Measurements
 from phsi_opt.memory import remembered
@@ -28,7 +29,7 @@ from phsi_opt.model import Model
 from phsi_opt.nlp import Program
 from phsi_opt.noise import difference_noise
 from phsi_opt.one_step import Pruner, chosen, solve_defects
-from phsi_opt.solver import Settings, Solution, Solver
+from phsi_opt.solver import EXACT, FEASIBLE_PATH, GAUSS_NEWTON, WAYS, Settings, Solution, Solver
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 from phsi_opt.work import State, Task
@@ -37,7 +38,12 @@ MOST_STEPS = 64  # intervals between two samples
 REFINEMENTS = 5
 NOISE_ROUNDS = 6
 SUSPICIOUS = 2.0  # residuals over the scatter of neighbouring samples, beyond which a second start is tried
-GAUSS_NEWTON = 30  # iterations after which the exact Hessian takes over: it converges in a few, or not at all
+FIRST = 30  # iterations after which the exact Hessian takes over: it converges in a few, or not at all
+WORDS = {
+    GAUSS_NEWTON: "with the Gauss-Newton Hessian",
+    EXACT: "with the exact Hessian",
+    FEASIBLE_PATH: "along solutions of the model",
+}
 BRIEF = 25  # iterations with the exact Hessian where a solve need not be thorough
 SAME = 0.005  # change of the logarithm of the noise at which its estimate stays
 CLEAN = 0.01  # root mean square residual, over the noise assumed, of data without noise
@@ -46,6 +52,11 @@ WINDOWS = 32  # first windows: this share of the longest record
 GROWTH = 4  # factor by which windows grow
 LONG = 20_000  # nodes from which on a record with gaps is begun through its first part
 SHORTEST = 8  # samples in a window, at least
+
+
+def after(way: str) -> tuple[str, ...]:
+    """The ways to try where a solution like it was found in that way."""
+    return {GAUSS_NEWTON: WAYS, EXACT: (EXACT, FEASIBLE_PATH), FEASIBLE_PATH: (FEASIBLE_PATH, *WAYS[:2])}[way]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +69,8 @@ class Beginning:
     sigma: np.ndarray
     notes: tuple[str, ...] = ()
     steps: tuple[np.ndarray, ...] = ()  # intervals in every gap between samples; empty: one, or what the loss says
-    is_along: bool = False  # whether a solution like it was found along solutions of the model
+    way: str = GAUSS_NEWTON  # how a solution like it was found
+    is_optimum: bool = False  # of this very model, with other steps or measurements: windows would not lead further
     other: "Callable[[], Beginning] | None" = None  # a second one, for the case that this one leads nowhere
 
 
@@ -81,11 +93,11 @@ def by_likelihood(task: Task, loss: MaximumLikelihood, start: Fit | None, prune:
             break
         task.say(f"integration error is visible in the estimates: {max(map(np.max, finer))} steps per sample at most")
         state = replace(
-            solve(state.model, finer, state.theta, state.states, state.sigma, task.l1, exact=state.exact),
+            solve(state.model, finer, state.theta, state.states, state.sigma, task.l1, after(state.way)),
             notes=state.notes,
         )
     steps = steps_of(state.grid)
-    state = prune(state, lambda s, m, theta, l1: solve(m, steps, theta, s.states, s.sigma, l1, exact=s.exact))
+    state = prune(state, lambda s, m, theta, l1: solve(m, steps, theta, s.states, s.sigma, l1, after(s.way)))
     return replace(state, notes=state.notes + _noise_note(state, known))
 
 
@@ -198,7 +210,9 @@ def _from_fit(task: Task, loss: MaximumLikelihood, sigma: np.ndarray, known: np.
     else:
         states = _at_theta(model, grid, unknown, theta, sigma, loss, known)
     steps = start.steps if loss.steps is None and [len(n) + 1 for n in start.steps] == lengths else ()
-    return Beginning(model, theta, states, sigma, (), steps, own and start.outcome.is_along)
+    related = own and start.outcome.success and set(corners(start.model)) <= set(task.model.entries)
+    way = start.outcome.way if related else GAUSS_NEWTON
+    return Beginning(model, theta, states, sigma, (), steps, way, related and set(start.names) == set(unknown.names))
 
 
 def _at_theta(
@@ -245,7 +259,7 @@ def _moved_starts(begin: Beginning, task: Task, loss: MaximumLikelihood, known: 
         states = begin.x
         with suppress(SolveError):  # far from the data there may be no states; then those of the first start
             states = _at_theta(begin.model, grid, unknown, moved, begin.sigma, loss, known)
-        starts.append(replace(begin, theta=moved, x=states))
+        starts.append(replace(begin, theta=moved, x=states, way=GAUSS_NEWTON, is_optimum=False))
     return starts
 
 
@@ -264,16 +278,16 @@ def _best(states: list[State], begin: Beginning) -> State:
 
 def on_record(
     model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], loss: MaximumLikelihood,
-    steps: Sequence[np.ndarray], is_along: bool = False,
+    steps: Sequence[np.ndarray], way: str = GAUSS_NEWTON,
 ) -> State | None:  # fmt: skip
     """The likelihood of a record with its states, and what is still free in ``model``, unknown; None: no success.
 
     ``sigma``: the known noise per state; ``x``: states at the samples to start from; ``steps``: in their gaps;
-    ``is_along``: whether the model's own fit was found along its solutions.
+    ``way``: how the model's own fit was found.
     """
     task = Task(model, data, {}, None, Settings(max_iterations=60, thorough=False), lambda line: None)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
-    begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps), is_along)
+    begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps), way)
     state = _Solve(task, loss, np.zeros(model.n_states, dtype=bool)).staged(begin)
     return state if state.solution.outcome.success else None
 
@@ -294,29 +308,32 @@ class _Solve:
         task, loss = self.task, self.loss
         steps = list(begin.steps) or [np.full(run.n_samples - 1, loss.steps or 1) for run in task.data.trajectories]
 
-        def solve(b: Beginning, window: float | None, exact: bool = False) -> State:
-            return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, window, exact, begin.is_along)
+        def solve(b: Beginning, ways: tuple[str, ...], window: float | None = None) -> State:
+            return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, ways, window)
 
         longest = max(float(run.t[-1] - run.t[0]) for run in task.data.trajectories)
+        ways = after(begin.way)
         if loss.window is None:
-            state = solve(begin, None)
-            if state.solution.outcome.success or not task.settings.thorough:
+            through_windows = task.settings.thorough and not begin.is_optimum
+            # Far from the optimum it is the windows that lead there; along solutions there may be others on the way.
+            is_last_resort = through_windows and ways[0] != FEASIBLE_PATH
+            state = solve(begin, tuple(w for w in ways if not is_last_resort or w != FEASIBLE_PATH))
+            if state.solution.outcome.success or not through_windows:
                 return state
             task.say("the whole record could not be solved; going through windows")
-        window, exact = loss.window or longest / WINDOWS, False
+        window = loss.window or longest / WINDOWS
         while window < longest:
-            state = solve(begin, window, exact)
-            exact = state.exact
+            state = solve(begin, ways, window)
             if state.solution.outcome.success:
-                begin = replace(begin, theta=state.theta, x=state.states, sigma=state.sigma)
+                begin, ways = replace(begin, theta=state.theta, x=state.states, sigma=state.sigma), after(state.way)
             window *= GROWTH
-        return solve(begin, None, exact)
+        return solve(begin, ways)
 
     def __call__(
         self, model: Model, steps: list[np.ndarray], theta: np.ndarray, x: tuple[np.ndarray, ...], sigma: np.ndarray,
-        l1: dict[str, float], window: float | None = None, exact: bool = False, is_along: bool = False,
+        l1: dict[str, float], ways: tuple[str, ...] = WAYS, window: float | None = None,
     ) -> State:  # fmt: skip
-        """Solve from ``theta`` and the states ``x`` at the samples."""
+        """Solve from ``theta`` and the states ``x`` at the samples; the next of the ``ways`` where one fails."""
         task, loss = self.task, self.loss
         grid = grid_of(task.data, steps)
         unknown = Theta.of(model, task.runs)
@@ -325,14 +342,15 @@ class _Solve:
         if window is not None:
             grid = cut(grid, window)
         program = loss.program(model, grid, point, l1, sigma, unknown)
-        ways, z = self.ways(program, model, grid, unknown, exact, is_along), program.start
-        _, solver = next(ways)
+        left, z = self.solvers(program, model, grid, unknown, ways), program.start
+        way, solver = next(left)
         for _ in range(NOISE_ROUNDS if self.estimated.any() else 1):
             solution = solver.solve(z, sigma, raise_on_failure=False)
-            while not solution.outcome.success and (further := next(ways, None)) is not None:
-                task.say(f"not solved ({solution.outcome.status}); again {further[0]}")
-                exact, solver = True, further[1]
-                solution = solver.solve(z, sigma, raise_on_failure=False)
+            while not solution.outcome.success and (further := next(left, None)) is not None:
+                task.say(f"not solved ({solution.outcome.status}); again {WORDS[further[0]]}")
+                other = further[1].solve(z, sigma, raise_on_failure=False)
+                if other.outcome.success or further[0] != FEASIBLE_PATH:  # of two failures IPOPT's says more
+                    (way, solver), solution = further, other
             where = "" if window is None else f" in windows of {window:.3g}"
             task.say(f"maximum likelihood, {len(theta)} parameters, {nodes.size} states{where}: {solution.outcome}")
             solution = _clean(solution)
@@ -347,31 +365,25 @@ class _Solve:
             if alike or np.max(np.abs(change)) < SAME:
                 solution = solver.at(solution, sigma)
                 break
-        return State(task, loss, model, grid, unknown, point, program, solution, l1, sigma, exact=exact)
+        return State(task, loss, model, grid, unknown, point, program, solution, l1, sigma, way=way)
 
-    def ways(
-        self, program: Program, model: Model, grid: Grid, unknown: Theta, exact: bool, is_along: bool
+    def solvers(
+        self, program: Program, model: Model, grid: Grid, unknown: Theta, ways: tuple[str, ...]
     ) -> Iterator[tuple[str, Solver | FeasiblePath]]:
-        """The ways to solve a program, each made when the one before has failed, and what is new about it.
+        """What solves the program in each of the ways that the settings allow, made when it is asked for.
 
-        The one along solutions of the model comes first where that is how a solution like it was found.
+        With windows or slack variables nothing can be solved along the model; the exact Hessian stands in.
         """
         settings = self.task.settings
-        quick = replace(settings, max_iterations=min(GAUSS_NEWTON, settings.max_iterations))
+        quick = replace(settings, max_iterations=min(FIRST, settings.max_iterations))
         full = settings if settings.thorough else replace(quick, max_iterations=BRIEF)
-        is_whole = grid.n_nodes - grid.n_intervals == len(grid.first)
-        has_path = "along" in settings.ways and is_whole and set(program.variables) == {"theta", "x"}
-        along = "along solutions of the model"
-        if has_path and is_along:
-            yield along, FeasiblePath(program, model, grid, unknown, self.loss, settings.max_seconds)
-            if not settings.thorough:
-                return
-        if not exact:
-            yield "with the Gauss-Newton Hessian", Solver(program, quick)
-        if exact or "exact" in settings.ways:
-            yield "with the exact Hessian", Solver(program, full, exact=True)
-        if has_path and not is_along:
-            yield along, FeasiblePath(program, model, grid, unknown, self.loss, settings.max_seconds)
+        has_path = grid.n_nodes - grid.n_intervals == len(grid.first) and set(program.variables) == {"theta", "x"}
+        allowed = [way for way in ways if way in settings.ways] or list(settings.ways)
+        for way in dict.fromkeys(EXACT if way == FEASIBLE_PATH and not has_path else way for way in allowed):
+            if way == FEASIBLE_PATH:
+                yield way, FeasiblePath(program, model, grid, unknown, self.loss, settings.max_seconds)
+            else:
+                yield way, Solver(program, full if way == EXACT else quick, exact=way == EXACT)
 
 
 def _clean(solution: Solution) -> Solution:

@@ -116,7 +116,7 @@ class _Line:
     def __init__(self, fit: Fit, data: Measurements, name: str, say: Callable[[str], None]) -> None:
         self.data, self.name, self.say = data, name, say
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
-        self.loss, self.steps = options(fit), steps_on(fit, data)
+        self.loss, self.steps, self.way = options(fit), steps_on(fit, data), fit.outcome.way
         model = fit.model
         states = fit.states
         if [len(x) for x in states] != [run.n_samples for run in data.trajectories]:
@@ -135,7 +135,7 @@ class _Line:
         self.points, self.states = {self.value: 0.0}, {self.value: best}
 
     def _solved(self, model: Model, x: Sequence[np.ndarray]) -> State | None:
-        return on_record(model, self.data, self.sigma, x, self.loss, self.steps)
+        return on_record(model, self.data, self.sigma, x, self.loss, self.steps, self.way)
 
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held; started from the nearest point known."""

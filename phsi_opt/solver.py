@@ -58,9 +58,10 @@ MEANINGS = {
 }
 
 
-# With the Gauss-Newton Hessian, with the exact one, along solutions of the model (`feasible_path`).
-WAYS = ("gauss-newton", "exact", "along")
-FEASIBLE_PATH = "Feasible_Path"  # the status of what was solved along solutions of the model instead
+# Ways to solve a likelihood: by IPOPT with either Hessian, or along solutions of the model (`feasible_path`), which is
+# also the status of what was solved so.
+GAUSS_NEWTON, EXACT, FEASIBLE_PATH = "gauss-newton", "exact", "Feasible_Path"
+WAYS = (GAUSS_NEWTON, EXACT, FEASIBLE_PATH)
 
 # Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over the last `SETTLING` of them the
 # logarithm of the objective, times the number of residuals (a change of -2 log likelihood), stays within this, and the
@@ -99,9 +100,9 @@ class Outcome:
     at_bounds: tuple[str, ...] = ()
 
     @property
-    def is_along(self) -> bool:
-        """Whether it was found along solutions of the model."""
-        return self.status == FEASIBLE_PATH
+    def way(self) -> str:
+        """How a solution like it is to be sought first: one of `WAYS`."""
+        return FEASIBLE_PATH if self.success and self.status == FEASIBLE_PATH else GAUSS_NEWTON
 
     def __str__(self) -> str:
         text = f"{self.sentence} ({self.status}, {self.iterations} iterations, {self.seconds:.2f} s)"

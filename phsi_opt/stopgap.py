@@ -191,7 +191,7 @@ def _along(function: ca.Function, x: np.ndarray, u: np.ndarray, t: np.ndarray, t
 
 def _record(fit: Fit, data: Measurements, estimate: ForceEstimate, equation: str, on: tuple[str, ...]) -> Record:
     """Variables, missing force and the physics' columns d rhs_i / d theta in the middle of every interval."""
-    model, grid = fit.model, estimate.grid
+    model, grid = fit.model.with_values(estimate.rounded), estimate.grid
     row = model.index(equation, "equation of a learned force")
     if row not in estimate.prior.rows:
         raise ModelError(f"d{equation}/dt is kinematics and lacks no force; learn it in the equation of a momentum.")

@@ -18,7 +18,7 @@ from phsi_opt.measurements import Measurements
 from phsi_opt.model import Model
 from phsi_opt.nlp import Program
 from phsi_opt.pruning import Pruning
-from phsi_opt.solver import Settings, Solution
+from phsi_opt.solver import GAUSS_NEWTON, Settings, Solution
 from phsi_opt.theta import Theta
 
 BEYOND = 1e-3  # standard deviations that a slack must take over before its residual counts as cut
@@ -60,7 +60,7 @@ class State:
     sigma: np.ndarray
     removed: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    exact: bool = False  # whether it took the exact Hessian
+    way: str = GAUSS_NEWTON  # how it was solved
 
     @property
     def theta(self) -> np.ndarray:

@@ -215,6 +215,16 @@ def test_what_no_known_effect_explains_is_called_so_and_the_nearest_is_told() ->
     assert "no known effect explains it all" in found.reason or "no effect of the catalogue" in found.reason
 
 
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(n: int) -> None:
+    fit = ph.identify(base(), measured(truth(), seed=0))
+    v = np.array([0.5, -0.5, -0.5, -0.5, -0.5])[:n]
+    runs = ph.Measurements.from_arrays([T[:n]], [np.column_stack([v, v])], states=["q", "p"])
+    part = replace(fit, states=(np.column_stack([v, v]),))
+    (steps,) = diagnosing._finer_at_corner(part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),))
+    assert steps.tolist() == [8, 8, 1, 1][: n - 1]
+
+
 @pytest.mark.parametrize(("leaves_noise", "first"), [(True, "stribeck friction"), (False, "coulomb friction")])
 def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
     drag: tuple[ph.Fit, ph.Measurements, Screen], leaves_noise: bool, first: str, monkeypatch: pytest.MonkeyPatch

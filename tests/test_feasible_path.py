@@ -9,7 +9,7 @@ import phsi_opt as ph
 from phsi_opt import likelihood
 from phsi_opt.feasible_path import FeasiblePath
 from phsi_opt.grid import grid_of
-from phsi_opt.solver import Settings, Solver
+from phsi_opt.solver import EXACT, FEASIBLE_PATH, Settings, Solver
 from phsi_opt.start import point_at
 from phsi_opt.theta import Theta
 
@@ -99,10 +99,29 @@ def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
     start = replace(wide, model=wide.model.with_values({"v0": 0.002}))
     brief = Settings(thorough=False)
     fit = ph.identify(model, data, loss, start=start, settings=brief, progress=lines.append)
-    assert fit.outcome.is_along and any("again along solutions of the model" in line for line in lines)
+    assert fit.outcome.way == FEASIBLE_PATH and any("again along solutions of the model" in line for line in lines)
     for name, value in (("f", FRICTION), ("c", DAMPING)):
         assert abs(fit.estimates[name] - value) < 4 * fit.std_errors[name]
     assert fit.noise["q"] == pytest.approx(NOISE, rel=0.15)
+
+
+def test_where_all_fails_ipopt_says_why() -> None:
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    with pytest.raises(ph.SolveError, match=r"the time limit was reached; .*Maximum_WallTime"):
+        ph.identify(model, measured(0.3), settings=Settings(max_seconds=1e-6, thorough=False))
+
+
+def test_ways_that_the_settings_leave_out_are_not_taken() -> None:
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    data = measured(0.3)
+    for way, status in ((FEASIBLE_PATH, "Feasible_Path"), (EXACT, "Solve_Succeeded")):
+        fit = ph.identify(model, data, settings=Settings(ways=(way,)))
+        assert (fit.outcome.success, fit.outcome.status) == (True, status)
+        assert abs(fit.estimates["f"] - FRICTION) < 4 * fit.std_errors["f"]
+    # Huber's outliers are slack variables: nothing can be solved along the model, the exact Hessian stands in.
+    loss = ph.MaximumLikelihood(huber=1.345)
+    fit = ph.identify(model, data, loss, settings=Settings(ways=(FEASIBLE_PATH,)))
+    assert (fit.outcome.success, fit.outcome.status) == (True, "Solve_Succeeded")
 
 
 def test_a_fit_along_solutions_is_compared_along_solutions(monkeypatch: pytest.MonkeyPatch) -> None:
