@@ -485,7 +485,7 @@ def finer_steps(state: State) -> list[np.ndarray] | None:
     covariance = inverse(state.reduced.information, held)
     theta, x = state.reduced.respond(scaled.ravel(), covariance)
     # In standard errors of the direction in which it is largest: many small shifts of one sign add up.
-    moved = np.sqrt(max(float(theta @ np.linalg.solve(covariance, theta)), 0.0)) if len(theta) else 0.0
+    moved = np.sqrt(max(float(theta @ state.reduced.information @ theta), 0.0))
     shown = (x.reshape(grid.y.shape) * state.point.x_scale / state.sigma)[grid.measured]
     visible = max(moved, float(np.sqrt(np.mean(shown**2))))
     if visible < VISIBLE and not lost.any():
