@@ -1,5 +1,6 @@
 """Pictures of comparisons, missing forces and histories; each takes ``ax`` and says in its title what to see."""
 
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from phsi_opt.profile import Profile
 
 MEASURED, MODEL, FLOOR = "0.55", "C0", "C2"
+PER_INCH = 10  # letters of a label
 
 
 def plot_comparison(comparison: "Comparison", ax: Axes | None = None, trajectory: int = 0) -> Axes:
@@ -92,12 +94,17 @@ def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") 
     if np.isfinite(history["held_out_rmse"]).any():
         ax.plot(steps, history["held_out_rmse"], "o-", color=MODEL, label="held out")
     ax.plot(steps, history["noise_floor"], ":", color=FLOOR, label="noise floor", marker="_", ms=14)
-    ax.set_xticks(steps, [("" if i == 0 else "+ ") + str(name) for i, name in enumerate(history["effect"])])
+    width = max(int(PER_INCH * ax.get_window_extent().width / ax.figure.dpi / len(steps)), 8)
+    ax.set_xticks(steps, [fill(_change(i, str(name)), width) for i, name in enumerate(history["effect"])])
     ax.set(ylabel=_label("free-run rmse", unit), title="Free-run error after each added effect")
     ax.set_ylim(0, 1.25 * float(np.nanmax(history[["train_rmse", "held_out_rmse", "noise_floor"]].to_numpy())))
     ax.margins(x=0.2)
     ax.legend(frameon=False)
     return ax
+
+
+def _change(step: int, label: str) -> str:
+    return label if step == 0 or label.startswith("without ") else f"+ {label}"
 
 
 def _axes(ax: Axes | None, size: tuple[float, float]) -> Axes:

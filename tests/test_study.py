@@ -1,6 +1,7 @@
 """The loop, from a hidden effect to a better model: comparison, diagnosis, study, effects, pictures."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -15,6 +16,7 @@ from friction_spring import CSV, TIMES, table
 
 import phsi_opt as ph
 from phsi_opt.effects import effect_named
+from phsi_opt.plotting import plot_history
 
 HISTORY = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"]
 CANDIDATES = ["effect", "slot", "equation", "coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]
@@ -169,6 +171,15 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(hidden: ph.Study, tm
     assert hidden.compare().plot(ax) is ax
     assert hidden.diagnose().plot().get_xlabel() == "t (s)"
     assert "m" in hidden.plot_history().get_ylabel()
+    plt.close("all")
+    effects = ["base model", "coulomb friction on p and sensor delay on q", "without drag"]
+    errors = {"train_rmse": 1.0, "held_out_rmse": 1.0, "noise_floor": 0.5, "bic": 0.0}
+    long = pd.DataFrame({"step": [0, 1, 2], "effect": effects, **errors})
+    axes = plot_history(long)
+    axes.figure.canvas.draw()
+    boxes = [label.get_window_extent() for label in axes.get_xticklabels()]
+    assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+    assert axes.get_xticklabels()[2].get_text() == "without drag"
     plt.close("all")
     text = hidden.report(tmp_path / "study.md").read_text(encoding="utf-8")
     assert "coulomb friction on p" in text and "noise floor" in text
