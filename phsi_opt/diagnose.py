@@ -188,7 +188,7 @@ class _Work:
         known = own.with_values({name: value for name, value in beside.items() if name in own.entries})
         steps = tuple(finer * n for n in self.fit.steps)
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
-        settings = DRY if corners(model) else QUICK
+        settings = DRY if _corners(model, own) or self.fit.outcome.way == FEASIBLE_PATH else QUICK
         is_long = model.n_states * sum(int(n.sum()) for n in steps) > LONG
         attempts = [(known, self.loss), (own, self.loss)] if beside else [(own, self.loss)]
         window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
