@@ -57,7 +57,7 @@ CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 # that fall between samples make the likelihood rough.
 WORSE = 4.0
 SURE = 1  # number of the first stage of sharpening that is the last one unless it is clearly better
-LONG = 10_000  # states beyond which a re-fit that fails is not begun again
+LONG = 10_000  # states beyond which a re-fit that fails is not begun again, and none begins at a sharp corner
 PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
 CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
 
@@ -189,15 +189,18 @@ class _Work:
         steps = tuple(finer * n for n in self.fit.steps)
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
         settings = DRY if _corners(model, own) or self.fit.outcome.way == FEASIBLE_PATH else QUICK
-        is_long = model.n_states * sum(int(n.sum()) for n in steps) > LONG
         attempts = [(known, self.loss), (own, self.loss)] if beside else [(own, self.loss)]
         window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
-        attempts = attempts[:1] if is_long else [*attempts, (own, replace(self.loss, window=window))]
+        attempts = attempts[:1] if self.is_long(model, finer) else [*attempts, (own, replace(self.loss, window=window))]
         for begin, loss in attempts[:-1]:
             with suppress(PhsiOptError):
                 return identify(model, data, loss, start=replace(start, model=begin), settings=settings)
         begin, loss = attempts[-1]
         return identify(model, data, loss, start=replace(start, model=begin), settings=settings)
+
+    def is_long(self, model: Model, finer: int) -> bool:
+        """Whether a re-fit of the model takes so long that it gets one attempt."""
+        return model.n_states * finer * sum(int(n.sum()) for n in self.fit.steps) > LONG
 
     def extended(self, model: Model, finer: int, others: Sequence[Fit]) -> Fit | None:
         """The re-fit from the best of the ``others`` that the model extends; None: there is none, or it gains nothing.
@@ -205,7 +208,7 @@ class _Work:
         Only dry friction whose corner is sharp: beside it a solver cannot begin anew.
         """
         smaller = [o for o in others if o.outcome.way == FEASIBLE_PATH and set(o.model.entries) < set(model.entries)]
-        if not smaller:
+        if not smaller or self.is_long(model, finer):
             return None
         old = min(smaller, key=deviance)
         widths = {guess.of: old.model.values[name] for name, guess in _corners(old.model, self.fit.model).items()}
