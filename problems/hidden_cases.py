@@ -29,6 +29,7 @@ from hidden_truth import (
     Hidden,
     Machine,
     Moment,
+    RunawayError,
     force_of,
     measured,
     simulate,
@@ -470,7 +471,10 @@ def draw(row: Row, seed: int) -> Case:
         noise = float(rng.choice(row.noise))
         loudest = min(LOUDEST, OF_SIGNAL / noise)
         target = float(_log_uniform(rng, QUIETEST, loudest))
-        case = made(row, seed, rng, Aim(noise, target, QUIETEST if attempt < PATIENCE else FAINTEST))
+        try:
+            case = made(row, seed, rng, Aim(noise, target, QUIETEST if attempt < PATIENCE else FAINTEST))
+        except RunawayError:
+            continue
         if case is not None:
             return case
     raise ArithmeticError(f"row {row.name!r}, seed {seed}: no experiment shows the effect in {ATTEMPTS} attempts.")

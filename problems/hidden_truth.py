@@ -8,6 +8,7 @@ Arrays of states are (..., n_trajectories, 2 n_masses + memory): positions, mome
 axes too, so that variations of a machine are integrated together.
 """
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -163,6 +164,10 @@ def _limit(size: float, shape: Mapping[str, float]) -> float:
     return (1 - size) * shape["largest"]
 
 
+class RunawayError(ArithmeticError):
+    """The machine leaves every bound, as beyond the top of a softening spring: no experiment to learn from."""
+
+
 def force_of(hidden: Hidden, moment: Moment) -> Array | float:
     """The force of a hidden effect at a moment."""
     return {**FORCES, **OUTSIDE}[hidden.name](hidden.size, hidden.shape, moment)
@@ -211,24 +216,27 @@ def simulate(
 def _tightly(rates: Callable[[float, Array], Array], x0: Array, times: Array) -> Array:
     largest = float(np.max(np.diff(times)))  # no pulse, kink or step of the input is passed over
     options = {"method": "LSODA", "t_eval": times, "rtol": RTOL, "atol": RTOL * np.abs(x0).max(), "max_step": largest}
-    solved = solve_ivp(rates, (times[0], times[-1]), x0, **options)
-    if not solved.success:
-        raise ArithmeticError(f"a machine could not be simulated: {solved.message}")
+    with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # LSODA's own words about a machine that runs away
+        solved = solve_ivp(rates, (times[0], times[-1]), x0, **options)
+    if not solved.success or not np.isfinite(solved.y).all():
+        raise RunawayError(f"a machine could not be simulated to t = {times[-1]:.6g}: {solved.message}")
     return solved.y.T
 
 
 def _quickly(rates: Callable[[float, Array], Array], x: Array, times: Array, steps: int) -> Array:
     """Four stages per step; the last a little before its end, where an input that is held has not yet jumped."""
     found = [x]
-    for begin, end in pairwise(times):
-        h = (end - begin) / steps
-        for k in range(steps):
-            t = begin + k * h
-            k1 = rates(t + 1e-6 * h, x)
-            k2 = rates(t + h / 2, x + h / 2 * k1)
-            k3 = rates(t + h / 2, x + h / 2 * k2)
-            x = x + h / 6 * (k1 + 2 * (k2 + k3) + rates(t + h - 1e-6 * h, x + h * k3))
-        found.append(x)
+    with np.errstate(over="ignore", invalid="ignore"):  # a size that is too large by far is only told to be so
+        for begin, end in pairwise(times):
+            h = (end - begin) / steps
+            for k in range(steps):
+                t = begin + k * h
+                k1 = rates(t + 1e-6 * h, x)
+                k2 = rates(t + h / 2, x + h / 2 * k1)
+                k3 = rates(t + h / 2, x + h / 2 * k2)
+                x = x + h / 6 * (k1 + 2 * (k2 + k3) + rates(t + h - 1e-6 * h, x + h * k3))
+            found.append(x)
     return np.array(found)
 
 

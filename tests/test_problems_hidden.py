@@ -105,6 +105,15 @@ def test_a_case_depends_on_row_and_seed_alone(name: str) -> None:
     )
 
 
+def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
+    from hidden_cases import ROWS, draw
+    from hidden_truth import RunawayError
+
+    with pytest.raises(RunawayError, match="could not be simulated"):
+        _free_fall_of_one_mass(quadratic_stiffness=-5.0)  # over the top of a spring that softens
+    assert draw(ROWS["quadratic_stiffness_0.03"], 3).truths[0].effect == "quadratic stiffness"  # its first one does
+
+
 def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_has_no_misfit() -> None:
     from hidden_cases import ROWS, draw
     from hidden_effects import DETECTED, floor, misfit
