@@ -41,6 +41,7 @@ from phsi_opt.measurements import Measurements
 from phsi_opt.missing import ForceEstimate
 from phsi_opt.model import Model
 from phsi_opt.pairs import pairs
+from phsi_opt.record import matrix_of, shown
 from phsi_opt.screen import Screen, Screened
 from phsi_opt.solver import EXACT, FEASIBLE_PATH, GAUSS_NEWTON, WAYS, Settings
 from phsi_opt.terms import Share
@@ -64,6 +65,8 @@ CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samp
 # A candidate that takes more is hardly the one.
 QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=(GAUSS_NEWTON, EXACT))
 DRY = replace(QUICK, max_seconds=120.0, ways=WAYS)
+STRAYED = 0.5  # noise deviations between a fit's states and its free run, from which its steps are made finer
+FOLLOWING = replace(QUICK, thorough=True)
 SAME_WIDTH = 1.01  # factor up to which two widths of a corner are the same
 A_LITTLE = 0.1  # share of its expected size with which a further effect begins beside a sharp corner
 # Beside a sharp corner IPOPT converges at once or not at all.
@@ -154,9 +157,9 @@ class _Work:
 
     def refit(
         self, effects: Sequence[Effect], values: dict[str, float], beside: dict[str, float] | None = None,
-        rival: Fit | None = None, others: Sequence[Fit] = (),
+        rival: Fit | None = None, others: Sequence[Fit] = (), is_likely: bool = False,
     ) -> tuple[Fit, Comparison, Comparison, Fit | None] | None:  # fmt: skip
-        """The fit with the effects and its comparisons.
+        """The fit with the effects and its comparisons; what ``is_likely`` is solved in every way there is.
 
         It begins at the states of the missing-force estimate, the base's parameters at the values ``beside``, or at one
         of the ``others`` that has part of these effects, among them dry friction on a body that sticks. Dry friction
@@ -171,16 +174,32 @@ class _Work:
         try:
             new, blunt = self.extended(model, finer, others), None
             if new is None:
-                new = blunt = self.begun(model, finer, beside or {})
+                new = blunt = self.begun(model, finer, beside or {}, is_likely)
                 if rival is None or delta_bic(rival, new, 1.0) < -CLOSE:
                     new = self.sharpened(new, model)
-            trained = _compared(new, self.data, self.estimate)
+            new, trained = self.followed(new)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained, blunt
         except PhsiOptError as error:
             self.say(f"not re-fitted: {error}")
             return None
 
-    def begun(self, model: Model, finer: int, beside: dict[str, float]) -> Fit:
+    def followed(self, fit: Fit) -> tuple[Fit, Comparison]:
+        """The fit and its comparison on the training record; with finer steps where the free run leaves its states.
+
+        Steps as long as the samples are too long for a sharp corner, and for the fast part of a short memory.
+        """
+        trained = _compared(fit, self.data, self.estimate)
+        n_states = sum(int(n.sum()) for n in fit.steps) * fit.model.n_states
+        if is_adequate(trained) or _strays(fit, trained) < STRAYED or n_states > LONG:
+            return fit, trained
+        with suppress(PhsiOptError):
+            finer = identify(fit.model, self.data, self.loss, start=fit, settings=FOLLOWING)
+            again = _compared(finer, self.data, self.estimate)
+            if again.rmse < trained.rmse:
+                return finer, again
+        return fit, trained
+
+    def begun(self, model: Model, finer: int, beside: dict[str, float], is_likely: bool = False) -> Fit:
         """The brief re-fit of a larger model, from the base's values ``beside``, else its own, else through windows."""
         grid, data, own = self.estimate.grid, self.data, self.fit.model
         channels = zip(own.states, self.estimate.sigma, strict=True)
@@ -188,7 +207,8 @@ class _Work:
         known = own.with_values({name: value for name, value in beside.items() if name in own.entries})
         steps = tuple(finer * n for n in self.fit.steps)
         start = replace(self.fit, states=grid.split(self.estimate.x), noise=noise, steps=steps)
-        settings = DRY if _corners(model, own) or self.fit.outcome.way == FEASIBLE_PATH else QUICK
+        is_hard = _corners(model, own) or self.fit.outcome.way == FEASIBLE_PATH
+        settings = DRY if is_hard or is_likely else QUICK
         attempts = [(known, self.loss), (own, self.loss)] if beside else [(own, self.loss)]
         window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
         attempts = attempts[:1] if self.is_long(model, finer) else [*attempts, (own, replace(self.loss, window=window))]
@@ -265,7 +285,8 @@ class _Work:
             is_worth = is_failing or one.p_value * len(found) < WORTH_A_FIT
             if behind or expected > HOPELESS * enough or not is_worth:
                 break
-            new, blunt = self.refitted(candidate, one, best, [c.fit for c in result if c.fit is not None])
+            others = [c.fit for c in result if c.fit is not None]
+            new, blunt = self.refitted(candidate, one, best, others, is_likely=candidate is rows[0][0])
             result.append(new)
             if new.trained is not None and is_adequate(new.trained):
                 enough, promised, blunt = min(enough, expected), max(promised, screen.score(one)), new.fit
@@ -274,11 +295,11 @@ class _Work:
         return self.ranked(result)
 
     def refitted(
-        self, candidate: Candidate, screened: Screened, rival: Fit | None, others: Sequence[Fit]
+        self, candidate: Candidate, screened: Screened, rival: Fit | None, others: Sequence[Fit], is_likely: bool
     ) -> tuple[Candidate, Fit | None]:
         """The candidate with its re-fit, and the fit before dry friction is sharpened."""
         self.say(f"re-fitting with {candidate.effect}")
-        result = self.refit([candidate.effect], candidate.values, screened.beside, rival, others)
+        result = self.refit([candidate.effect], candidate.values, screened.beside, rival, others, is_likely)
         if result is None:
             return candidate, None
         new, trained, comparison, blunt = result
@@ -398,6 +419,14 @@ def _is_dry(effect: Effect) -> bool:
 
 def _compared(fit: Fit, data: Measurements, estimate: ForceEstimate) -> Comparison:
     return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
+
+
+def _strays(fit: Fit, trained: Comparison) -> float:
+    """Root mean square distance of the free run from the states of the fit, in standard deviations of the noise."""
+    seen = shown(fit.model, trained.data, fit.states, matrix_of(fit.model, trained.values))
+    triples = zip(trained.shown, seen, trained.data.trajectories, strict=True)
+    apart = [((run - x) / trained.noise)[np.isfinite(of.x)] for run, x, of in triples]
+    return float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
 
 
 def _corners(model: Model, base: Model) -> dict[str, Share]:

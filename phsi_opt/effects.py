@@ -28,7 +28,8 @@ SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.45)  # of the largest velocity: Stribeck
 PLAYS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest position: play, yield, clipping
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of the largest position: displacement over which a hysteresis yields
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)  # of the largest level or value: overflow, clipping
-INPUTS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the largest input: dead zone, saturation
+DEAD_ZONES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)  # of the largest input
+SATURATIONS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98)  # of the largest input
 ALL = 1.0  # of the largest value: no rim, play or limit beyond it does anything
 MUCH = 3.0  # the same for the speed over which Stribeck's friction falls: beyond it is Coulomb's
 DELAYS = (
@@ -261,9 +262,9 @@ def _paths(u: str, p: str) -> Iterator[tuple[str, Dictionary, dict[str, Dictiona
 
     dead, limit = f"dead_zone_{u}_{p}", f"saturation_{u}_{p}"
     yield "input gain", _term(f"{gain}*{u}", f"input_gain_{u}_{p}"), {}
-    yield "input dead zone", formula(f"-{gain}*min(max({u}, -{dead}), {dead})", dead, u, INPUTS), {}
+    yield "input dead zone", formula(f"-{gain}*min(max({u}, -{dead}), {dead})", dead, u, DEAD_ZONES), {}
     beyond = f"-{gain}*({u} - min(max({u}, -{limit}), {limit}))"
-    yield "input saturation", formula(beyond, limit, u, INPUTS), {}
+    yield "input saturation", formula(beyond, limit, u, SATURATIONS), {}
     lag, lagged = f"lag_{u}_{p}", f"{u}_lagged_{p}"
     late = Dictionary((Term(f"{gain}*({lagged} - {u})", None, {}),))
     yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", (0.25, *DELAYS), np.inf, "s")}

@@ -35,6 +35,9 @@ from phsi_opt.uncertainty import inverse
 from phsi_opt.work import State, Task
 
 MOST_STEPS = 64  # intervals between two samples
+# The memory that a trajectory begins with is free; that of a short delay fades within a few samples. With coarse steps
+# there it could take values far off for the sake of the first residuals, and a simulation from them would go astray.
+FADING, AT_START = 4, 16
 REFINEMENTS = 5
 NOISE_ROUNDS = 6
 SUSPICIOUS = 2.0  # residuals over the scatter of neighbouring samples, beyond which a second start is tried
@@ -307,6 +310,7 @@ class _Solve:
         """The whole record, through windows where it needs them."""
         task, loss = self.task, self.loss
         steps = list(begin.steps) or [np.full(run.n_samples - 1, loss.steps or 1) for run in task.data.trajectories]
+        steps = [_fading(n) for n in steps] if begin.model.memory else steps
 
         def solve(b: Beginning, ways: tuple[str, ...], window: float | None = None) -> State:
             return self(b.model, steps, b.theta, b.x, b.sigma, task.l1, ways, window)
@@ -469,6 +473,11 @@ def _noise_note(state: State, known: np.ndarray) -> tuple[str, ...]:
 
 
 # ---- steps between the samples ---------------------------------------------------------------------------------------
+
+
+def _fading(steps: np.ndarray) -> np.ndarray:
+    """The steps of a trajectory, many at its start, where what nobody knows of an effect's memory fades."""
+    return np.where(np.arange(len(steps)) < FADING, np.maximum(steps, AT_START), steps)
 
 
 def finer_steps(state: State) -> list[np.ndarray] | None:

@@ -52,7 +52,7 @@ BACK = 4  # steps of Newton's method to states that obey the model, at most
 OBEYED, NEARLY = 1e-4, 1e-2  # defects, as shares of those at the missing force's states: none; few enough
 ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
 ROUNDS = 2  # of finer values around the best one of a scan
-COARSE = 24  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
+COARSE = 30  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
 KEPT = 20_000  # rows of every trace scanned that are kept, for the pairs
 EXACT = 8  # best frequencies that are worked out exactly
 
@@ -263,7 +263,8 @@ class Screen:
         """The frequency whose waves explain most.
 
         The correlation of a wave's trace with the residuals needs no trace, only the residuals' adjoint: a Fourier
-        sum. The size of the trace changes slowly with the frequency and is interpolated. The best few are exact.
+        sum. The size of the trace is interpolated, between more frequencies where the resonances are. The best few
+        peaks are exact.
         """
         name, n, grid = trial.frequency, self.n_theta, self.grid
         assert name is not None
@@ -274,10 +275,11 @@ class Screen:
             power = (adjoint * still).reshape(grid.n_intervals, -1).sum(axis=1)
             middle = grid.t[grid.begin] + grid.h / 2
             against = np.abs(_fourier(middle, power, tried)) ** 2
-            coarse = tried[np.unique(np.linspace(0, len(tried) - 1, COARSE).astype(int))]
+            even, dense = np.linspace(0, len(tried) - 1, COARSE), np.geomspace(1, len(tried), COARSE) - 1
+            coarse = tried[np.unique(np.concatenate([even, dense]).astype(int))]
             sizes = np.sum(self._wave_traces(columns, name, coarse) ** 2, axis=(0, 2))
             size = np.exp(np.interp(tried, coarse, np.log(np.maximum(sizes, 1e-300))))
-            tried = tried[np.argsort(-against / size)[:EXACT]]
+            tried = tried[_peaks(against / size)[:EXACT]]
         traces = self._wave_traces(columns, name, tried)
         drops = [self._regression(trial, traces[:, i])[1] for i in range(len(tried))]
         return float(tried[int(np.argmax(drops))])
@@ -357,6 +359,13 @@ class Screen:
         p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), n_free)))
         beside, scanned = self.beside(D, Y, c), tuple(self._kept([(point, trace)]))
         return Screened(trial.effect, size, error, drop, n_free, n_tried, p, values, beside, trace, trace @ c, scanned)
+
+
+def _peaks(y: np.ndarray) -> np.ndarray:
+    """Where y is larger than beside it, the largest first."""
+    padded = np.concatenate([[-np.inf], y, [-np.inf]])
+    at = np.flatnonzero((y >= padded[:-2]) & (y > padded[2:]))
+    return at[np.argsort(-y[at])]
 
 
 def _fourier(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
