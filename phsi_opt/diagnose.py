@@ -65,8 +65,8 @@ CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samp
 # A candidate that takes more is hardly the one.
 QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=(GAUSS_NEWTON, EXACT))
 DRY = replace(QUICK, max_seconds=120.0, ways=WAYS)
-STRAYED = 0.5  # noise deviations between a fit's states and its free run, from which its steps are made finer
-FOLLOWING = replace(QUICK, thorough=True)
+STRAYED = 0.1  # noise deviations between a fit's states and its free run, from which its steps are made finer
+FOLLOWING = replace(DRY, thorough=True)
 SAME_WIDTH = 1.01  # factor up to which two widths of a corner are the same
 A_LITTLE = 0.1  # share of its expected size with which a further effect begins beside a sharp corner
 # Beside a sharp corner IPOPT converges at once or not at all.

@@ -24,7 +24,7 @@ from phsi_opt.uncertainty import inverse
 
 # Falls of -2 log likelihood: that a step promises at the optimum, that the last steps together make where it has
 # settled, and that they make, or one promises, where a kink is in the way of every longer step.
-PROMISED, SETTLED, AT_KINK = 1e-3, 0.05, 0.5
+PROMISED, SETTLED, AT_KINK = 1e-3, 0.05, 1.0
 LAST = 3  # steps that are looked at
 AT_A_KINK = "the likelihood settled at a kink of the model, where no slope vanishes"
 SHORTER, TRIALS = 0.3, 4  # factor by which a step is shortened that leads upwards, and how often
