@@ -8,6 +8,7 @@ defect solved for its end. Dry friction makes such a march stable, and the likel
 
 import time
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -56,10 +57,20 @@ class FeasiblePath:
         self.lower, self.upper = program.lower[self.theta], program.upper[self.theta]
         self.half = program.residual.numel() / 2  # from the objective to -log likelihood
         self.n_states = model.n_states
-        self.march = _march(model, loss.integrator, program.scale[self.x][: model.n_states])
+        self._march = partial(_march, model, loss.integrator, program.scale[self.x][: model.n_states])
         known = [program.z, program.settings]
         values = [program.objective, ca.gradient(program.objective, program.z), program.g]
         self.values = ca.Function("values", known, values)
+
+    @cached_property
+    def march(self) -> ca.Function:
+        """From state to state by Newton's method from the guesses."""
+        return self._march(is_careful=False)
+
+    @cached_property
+    def careful_march(self) -> ca.Function:
+        """The same, for the intervals in which that fails also from the state before: half as fast."""
+        return self._march(is_careful=True)
 
     def solve(self, start: np.ndarray, set_to: np.ndarray, raise_on_failure: bool = True) -> Solution:
         """The optimum that is reached from theta and the starting states in ``start`` (scaled), or how far it went."""
@@ -110,16 +121,19 @@ class FeasiblePath:
         """The solution of the model for theta and the starting states in z; its other states are first guesses."""
         values = z * self.program.scale
         guess, columns = values[self.x].reshape(-1, self.n_states), values[self.theta][self.unknown.table]
-        runs = zip(self.grid.split(guess), columns.T, strict=True)
-        found = np.concatenate([self._along(run, x, theta) for run, (x, theta) in enumerate(runs)])
-        z = np.concatenate([z[: self.x.start], found.ravel() / self.program.scale[self.x]])
-        if not np.all(np.isfinite(z)):
-            return None
-        objective, gradient, g = (np.array(part).ravel() for part in self.values(z, set_to))
-        holds = np.isfinite(objective[0]) and np.max(np.abs(g), initial=0.0) < FEASIBLE
-        return _Place(z, float(objective[0]), gradient) if holds else None
+        runs = list(zip(self.grid.split(guess), columns.T, strict=True))
+        for is_careful in (False, True):
+            march = self.careful_march if is_careful else self.march
+            found = np.concatenate([self._along(march, run, x, theta) for run, (x, theta) in enumerate(runs)])
+            there = np.concatenate([z[: self.x.start], found.ravel() / self.program.scale[self.x]])
+            if not np.all(np.isfinite(there)):
+                return None
+            objective, gradient, g = (np.array(part).ravel() for part in self.values(there, set_to))
+            if np.isfinite(objective[0]) and np.max(np.abs(g), initial=0.0) < FEASIBLE:
+                return _Place(there, float(objective[0]), gradient)
+        return None
 
-    def _along(self, run: int, guess: np.ndarray, theta: np.ndarray) -> np.ndarray:
+    def _along(self, march: ca.Function, run: int, guess: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """The states (n_nodes, n_states) of a trajectory from the first of ``guess``; NaN where they are lost."""
         grid = self.grid
         own = np.flatnonzero(grid.trajectory[grid.begin] == run)
@@ -133,7 +147,7 @@ class FeasiblePath:
         x[0] = at
         for first in range(0, len(own), CHUNK):
             size = min(CHUNK, len(own) - first)
-            ends = self.march(at, columns[:, first : first + CHUNK]).full().T[:size]
+            ends = march(at, columns[:, first : first + CHUNK]).full().T[:size]
             x[1 + first : 1 + first + size], at = ends, ends[-1]
             if not np.all(np.isfinite(at)):
                 break
@@ -177,8 +191,12 @@ class FeasiblePath:
         return None, length
 
 
-def _march(model: Model, scheme: str, scale: np.ndarray) -> ca.Function:
-    """CasADi function (x, [guess, t, h, u0, u1, theta] of `CHUNK` intervals) -> the states at their ends."""
+def _march(model: Model, scheme: str, scale: np.ndarray, is_careful: bool) -> ca.Function:
+    """CasADi function (x, [guess, t, h, u0, u1, theta] of `CHUNK` intervals) -> the states at their ends.
+
+    On the wrong side of a corner Newton's method may end where nothing is solved; ``is_careful`` begins it once more
+    at the state before, where a body that sticks stays.
+    """
     one = defect(model, scheme)
     x0, x1, *rest = (ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in()))
     scaled = one(x0, x1, *rest) * rest[1] / ca.DM(scale)
@@ -194,5 +212,9 @@ def _march(model: Model, scheme: str, scale: np.ndarray) -> ca.Function:
     problem = {"x": x1, "p": ca.vertcat(x0, *rest), "g": scaled}
     end = ca.rootfinder("end", "newton", problem, options)
     x, column = ca.MX.sym("x", model.n_states), ca.MX.sym("column", ca.vertcat(x1, *rest).numel())
-    found = end(x0=column[: model.n_states], p=ca.vertcat(x, column[model.n_states :]))["x"]
+    known = ca.vertcat(x, column[model.n_states :])
+    found = end(x0=column[: model.n_states], p=known)["x"]
+    if is_careful:
+        left = ca.Function("left", [x1, problem["p"]], [ca.norm_inf(scaled)])
+        found = ca.if_else(left(found, known) < FEASIBLE, found, end(x0=x, p=known)["x"], True)
     return ca.Function("interval", [x, column], [found]).mapaccum(CHUNK)

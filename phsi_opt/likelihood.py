@@ -29,7 +29,7 @@ from phsi_opt.model import Model
 from phsi_opt.nlp import Program
 from phsi_opt.noise import difference_noise
 from phsi_opt.one_step import Pruner, chosen, solve_defects
-from phsi_opt.solver import EXACT, FEASIBLE_PATH, GAUSS_NEWTON, WAYS, Settings, Solution, Solver
+from phsi_opt.solver import EXACT, FEASIBLE_PATH, GAUSS_NEWTON, HOLDING, WAYS, Settings, Solution, Solver
 from phsi_opt.theta import Theta
 from phsi_opt.uncertainty import inverse
 from phsi_opt.work import State, Task
@@ -281,17 +281,23 @@ def _best(states: list[State], begin: Beginning) -> State:
 
 def on_record(
     model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], loss: MaximumLikelihood,
-    steps: Sequence[np.ndarray], way: str = GAUSS_NEWTON,
+    steps: Sequence[np.ndarray], way: str = GAUSS_NEWTON, is_start: bool = False,
 ) -> State | None:  # fmt: skip
     """The likelihood of a record with its states, and what is still free in ``model``, unknown; None: no success.
 
     ``sigma``: the known noise per state; ``x``: states at the samples to start from; ``steps``: in their gaps;
-    ``way``: how the model's own fit was found.
+    ``way``: how the model's own fit was found; ``is_start``: what was reached along solutions of the model is enough.
     """
     task = Task(model, data, {}, None, Settings(max_iterations=60, thorough=False), lambda line: None)
     theta = Theta.of(model, task.runs).spread(np.array([model.values[name] for name in model.free]))
     begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps), way)
-    state = _Solve(task, loss, np.zeros(model.n_states, dtype=bool)).staged(begin)
+    known = np.zeros(model.n_states, dtype=bool)
+    if is_start and way == FEASIBLE_PATH:
+        along = replace(task, settings=replace(task.settings, ways=(FEASIBLE_PATH,)))
+        state = _Solve(along, loss, known).staged(begin)
+        if state.solution.outcome.infeasibility < HOLDING:
+            return state
+    state = _Solve(task, loss, known).staged(begin)
     return state if state.solution.outcome.success else None
 
 

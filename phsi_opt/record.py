@@ -42,7 +42,9 @@ def explained(
     """
     values = parameters_of(fit, data)
     if not any(e.parameter.per_trajectory for e in fit.model.entries.values()):
-        state = on_record(fit.model.frozen(), data, sigma, x, options(fit), steps_on(fit, data), fit.outcome.way)
+        state = on_record(
+            fit.model.frozen(), data, sigma, x, options(fit), steps_on(fit, data), fit.outcome.way, is_start=True
+        )
         return None if state is None else (state.states, values)
     states: list[np.ndarray] = []
     for i, run in enumerate(data.trajectories):  # each with its own parameters
@@ -50,7 +52,7 @@ def explained(
         local = () if run.name in fit.by_trajectory else _per_trajectory(fit.model)
         model = own.with_fixed({name: value for name, value in own.values.items() if name not in local})
         steps = steps_on(fit, data)[i : i + 1]
-        state = on_record(model, data[i], sigma, [x[i]], options(fit), steps, fit.outcome.way)
+        state = on_record(model, data[i], sigma, [x[i]], options(fit), steps, fit.outcome.way, is_start=True)
         if state is None:
             return None
         values[run.name].update(state.unknown.values_of(state.theta, run.name))
