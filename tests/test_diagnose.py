@@ -319,3 +319,61 @@ def test_runs_with_gaps_are_diagnosed(drag: tuple[ph.Fit, ph.Measurements, Scree
     holey = replace(data, trajectories=tuple(runs))
     found = ph.diagnose(ph.identify(base(), holey), holey)
     assert (found.verdict, str(found.effects[0])) == ("missing: named", "quadratic drag on p")
+
+
+def test_a_dead_zone_far_smaller_than_the_input_is_found() -> None:
+    width, rng = 0.02, np.random.default_rng(4)
+    u = [np.sin(1.9 * T + k) + 0.5 * np.sin(0.8 * T + 2 * k) for k in range(3)]
+    pushed = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.formula("2.3*q**2/2 + p**2/2"), inputs=["u"],
+        R={"p": ph.formula("0.1")}, F={"p": ph.formula(f"u - min(max(u, -{width}), {width})")},
+    )  # fmt: skip
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), inputs=["u"], R=ph.damping("p"), F={"p": ph.formula("u")},
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
+    )  # fmt: skip
+    runs = [ph.simulate(pushed, T, x0, ui[:, None]) for x0, ui in zip(STARTS, u, strict=True)]
+    noisy = [x + 0.1 * NOISE * rng.normal(size=x.shape) for x in runs]
+    data = ph.Measurements.from_arrays([T] * 3, noisy, [ui[:, None] for ui in u], states=["q", "p"], inputs=["u"])
+    best = ph.diagnose(ph.identify(model, data), data).candidates.iloc[0]
+    assert best.effect == "input dead zone"
+    assert abs(best.coefficient - width) < 3 * best.std_error
+
+
+def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() -> None:
+    from hidden_cases import ROWS, draw
+
+    # The forced motion passes for one without losses, so that the traces near its resonance are sharply larger.
+    case = draw(ROWS["harmonic_force_0.03"], 8)
+    fit = ph.identify(case.model, case.train)
+    data = matched(fit.model, case.train)
+    assert fit.estimates["R_p"] < 1e-3
+    screen = Screen(fit, data, force_of(fit, data))
+    one = screen.candidate(effect_named(fit.model, "harmonic force", "p"))
+    assert one is not None
+    span = case.train.trajectories[0].t[-1]
+    assert abs(one.values["F_p.omega"] - 1.4626) < np.pi / span  # that of the case
+    assert one.drop > 0.95 * screen.misfit
+
+
+def test_what_a_sensor_remembers_at_the_start_keeps_the_free_run_beside_the_fit() -> None:
+    from hidden_cases import ROWS, draw
+
+    case = draw(ROWS["sensor_delay"], 3)
+    fit = ph.identify(case.model, case.train)
+    (truth,) = case.truths
+    found = ph.diagnose(fit, case.train, case.test, effects=[effect_named(fit.model, truth.effect, "q")])
+    assert found.verdict == "missing: named"
+    best = found.candidates.iloc[0]
+    assert abs(best.coefficient - truth.coefficient) < 3 * best.std_error
+    assert best.held_out_rmse < 1.1 * found.base.noise_floor
+
+
+def test_a_gap_whose_corner_falls_between_samples_gets_finer_steps() -> None:
+    from hidden_cases import ROWS, draw
+
+    case = draw(ROWS["gap_0.01"], 3)
+    fit = ph.identify(case.model, case.train)
+    found = ph.diagnose(fit, case.train, case.test, effects=[effect_named(fit.model, "gap", "p2")])
+    assert found.verdict == "missing: named" and found.nearest is not None
+    assert max(int(n.max()) for n in found.nearest.steps) > max(int(n.max()) for n in fit.steps)

@@ -133,3 +133,31 @@ def test_a_fit_along_solutions_is_compared_along_solutions(monkeypatch: pytest.M
     monkeypatch.setattr(likelihood, "Solver", lambda *a, **k: used.append("ipopt"))
     assert ph.compare(along, data).rmse == pytest.approx(found.rmse, rel=1e-4)
     assert not used
+
+
+def test_where_newton_is_caught_beyond_a_corner_it_begins_again_at_the_state_before() -> None:
+    corner = 0.0005
+    model = rubbing(corner, ph.Parameter(FRICTION, lower=0.0), ph.Parameter(DAMPING, lower=0.0))
+    nodes = np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
+    path, _ = path_and_solver(model, measured(corner), nodes)
+    z = path.program.start.copy()
+    z[path.x].reshape(2, len(T), 2)[:, 1:, 1] += 0.01  # guesses that slide where the body sticks
+    assert path.follow(z, path.program.set_to) is not None
+    path.careful_march = path.march
+    assert path.follow(z, path.program.set_to) is None
+
+
+def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, x = measured(0.3), tuple(ph.simulate(rubbing(0.3, FRICTION, DAMPING), T, x0) for x0 in STARTS)
+    model, sigma, steps = rubbing(0.3, 0.9 * FRICTION, DAMPING), np.array([NOISE, 1.0]), [np.ones(len(T) - 1, int)] * 2
+    monkeypatch.setattr("phsi_opt.feasible_path.MAX_ITERATIONS", 1)
+
+    def solved(is_start: bool) -> str:
+        state = likelihood.on_record(
+            model, data, sigma, x, ph.MaximumLikelihood(), steps, FEASIBLE_PATH, is_start=is_start
+        )
+        assert state is not None
+        return state.solution.outcome.status
+
+    assert solved(is_start=True) == FEASIBLE_PATH
+    assert solved(is_start=False) == "Solve_Succeeded"
