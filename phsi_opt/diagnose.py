@@ -60,7 +60,9 @@ WORSE = 4.0
 SURE = 1  # number of the first stage of sharpening that is the last one unless it is clearly better
 LONG = 10_000  # states beyond which a re-fit that fails is not begun again, and none begins at a sharp corner
 PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
-CORNER, AT_CORNER = 4.0, 8  # widths of a corner within which steps between samples are finer, and how many they are
+# Widths of a corner within which steps between samples are finer, and how many they are; friction that is very sharp is
+# stiff, and with steps that are too long a body that sticks trembles.
+CORNER, AT_CORNER, AT_SHARP_CORNER = 4.0, 8, 24
 
 # A candidate that takes more is hardly the one.
 QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=(GAUSS_NEWTON, EXACT))
@@ -190,7 +192,8 @@ class _Work:
         """
         trained = _compared(fit, self.data, self.estimate)
         n_states = sum(int(n.sum()) for n in fit.steps) * fit.model.n_states
-        if is_adequate(trained) or _strays(fit, trained) < STRAYED or n_states > LONG:
+        is_enough = fit.outcome.way == FEASIBLE_PATH and is_adequate(trained)
+        if is_enough or _strays(fit, trained) < STRAYED or n_states > LONG:
             return fit, trained
         with suppress(PhsiOptError):
             finer = identify(fit.model, self.data, self.loss, start=fit, settings=FOLLOWING)
@@ -223,7 +226,7 @@ class _Work:
         return model.n_states * finer * sum(int(n.sum()) for n in self.fit.steps) > LONG
 
     def extended(self, model: Model, finer: int, others: Sequence[Fit]) -> Fit | None:
-        """The re-fit from the best of the ``others`` that the model extends; None: there is none, or it gains nothing.
+        """The re-fit from the best of the ``others`` that the model extends; None: there is none, or it is worse.
 
         Only dry friction whose corner is sharp: beside it a solver cannot begin anew.
         """
@@ -243,7 +246,7 @@ class _Work:
             new = identify(sharp, self.data, self.loss, start=replace(old, steps=steps), settings=ALONG)
             if deviance(new) < deviance(old) - CLOSE:
                 return self.sharpened(new, model)
-            return new if deviance(new) < deviance(old) else None
+            return new if deviance(new) < deviance(old) + WORSE else None
         return None
 
     def sharpened(self, fit: Fit, blunt: Model) -> Fit:
@@ -257,20 +260,30 @@ class _Work:
             values = {n: blunt.values[n] * prod(guess.sharper[: stage + 1]) for n, guess in guesses.items()}
             if all(fit.model.values[name] < SAME_WIDTH * width for name, width in values.items()):
                 continue
-            steps = fit.steps
-            for name, guess in guesses.items():
-                steps = _finer_at_corner(fit, self.data, guess.of, fit.model.values[name], steps)
-            start, settings = replace(fit, steps=steps), ALONG if fit.outcome.way == FEASIBLE_PATH else AT_A_CORNER
-            try:
-                fit = identify(fit.model.with_values(values), self.data, self.loss, start=start, settings=settings)
-            except PhsiOptError:
+            at_corner = AT_CORNER if stage <= SURE else AT_SHARP_CORNER
+            sharper = self.at_widths(fit, values, at_corner)
+            if sharper is None or deviance(sharper) > deviance(best) + WORSE:  # too sharp, or too far
+                half_way = {name: float(np.sqrt(fit.model.values[name] * width)) for name, width in values.items()}
+                sharper = self.at_widths(fit, half_way, at_corner) or sharper
+            if sharper is None:
                 break
+            fit = sharper
             is_better = deviance(fit) < deviance(best) - CLOSE
             if deviance(fit) < deviance(best) + WORSE:
                 best = fit
             if stage >= SURE and not is_better:
                 break
         return best
+
+    def at_widths(self, fit: Fit, widths: dict[str, float], at_corner: int) -> Fit | None:
+        """The fit with other widths of its corners, with ``at_corner`` steps beside them; None where it fails."""
+        steps = fit.steps
+        for name, guess in _corners(fit.model, self.fit.model).items():
+            steps = _finer_at_corner(fit, self.data, guess.of, fit.model.values[name], steps, at_corner)
+        start, settings = replace(fit, steps=steps), ALONG if fit.outcome.way == FEASIBLE_PATH else AT_A_CORNER
+        with suppress(PhsiOptError):
+            return identify(fit.model.with_values(widths), self.data, self.loss, start=start, settings=settings)
+        return None
 
     def best_of(self, screen: Screen, found: list[Screened], candidates: list[Candidate]) -> list[Candidate]:
         """The best few, re-fitted and ranked; as soon as one leaves noise, only those that promise nearly as much."""
@@ -435,7 +448,7 @@ def _corners(model: Model, base: Model) -> dict[str, Share]:
 
 
 def _finer_at_corner(
-    fit: Fit, data: Measurements, of: str, width: float, steps: tuple[np.ndarray, ...]
+    fit: Fit, data: Measurements, of: str, width: float, steps: tuple[np.ndarray, ...], at_corner: int = AT_CORNER
 ) -> tuple[np.ndarray, ...]:
     """More steps in the gaps between samples in which ``of`` passes its corner: is zero, or near it."""
     formula, result = fit.model.function(of), []
@@ -444,7 +457,7 @@ def _finer_at_corner(
         v = np.array(formula.map("v", "serial", len(x), [3], [])(x.T, run.u.T, run.t[None, :], theta)).ravel()
         near = (v[1:] * v[:-1] < 0) | (np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < CORNER * width)
         near = np.convolve(near, np.ones(3))[1:-1] > 0  # the corner may move to the gap beside
-        result.append(np.where(near, np.maximum(n, AT_CORNER), n))
+        result.append(np.where(near, np.maximum(n, at_corner), n))
     return tuple(result)
 
 
