@@ -52,9 +52,9 @@ BACK = 4  # steps of Newton's method to states that obey the model, at most
 OBEYED, NEARLY = 1e-4, 1e-2  # defects, as shares of those at the missing force's states: none; few enough
 ALIKE = 9.0  # squared remainder, in units of the noise, below which one effect stands in for another
 ROUNDS = 2  # of finer values around the best one of a scan
-COARSE = 30  # frequencies at which the size of a wave's trace is worked out; between them it is interpolated
+COARSE = 30  # even, and as many logarithmic, frequencies at which the size of a wave's trace is worked out
 KEPT = 20_000  # rows of every trace scanned that are kept, for the pairs
-EXACT = 8  # best frequencies that are worked out exactly
+EXACT = 8  # best peaks that are worked out exactly
 
 
 @dataclass(frozen=True, eq=False)
