@@ -31,6 +31,7 @@ from phsi_opt.evidence import (
     falls,
     falls_or_most,
     is_adequate,
+    left_over,
     share_of,
 )
 from phsi_opt.fit import Fit
@@ -58,7 +59,7 @@ CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
 # that fall between samples make the likelihood rough.
 WORSE = 4.0
 SURE = 1  # number of the first stage of sharpening that is the last one unless it is clearly better
-LONG = 10_000  # states beyond which a re-fit that fails is not begun again, and none begins at a sharp corner
+LONG = 4_000  # intervals beyond which a re-fit that fails is not begun again, and none begins at a sharp corner
 PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
 # Widths of a corner within which steps between samples are finer, and how many they are; friction that is very sharp is
 # stiff, and with steps that are too long a body that sticks trembles.
@@ -179,7 +180,10 @@ class _Work:
                 new = blunt = self.begun(model, finer, beside or {}, is_likely)
                 if rival is None or delta_bic(rival, new, 1.0) < -CLOSE:
                     new = self.sharpened(new, model)
+            is_sharpened = new is not blunt
             new, trained = self.followed(new)
+            if is_sharpened:
+                new, trained = self.creeping(new, trained)
             return new, trained, _compared(new, self.judging, self.judged) if self.is_held_out else trained, blunt
         except PhsiOptError as error:
             self.say(f"not re-fitted: {error}")
@@ -191,15 +195,32 @@ class _Work:
         Steps as long as the samples are too long for a sharp corner, and for the fast part of a short memory.
         """
         trained = _compared(fit, self.data, self.estimate)
-        n_states = sum(int(n.sum()) for n in fit.steps) * fit.model.n_states
         is_enough = fit.outcome.way == FEASIBLE_PATH and is_adequate(trained)
-        if is_enough or _strays(fit, trained) < STRAYED or n_states > LONG:
+        if is_enough or _is_long(fit) or _strays(fit, trained) < STRAYED:
             return fit, trained
         with suppress(PhsiOptError):
             finer = identify(fit.model, self.data, self.loss, start=fit, settings=FOLLOWING)
             again = _compared(finer, self.data, self.estimate)
             if again.rmse < trained.rmse:
                 return finer, again
+        return fit, trained
+
+    def creeping(self, fit: Fit, trained: Comparison) -> tuple[Fit, Comparison]:
+        """The fit and its comparison; where that is close to noise, with widths of its sharp corners as estimated.
+
+        A body that sticks creeps by a share of the width, which shows where it sticks for long.
+        """
+        widths = _corners(fit.model, self.fit.model)
+        is_near = not is_adequate(trained) and trained.rmse < HOPELESS * trained.noise_floor
+        if not (widths and is_near and fit.outcome.way == FEASIBLE_PATH):
+            return fit, trained
+        with suppress(PhsiOptError):
+            free = identify(fit.model.with_free(widths), self.data, self.loss, start=fit, settings=ALONG)
+            held = fit.model.with_values({name: free.values[name] for name in widths})
+            again = identify(held, self.data, self.loss, start=free, settings=ALONG)
+            compared_again = _compared(again, self.data, self.estimate)
+            if compared_again.rmse < trained.rmse:
+                return again, compared_again
         return fit, trained
 
     def begun(self, model: Model, finer: int, beside: dict[str, float], is_likely: bool = False) -> Fit:
@@ -214,16 +235,12 @@ class _Work:
         settings = DRY if is_hard or is_likely else QUICK
         attempts = [(known, self.loss), (own, self.loss)] if beside else [(own, self.loss)]
         window = max(float(run.t[-1] - run.t[0]) for run in data.trajectories) / PIECES
-        attempts = attempts[:1] if self.is_long(model, finer) else [*attempts, (own, replace(self.loss, window=window))]
+        attempts = attempts[:1] if _is_long(self.fit) else [*attempts, (own, replace(self.loss, window=window))]
         for begin, loss in attempts[:-1]:
             with suppress(PhsiOptError):
                 return identify(model, data, loss, start=replace(start, model=begin), settings=settings)
         begin, loss = attempts[-1]
         return identify(model, data, loss, start=replace(start, model=begin), settings=settings)
-
-    def is_long(self, model: Model, finer: int) -> bool:
-        """Whether a re-fit of the model takes so long that it gets one attempt."""
-        return model.n_states * finer * sum(int(n.sum()) for n in self.fit.steps) > LONG
 
     def extended(self, model: Model, finer: int, others: Sequence[Fit]) -> Fit | None:
         """The re-fit from the best of the ``others`` that the model extends; None: there is none, or it is worse.
@@ -231,7 +248,7 @@ class _Work:
         Only dry friction whose corner is sharp: beside it a solver cannot begin anew.
         """
         smaller = [o for o in others if o.outcome.way == FEASIBLE_PATH and set(o.model.entries) < set(model.entries)]
-        if not smaller or self.is_long(model, finer):
+        if not smaller or _is_long(self.fit):
             return None
         old = min(smaller, key=deviance)
         widths = {guess.of: old.model.values[name] for name, guess in _corners(old.model, self.fit.model).items()}
@@ -331,21 +348,30 @@ class _Work:
     def ranked(self, refitted: list[Candidate]) -> list[Candidate]:
         """By BIC, the best one's share of independent residuals taken for all; those that were not re-fitted last.
 
-        Where none leaves noise, all are wrong, and of those that BIC hardly tells apart the simplest comes first.
+        Of those that BIC hardly tells apart, what they leave on the data held out decides, counted in the same way.
+        Where none leaves noise, all are wrong, and of those the simplest comes first.
         """
         done = [(c, c.fit, c.trained) for c in refitted if c.fit is not None and c.trained is not None]
         if not done:
             return refitted
         best = min(done, key=lambda row: deviance(row[1]))
         share = share_of(self.trained, best[2])
-        rows = [(delta_bic(self.fit, fit, share), len(fit.names), c) for c, fit, _ in done]
-        rows.sort(key=lambda row: row[0])
-        if not any(is_adequate(trained) for _, _, trained in done):
-            close = rows[0][0] + CLOSE
-            rows.sort(key=lambda row: row[1] if row[0] < close else np.inf)
-        result = [replace(c, delta_bic=bic) for bic, _, c in rows]
+        rows = [(delta_bic(self.fit, fit, share), fit, c) for c, fit, _ in done]
+        close = min(bic for bic, _, _ in rows) + CLOSE
+        is_right = any(is_adequate(trained) for _, _, trained in done)
+
+        def rank(row: tuple[float, Fit, Candidate]) -> tuple[bool, float, float]:
+            bic, fit, c = row
+            among_close = bic + share * self.left_over(c) if is_right else float(len(fit.names))
+            return bic >= close, among_close if bic < close else bic, bic
+
+        result = [replace(c, delta_bic=bic) for bic, _, c in sorted(rows, key=rank)]
         result = [replace(c, confusable_with=_tied(c, result)) for c in result]
         return result + [c for c in refitted if c.fit is None]
+
+    def left_over(self, c: Candidate) -> float:
+        """What the candidate leaves on the data held out; zero where there are none."""
+        return left_over(c.comparison) if self.is_held_out and c.comparison is not None else 0.0
 
     def proposed(self, screen: Screen, found: list[Screened], everyone: tuple[Candidate, ...]) -> _Proposal | None:
         """The best significant effect; two together where one alone leaves more than noise and two explain more.
@@ -440,6 +466,10 @@ def _strays(fit: Fit, trained: Comparison) -> float:
     triples = zip(trained.shown, seen, trained.data.trajectories, strict=True)
     apart = [((run - x) / trained.noise)[np.isfinite(of.x)] for run, x, of in triples]
     return float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
+
+
+def _is_long(fit: Fit) -> bool:
+    return sum(int(n.sum()) for n in fit.steps) > LONG
 
 
 def _corners(model: Model, base: Model) -> dict[str, Share]:

@@ -32,21 +32,7 @@ DEAD_ZONES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)  # of th
 SATURATIONS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9, 0.95, 0.98)  # of the largest input
 ALL = 1.0  # of the largest value: no rim, play or limit beyond it does anything
 MUCH = 3.0  # the same for the speed over which Stribeck's friction falls: beyond it is Coulomb's
-DELAYS = (
-    0.5,
-    1.0,
-    2.0,
-    3.0,
-    5.0,
-    8.0,
-    13.0,
-    21.0,
-    34.0,
-    55.0,
-    89.0,
-    144.0,
-    233.0,
-)  # times between samples: lags, delays
+DELAYS = (0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0)  # of times between samples
 
 
 @dataclass(frozen=True)
@@ -267,7 +253,7 @@ def _paths(u: str, p: str) -> Iterator[tuple[str, Dictionary, dict[str, Dictiona
     yield "input saturation", formula(beyond, limit, u, SATURATIONS), {}
     lag, lagged = f"lag_{u}_{p}", f"{u}_lagged_{p}"
     late = Dictionary((Term(f"{gain}*({lagged} - {u})", None, {}),))
-    yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", (0.25, *DELAYS), np.inf, "s")}
+    yield "input lag", late, {lagged: formula(f"({u} - {lagged})/{lag}", lag, "dt", DELAYS, np.inf, "s")}
     term, memory = _delayed(u, f"delay_{u}_{p}", f"{u}_delayed_{p}", gain)
     yield "input delay", term, memory
 

@@ -40,6 +40,12 @@ def deviance(fit: Fit) -> float:
     return fit.bic - len(fit.names) * float(np.log(fit.n_values))
 
 
+def left_over(comparison: Comparison) -> float:
+    """-2 log likelihood of the residuals of a free run, up to a constant; the noise of every channel as they say."""
+    seen = comparison.table[comparison.table["rmse"] > 0]
+    return float(2 * np.sum(seen["n_samples"] * np.log(seen["rmse"])))
+
+
 def explained_share(old: Comparison, new: Comparison) -> float:
     """Share of the squared error above the noise floor that is gone."""
     above = max(old.rmse**2 - old.noise_floor**2, 1e-300)

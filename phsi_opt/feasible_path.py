@@ -69,7 +69,7 @@ class FeasiblePath:
 
     @cached_property
     def careful_march(self) -> ca.Function:
-        """The same, for the intervals in which that fails also from the state before: half as fast."""
+        """The same, in the intervals in which that fails also from the state before."""
         return self._march(is_careful=True)
 
     def solve(self, start: np.ndarray, set_to: np.ndarray, raise_on_failure: bool = True) -> Solution:
@@ -121,20 +121,20 @@ class FeasiblePath:
         """The solution of the model for theta and the starting states in z; its other states are first guesses."""
         values = z * self.program.scale
         guess, columns = values[self.x].reshape(-1, self.n_states), values[self.theta][self.unknown.table]
-        runs = list(zip(self.grid.split(guess), columns.T, strict=True))
-        for is_careful in (False, True):
-            march = self.careful_march if is_careful else self.march
-            found = np.concatenate([self._along(march, run, x, theta) for run, (x, theta) in enumerate(runs)])
-            there = np.concatenate([z[: self.x.start], found.ravel() / self.program.scale[self.x]])
-            if not np.all(np.isfinite(there)):
+        found = []
+        for run, (x, theta) in enumerate(zip(self.grid.split(guess), columns.T, strict=True)):
+            along = self._along(run, x, theta)
+            if along is None:
                 return None
-            objective, gradient, g = (np.array(part).ravel() for part in self.values(there, set_to))
-            if np.isfinite(objective[0]) and np.max(np.abs(g), initial=0.0) < FEASIBLE:
-                return _Place(there, float(objective[0]), gradient)
+            found.append(along)
+        there = np.concatenate([z[: self.x.start], np.concatenate(found).ravel() / self.program.scale[self.x]])
+        objective, gradient, g = (np.array(part).ravel() for part in self.values(there, set_to))
+        if np.isfinite(objective[0]) and np.max(np.abs(g), initial=0.0) < FEASIBLE:
+            return _Place(there, float(objective[0]), gradient)
         return None
 
-    def _along(self, march: ca.Function, run: int, guess: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """The states (n_nodes, n_states) of a trajectory from the first of ``guess``; NaN where they are lost."""
+    def _along(self, run: int, guess: np.ndarray, theta: np.ndarray) -> np.ndarray | None:
+        """The states (n_nodes, n_states) of a trajectory from the first of ``guess``; None where they are lost."""
         grid = self.grid
         own = np.flatnonzero(grid.trajectory[grid.begin] == run)
         last = np.minimum(np.arange(-(-len(own) // CHUNK) * CHUNK), len(own) - 1)  # the last interval fills the chunk
@@ -143,15 +143,22 @@ class FeasiblePath:
             guess[1:][last].T, grid.t[grid.begin[filled]][None, :], grid.h[filled][None, :], grid.u0[filled].T,
             grid.u1[filled].T, np.repeat(theta[:, None], len(filled), axis=1),
         ])  # fmt: skip
-        x, at = np.full(guess.shape, np.nan), guess[0]
-        x[0] = at
+        x, at = guess.copy(), guess[0]
         for first in range(0, len(own), CHUNK):
             size = min(CHUNK, len(own) - first)
-            ends = march(at, columns[:, first : first + CHUNK]).full().T[:size]
+            ends = self._chunk(self.march, at, columns[:, first : first + CHUNK], size)
+            if ends is None:
+                ends = self._chunk(self.careful_march, at, columns[:, first : first + CHUNK], size)
+            if ends is None:
+                return None
             x[1 + first : 1 + first + size], at = ends, ends[-1]
-            if not np.all(np.isfinite(at)):
-                break
         return x
+
+    def _chunk(self, march: ca.Function, x: np.ndarray, columns: np.ndarray, size: int) -> np.ndarray | None:
+        """The states at the ends of the first ``size`` intervals, where all of them are solved."""
+        ends, left = march(x, columns)
+        is_solved = np.all(left.full().ravel()[:size] < FEASIBLE)  # not so where they are not finite
+        return ends.full().T[:size] if is_solved else None
 
     def _step(self, at: _Place, ridge: float, set_to: np.ndarray) -> tuple[np.ndarray, float]:
         """The damped Gauss-Newton step of theta and the states, and the fall that the undamped one promises."""
@@ -183,7 +190,7 @@ class FeasiblePath:
         slope = float(at.gradient @ step)
         for _ in range(TRIALS):
             z = at.z + length * step
-            z[self.theta] = np.clip(z[self.theta], self.lower, self.upper)
+            z = np.clip(z, self.program.lower, self.program.upper)
             new = self.follow(z, set_to)
             if new is not None and new.objective < at.objective + ENOUGH * length * slope:
                 return new, length
@@ -192,7 +199,7 @@ class FeasiblePath:
 
 
 def _march(model: Model, scheme: str, scale: np.ndarray, is_careful: bool) -> ca.Function:
-    """CasADi function (x, [guess, t, h, u0, u1, theta] of `CHUNK` intervals) -> the states at their ends.
+    """CasADi function (x, [guess, t, h, u0, u1, theta] of `CHUNK` intervals) -> the states at their ends, and defects.
 
     On the wrong side of a corner Newton's method may end where nothing is solved; ``is_careful`` begins it once more
     at the state before, where a body that sticks stays.
@@ -213,8 +220,8 @@ def _march(model: Model, scheme: str, scale: np.ndarray, is_careful: bool) -> ca
     end = ca.rootfinder("end", "newton", problem, options)
     x, column = ca.MX.sym("x", model.n_states), ca.MX.sym("column", ca.vertcat(x1, *rest).numel())
     known = ca.vertcat(x, column[model.n_states :])
+    left = ca.Function("left", [x1, problem["p"]], [ca.norm_inf(scaled)])
     found = end(x0=column[: model.n_states], p=known)["x"]
     if is_careful:
-        left = ca.Function("left", [x1, problem["p"]], [ca.norm_inf(scaled)])
         found = ca.if_else(left(found, known) < FEASIBLE, found, end(x0=x, p=known)["x"], True)
-    return ca.Function("interval", [x, column], [found]).mapaccum(CHUNK)
+    return ca.Function("interval", [x, column], [found, left(found, known)]).mapaccum(CHUNK)

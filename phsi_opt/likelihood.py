@@ -23,7 +23,7 @@ from phsi_opt.grid import Grid, between, grid_of, local_errors, steps_of
 from phsi_opt.guesses import corners, resolved
 from phsi_opt.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.measurements import Measurements
-from phsi_opt.memory import remembered
+from phsi_opt.memory import beginnings, remembered
 from phsi_opt.missing import softened
 from phsi_opt.model import Model
 from phsi_opt.nlp import Program
@@ -349,6 +349,7 @@ class _Solve:
         unknown = Theta.of(model, task.runs)
         nodes = np.concatenate([between(run, n) for run, n in zip(x, steps, strict=True)])
         point = starting.point_at(model, grid, unknown, theta, nodes)
+        point = replace(point, between=beginnings(model, grid, nodes, np.asarray(unknown.by_trajectory(theta))))
         if window is not None:
             grid = cut(grid, window)
         program = loss.program(model, grid, point, l1, sigma, unknown)

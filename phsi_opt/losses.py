@@ -26,13 +26,17 @@ from phsi_opt.theta import Theta
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point to start from, with each quantity's size: theta in the order of `Theta`, x (n_nodes, n_states)."""
+    """A point to start from, with each quantity's size: theta in the order of `Theta`, x (n_nodes, n_states).
+
+    ``between``: lower and upper bounds of x, each as x; None: it has none.
+    """
 
     theta: np.ndarray
     x: np.ndarray
     theta_scale: np.ndarray
     x_scale: np.ndarray
     w: np.ndarray | None = None  # (n_intervals, n_forced)
+    between: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -288,9 +292,9 @@ def _local(model: Model, grid: Grid, unknown: Theta | None) -> np.ndarray:
 def _states(build: Assembly, grid: Grid, point: Point) -> ca.MX:
     n = point.x.shape[1]
     label = lambda i: f"trajectory={grid.trajectory[i // n]}, t={grid.t[i // n]:g}, state={i % n}"  # noqa: E731
-    return ca.reshape(
-        build.variable("x", point.x.ravel(), scale=np.tile(point.x_scale, grid.n_nodes), label=label), n, -1
-    )
+    lower, upper = (-np.inf, np.inf) if point.between is None else (bound.ravel() for bound in point.between)
+    scale = np.tile(point.x_scale, grid.n_nodes)
+    return ca.reshape(build.variable("x", point.x.ravel(), lower, upper, scale, label), n, -1)
 
 
 def _scaled(d: ca.MX, grid: Grid, point: Point) -> ca.MX:

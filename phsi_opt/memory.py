@@ -20,6 +20,24 @@ def remembered(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np
     return x if x.shape[1] == model.n_states else Memory(model, grid, x)(theta)[0]
 
 
+def beginnings(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Bounds of the states, (n_nodes, n_states): of the memory that a trajectory begins with, the others are infinite.
+
+    It is such as the records show later on: within the values that it takes from rest, widened by their range to both
+    sides. Free of bounds, the memory of a delay shorter than a sample takes any value for the sake of one residual.
+    Arguments as `remembered`; None where the model has no memory, or not as its last states.
+    """
+    n_old = model.n_states - len(model.memory)
+    if n_old == model.n_states or model.states[n_old:] != model.memory:
+        return None
+    along = Memory(model, grid, x[:, :n_old])(theta)[0][:, n_old:]
+    lowest, highest = along.min(axis=0), along.max(axis=0)
+    spread = np.where(highest > lowest, highest - lowest, np.inf)
+    lower, upper = np.full(x.shape, -np.inf), np.full(x.shape, np.inf)
+    lower[grid.first, n_old:], upper[grid.first, n_old:] = lowest - spread, highest + spread
+    return lower, upper
+
+
 class Memory:
     """The memory of a model's effects along given states, as a function of the parameters (see `remembered`)."""
 

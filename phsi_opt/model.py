@@ -4,7 +4,7 @@ A model is a frozen record of states, inputs and the dictionaries of its slots; 
 file also turns a model into CasADi functions. It knows nothing of data, losses or solvers.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -227,6 +227,11 @@ class Model:
             return replace(parameter, fixed=True, per_trajectory=False) if name in values else parameter
 
         return self.with_values(values)._changed(hold)
+
+    def with_free(self, names: Iterable[str]) -> "Model":
+        """A new model with the named parameters unknown, from their present values on."""
+        chosen = set(names)
+        return self._changed(lambda name, p: replace(p, fixed=False) if name in chosen else p)
 
     def with_upper(self, bounds: Mapping[str, float]) -> "Model":
         """A new model in which the named parameters, and their upper bounds, are no higher than the given ones."""

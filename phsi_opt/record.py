@@ -5,12 +5,13 @@ a trajectory that the fit has not seen, follow from the record by maximum likeli
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from phsi_opt.fit import Fit
 from phsi_opt.grid import Grid, grid_of, output_slopes, output_slopes_of, outputs
-from phsi_opt.likelihood import on_record
+from phsi_opt.likelihood import finer_steps, on_record
 from phsi_opt.linear import Reduced
 from phsi_opt.losses import MaximumLikelihood
 from phsi_opt.measurements import Measurements
@@ -18,8 +19,11 @@ from phsi_opt.model import Model
 from phsi_opt.solver import Solver
 from phsi_opt.start import point_at
 from phsi_opt.theta import Theta
+from phsi_opt.work import State
 
 LONGEST = 200_000  # values in a record up to which bands are worked out
+REFINEMENTS, FINER = 2, 4  # how often steps along a record are made finer where their error shows, and how much
+MOST_REFINED = 50_000  # states beyond which they are not
 
 
 def parameters_of(fit: Fit, data: Measurements) -> dict[str, dict[str, float]]:
@@ -42,9 +46,7 @@ def explained(
     """
     values = parameters_of(fit, data)
     if not any(e.parameter.per_trajectory for e in fit.model.entries.values()):
-        state = on_record(
-            fit.model.frozen(), data, sigma, x, options(fit), steps_on(fit, data), fit.outcome.way, is_start=True
-        )
+        state = _solved(fit, fit.model.frozen(), data, sigma, x, steps_on(fit, data))
         return None if state is None else (state.states, values)
     states: list[np.ndarray] = []
     for i, run in enumerate(data.trajectories):  # each with its own parameters
@@ -52,12 +54,31 @@ def explained(
         local = () if run.name in fit.by_trajectory else _per_trajectory(fit.model)
         model = own.with_fixed({name: value for name, value in own.values.items() if name not in local})
         steps = steps_on(fit, data)[i : i + 1]
-        state = on_record(model, data[i], sigma, [x[i]], options(fit), steps, fit.outcome.way, is_start=True)
+        state = _solved(fit, model, data[i], sigma, [x[i]], steps)
         if state is None:
             return None
         values[run.name].update(state.unknown.values_of(state.theta, run.name))
         states += state.states
     return tuple(states), values
+
+
+def _solved(
+    fit: Fit, model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], steps: Sequence[np.ndarray]
+) -> State | None:
+    """`on_record` with steps so fine that an accurate run from the first state would not leave the others."""
+    state = on_record(model, data, sigma, x, options(fit), steps, fit.outcome.way, is_start=True)
+    for _ in range(REFINEMENTS):
+        if state is None or FINER * state.nodes.size > MOST_REFINED:
+            break
+        size = np.sqrt(max(state.solution.outcome.objective, 1.0))  # beside large residuals an error does not show
+        if finer_steps(replace(state, sigma=size * state.sigma)) is None:
+            break
+        steps = [FINER * n for n in steps]
+        again = on_record(model, data, sigma, state.states, options(fit), steps, state.way, is_start=True)
+        if again is None:
+            break
+        state = again
+    return state
 
 
 def options(fit: Fit) -> MaximumLikelihood:

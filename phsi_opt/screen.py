@@ -379,9 +379,9 @@ def _fourier(t: np.ndarray, y: np.ndarray, frequencies: np.ndarray) -> np.ndarra
 
 
 def _finer(values: np.ndarray, best: float) -> np.ndarray:
-    """The best value and two points towards each of its neighbours (of positive, sorted values)."""
+    """The best value and a point towards each of its neighbours (of positive, sorted values), or below the least."""
     i = int(np.argmin(np.abs(values - best)))
-    low, high = values[max(i - 1, 0)], values[min(i + 1, len(values) - 1)]
+    low, high = values[i - 1] if i else best**2 / values[1], values[min(i + 1, len(values) - 1)]
     around = [best, np.sqrt(low * best), np.sqrt(high * best)]
     return np.unique(around)
 

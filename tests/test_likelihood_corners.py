@@ -235,3 +235,24 @@ def test_a_long_record_is_begun_through_its_first_part(loads: ph.Measurements, m
     assert said[0] == "starting values from the first 60 samples"
     for name in whole.names:
         assert through.estimates[name] == pytest.approx(whole.estimates[name], rel=1e-5)
+
+
+def test_other_data_are_started_from_states_as_accurate_as_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    t = np.linspace(0.0, 30.0, 101)
+    runs = [ph.simulate(spring(2.0).with_values({"R_p": 0.05}), t, x0) for x0 in ([1.0, 0.0], [0.0, 3.0])]
+    rng = np.random.default_rng(0)
+    train, other = (
+        ph.Measurements.from_arrays(t, x + 0.005 * np.std(x, axis=0) * rng.normal(size=x.shape), states=["q", "p"])
+        for x in runs
+    )
+    fit = ph.identify(spring(ph.Parameter(2.1, lower=0.1)), train)
+    coarse = replace(fit, steps=tuple(np.ones_like(n) for n in fit.steps))
+    noise = 0.005 * np.std(runs[1], axis=0)
+
+    def error() -> float:
+        (left,) = ph.compare(coarse, other).residuals
+        return float(np.sqrt(np.mean((left / noise) ** 2)))
+
+    fine = error()
+    monkeypatch.setattr("phsi_opt.record.REFINEMENTS", 0)
+    assert fine < 1.1 and error() > 1.3
