@@ -14,7 +14,6 @@ from phsi_opt.errors import SolveError
 from phsi_opt.fit import Fit
 from phsi_opt.free_run import free_run
 from phsi_opt.grid import grid_of
-from phsi_opt.guesses import corners
 from phsi_opt.identify import matched
 from phsi_opt.measurements import Measurements, Trajectory
 from phsi_opt.memory import remembered
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 LOST = 1e3  # in standard deviations of the measurements: stands for a simulation that broke off
 LARGER = 10.0  # times the rates: size of the force from which a second search begins
 BEYOND_SCATTER = 1.5  # estimated noise over the scatter of neighbouring samples, beyond which a sensor is doubted
-BLUNTER = (1.0, 4.0, 16.0, 64.0)  # times the widths of sharp corners, for the missing force
 WORST_OF_NOISE = 4.0  # standard deviations of noise beyond which a single residual ends the free-run horizon
 
 
@@ -202,22 +200,8 @@ def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
     """The force that the fitted model lacks along measurements that are `matched` to it, with the noise.
 
     No force can explain a sensor that contradicts another one; that would count as noise. Where the noise of a channel
-    comes out far beyond the scatter of neighbouring samples, that of all channels is taken from their scatter. Where
-    the corners of dry friction are too sharp for the solver, they are taken less sharp, by as little as will do.
+    comes out far beyond the scatter of neighbouring samples, that of all channels is taken from their scatter.
     """
-    widths = {name: fit.model.values[name] for name in corners(fit.model)}
-    first: SolveError | None = None
-    for times in BLUNTER if widths else BLUNTER[:1]:
-        blunt = fit.model.with_values({name: times * width for name, width in widths.items()})
-        try:
-            return _force_of(replace(fit, model=blunt), data)
-        except SolveError as error:
-            first = first or error
-    assert first is not None
-    raise first
-
-
-def _force_of(fit: Fit, data: Measurements) -> ForceEstimate:
     given = np.array([(data.noise or {}).get(name, np.nan) for name in fit.model.states])
     theta = matrix_of(fit.model, parameters_of(fit, data)) if fit.by_trajectory else None
     model = fit.model if fit.by_trajectory else fit.model.frozen()

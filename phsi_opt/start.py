@@ -27,7 +27,7 @@ from phsi_opt.terms import Scan
 from phsi_opt.theta import Theta
 
 SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
-ROUNDER = (1.0, 4.0, 16.0)  # factors on the width of corners that are too sharp
+ROUNDER = (1.0, 4.0, 16.0, 64.0)  # factors on the width of corners that are too sharp
 N_STARTS = 3  # frequencies of the scan that are tried
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 CLEANEST = (
