@@ -265,7 +265,8 @@ def summary_row(label: str, rows: pd.DataFrame, target: float) -> dict[str, obje
     """A line of the page."""
     kept = scored(rows)
     good, n = int(kept["good"].sum()), len(kept)
-    after = kept.loc[kept["right"].astype(bool), "after"].dropna()
+    is_named = kept["right"].astype(bool) & ~kept["row"].isin(["nothing", "outside"])  # where there is one to add
+    after = kept.loc[is_named, "after"].dropna()
     return {
         "row": label,
         "cases": n,
