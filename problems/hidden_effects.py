@@ -26,6 +26,7 @@ from provenance import RESULTS, write
 from scipy.stats import binomtest
 
 import phsi_opt as ph
+from phsi_opt.model import Model
 
 FOLDER = RESULTS / "hidden_effects"
 NOTHING, NAMED, UNEXPLAINED = "nothing missing", "missing: named", "missing: unexplained"
@@ -98,7 +99,9 @@ def _one(case: Case) -> dict[str, object]:
               "coefficient": first.coefficient, "std_error": first.std_error,
               "after": first.held_out_rmse / floor(case)}  # fmt: skip
     if case.row.kind in ("nothing", "outside"):
-        return found | ({"misfit": misfit(case, named_fit(diagnosis))} if named else {})
+        return found | (
+            {"misfit": misfit(case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest)} if named else {}
+        )
     (truth,) = case.truths
     hits = [is_right(truth, name, equation) for name, equation in zip(table["effect"], table["equation"], strict=True)]
     found |= {"rank": hits.index(True) + 1 if any(hits) else np.nan, "right": named and hits[0]}
@@ -107,7 +110,7 @@ def _one(case: Case) -> dict[str, object]:
     elif named:
         texts = {f"{truth.effect} on {equation}" for equation in truth.equations}
         found["tie"] = bool(texts & set(str(first.confusable_with).split(", ")))
-        found["misfit"] = misfit(case, named_fit(diagnosis))
+        found["misfit"] = misfit(case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest)
     return found
 
 
@@ -135,7 +138,7 @@ def _two(case: Case) -> dict[str, object]:
     found |= {"verdict": study.diagnose().verdict, "added": "; ".join(added), "right": right,
               "tie": with_ties and not right,
               "after": study.history["held_out_rmse"].iloc[-1] / floor(case)}  # fmt: skip
-    return found | ({} if right or not added else {"misfit": misfit(case, study.fit)})
+    return found | ({} if right or not added else {"misfit": misfit(case, study.model, study.fit)})
 
 
 def matches(truths: tuple[Truth, ...], found: list[set[str]]) -> bool:
@@ -157,19 +160,13 @@ def floor(case: Case) -> float:
     return float(np.sqrt(np.mean((noise[:, seen] / scale) ** 2)))
 
 
-def named_fit(diagnosis: ph.Diagnosis) -> ph.Fit:
-    """The re-fit with what the verdict names."""
-    assert diagnosis.nearest is not None
-    return diagnosis.nearest
+def misfit(case: Case, model: Model, start: ph.Fit | None = None) -> float:
+    """How far a model stays from the noise-free training data, in noise variances; the truth itself is at zero.
 
-
-def misfit(case: Case, fit: ph.Fit) -> float:
-    """How far the model of a fit stays from the noise-free training data, in noise variances; the truth is at zero.
-
-    Below `DETECTED` the data cannot tell it from the truth. Infinite where it could not be fitted.
+    Below `DETECTED` the data cannot tell it from the truth. Infinite where it could not be fitted, from ``start``.
     """
     try:
-        comparison = ph.compare(ph.identify(fit.model, case.clean, start=fit), case.clean)
+        comparison = ph.compare(ph.identify(model, case.clean, start=start), case.clean)
     except ph.PhsiOptError:
         return np.inf
     n = len(case.sigma)

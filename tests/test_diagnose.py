@@ -391,7 +391,7 @@ def test_a_tie_in_bic_is_ranked_by_what_is_left_on_the_data_held_out() -> None:
     assert judged.confusable_with == "cubic stiffness on p1"
 
 
-def test_a_delay_shorter_than_a_third_of_a_sample_is_told_from_a_lag() -> None:
+def test_a_delay_shorter_than_half_a_sample_is_told_from_a_lag() -> None:
     from hidden_cases import ROWS, draw
 
     case = draw(ROWS["input_delay_0.01"], 7)
