@@ -348,7 +348,8 @@ class _Work:
     def ranked(self, refitted: list[Candidate]) -> list[Candidate]:
         """By BIC, the best one's share of independent residuals taken for all; those that were not re-fitted last.
 
-        Of those that BIC hardly tells apart, what they leave on the data held out decides, counted in the same way.
+        Those that BIC hardly tells apart and that have as many parameters exchange places by what they leave on the
+        data held out, counted in the same way; a larger one is not preferred for what it bends to fit there.
         Where none leaves noise, all are wrong, and of those the simplest comes first.
         """
         done = [(c, c.fit, c.trained) for c in refitted if c.fit is not None and c.trained is not None]
@@ -356,16 +357,17 @@ class _Work:
             return refitted
         best = min(done, key=lambda row: deviance(row[1]))
         share = share_of(self.trained, best[2])
-        rows = [(delta_bic(self.fit, fit, share), fit, c) for c, fit, _ in done]
-        close = min(bic for bic, _, _ in rows) + CLOSE
-        is_right = any(is_adequate(trained) for _, _, trained in done)
-
-        def rank(row: tuple[float, Fit, Candidate]) -> tuple[bool, float, float]:
-            bic, fit, c = row
-            among_close = bic + share * self.left_over(c) if is_right else float(len(fit.names))
-            return bic >= close, among_close if bic < close else bic, bic
-
-        result = [replace(c, delta_bic=bic) for bic, _, c in sorted(rows, key=rank)]
+        rows = sorted(((delta_bic(self.fit, fit, share), fit, c) for c, fit, _ in done), key=lambda row: row[0])
+        n_close = sum(bic < rows[0][0] + CLOSE for bic, _, _ in rows)
+        close, clear = rows[:n_close], rows[n_close:]
+        if any(is_adequate(trained) for _, _, trained in done):
+            by_size: dict[int, list[tuple[float, Fit, Candidate]]] = {}
+            for row in sorted(close, key=lambda row: row[0] + share * self.left_over(row[2])):
+                by_size.setdefault(len(row[1].names), []).append(row)
+            close = [by_size[len(fit.names)].pop(0) for _, fit, _ in close]
+        else:
+            close = sorted(close, key=lambda row: len(row[1].names))
+        result = [replace(c, delta_bic=bic) for bic, _, c in close + clear]
         result = [replace(c, confusable_with=_tied(c, result)) for c in result]
         return result + [c for c in refitted if c.fit is None]
 

@@ -391,6 +391,18 @@ def test_a_tie_in_bic_is_ranked_by_what_is_left_on_the_data_held_out() -> None:
     assert judged.confusable_with == "cubic stiffness on p1"
 
 
+def test_a_larger_candidate_is_not_preferred_for_what_it_bends_to_fit_on_the_data_held_out() -> None:
+    from hidden_cases import ROWS, draw
+
+    # A hysteresis that never yields is a spring, with a parameter more.
+    case = draw(ROWS["linear_stiffness_0.1"], 2)
+    fit = ph.identify(case.model, case.train)
+    rivals = [effect_named(fit.model, name, "p") for name in ("hysteresis", "linear stiffness")]
+    judged = ph.diagnose(fit, case.train, case.test, effects=rivals).candidates.iloc[0]
+    assert judged.effect == "linear stiffness"
+    assert judged.confusable_with == "hysteresis on p"
+
+
 def test_a_delay_shorter_than_half_a_sample_is_told_from_a_lag() -> None:
     from hidden_cases import ROWS, draw
 
