@@ -84,6 +84,9 @@ class FeasiblePath:
                 break
             iteration += 1
             step, promise = self._step(at, ridge, set_to)
+            if not np.isfinite(promise):
+                failed = "the slopes of the model are not finite along its solution"
+                break
             if promise < PROMISED:
                 sentence = "a local optimum was found along solutions of the model"
                 break
@@ -161,8 +164,13 @@ class FeasiblePath:
         return ends.full().T[:size] if is_solved else None
 
     def _step(self, at: _Place, ridge: float, set_to: np.ndarray) -> tuple[np.ndarray, float]:
-        """The damped Gauss-Newton step of theta and the states, and the fall that the undamped one promises."""
+        """The damped Gauss-Newton step of theta and the states, and the fall that the undamped one promises.
+
+        The fall is NaN where the model has no slopes (a Stribeck speed of zero, say).
+        """
         kkt = self.solver.kkt(at.z, set_to)
+        if not np.all(np.isfinite(kkt.jacobian.data)):
+            return np.zeros_like(at.z), np.nan
         reduced = Reduced(self.grid, self.n_states, kkt.hessian, kkt.jacobian, self.theta, self.x)
         step = self._bounded(at, reduced, reduced.information)
         promise = -float(at.gradient @ step) * self.half

@@ -77,6 +77,17 @@ def test_the_time_limit_ends_it() -> None:
         path.solve(path.program.start, path.program.set_to)
 
 
+def test_a_model_without_slopes_ends_it() -> None:
+    # The square root is vertical at zero, where its parameter is: there is no step to take, and no error from within.
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.formula("1.7*q**2/2 + p**2/2"),
+        R={"p": ph.formula("0.1 + sqrt(s)", s=ph.Parameter(0.0, lower=0.0))},
+    )  # fmt: skip
+    path, _ = path_and_solver(model, measured(0.3), np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
+    with pytest.raises(ph.SolveError, match="the slopes of the model are not finite along its solution"):
+        path.solve(path.program.start, path.program.set_to)
+
+
 def test_every_point_is_on_the_model_or_there_is_none() -> None:
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
     path, _ = path_and_solver(model, measured(0.3), np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
