@@ -355,8 +355,14 @@ class _Solve:
         program = loss.program(model, grid, point, l1, sigma, unknown)
         left, z = self.solvers(program, model, grid, unknown, ways), program.start
         way, solver = next(left)
+        settled = None
         for _ in range(NOISE_ROUNDS if self.estimated.any() else 1):
             solution = solver.solve(z, sigma, raise_on_failure=False)
+            if settled is not None and way == FEASIBLE_PATH and not solution.outcome.success:
+                # The kink where it settled is still in the way; the noise alone is another, and with it what a step
+                # promises.
+                solution = solver.at(settled, sigma)
+                break
             while not solution.outcome.success and (further := next(left, None)) is not None:
                 task.say(f"not solved ({solution.outcome.status}); again {WORDS[further[0]]}")
                 other = further[1].solve(z, sigma, raise_on_failure=False)
@@ -370,7 +376,7 @@ class _Solve:
             residual = solution.residual * np.sqrt(int(grid.measured.sum()) / 2)
             new = np.where(self.estimated, estimated_noise(grid, residual, sigma, len(theta), loss.huber), sigma)
             change = np.log(new / sigma)[grid.measured.any(axis=0)]
-            z, sigma = solution.z, new
+            z, sigma, settled = solution.z, new, solution
             # One factor for all channels leaves the estimates where they are.
             alike = self.estimated.all() and loss.huber is None and not any(l1.values()) and np.ptp(change) < SAME
             if alike or np.max(np.abs(change)) < SAME:
