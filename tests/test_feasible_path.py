@@ -146,6 +146,31 @@ def test_a_fit_along_solutions_is_compared_along_solutions(monkeypatch: pytest.M
     assert not used
 
 
+def test_what_settled_at_a_kink_stays_there_when_the_noise_is_estimated_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    solve, solved = FeasiblePath.solve, []
+
+    def stuck_from_the_second_on(self: FeasiblePath, start: np.ndarray, set_to: np.ndarray, **options: bool) -> object:
+        found = solve(self, start, set_to, **options)
+        solved.append(found)
+        return found if len(solved) == 1 else replace(found, outcome=replace(found.outcome, success=False))
+
+    monkeypatch.setattr(FeasiblePath, "solve", stuck_from_the_second_on)
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    only = Settings(ways=(FEASIBLE_PATH,))
+    # Two channels whose noise is not as it seems at the start, each by a factor of its own.
+    rng = np.random.default_rng(1)
+    runs = [ph.simulate(rubbing(0.3, FRICTION, DAMPING), T, x0) for x0 in STARTS]
+    runs = [x + np.array([NOISE, 5 * NOISE]) * rng.normal(size=x.shape) for x in runs]
+    data = ph.Measurements.from_arrays([T] * 2, runs, states=["q", "p"])
+    fit = ph.identify(model, data, settings=only)
+    assert len(solved) == 2 and fit.outcome.success
+    assert list(fit.estimates.values()) == list(solved[0].values["theta"])
+    assert fit.noise == pytest.approx({"q": NOISE, "p": 5 * NOISE}, rel=0.15)
+    # What fails at once has settled nowhere.
+    with pytest.raises(ph.SolveError):
+        ph.identify(model, data, settings=only)
+
+
 def test_where_newton_is_caught_beyond_a_corner_it_begins_again_at_the_state_before() -> None:
     corner = 0.0005
     model = rubbing(corner, ph.Parameter(FRICTION, lower=0.0), ph.Parameter(DAMPING, lower=0.0))
