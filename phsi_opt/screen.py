@@ -262,27 +262,45 @@ class Screen:
     def _best_frequency(self, trial: Trial, columns: Columns, tried: np.ndarray) -> float:
         """The frequency whose waves explain most.
 
-        The correlation of a wave's trace with the residuals needs no trace, only the residuals' adjoint: a Fourier
-        sum. The size of the trace is interpolated, between more frequencies where the resonances are. The best few
-        peaks are exact.
+        The likely ones are exact, and from each the way leads uphill: beside a resonance the size of a trace, which
+        tells what is likely, is known but coarsely.
         """
-        name, n, grid = trial.frequency, self.n_theta, self.grid
+        name = trial.frequency
         assert name is not None
-        if len(tried) > COARSE:
-            g = self.seen_of.T @ self.residual
-            adjoint = self.reduced.multipliers(g[n:], self.covariance, g[:n])
-            still = columns({name: 0.0})[0].sum(axis=1)  # a wave of frequency zero: cos = 1, sin = 0
-            power = (adjoint * still).reshape(grid.n_intervals, -1).sum(axis=1)
-            middle = grid.t[grid.begin] + grid.h / 2
-            against = np.abs(_fourier(middle, power, tried)) ** 2
-            even, dense = np.linspace(0, len(tried) - 1, COARSE), np.geomspace(1, len(tried), COARSE) - 1
-            coarse = tried[np.unique(np.concatenate([even, dense]).astype(int))]
-            sizes = np.sum(self._wave_traces(columns, name, coarse) ** 2, axis=(0, 2))
-            size = np.exp(np.interp(tried, coarse, np.log(np.maximum(sizes, 1e-300))))
-            tried = tried[_peaks(against / size)[:EXACT]]
-        traces = self._wave_traces(columns, name, tried)
-        drops = [self._regression(trial, traces[:, i])[1] for i in range(len(tried))]
-        return float(tried[int(np.argmax(drops))])
+
+        def drops_at(at: list[int]) -> dict[int, float]:
+            traces = self._wave_traces(columns, name, tried[at])
+            return {k: self._regression(trial, traces[:, i])[1] for i, k in enumerate(at)}
+
+        tops = self._likely_frequencies(columns, name, tried)
+        around = [range(max(k - 1, 0), min(k + 2, len(tried))) for k in tops]
+        drops = drops_at(tops)
+        while beside := sorted({k for near in around for k in near} - drops.keys()):
+            drops |= drops_at(beside)
+            tops = [max(near, key=lambda k: drops[k]) for near in around]
+            around = [range(max(k - 1, 0), min(k + 2, len(tried))) for k in tops]
+        return float(tried[max(drops, key=lambda k: drops[k])])
+
+    def _likely_frequencies(self, columns: Columns, name: str, tried: np.ndarray) -> list[int]:
+        """Where in ``tried`` waves explain much; of few, all.
+
+        The correlation of a wave's trace with the residuals needs no trace, only the residuals' adjoint: a Fourier
+        sum. The size of the trace is interpolated, between more frequencies where the resonances are.
+        """
+        if len(tried) <= COARSE:
+            return list(range(len(tried)))
+        n, grid = self.n_theta, self.grid
+        g = self.seen_of.T @ self.residual
+        adjoint = self.reduced.multipliers(g[n:], self.covariance, g[:n])
+        still = columns({name: 0.0})[0].sum(axis=1)  # a wave of frequency zero: cos = 1, sin = 0
+        power = (adjoint * still).reshape(grid.n_intervals, -1).sum(axis=1)
+        middle = grid.t[grid.begin] + grid.h / 2
+        against = np.abs(_fourier(middle, power, tried)) ** 2
+        even, dense = np.linspace(0, len(tried) - 1, COARSE), np.geomspace(1, len(tried), COARSE) - 1
+        coarse = tried[np.unique(np.concatenate([even, dense]).astype(int))]
+        sizes = np.sum(self._wave_traces(columns, name, coarse) ** 2, axis=(0, 2))
+        size = np.exp(np.interp(tried, coarse, np.log(np.maximum(sizes, 1e-300))))
+        return [int(k) for k in _peaks(against / size)[:EXACT]]
 
     def _wave_traces(self, columns: Columns, name: str, tried: np.ndarray) -> np.ndarray:
         """(n_values, n_tried, k)"""

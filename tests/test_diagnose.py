@@ -403,6 +403,18 @@ def test_a_larger_candidate_is_not_preferred_for_what_it_bends_to_fit_on_the_dat
     assert judged.confusable_with == "hysteresis on p"
 
 
+def test_a_wave_beside_a_parametric_resonance_is_found_at_its_frequency() -> None:
+    from hidden_cases import ROWS, draw
+
+    # Near twice the natural frequency the size of a trace changes twentyfold within a twentieth of the frequency.
+    case = draw(ROWS["parametric_stiffness_0.03"], 15)
+    fit = ph.identify(case.model, case.train)
+    found = ph.diagnose(fit, case.train, case.test, effects=[effect_named(fit.model, "parametric stiffness", "p")])
+    best, (truth,) = found.candidates.iloc[0], case.truths
+    assert found.verdict == "missing: named"
+    assert abs(best.coefficient - truth.coefficient) < 3 * best.std_error
+
+
 def test_a_delay_shorter_than_half_a_sample_is_told_from_a_lag() -> None:
     from hidden_cases import ROWS, draw
 
