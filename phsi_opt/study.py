@@ -134,7 +134,7 @@ class Study:
         """Diagnose and add while an effect is significant; returns (and keeps in ``stopped``) why it stopped.
 
         An effect is added when the diagnosis names it, or when it explains most of what is missing; two together where
-        the first has no fit alone.
+        neither has a fit alone.
         After each step, effects that were added before and that BIC no longer asks for are taken out again.
         """
         for _ in range(max_steps):
@@ -143,12 +143,11 @@ class Study:
             if not diagnosis.together:
                 self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}"
                 return self.stopped
-            fitted = [c.effect for c in diagnosis.ranked if c.fit is not None]
-            known = [effect for effect in diagnosis.together if effect in fitted] or list(diagnosis.together)
             try:
-                self._add_named(diagnosis, known[0])
+                self._add_proposed(diagnosis)
             except SolveError as error:
-                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {known[0]} could not be added: {error}"
+                which = " and ".join(map(str, diagnosis.together))
+                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {which} could not be added: {error}"
                 return self.stopped
             self._check_earlier()
         self.stopped = f"the limit of {max_steps} steps was reached; call auto again to go on"
@@ -187,13 +186,20 @@ class Study:
         """The effects that the present model has beyond the base model, in the order in which they were added."""
         return self.steps[-1].effects
 
-    def _add_named(self, diagnosis: Diagnosis, first: Effect) -> None:
-        try:
-            self.add(first)
-        except SolveError:
-            if diagnosis.nearest is None or len(diagnosis.together) == 1:
-                raise
-            self._add_together(diagnosis.together, diagnosis.nearest)
+    def _add_proposed(self, diagnosis: Diagnosis) -> None:
+        """The one effect that is proposed, or of two the one that was re-fitted alone; both where none can be alone."""
+        effects, nearest = diagnosis.together, diagnosis.nearest
+        fitted = [c.effect for c in diagnosis.ranked if c.fit is not None]
+        alone = [effect for effect in effects if effect in fitted or len(effects) == 1]
+        if alone:
+            try:
+                self.add(alone[0])
+                return
+            except SolveError:
+                if len(effects) == 1 or nearest is None:
+                    raise
+        if nearest is not None:
+            self._add_together(effects, nearest)
 
     def _add_together(self, effects: tuple[Effect, ...], nearest: Fit) -> None:
         """Add effects in one step, from their brief re-fit."""
