@@ -133,8 +133,8 @@ class Study:
     def auto(self, max_steps: int = 4) -> str:
         """Diagnose and add while an effect is significant; returns (and keeps in ``stopped``) why it stopped.
 
-        An effect is added when the diagnosis names it, or when it explains most of what is missing; two together where
-        neither has a fit alone.
+        An effect is added when the diagnosis names it, or when it explains most of what is missing; two in one step
+        where the diagnosis found each needed beside the other.
         After each step, effects that were added before and that BIC no longer asks for are taken out again.
         """
         for _ in range(max_steps):
@@ -187,19 +187,11 @@ class Study:
         return self.steps[-1].effects
 
     def _add_proposed(self, diagnosis: Diagnosis) -> None:
-        """The one effect that is proposed, or of two the one that was re-fitted alone; both where none can be alone."""
-        effects, nearest = diagnosis.together, diagnosis.nearest
-        fitted = [c.effect for c in diagnosis.ranked if c.fit is not None]
-        alone = [effect for effect in effects if effect in fitted or len(effects) == 1]
-        if alone:
-            try:
-                self.add(alone[0])
-                return
-            except SolveError:
-                if len(effects) == 1 or nearest is None:
-                    raise
-        if nearest is not None:
-            self._add_together(effects, nearest)
+        """The effect that the diagnosis proposes; two in one step: each was needed beside the other."""
+        if len(diagnosis.together) > 1 and diagnosis.nearest is not None:
+            self._add_together(diagnosis.together, diagnosis.nearest)
+        else:
+            self.add(diagnosis.together[0])
 
     def _add_together(self, effects: tuple[Effect, ...], nearest: Fit) -> None:
         """Add effects in one step, from their brief re-fit."""

@@ -246,22 +246,18 @@ def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
     assert all(c.confusable_with for c in ranked)
 
 
-def test_two_effects_of_which_neither_has_a_fit_alone_are_added_in_one_step() -> None:
+def test_two_effects_that_are_proposed_together_are_added_in_one_step() -> None:
     data = measured(truth(H="2.3*q**2/2 + p**2/2 + 1.5*q**4/4", F="0.4"), seed=4)
     study = ph.Study(base(), data)
     effects = tuple(effect_named(study.model, name, "p") for name in ("cubic stiffness", "constant force"))
     found = ph.diagnose(study.fit, data, effects=list(effects))
     both = ph.identify(study.model.add(effects[0]).add(effects[1]), data, start=study.fit)
-    without = tuple(replace(c, fit=None) for c in found.ranked)
-    study._diagnoses[1] = replace(found, ranked=without, together=effects, nearest=both)
+    study._diagnoses[1] = replace(found, together=effects, nearest=both)
     study.auto(max_steps=1)
     assert study.effects == effects
     assert study.history["effect"].tolist() == ["base model", "cubic stiffness on p and constant force on p"]
-    # One that has a fit alone comes first, alone.
     study.undo()
-    study._diagnoses[1] = replace(found, together=effects, nearest=both)
-    study.auto(max_steps=1)
-    assert len(study.effects) == 1
+    assert study.effects == ()
 
 
 def test_two_effects_are_both_found_and_added() -> None:
