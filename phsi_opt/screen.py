@@ -272,13 +272,13 @@ class Screen:
             traces = self._wave_traces(columns, name, tried[at])
             return {k: self._regression(trial, traces[:, i])[1] for i, k in enumerate(at)}
 
-        tops = self._likely_frequencies(columns, name, tried)
-        around = [range(max(k - 1, 0), min(k + 2, len(tried))) for k in tops]
-        drops = drops_at(tops)
-        while beside := sorted({k for near in around for k in near} - drops.keys()):
-            drops |= drops_at(beside)
-            tops = [max(near, key=lambda k: drops[k]) for near in around]
-            around = [range(max(k - 1, 0), min(k + 2, len(tried))) for k in tops]
+        def beside(k: int) -> range:
+            return range(max(k - 1, 0), min(k + 2, len(tried)))
+
+        tops, drops = self._likely_frequencies(columns, name, tried), dict[int, float]()
+        while new := sorted({k for top in tops for k in beside(top)} - drops.keys()):
+            drops |= drops_at(new)
+            tops = [max(beside(top), key=lambda k: drops[k]) for top in tops]
         return float(tried[max(drops, key=lambda k: drops[k])])
 
     def _likely_frequencies(self, columns: Columns, name: str, tried: np.ndarray) -> list[int]:

@@ -122,7 +122,7 @@ class Study:
         return self.fit
 
     def undo(self) -> Fit:
-        """Take back the last effect and return the fit before it."""
+        """Take back the last step, with all that it added, and return the fit before it."""
         if len(self.steps) == 1:
             raise ModelError("there is nothing to undo: the study is at its base model.")
         self._diagnoses.pop(len(self.steps), None)
