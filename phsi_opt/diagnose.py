@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import comb, prod
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import chi2, false_discovery_control
@@ -75,6 +76,8 @@ A_LITTLE = 0.1  # share of its expected size with which a further effect begins 
 # Beside a sharp corner IPOPT converges at once or not at all.
 ALONG = replace(DRY, ways=(FEASIBLE_PATH,))
 AT_A_CORNER = replace(DRY, max_iterations=15, ways=(GAUSS_NEWTON, FEASIBLE_PATH))
+
+Row = TypeVar("Row")
 
 
 def diagnose(
@@ -309,7 +312,7 @@ class _Work:
         best: Fit | None = None
         # What chance explains as well, among so many values scanned, comes last.
         rows = sorted(zip(candidates, found, strict=True), key=lambda row: row[1].p_value >= 1.0)
-        for candidate, one in _simple_first(rows[:N_REFITS]):
+        for candidate, one in _simple_first(rows[:N_REFITS], lambda row: (row[1],)):
             expected = max(screen.misfit - one.drop, screen.n_values)
             behind = screen.score(one) < CERTAIN * promised - CLOSE
             is_worth = is_failing or one.p_value * len(found) < WORTH_A_FIT
@@ -389,7 +392,7 @@ class _Work:
             best = _Proposal((c.effect,), c.fit, c.trained, c.comparison, words)
         if is_adequate(self.trained) or (best and explains(self.base, best.trained, best.comparison)):
             return best
-        for first, second in pairs(screen, found, N_PAIRS):
+        for first, second in _simple_first(pairs(screen, found, N_PAIRS), lambda pair: pair):
             self.say(f"re-fitting with {first.effect} and {second.effect}")
             rival = best.fit if best else None
             values, alone = {**first.values, **second.values}, [c.fit for c in everyone if c.fit is not None]
@@ -443,14 +446,24 @@ class _Work:
         return c.comparison is not None and c.p_value < RATE and c.delta_bic < 0 and falls(self.base, c.comparison)
 
 
-def _simple_first(rows: list[tuple[Candidate, Screened]]) -> list[tuple[Candidate, Screened]]:
-    """The same order, but of dry frictions on one equation the one with fewer parameters comes first."""
+def _simple_first(rows: list[Row], screened: Callable[[Row], tuple[Screened, ...]]) -> list[Row]:
+    """The same order, but of those that differ in the kind of dry friction the one with fewer parameters comes first.
+
+    What comes later is sharpened only if it is clearly better while its corner is still rounded.
+    """
+    kinds = [frozenset(_kind(one.effect) for one in screened(row)) for row in rows]
     result = list(rows)
-    for equation in {candidate.effect.equation for candidate, _ in rows}:
-        at = [i for i, (c, _) in enumerate(rows) if c.effect.equation == equation and _is_dry(c.effect)]
-        for i, row in zip(at, sorted((rows[i] for i in at), key=lambda row: row[1].n_free), strict=True):
+    for kind in dict.fromkeys(kinds):
+        at = [i for i, other in enumerate(kinds) if other == kind]
+        simple = sorted((rows[i] for i in at), key=lambda row: sum(one.n_free for one in screened(row)))
+        for i, row in zip(at, simple, strict=True):
             result[i] = row
     return result
+
+
+def _kind(effect: Effect) -> str:
+    """The effect with its equation; one name for all kinds of dry friction there."""
+    return f"dry friction on {effect.equation}" if _is_dry(effect) else str(effect)
 
 
 def _is_dry(effect: Effect) -> bool:
