@@ -180,6 +180,18 @@ def test_a_pair_keeps_the_bounds_of_both_and_chooses_inner_values_together(
         assert drop > alone - 1e-6 * screen.misfit
 
 
+def test_of_pairs_that_differ_in_the_kind_of_dry_friction_the_simpler_is_re_fitted_first(
+    drag: tuple[ph.Fit, ph.Measurements, Screen],
+) -> None:
+    fit, _, screen = drag
+    names = ["coulomb friction", "stribeck friction", "constant force", "cubic stiffness"]
+    found = {one.effect.name: one for one in screen.screened([effect_named(fit.model, name, "p") for name in names])}
+    coulomb, stribeck, constant, cubic = (found[name] for name in names)
+    listed = [(stribeck, constant), (cubic, coulomb), (constant, coulomb)]
+    ordered = diagnosing._simple_first(listed, lambda pair: pair)
+    assert ordered == [(constant, coulomb), (cubic, coulomb), (stribeck, constant)]
+
+
 def _linear(screen: Screen, one: Screened) -> list[str]:
     return screen.trial(one.effect).linear
 
