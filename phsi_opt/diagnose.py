@@ -13,7 +13,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import comb, prod
-from typing import TypeVar
 
 import numpy as np
 from scipy.stats import chi2, false_discovery_control
@@ -76,8 +75,6 @@ A_LITTLE = 0.1  # share of its expected size with which a further effect begins 
 # Beside a sharp corner IPOPT converges at once or not at all.
 ALONG = replace(DRY, ways=(FEASIBLE_PATH,))
 AT_A_CORNER = replace(DRY, max_iterations=15, ways=(GAUSS_NEWTON, FEASIBLE_PATH))
-
-Row = TypeVar("Row")
 
 
 def diagnose(
@@ -312,7 +309,7 @@ class _Work:
         best: Fit | None = None
         # What chance explains as well, among so many values scanned, comes last.
         rows = sorted(zip(candidates, found, strict=True), key=lambda row: row[1].p_value >= 1.0)
-        for candidate, one in _simple_first(rows[:N_REFITS], lambda row: (row[1],)):
+        for candidate, one in _simple_first(rows[:N_REFITS]):
             expected = max(screen.misfit - one.drop, screen.n_values)
             behind = screen.score(one) < CERTAIN * promised - CLOSE
             is_worth = is_failing or one.p_value * len(found) < WORTH_A_FIT
@@ -381,7 +378,8 @@ class _Work:
     def proposed(self, screen: Screen, found: list[Screened], everyone: tuple[Candidate, ...]) -> _Proposal | None:
         """The best significant effect; two together where one alone leaves more than noise and two explain more.
 
-        The two are among ``found``; what could not be re-fitted alone can hardly be beside another.
+        The two are among ``found``; what could not be re-fitted alone can hardly be beside another. Dry friction is the
+        simplest of its kinds there, as it would fill the list with each of them; the others are tried in the best pair.
         """
         best = None
         c = next((c for c in everyone if self.is_significant(c)), None)
@@ -392,21 +390,35 @@ class _Work:
             best = _Proposal((c.effect,), c.fit, c.trained, c.comparison, words)
         if is_adequate(self.trained) or (best and explains(self.base, best.trained, best.comparison)):
             return best
-        for first, second in _simple_first(pairs(screen, found, N_PAIRS), lambda pair: pair):
-            self.say(f"re-fitting with {first.effect} and {second.effect}")
-            rival = best.fit if best else None
-            values, alone = {**first.values, **second.values}, [c.fit for c in everyone if c.fit is not None]
-            result = self.refit([first.effect, second.effect], values, rival=rival, others=alone)
-            if result is None:
-                continue
-            new, trained, comparison, _ = result
-            share = share_of(self.trained if best is None else best.trained, trained)
-            better = delta_bic(self.fit if best is None else best.fit, new, share) < -CLOSE
-            n_tried = comb(len(found), 2) * first.n_tried * second.n_tried
-            better &= n_tried * self.p_value(new, trained) < RATE
-            if better and falls_or_most(self.base if best is None else best.comparison, comparison):
-                both = _Proposal((first.effect, second.effect), new, trained, comparison)
-                best = self.needed(both, (first, second))
+        alone = [c.fit for c in everyone if c.fit is not None]
+        for pair in pairs(screen, _simplest_dry(found), N_PAIRS):
+            best = self.better_of(best, pair, len(found), alone)
+        if best is not None and len(best.effects) == 2:
+            others = [*alone, best.fit]
+            for kinds in _other_kinds(best.effects, found):
+                for pair in pairs(screen, kinds, 1):
+                    best = self.better_of(best, pair, len(found), others)
+        return best
+
+    def better_of(
+        self, best: _Proposal | None, pair: tuple[Screened, Screened], n_found: int, others: Sequence[Fit]
+    ) -> _Proposal | None:
+        """The pair, or what of it is needed, where that is clearly better than the best so far; else the best so far.
+
+        Its p-value counts all pairs of the ``n_found`` candidates; it may begin at one of the ``others``.
+        """
+        effects = tuple(one.effect for one in pair)
+        self.say(f"re-fitting with {effects[0]} and {effects[1]}")
+        rival, values = best.fit if best else None, {**pair[0].values, **pair[1].values}
+        result = self.refit(effects, values, rival=rival, others=others)
+        if result is None:
+            return best
+        new, trained, comparison, _ = result
+        share = share_of(self.trained if best is None else best.trained, trained)
+        better = delta_bic(self.fit if best is None else best.fit, new, share) < -CLOSE
+        better &= comb(n_found, 2) * pair[0].n_tried * pair[1].n_tried * self.p_value(new, trained) < RATE
+        if better and falls_or_most(self.base if best is None else best.comparison, comparison):
+            return self.needed(_Proposal(effects, new, trained, comparison), pair)
         return best
 
     def needed(self, both: _Proposal, pair: tuple[Screened, Screened]) -> _Proposal:
@@ -446,24 +458,31 @@ class _Work:
         return c.comparison is not None and c.p_value < RATE and c.delta_bic < 0 and falls(self.base, c.comparison)
 
 
-def _simple_first(rows: list[Row], screened: Callable[[Row], tuple[Screened, ...]]) -> list[Row]:
-    """The same order, but of those that differ in the kind of dry friction the one with fewer parameters comes first.
-
-    What comes later is sharpened only if it is clearly better while its corner is still rounded.
-    """
-    kinds = [frozenset(_kind(one.effect) for one in screened(row)) for row in rows]
+def _simple_first(rows: list[tuple[Candidate, Screened]]) -> list[tuple[Candidate, Screened]]:
+    """The same order, but of dry frictions on one equation the one with fewer parameters comes first."""
     result = list(rows)
-    for kind in dict.fromkeys(kinds):
-        at = [i for i, other in enumerate(kinds) if other == kind]
-        simple = sorted((rows[i] for i in at), key=lambda row: sum(one.n_free for one in screened(row)))
-        for i, row in zip(at, simple, strict=True):
+    for equation in {candidate.effect.equation for candidate, _ in rows}:
+        at = [i for i, (c, _) in enumerate(rows) if c.effect.equation == equation and _is_dry(c.effect)]
+        for i, row in zip(at, sorted((rows[i] for i in at), key=lambda row: row[1].n_free), strict=True):
             result[i] = row
     return result
 
 
-def _kind(effect: Effect) -> str:
-    """The effect with its equation; one name for all kinds of dry friction there."""
-    return f"dry friction on {effect.equation}" if _is_dry(effect) else str(effect)
+def _simplest_dry(found: list[Screened]) -> list[Screened]:
+    """Of dry frictions on one equation only the one with the fewest parameters; all else as it is."""
+    dry = sorted((one for one in found if _is_dry(one.effect)), key=lambda one: -one.n_free)
+    simplest = {one.effect.equation: one for one in dry}
+    return [one for one in found if not _is_dry(one.effect) or one is simplest[one.effect.equation]]
+
+
+def _other_kinds(pair: tuple[Effect, ...], found: list[Screened]) -> list[list[Screened]]:
+    """The pair with another kind of dry friction on the same equation."""
+    result = []
+    for effect, beside in (pair, pair[::-1]):
+        same = [o for o in found if _is_dry(effect) and _is_dry(o.effect) and o.effect.equation == effect.equation]
+        rest = [one for one in found if one.effect == beside]
+        result += [[other, *rest] for other in same if other.effect != effect]
+    return result
 
 
 def _is_dry(effect: Effect) -> bool:

@@ -180,16 +180,18 @@ def test_a_pair_keeps_the_bounds_of_both_and_chooses_inner_values_together(
         assert drop > alone - 1e-6 * screen.misfit
 
 
-def test_of_pairs_that_differ_in_the_kind_of_dry_friction_the_simpler_is_re_fitted_first(
+def test_pairs_have_the_simplest_dry_friction_and_the_best_one_is_tried_with_its_other_kinds(
     drag: tuple[ph.Fit, ph.Measurements, Screen],
 ) -> None:
     fit, _, screen = drag
-    names = ["coulomb friction", "stribeck friction", "constant force", "cubic stiffness"]
-    found = {one.effect.name: one for one in screen.screened([effect_named(fit.model, name, "p") for name in names])}
-    coulomb, stribeck, constant, cubic = (found[name] for name in names)
-    listed = [(stribeck, constant), (cubic, coulomb), (constant, coulomb)]
-    ordered = diagnosing._simple_first(listed, lambda pair: pair)
-    assert ordered == [(constant, coulomb), (cubic, coulomb), (stribeck, constant)]
+    names = ["stribeck friction", "coulomb friction", "constant force", "cubic stiffness"]
+    found = screen.screened([effect_named(fit.model, name, "p") for name in names])
+    named = {one.effect.name: one for one in found}
+    simple = diagnosing._simplest_dry(found)
+    assert simple == [one for one in found if one.effect.name != "stribeck friction"]
+    stribeck, coulomb, constant, cubic = (named[name] for name in names)
+    assert diagnosing._other_kinds((cubic.effect, coulomb.effect), found) == [[stribeck, cubic]]
+    assert diagnosing._other_kinds((cubic.effect, constant.effect), found) == []
 
 
 def _linear(screen: Screen, one: Screened) -> list[str]:
