@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 from efficiency import option
 from hidden_cases import ENERGY, LOSS, NOISE_LEVELS, ROWS, Case, Row, Truth, draw
-from provenance import RESULTS, write
+from provenance import RESULTS, commit, write
 from scipy.stats import binomtest
 
 import phsi_opt as ph
@@ -40,6 +40,7 @@ COLUMNS = [
     "row", "seed", "noise", "masses", "measured", "input", "free", "known", "n_train", "truth", "equation", "value",
     "listed", "target", "base_ratio", "base_error", "verdict", "first", "first_equation", "confusable_with", "right",
     "tie", "misfit", "coefficient", "std_error", "covered", "after", "rank", "added", "seconds", "drawing", "outcome",
+    "commit",
 ]  # fmt: skip
 
 
@@ -50,6 +51,7 @@ def examine(row: Row, seed: int) -> dict[str, object]:
     """The record of a case: what was hidden, what was named, with which coefficient; whatever fails is recorded."""
     began = time.perf_counter()
     record: dict[str, object] = {"row": row.name, "seed": seed, "right": False, "tie": False, "outcome": "examined"}
+    record["commit"] = commit()
     try:
         case = draw(row, seed)
     except (ArithmeticError, ValueError) as error:
@@ -340,7 +342,7 @@ def page() -> None:
             _markdown(wrong.round(1)) if len(wrong) else "Nothing.",
             "",
         ]
-        lines += _failures(found)
+        lines += [*_failures(found), *_commits(found)]
     write("hidden_effects.md", "\n".join(lines))
 
 
@@ -359,7 +361,8 @@ _INTRODUCTION = [
     f"to within {DETECTED} noise variances in total, the size that a test at 1 % would detect ('misfit').",
     "Intervals in brackets: 95 %, Wilson. Coefficient covered: its 95 % interval holds the truth, where the",
     "catalogue's coefficient counts the same thing. Held-out: error with the first effect over the noise that is in",
-    "the held-out samples, of the cases that are right. Failed: an error was raised; counted as wrong.",
+    "the held-out samples, of the cases that are right. Failed: an error was raised; counted as wrong. An effect from",
+    "outside the catalogue that one of its effects imitates as closely as a true tie is not counted.",
 ]
 
 
@@ -419,6 +422,11 @@ def _failures(found: dict[str, pd.DataFrame]) -> list[str]:
     counts = (failed["row"] + ": " + failed["outcome"]).value_counts()
     lines = [f"- {count} x {what}" for what, count in counts.items()]
     return ["## Cases that failed", "", *lines, ""] if lines else []
+
+
+def _commits(found: dict[str, pd.DataFrame]) -> list[str]:
+    counts = pd.concat(found.values(), ignore_index=True)["commit"].value_counts()
+    return ["## Examined on", "", *[f"- commit {which}: {count} cases" for which, count in counts.items()], ""]
 
 
 def figure(found: dict[str, pd.DataFrame]) -> None:

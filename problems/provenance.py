@@ -14,15 +14,19 @@ def provenance() -> str:
     command = " ".join(
         ["python", *[str(Path(a).resolve().relative_to(ROOT)) if Path(a).exists() else a for a in sys.argv]]
     )
+    machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
+    return f"command: {command}; commit: {commit()}; machine: {machine}"
+
+
+def commit() -> str:
+    """The present commit in short; unknown outside a repository."""
     try:
         run = subprocess.run(
             ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
         )
-        commit = run.stdout.strip() or "unknown"
     except OSError:
-        commit = "unknown"
-    machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
-    return f"command: {command}; commit: {commit}; machine: {machine}"
+        return "unknown"
+    return run.stdout.strip() or "unknown"
 
 
 def write(name: str, text: str) -> Path:

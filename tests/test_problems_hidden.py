@@ -233,7 +233,7 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
     def record(row: object, seed: int) -> dict[str, object]:
         assert isinstance(row, type(hidden_effects.ROWS["gap_0.01"]))
         examined.append((row.name, seed))
-        return _record(row=row.name, seed=seed)
+        return _record(row=row.name, seed=seed, commit="abc1234")
 
     monkeypatch.setattr("sys.argv", ["hidden_effects.py"])
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
@@ -246,6 +246,7 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
     assert examined == first + then  # nothing twice, and the first seeds of all rows first
     text = (tmp_path / "hidden_effects.md").read_text(encoding="utf-8")
     assert "| gap 0.01 | 3 | 100%" in text and "command:" in text
+    assert "commit abc1234: 6 cases" in text
     assert (tmp_path / "hidden_effects.png").exists()
 
 
