@@ -3,6 +3,7 @@
 import platform
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -18,8 +19,9 @@ def provenance() -> str:
     return f"command: {command}; commit: {commit()}; machine: {machine}"
 
 
+@cache
 def commit() -> str:
-    """The present commit in short; unknown outside a repository."""
+    """The commit in short at the first call of a process, which runs on the code of then; unknown outside a repository."""
     try:
         run = subprocess.run(
             ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
