@@ -21,7 +21,7 @@ def provenance() -> str:
 
 @cache
 def commit() -> str:
-    """The commit in short at the first call of a process, which runs on the code of then; unknown outside a repository."""
+    """The commit in short, at the first call of a process, which runs on the code of then; unknown without git."""
     try:
         run = subprocess.run(
             ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
