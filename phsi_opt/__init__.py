@@ -1,21 +1,24 @@
 """phsi_opt: identify energy-based models of dynamical systems from measurements, by optimisation."""
 
-from phsi_opt.compare import Comparison, compare
-from phsi_opt.diagnose import diagnose
-from phsi_opt.diagnosis import Diagnosis
-from phsi_opt.effects import Effect, catalogue
+from phsi_opt.comparison.compare import Comparison, compare
+from phsi_opt.comparison.profile_likelihood import Profile, profile
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.diagnosis.diagnose import diagnose
+from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
-from phsi_opt.fit import Fit
-from phsi_opt.identify import identify
-from phsi_opt.losses import MaximumLikelihood, MissingForce, PHSILoss
-from phsi_opt.measurements import Measurements, Trajectory
-from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
-from phsi_opt.profile import Profile, profile
-from phsi_opt.pruning import Pruning
-from phsi_opt.simulate import simulate
-from phsi_opt.solver import Settings
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.model.catalogue import catalogue
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.optimization.ipopt import Settings
+from phsi_opt.simulation.simulate import simulate
 from phsi_opt.study import Study
-from phsi_opt.terms import Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.transcription.losses import MaximumLikelihood, MissingForce, PHSILoss
 
 __all__ = [
     "Comparison",

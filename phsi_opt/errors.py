@@ -5,8 +5,6 @@ whatever this package raises on purpose; the standard class beside it (`ValueErr
 does not know the package catch it too. This file raises nothing itself.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 

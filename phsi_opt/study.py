@@ -7,22 +7,24 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from phsi_opt.compare import Comparison, compare, compared
-from phsi_opt.diagnose import diagnose
-from phsi_opt.diagnosis import Candidate, Diagnosis
-from phsi_opt.effects import Effect, effect_named
+from phsi_opt.comparison.compare import Comparison, compare, compared
+from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnose import diagnose
+from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import ModelError, PhsiOptError, SolveError
-from phsi_opt.evidence import delta_bic, deviance, share_of
-from phsi_opt.fit import Fit
-from phsi_opt.identify import identify, matched
-from phsi_opt.losses import MaximumLikelihood
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import Model
-from phsi_opt.solver import Settings
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
+from phsi_opt.optimization.ipopt import Settings
+from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
 
 # A brief re-fit is an optimum on its own grid: from there a thorough one converges soon, or hardly ever.
 REFINING = Settings(max_iterations=100, max_seconds=60.0)
@@ -165,7 +167,7 @@ class Study:
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""
-        from phsi_opt.plotting import plot_history
+        from phsi_opt.presentation.pictures import plot_history
 
         return plot_history(self.history, ax, self.unit)
 
@@ -177,7 +179,7 @@ class Study:
 
     def report(self, path: str | Path) -> Path:
         """Write the study as text (Markdown, ``.md`` or ``.txt``): equations, history, verdict; returns the path."""
-        from phsi_opt.report import write_report
+        from phsi_opt.presentation.report import write_report
 
         return write_report(self, Path(path))
 

@@ -24,7 +24,7 @@ from provenance import RESULTS, write
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.model import Model
+from phsi_opt.model.model import Model
 
 N_SEEDS, FIRST_SEED, WITHIN = 20, 7000, 1.959964
 TABLE = RESULTS / "chaos.csv"

@@ -14,7 +14,7 @@ from friction_spring import CSV, NOISE, TRUTH
 from provenance import RESULTS, write
 
 import phsi_opt as ph
-from phsi_opt.report import report_text
+from phsi_opt.presentation.report import report_text
 
 
 def measurements() -> ph.Measurements:

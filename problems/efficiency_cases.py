@@ -9,7 +9,7 @@ from cramer_rao import TrueSystem, covariance_bound, pseudo_hamiltonian
 from thesis.systems import FLOWS, LEVELS, SYSTEMS, System, tank_model, tank_structure
 
 import phsi_opt as ph
-from phsi_opt.model import Model
+from phsi_opt.model.model import Model
 
 # dq/dt = p, dp/dt = -k q - a q^3 - c p + 2 cos(1.3 t): regular, and the cubic force is as large as the linear one
 DUFFING = {"k": 1.7, "a": 0.6, "c": 0.15}

@@ -26,7 +26,7 @@ from provenance import RESULTS, commit, write
 from scipy.stats import binomtest
 
 import phsi_opt as ph
-from phsi_opt.model import Model
+from phsi_opt.model.model import Model
 
 FOLDER = RESULTS / "hidden_effects"
 NOTHING, NAMED, UNEXPLAINED = "nothing missing", "missing: named", "missing: unexplained"

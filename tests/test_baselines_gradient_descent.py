@@ -19,11 +19,12 @@ from phsi_opt.baselines.gradient_descent import Descent, HybridBaseline, JointFo
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_dictionary import Basis, DictionaryDynamics, monomial
 from phsi_opt.baselines.torch_steps import Adam, Steps, one_thread
-from phsi_opt.grid import defects, grid_of
-from phsi_opt.integrators import INTEGRATORS
-from phsi_opt.losses import complete
-from phsi_opt.model import Model
-from phsi_opt.terms import Dictionary, Parameter, Term
+from phsi_opt.model.model import Model
+from phsi_opt.model.terms import Dictionary, Parameter, Term
+from phsi_opt.transcription.defects import defects
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.integrators import INTEGRATORS
+from phsi_opt.transcription.losses import complete
 
 HENON = SYSTEMS["henon_heiles"]
 

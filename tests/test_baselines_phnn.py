@@ -15,8 +15,8 @@ from phsi_opt.baselines.gradient_descent import JointForce
 from phsi_opt.baselines.phnn import PHNN, NetworkDescent, _NetworkDynamics, phnn
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_steps import Steps, one_thread
-from phsi_opt.grid import grid_of
-from phsi_opt.integrators import integrator
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.integrators import integrator
 
 SPRING = SYSTEMS["mass_spring"]
 SMALL = NetworkDescent(epochs=4, hidden=(12, 12), force_hidden=(10,), learning_rate=5e-3)

@@ -13,6 +13,7 @@ from thesis.systems import SYSTEMS
 import phsi_opt as ph
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.sindy import DERIVATIVES, lasso, regressions, sindy
+from phsi_opt.model.terms import Dictionary
 
 HENON_HEILES = replace(SYSTEMS["henon_heiles"], n_trajectories=50, n_steps=20, step=0.02)
 TRUTH = HENON_HEILES.truth_first_order
@@ -153,7 +154,7 @@ def test_an_equation_may_lose_all_its_terms_but_not_every_equation() -> None:
         lasso(model, data, 1e6)
 
 
-def one_state(force: ph.terms.Dictionary, **more: Any) -> ph.FirstOrder:
+def one_state(force: Dictionary, **more: Any) -> ph.FirstOrder:
     return ph.FirstOrder(["x"], {"x": force}, **more)
 
 

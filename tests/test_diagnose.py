@@ -2,22 +2,21 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.columns import Columns
-from phsi_opt.compare import force_of
-from phsi_opt.diagnosis import Candidate
-from phsi_opt.effects import effect_named
-from phsi_opt.evidence import delta_bic, falls, is_adequate
-from phsi_opt.identify import matched
-from phsi_opt.pairs import pairs
-from phsi_opt.screen import Screen, Screened
-
-diagnosing = import_module("phsi_opt.diagnose")  # the package's name `diagnose` is the verb
+from phsi_opt.comparison.compare import compared_from_estimate
+from phsi_opt.comparison.model_selection import delta_bic, falls, is_adequate
+from phsi_opt.diagnosis import dry_friction, refit
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.estimation.missing_force import force_of
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.screening.pair_search import pairs
+from phsi_opt.screening.score_test import Screen, Screened
+from phsi_opt.screening.sensitivities import Columns
+from phsi_opt.transcription.alignment import matched
 
 T = np.linspace(0.0, 14.0, 281)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
@@ -187,11 +186,11 @@ def test_pairs_have_the_simplest_dry_friction_and_the_best_one_is_tried_with_its
     names = ["stribeck friction", "coulomb friction", "constant force", "cubic stiffness"]
     found = screen.screened([effect_named(fit.model, name, "p") for name in names])
     named = {one.effect.name: one for one in found}
-    simple = diagnosing._simplest_dry(found)
+    simple = dry_friction.simplest_dry(found)
     assert simple == [one for one in found if one.effect.name != "stribeck friction"]
     stribeck, coulomb, constant, cubic = (named[name] for name in names)
-    assert diagnosing._other_kinds((cubic.effect, coulomb.effect), found) == [[stribeck, cubic]]
-    assert diagnosing._other_kinds((cubic.effect, constant.effect), found) == []
+    assert dry_friction.other_kinds((cubic.effect, coulomb.effect), found) == [[stribeck, cubic]]
+    assert dry_friction.other_kinds((cubic.effect, constant.effect), found) == []
 
 
 def _linear(screen: Screen, one: Screened) -> list[str]:
@@ -235,7 +234,7 @@ def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(n: int) -> N
     v = np.array([0.5, -0.5, -0.5, -0.5, -0.5])[:n]
     runs = ph.Measurements.from_arrays([T[:n]], [np.column_stack([v, v])], states=["q", "p"])
     part = replace(fit, states=(np.column_stack([v, v]),))
-    (steps,) = diagnosing._finer_at_corner(part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),))
+    (steps,) = dry_friction.finer_at_corner(part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),))
     assert steps.tolist() == [8, 8, 1, 1][: n - 1]
 
 
@@ -244,7 +243,7 @@ def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
     drag: tuple[ph.Fit, ph.Measurements, Screen], leaves_noise: bool, first: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fit, data, _ = drag
-    work = diagnosing._Work.begin(fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None)
+    work = refit.Refitting.begin(fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None)
     refitted = []
     for name in ("coulomb friction", "stribeck friction"):
         effect = effect_named(fit.model, name, "p")
@@ -253,8 +252,8 @@ def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
         refitted.append(Candidate(effect, 0.0, 0.0, 0.0, {}, (), 0.0, fit=found[0], trained=found[1]))
     n_base = len(fit.names)
     # The larger one is better, by less than is clear.
-    monkeypatch.setattr(diagnosing, "delta_bic", lambda old, new, share: -100.0 - 2 * (len(new.names) - n_base))
-    monkeypatch.setattr(diagnosing, "is_adequate", lambda trained: leaves_noise)
+    monkeypatch.setattr(refit, "delta_bic", lambda old, new, share: -100.0 - 2 * (len(new.names) - n_base))
+    monkeypatch.setattr(refit, "is_adequate", lambda trained: leaves_noise)
     ranked = work.ranked(refitted)
     assert ranked[0].effect.name == first
     assert all(c.confusable_with for c in ranked)
@@ -475,12 +474,12 @@ def test_a_body_that_creeps_gets_the_width_of_its_corner() -> None:
     corner = 0.0045
     data = measured(truth(H="1.7*q**2/2 + p**2/2", R=f"0.05 + 0.25*(dH_dp**4 + {corner}**4)**(-0.25)"), seed=1)
     fit = ph.identify(base(), data)
-    work = diagnosing._Work.begin(fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None)
+    work = refit.Refitting.begin(fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None)
     found = work.refit([effect_named(fit.model, "coulomb friction", "p")], {"coulomb_friction_p": 0.25})
     assert found is not None
     stuck = work.at_widths(found[0], {"coulomb_friction_p.v0": corner / 8}, 8)
     assert stuck is not None
-    trained = diagnosing._compared(stuck, work.data, work.estimate)
+    trained = compared_from_estimate(stuck, work.data, work.estimate)
     crept, again = work.creeping(stuck, trained)
     assert not is_adequate(trained) and is_adequate(again)
     assert crept.values["coulomb_friction_p.v0"] == pytest.approx(corner, rel=0.2)

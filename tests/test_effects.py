@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.effects import Effect, effect_named
-from phsi_opt.grid import grid_of
-from phsi_opt.guesses import at_rest, resolved
-from phsi_opt.memory import Memory, remembered
-from phsi_opt.model import Model
+from phsi_opt.initialization.relative_guesses import at_rest, resolved
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
+from phsi_opt.transcription.augmented_states import Memory, remembered
+from phsi_opt.transcription.grid import grid_of
 
 M, K, X, U, T = 2.0, 3.0, np.array([0.7, -1.2]), np.array([0.9]), 0.4
 Q, V = 0.7, -0.6  # of the state X

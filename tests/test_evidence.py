@@ -8,7 +8,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from phsi_opt.evidence import falls_or_most, independent_share, spread_together
+from phsi_opt.comparison.model_selection import falls_or_most
+from phsi_opt.statistics import independent_share, spread_together
 
 N = 1000
 KEPT = 0.9  # share of the last residual that the next one keeps

@@ -6,7 +6,7 @@ import pytest
 import sympy as sp
 
 from phsi_opt.errors import ModelError
-from phsi_opt.expressions import FUNCTIONS, NUMPY, SYMPY, evaluate, names_of, parse, renamed
+from phsi_opt.model.expressions import FUNCTIONS, NUMPY, SYMPY, evaluate, names_of, parse, renamed
 
 FORMULAS = [
     *(f"{name}(0.3 + q**2)" for name in FUNCTIONS if name not in ("min", "max")),

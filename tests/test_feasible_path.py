@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt import likelihood
-from phsi_opt.feasible_path import FeasiblePath
-from phsi_opt.grid import grid_of
-from phsi_opt.solver import EXACT, FEASIBLE_PATH, Settings, Solver
-from phsi_opt.start import point_at
-from phsi_opt.theta import Theta
+from phsi_opt.estimation import likelihood_solve
+from phsi_opt.estimation.feasible_path import FeasiblePath
+from phsi_opt.estimation.likelihood_solve import on_record
+from phsi_opt.initialization.scaling import point_at
+from phsi_opt.optimization.ipopt import EXACT, FEASIBLE_PATH, Settings, Solver
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.parameter_vector import Theta
 
 T = np.linspace(0.0, 12.0, 161)
 STARTS = ([1.0, 0.0], [-0.7, 0.9])
@@ -141,7 +142,7 @@ def test_a_fit_along_solutions_is_compared_along_solutions(monkeypatch: pytest.M
     along = replace(fit, outcome=replace(fit.outcome, status="Feasible_Path"))
     found = ph.compare(fit, data)
     used: list[str] = []
-    monkeypatch.setattr(likelihood, "Solver", lambda *a, **k: used.append("ipopt"))
+    monkeypatch.setattr(likelihood_solve, "Solver", lambda *a, **k: used.append("ipopt"))
     assert ph.compare(along, data).rmse == pytest.approx(found.rmse, rel=1e-4)
     assert not used
 
@@ -186,12 +187,10 @@ def test_where_newton_is_caught_beyond_a_corner_it_begins_again_at_the_state_bef
 def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(monkeypatch: pytest.MonkeyPatch) -> None:
     data, x = measured(0.3), tuple(ph.simulate(rubbing(0.3, FRICTION, DAMPING), T, x0) for x0 in STARTS)
     model, sigma, steps = rubbing(0.3, 0.9 * FRICTION, DAMPING), np.array([NOISE, 1.0]), [np.ones(len(T) - 1, int)] * 2
-    monkeypatch.setattr("phsi_opt.feasible_path.MAX_ITERATIONS", 1)
+    monkeypatch.setattr("phsi_opt.estimation.feasible_path.MAX_ITERATIONS", 1)
 
     def solved(is_start: bool) -> str:
-        state = likelihood.on_record(
-            model, data, sigma, x, ph.MaximumLikelihood(), steps, FEASIBLE_PATH, is_start=is_start
-        )
+        state = on_record(model, data, sigma, x, ph.MaximumLikelihood(), steps, FEASIBLE_PATH, is_start=is_start)
         assert state is not None
         return state.solution.outcome.status
 

@@ -11,11 +11,12 @@ import pytest
 import sympy as sp
 
 from phsi_opt.errors import DataError
-from phsi_opt.expressions import NUMPY, evaluate
-from phsi_opt.fit import Fit, to_json
-from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian, canonical
-from phsi_opt.solver import Outcome
-from phsi_opt.terms import Parameter, Scan, Share, damping, formula, polynomials, trigonometric
+from phsi_opt.estimation.fit import Fit, to_json
+from phsi_opt.model.expressions import NUMPY, evaluate
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Parameter, Scan, Share, damping, formula, polynomials, trigonometric
+from phsi_opt.optimization.ipopt import Outcome
 
 OUTCOME = Outcome(True, "Solve_Succeeded", "a local optimum was found", "", 7, 0.25, 1.5, 1e-12, ("R_p",))
 

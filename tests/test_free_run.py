@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-import phsi_opt.free_run as module
-from phsi_opt.effects import effect_named
+import phsi_opt.simulation.free_run as module
 from phsi_opt.errors import DataError, SolveError
-from phsi_opt.free_run import Runs, free_run, rates
-from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian, canonical
-from phsi_opt.simulate import simulate
-from phsi_opt.terms import Dictionary, formula
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Dictionary, formula
+from phsi_opt.simulation.free_run import Runs, free_run, rates
+from phsi_opt.simulation.simulate import simulate
 
 CLOSE = 1e-5  # of the spread: what two integrations at tolerances of 1e-6 and 1e-8 per step may differ by
 

@@ -5,11 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phsi_opt.grid import defect, defect_jacobian, defects, grid_of
-from phsi_opt.integrators import INTEGRATORS
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import PseudoHamiltonian, canonical
-from phsi_opt.terms import Parameter, damping, formula, trigonometric
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.model.model import PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Parameter, damping, formula, trigonometric
+from phsi_opt.transcription.defects import defect, defect_jacobian, defects
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.integrators import INTEGRATORS
 
 
 def data(hold: str = "linear") -> Measurements:

@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 import phsi_opt
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, SolveError
-from phsi_opt.fit import Fit
-from phsi_opt.identify import identify
-from phsi_opt.losses import MaximumLikelihood, PHSILoss
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
-from phsi_opt.pruning import Pruning
-from phsi_opt.simulate import simulate
-from phsi_opt.solver import Settings
-from phsi_opt.terms import Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.optimization.ipopt import Settings
+from phsi_opt.simulation.simulate import simulate
+from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 K, M, D = 40.0, 2.5, 0.8  # N/m, kg, kg/s
 

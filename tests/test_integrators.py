@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from phsi_opt.errors import ModelError
-from phsi_opt.integrators import INTEGRATORS, Integrator, integrator
+from phsi_opt.transcription.integrators import INTEGRATORS, Integrator, integrator
 
 SCHEMES = list(INTEGRATORS.values())
 each_scheme = pytest.mark.parametrize("scheme", SCHEMES, ids=[s.name for s in SCHEMES])

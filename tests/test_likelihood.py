@@ -8,19 +8,20 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from phsi_opt.compare import compare
+from phsi_opt.comparison.compare import compare
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError
-from phsi_opt.fit import Fit
-from phsi_opt.grid import grid_of, steps_of
-from phsi_opt.identify import identify
-from phsi_opt.likelihood import cut
-from phsi_opt.losses import ForcePrior, MaximumLikelihood, MissingForce, PHSILoss
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
-from phsi_opt.simulate import simulate
-from phsi_opt.start import point_at
-from phsi_opt.terms import Dictionary, Parameter, formula
-from phsi_opt.theta import Theta
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.likelihood_solve import cut
+from phsi_opt.initialization.scaling import point_at
+from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Dictionary, Parameter, formula
+from phsi_opt.simulation.simulate import simulate
+from phsi_opt.transcription.grid import grid_of, steps_of
+from phsi_opt.transcription.losses import ForcePrior, MaximumLikelihood, MissingForce, PHSILoss
+from phsi_opt.transcription.parameter_vector import Theta
 
 TRUTH = {"k": 1.2, "a": 0.8, "c": 0.15}
 NOISE = 0.01

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt import likelihood
 from phsi_opt.errors import ModelError
-from phsi_opt.terms import Dictionary, Scan, Term
+from phsi_opt.estimation import likelihood_start
+from phsi_opt.model.terms import Dictionary, Scan, Term
 
 NOISE = 0.02
 
@@ -230,7 +230,7 @@ def test_a_long_record_is_begun_through_its_first_part(loads: ph.Measurements, m
     model = spring(ph.Parameter(2.5, lower=0.1, per_trajectory=True))
     whole = ph.identify(model, loads)
     said: list[str] = []
-    monkeypatch.setattr(likelihood, "LONG", 120)
+    monkeypatch.setattr(likelihood_start, "LONG", 120)
     through = ph.identify(model, loads, progress=said.append)
     assert said[0] == "starting values from the first 60 samples"
     for name in whole.names:
@@ -254,5 +254,5 @@ def test_other_data_are_started_from_states_as_accurate_as_the_run(monkeypatch: 
         return float(np.sqrt(np.mean((left / noise) ** 2)))
 
     fine = error()
-    monkeypatch.setattr("phsi_opt.record.REFINEMENTS", 0)
+    monkeypatch.setattr("phsi_opt.estimation.smoothing.REFINEMENTS", 0)
     assert fine < 1.1 and error() > 1.3

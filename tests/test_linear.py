@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_matrix, identity
 
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import SolveError
-from phsi_opt.grid import grid_of
-from phsi_opt.linear import Banded, Reduced, along_time
-from phsi_opt.measurements import Measurements
+from phsi_opt.optimization.banded import Banded
+from phsi_opt.transcription.elimination import Reduced, along_time
+from phsi_opt.transcription.grid import grid_of
 
 
 def two_runs(n: int) -> Measurements:

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, PhsiOptError, did_you_mean
-from phsi_opt.measurements import Measurements, Trajectory
 
 # All comparisons are exact: reading, joining and splitting copy numbers and never compute with them.
 

@@ -5,14 +5,15 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.sparse import csc_matrix, diags
 
-from phsi_opt.grid import grid_of
-from phsi_opt.losses import ForcePrior, MissingForce, Point
-from phsi_opt.measurements import Measurements
-from phsi_opt.missing import ForceEstimate, Linearised, estimate_force, forced_rows, positions
-from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
-from phsi_opt.noise import difference_noise
-from phsi_opt.solver import solve
-from phsi_opt.terms import damping, formula, polynomials
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import difference_noise
+from phsi_opt.estimation.missing_force import ForceEstimate, Linearised, estimate_force
+from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.structure import canonical, forced_rows, positions
+from phsi_opt.model.terms import damping, formula, polynomials
+from phsi_opt.optimization.ipopt import solve
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.losses import ForcePrior, MissingForce, Point
 
 K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02
 START = ([1.0, 0.0], [-0.8, 0.0], [0.6, 1.5])

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian, canonical
-from phsi_opt.terms import Dictionary, Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Dictionary, Parameter, damping, formula, polynomials, trigonometric
 
 
 @dataclass(frozen=True)

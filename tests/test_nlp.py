@@ -7,14 +7,15 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
-from phsi_opt.grid import grid_of
-from phsi_opt.losses import PHSILoss, Point
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import PseudoHamiltonian, canonical
-from phsi_opt.nlp import Assembly
-from phsi_opt.solver import Settings, _is_settled, solve
-from phsi_opt.terms import Dictionary, Parameter, Term, polynomials
+from phsi_opt.model.model import PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Dictionary, Parameter, Term, polynomials
+from phsi_opt.optimization.ipopt import Settings, _is_settled, solve
+from phsi_opt.optimization.program import Assembly
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.losses import PHSILoss, Point
 
 POWERS = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)]  # of q and p, total degree 1 to 3
 

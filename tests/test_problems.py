@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.effects import Effect, effect_named
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.effect import Effect
 
 
 @pytest.mark.parametrize("name", ["ball_and_hoop", "emps", "silverbox", "cascaded_tanks", "quarter_drone"])

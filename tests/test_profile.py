@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from phsi_opt.comparison.profile_likelihood import profile
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
-from phsi_opt.fit import Fit
-from phsi_opt.identify import identify
-from phsi_opt.losses import PHSILoss
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import FirstOrder
-from phsi_opt.profile import profile
-from phsi_opt.terms import Parameter, formula
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.model.model import FirstOrder
+from phsi_opt.model.terms import Parameter, formula
+from phsi_opt.transcription.losses import PHSILoss
 
 
 def decay(noise: float, rate: Parameter) -> tuple[FirstOrder, Measurements]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.pruning import Pruning
+from phsi_opt.estimation.pruning import Pruning
 
 MODEL = ph.PseudoHamiltonian(
     states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2), R=ph.damping("p")

@@ -7,14 +7,15 @@ import pytest
 from scipy.optimize import least_squares
 
 import phsi_opt as ph
-from phsi_opt.effects import Effect, effect_named
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.experiment_design import Separation, separating
 from phsi_opt.errors import DataError
-from phsi_opt.fit import Fit
-from phsi_opt.free_run import free_run
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian
-from phsi_opt.separate import Separation, separating
-from phsi_opt.terms import Dictionary, Parameter, Term, formula
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.terms import Dictionary, Parameter, Term, formula
+from phsi_opt.simulation.free_run import free_run
 
 NOISE = 0.02
 

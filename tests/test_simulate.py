@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from phsi_opt.errors import DataError, SolveError
-from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
-from phsi_opt.simulate import simulate
-from phsi_opt.terms import Parameter, damping, formula
+from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Parameter, damping, formula
+from phsi_opt.simulation.simulate import simulate
 
 K, M, D = 40.0, 2.5, 0.8
 # Local errors of 1e-8 (RTOL), gathered over some hundred steps.

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.compare import force_of
-from phsi_opt.orthogonal import Response
-from phsi_opt.shortform import short_form
-from phsi_opt.stopgap import LearnedForce, distil, learned_force
+from phsi_opt.estimation.missing_force import force_of
+from phsi_opt.learning.distillation import short_form
+from phsi_opt.learning.learned_force import LearnedForce, distil, learned_force
+from phsi_opt.learning.orthogonal_network import Response
 
 TIMES = np.arange(0.0, 12.01, 0.08)
 PULSE = "-1.5*exp(-((q - 0.6)/0.2)**2)"

@@ -15,8 +15,8 @@ from demo import model as spring
 from friction_spring import CSV, TIMES, table
 
 import phsi_opt as ph
-from phsi_opt.effects import effect_named
-from phsi_opt.plotting import plot_history
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.presentation.pictures import plot_history
 
 HISTORY = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"]
 CANDIDATES = ["effect", "slot", "equation", "coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]

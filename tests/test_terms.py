@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from phsi_opt.errors import ModelError
-from phsi_opt.terms import Dictionary, Parameter, Scan, Term, damping, formula, polynomials, trigonometric, with_value
+from phsi_opt.model.terms import (
+    Dictionary,
+    Parameter,
+    Scan,
+    Term,
+    damping,
+    formula,
+    polynomials,
+    trigonometric,
+    with_value,
+)
 
 
 def test_a_parameter_starts_at_its_value_or_at_the_point_of_its_bounds_nearest_to_zero() -> None:

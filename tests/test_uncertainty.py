@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from phsi_opt.uncertainty import inverse, weak_directions
+from phsi_opt.estimation.uncertainty import weak_directions
+from phsi_opt.transcription.elimination import inverse
 
 NAMES = [f"c{i}" for i in range(30)]
 

@@ -8,21 +8,23 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from phsi_opt.along import spectrum
-from phsi_opt.compare import compare, force_of
-from phsi_opt.diagnosis import Diagnosis
+from phsi_opt.comparison.compare import compare
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import ModelError
-from phsi_opt.fit import Fit
-from phsi_opt.follows import depends_on
-from phsi_opt.identify import identify
-from phsi_opt.measurements import Measurements
-from phsi_opt.missing import ForceEstimate, force_deviation
-from phsi_opt.model import FirstOrder, PseudoHamiltonian, canonical
-from phsi_opt.plotting_where import plot_dependence, plot_force, plot_map, plot_spectrum, plot_where
-from phsi_opt.power import power
-from phsi_opt.simulate import simulate
-from phsi_opt.terms import Parameter, formula
-from phsi_opt.where import located, sentences, uncertain
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation, force_of
+from phsi_opt.force_analysis.dependence import depends_on
+from phsi_opt.force_analysis.energy import power
+from phsi_opt.force_analysis.force_plots import plot_dependence, plot_force, plot_map, plot_spectrum, plot_where
+from phsi_opt.force_analysis.force_record import spectrum
+from phsi_opt.force_analysis.localization import located, uncertain
+from phsi_opt.force_analysis.wording import sentences
+from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import Parameter, formula
+from phsi_opt.simulation.simulate import simulate
 
 M, K, D = 2.5, 40.0, 0.8
 UNITS = {"q": "m", "p": "kg m/s", "t": "s", "u": "N"}

@@ -14,8 +14,8 @@ except ModuleNotFoundError as error:  # pragma: no cover
     raise ModuleNotFoundError("torch is missing; install the extra: pip install 'phsi_opt[baselines]'.") from error
 
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.integrators import integrator
-from phsi_opt.losses import l1_weights
+from phsi_opt.transcription.integrators import integrator
+from phsi_opt.transcription.losses import l1_weights
 
 DTYPES = {"float32": torch.float32, "float64": torch.float64}
 STARTS = ("thesis", "normal", "model")

@@ -19,13 +19,13 @@ from phsi_opt.baselines.network_simulation import input_of, integrated, network_
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_dictionary import DictionaryDynamics, monomial
 from phsi_opt.baselines.torch_steps import Adam, Progress, Steps, descend, one_thread
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, SolveError
-from phsi_opt.grid import Grid, grid_of
-from phsi_opt.identify import matched
-from phsi_opt.losses import complete
-from phsi_opt.measurements import Measurements
-from phsi_opt.model import Model, place_of
-from phsi_opt.terms import Dictionary, Term
+from phsi_opt.model.model import Model, place_of
+from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.losses import complete
 
 __all__ = ["Descent", "HybridBaseline", "JointForce", "gradient_descent"]
 POLYNOMIAL_START, FUNCTION_START, NORMAL_START = 0.2, 1.0, 0.5

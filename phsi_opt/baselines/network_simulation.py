@@ -7,7 +7,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from phsi_opt.errors import DataError, SolveError
-from phsi_opt.simulate import ATOL, RTOL
+from phsi_opt.simulation.simulate import ATOL, RTOL
 
 
 def network_values(layers: Sequence[tuple[np.ndarray, np.ndarray]], v: np.ndarray, first: str = "relu") -> np.ndarray:

@@ -18,11 +18,12 @@ import pysindy as ps
 from sklearn.exceptions import ConvergenceWarning
 
 from phsi_opt.baselines.result import Baseline
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, ModelError, SolveError, did_you_mean
-from phsi_opt.identify import matched
-from phsi_opt.measurements import Measurements, Trajectory
-from phsi_opt.model import FirstOrder, Model, place_of
-from phsi_opt.terms import Dictionary, Parameter, Term
+from phsi_opt.model.model import FirstOrder, Model, place_of
+from phsi_opt.model.terms import Dictionary, Parameter, Term
+from phsi_opt.transcription.alignment import matched
 
 OPTIMIZERS = ("stlsq", "sr3")
 ZERO = 1e-6  # LASSO: a term below this share of the rates is the solver's rounding

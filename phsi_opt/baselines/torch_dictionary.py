@@ -17,9 +17,9 @@ from torch.autograd.function import once_differentiable
 
 from phsi_opt.baselines.descent_settings import JointForce, is_count
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.expressions import evaluate, names_of, parse
-from phsi_opt.model import FirstOrder, Model, PseudoHamiltonian, place_of
-from phsi_opt.terms import Term
+from phsi_opt.model.expressions import evaluate, names_of, parse
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian, place_of
+from phsi_opt.model.terms import Term
 
 
 def _tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from phsi_opt.errors import SolveError
-from phsi_opt.grid import Grid
-from phsi_opt.integrators import RightHandSide, integrator
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.integrators import RightHandSide, integrator
 
 Progress = Callable[[str], None]
 BETAS, EPSILON = (0.9, 0.999), 1e-8  # of Adam

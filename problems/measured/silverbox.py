@@ -28,8 +28,8 @@ from measured.story import Story, page, told
 from provenance import write
 
 import phsi_opt as ph
-from phsi_opt.effects import effect_named
-from phsi_opt.model import Model
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.model import Model
 
 RATE = 1e7 / 2**14  # Hz
 FINER = 2

@@ -19,7 +19,9 @@ import numpy as np
 from provenance import RESULTS
 
 import phsi_opt as ph
-from phsi_opt.diagnosis import NAMED, NOTHING, UNEXPLAINED, Candidate, Diagnosis
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.criteria import NAMED, NOTHING, UNEXPLAINED
+from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import PhsiOptError
 
 RATE = 0.01  # p-value, adjusted for all candidates, up to which the first candidate is added where none is named

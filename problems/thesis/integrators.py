@@ -33,7 +33,7 @@ from provenance import RESULTS, write
 from thesis.systems import LEAK_SLOPE, SYSTEMS, System, closed_tanks, known_leak, tank_model
 
 import phsi_opt as ph
-from phsi_opt.integrators import INTEGRATORS
+from phsi_opt.transcription.integrators import INTEGRATORS
 
 SEEDS = range(5)
 # The sum of the levels is a Casimir: c (mu1 + .. + mu4)^2 in H moves nothing, so without any L1 the data leave c open.

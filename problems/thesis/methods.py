@@ -37,7 +37,8 @@ def by_solver(
     weights = dict(system.l1) if l1 is None else l1
     if system.name != "tanks":
         return ph.identify(system.model(), data, ph.PHSILoss(), weights, pruning)
-    from phsi_opt.neural import NeuralForce, hybrid
+    from phsi_opt.learning.hybrid import hybrid
+    from phsi_opt.learning.network import NeuralForce
 
     return hybrid(system.model(), data, NeuralForce(("mu4",), ("mu4",)), weights, pruning, seed=seed)
 

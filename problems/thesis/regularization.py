@@ -26,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from provenance import RESULTS, write
 
 import phsi_opt as ph
-from phsi_opt.identified import Identified
-from phsi_opt.model import Model
+from phsi_opt.estimation.result import Identified
+from phsi_opt.model.model import Model
 
 WEIGHTS = ((0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.1))  # lambda_H, lambda_F
 STARTS = (0, 1, 2)

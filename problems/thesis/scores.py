@@ -9,8 +9,8 @@ from measured.paths import folder
 from thesis.systems import System, thesis_data_present
 
 import phsi_opt as ph
-from phsi_opt.grid import grid_of
-from phsi_opt.integrators import integrator
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.integrators import integrator
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from measured.paths import folder
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from phsi_opt.model.terms import Dictionary, Term
 
 Vector = np.ndarray
 
@@ -217,7 +218,7 @@ def closed_tanks(t: float, x: Vector) -> Vector:
     return _TANK_MATRIX @ x
 
 
-def tank_model(force: ph.terms.Dictionary | None = None) -> ph.PseudoHamiltonian:
+def tank_model(force: Dictionary | None = None) -> ph.PseudoHamiltonian:
     """All polynomials of degree 2 in the nine states, damping in the five pipes; ``force`` on tank 4."""
     states = FLOWS + LEVELS
     return ph.PseudoHamiltonian(
@@ -226,7 +227,7 @@ def tank_model(force: ph.terms.Dictionary | None = None) -> ph.PseudoHamiltonian
     )  # fmt: skip
 
 
-def known_leak() -> ph.terms.Dictionary:
+def known_leak() -> Dictionary:
     """The leak with its form and limit known and its size unknown."""
     return ph.formula("-slope*min(max(mu4, -limit), limit)", slope=ph.Parameter(5.0, lower=0.0), limit=LEAK_LIMIT)
 
@@ -252,10 +253,10 @@ def _mass_spring_model() -> ph.PseudoHamiltonian:
 def mass_spring_descent_model() -> ph.PseudoHamiltonian:
     """The mass-spring as thesis Eq. 5.5 has it: the sine and the cosine have a frequency each."""
     waves = tuple(
-        ph.terms.Term(f"{wave}({omega}*t)", ph.Parameter(), {omega: ph.Parameter(lower=0.0)})
+        Term(f"{wave}({omega}*t)", ph.Parameter(), {omega: ph.Parameter(lower=0.0)})
         for wave, omega in (("sin", "omega_s"), ("cos", "omega_c"))
     )
-    return replace(_mass_spring_model(), F={"p": ph.polynomials(["t"], degree=3) + ph.terms.Dictionary(waves)})
+    return replace(_mass_spring_model(), F={"p": ph.polynomials(["t"], degree=3) + Dictionary(waves)})
 
 
 def _mass_spring_rates() -> ph.FirstOrder:

@@ -1,0 +1,72 @@
+"""One-step schemes: the mean derivative Psi over a step, from which a defect (x1 - x0)/h - Psi is made.
+
+A scheme sees the right-hand side as ``g(x, c)``: the state x at the fraction c of the step (time and input at that
+fraction are filled in by the caller). Schemes may use both ends, so none of them needs an inner solve.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+from phsi_opt.errors import ModelError, did_you_mean
+
+RightHandSide = Callable[[Any, float], Any]
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """A one-step scheme: ``psi(g, x0, x1, h)`` approximates (x1 - x0)/h to the given order."""
+
+    name: str
+    order: int
+    symmetric: bool
+    psi: Callable[[RightHandSide, Any, Any, Any], Any]
+
+
+def _euler(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
+    return g(x0, 0.0)
+
+
+def _midpoint(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
+    return g((x0 + x1) / 2, 0.5)
+
+
+def _rk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
+    k1 = g(x0, 0.0)
+    k2 = g(x0 + h / 2 * k1, 0.5)
+    k3 = g(x0 + h / 2 * k2, 0.5)
+    return (k1 + 2 * k2 + 2 * k3 + g(x0 + h * k3, 1.0)) / 6
+
+
+def _srk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
+    c1, c2 = 0.5 - sqrt(3) / 6, 0.5 + sqrt(3) / 6
+    middle, reach = (x0 + x1) / 2, sqrt(3) / 6 * h
+    # The inner stage at c2 feeds the outer one at c1 and the other way round; swapped, the order drops to two.
+    at_c1 = g(middle - reach * g(c1 * x0 + c2 * x1, c2), c1)
+    at_c2 = g(middle + reach * g(c2 * x0 + c1 * x1, c1), c2)
+    return (at_c1 + at_c2) / 2
+
+
+INTEGRATORS = {
+    scheme.name: scheme
+    for scheme in (
+        Integrator("euler", 1, False, _euler),  # thesis Eq. 5.7
+        Integrator("midpoint", 2, True, _midpoint),  # thesis Eq. 5.8
+        Integrator("rk4", 4, False, _rk4),  # thesis Eq. 5.9
+        Integrator("srk4", 4, True, _srk4),  # thesis Eq. 5.11
+    )
+}
+
+
+def integrator(name: str) -> Integrator:
+    """The scheme of that name; raises `ModelError` otherwise."""
+    if name not in INTEGRATORS:
+        raise ModelError(
+            f"integrator {name!r} is unknown; expected one of {', '.join(INTEGRATORS)}."
+            f"{did_you_mean(str(name), INTEGRATORS)}"
+        )
+    return INTEGRATORS[name]
+
+
+SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
