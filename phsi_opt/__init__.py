@@ -1,4 +1,6 @@
-"""phsi_opt: identify energy-based models of dynamical systems from measurements, by optimisation."""
+"""phsi_opt: identify energy-based models of dynamical systems from measurements, by
+optimisation.
+"""
 
 from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.comparison.profile_likelihood import Profile, profile

@@ -1,8 +1,9 @@
 """The exceptions of the package.
 
-Every message names the offender, its value, what was expected and how to repair it. One common base lets a caller catch
-whatever this package raises on purpose; the standard class beside it (`ValueError`, `RuntimeError`) lets code that
-does not know the package catch it too. This file raises nothing itself.
+Every message names the offender, its value, what was expected and how to repair it. One
+common base lets a caller catch whatever this package raises on purpose; the standard
+class beside it (`ValueError`, `RuntimeError`) lets code that does not know the package
+catch it too. This file raises nothing itself.
 """
 
 import difflib
@@ -26,7 +27,9 @@ class SolveError(PhsiOptError, RuntimeError):
 
 
 def did_you_mean(name: object, options: Iterable[object]) -> str:
-    """`" Did you mean 'x'?"` for the option closest to `name` (ignoring case), `""` when none is close."""
+    """`" Did you mean 'x'?"` for the option closest to `name` (ignoring case), `""`
+    when none is close.
+    """
     by_lower = {str(option).lower(): str(option) for option in options}
     matches = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
     return f" Did you mean {by_lower[matches[0]]!r}?" if matches else ""

@@ -1,10 +1,12 @@
 """Chaotic systems over many Lyapunov times: Lorenz and a double pendulum, 10 % noise.
 
-python problems/chaos.py [--quick] [--page] [--seeds=N] [experiment ...]     (rows are kept in results/chaos.csv)
+python problems/chaos.py [--quick] [--page] [--seeds=N] [experiment ...]     (rows are
+kept in results/chaos.csv)
 
-A trajectory computed from a guessed start leaves the measured one after a few Lyapunov times, so least squares on
-simulations has countless local minima. Maximum likelihood with the states as unknowns has no such trouble; the same
-sensitivity that spoils a prediction makes the parameters precise.
+A trajectory computed from a guessed start leaves the measured one after a few Lyapunov
+times, so least squares on simulations has countless local minima. Maximum likelihood
+with the states as unknowns has no such trouble; the same sensitivity that spoils a
+prediction makes the parameters precise.
 """
 
 import os
@@ -28,15 +30,27 @@ from phsi_opt.model.model import Model
 
 N_SEEDS, FIRST_SEED, WITHIN = 20, 7000, 1.959964
 TABLE = RESULTS / "chaos.csv"
-COLUMNS = ["experiment", "seed", "parameter", "truth", "estimate", "std_error", "seconds", "iterations", "outcome"]
+COLUMNS = [
+    "experiment",
+    "seed",
+    "parameter",
+    "truth",
+    "estimate",
+    "std_error",
+    "seconds",
+    "iterations",
+    "outcome",
+]
 
 
 @dataclass(frozen=True)
 class Chaos:
-    """A chaotic system, what is measured of it for how long, and the model. ``lyapunov``: its largest exponent.
+    """A chaotic system, what is measured of it for how long, and the model.
+    ``lyapunov``: its largest exponent.
 
-    ``noise`` is relative to each channel's standard deviation, that of ``angles`` after full turns are taken off.
-    ``steps``: integration steps between two samples (None: chosen by the package).
+    ``noise`` is relative to each channel's standard deviation, that of ``angles`` after
+    full turns are taken off. ``steps``: integration steps between two samples (None:
+    chosen by the package).
     """
 
     title: str
@@ -61,7 +75,9 @@ class Chaos:
     def solve(self) -> np.ndarray:
         """The true states (n_samples, n_states)."""
         t = self.times
-        return solve_ivp(self.rhs, (t[0], t[-1]), self.start, "DOP853", t, rtol=1e-12, atol=1e-12).y.T
+        return solve_ivp(
+            self.rhs, (t[0], t[-1]), self.start, "DOP853", t, rtol=1e-12, atol=1e-12
+        ).y.T
 
     def spread(self, x: np.ndarray) -> np.ndarray:
         """What the noise is relative to, (n_states,)."""
@@ -71,7 +87,9 @@ class Chaos:
     def data(self, seed: int) -> ph.Measurements:
         """Measurements of a seed."""
         x = self.solve()
-        y = x + self.noise * self.spread(x) * np.random.default_rng(seed).normal(size=x.shape)
+        y = x + self.noise * self.spread(x) * np.random.default_rng(seed).normal(
+            size=x.shape
+        )
         y[:, ~np.isin(self.states, self.measured)] = np.nan
         return ph.Measurements.from_arrays([self.times], [y], states=self.states)
 
@@ -83,7 +101,9 @@ LORENZ_TRUTH = {"sigma": SIGMA, "rho": RHO, "beta": BETA}
 
 
 def _lorenz(t: float, x: np.ndarray) -> np.ndarray:
-    return np.array([SIGMA * (x[1] - x[0]), x[0] * (RHO - x[2]) - x[1], x[0] * x[1] - BETA * x[2]])
+    return np.array(
+        [SIGMA * (x[1] - x[0]), x[0] * (RHO - x[2]) - x[1], x[0] * x[1] - BETA * x[2]]
+    )
 
 
 def lorenz_model() -> ph.FirstOrder:
@@ -99,15 +119,23 @@ def lorenz_model() -> ph.FirstOrder:
 def lorenz_dictionary() -> ph.FirstOrder:
     """All polynomials of degree 2 in every equation: 30 numbers unknown, no starts."""
     states = ("x", "y", "z")
-    return ph.FirstOrder(states, {name: ph.polynomials(states, degree=2, constant=True) for name in states})
+    return ph.FirstOrder(
+        states,
+        {name: ph.polynomials(states, degree=2, constant=True) for name in states},
+    )
 
 
 def _dictionary_truth() -> dict[str, float]:
     truth = dict.fromkeys(lorenz_dictionary().free, 0.0)
     return truth | {
-        "F_x[x]": -SIGMA, "F_x[y]": SIGMA, "F_y[x]": RHO, "F_y[y]": -1.0, "F_y[x*z]": -1.0, "F_z[x*y]": 1.0,
+        "F_x[x]": -SIGMA,
+        "F_x[y]": SIGMA,
+        "F_y[x]": RHO,
+        "F_y[y]": -1.0,
+        "F_y[x*z]": -1.0,
+        "F_z[x*y]": 1.0,
         "F_z[z]": -BETA,
-    }  # fmt: skip
+    }
 
 
 # --- double pendulum: angles a, b from the vertical, momenta pa, pb; both rods of length 1 m, driven at the upper joint
@@ -127,33 +155,58 @@ def _pendulum(t: float, x: np.ndarray) -> np.ndarray:
     size = MASS_1 + MASS_2 * s**2
     va = (pa - pb * c) / size
     vb = (total / MASS_2 * pb - pa * c) / size
-    kinetic = (MASS_2 * pa**2 + total * pb**2 - 2 * MASS_2 * pa * pb * c) / (2 * MASS_2 * size)
+    kinetic = (MASS_2 * pa**2 + total * pb**2 - 2 * MASS_2 * pa * pb * c) / (
+        2 * MASS_2 * size
+    )
     turn = pa * pb * s / size - kinetic * 2 * MASS_2 * s * c / size
     drive = DRIVE * np.sin(DRIVE_FREQUENCY * t)
     pa_rate = -turn - total * GRAVITY * np.sin(a) - FRICTION * va + drive
-    return np.array([va, vb, pa_rate, turn - MASS_2 * GRAVITY * np.sin(b) - FRICTION * vb])
+    return np.array(
+        [va, vb, pa_rate, turn - MASS_2 * GRAVITY * np.sin(b) - FRICTION * vb]
+    )
 
 
 def pendulum_model() -> ph.PseudoHamiltonian:
     """Both masses and both dampings unknown; lengths, gravity and drive known."""
     masses = {"m1": ph.Parameter(0.5, lower=0.05), "m2": ph.Parameter(0.5, lower=0.05)}
     return ph.PseudoHamiltonian(
-        states=["a", "b", "pa", "pb"], S=ph.canonical(2), H=ph.formula(PENDULUM_ENERGY, g=GRAVITY, **masses),
-        R=ph.damping("pa", "pb"), F={"pa": ph.formula(f"{DRIVE}*sin({DRIVE_FREQUENCY}*t)")},
-    )  # fmt: skip
+        states=["a", "b", "pa", "pb"],
+        S=ph.canonical(2),
+        H=ph.formula(PENDULUM_ENERGY, g=GRAVITY, **masses),
+        R=ph.damping("pa", "pb"),
+        F={"pa": ph.formula(f"{DRIVE}*sin({DRIVE_FREQUENCY}*t)")},
+    )
 
 
 def lorenz(
-    title: str, measured: tuple[str, ...], steps: int | None = 1, dictionary: bool = False, n_steps: int = 1500
+    title: str,
+    measured: tuple[str, ...],
+    steps: int | None = 1,
+    dictionary: bool = False,
+    n_steps: int = 1500,
 ) -> Chaos:
     """Lorenz sampled every 0.02 s.
 
-    One SRK4 step between the samples is accurate enough: estimates with 2 and 4 differ by less than 0.03 standard
-    errors.
+    One SRK4 step between the samples is accurate enough: estimates with 2 and 4 differ
+    by less than 0.03 standard errors.
     """
-    truth, model = (_dictionary_truth(), lorenz_dictionary) if dictionary else (LORENZ_TRUTH, lorenz_model)
+    truth, model = (
+        (_dictionary_truth(), lorenz_dictionary)
+        if dictionary
+        else (LORENZ_TRUTH, lorenz_model)
+    )
     return Chaos(
-        title, ("x", "y", "z"), _lorenz, (-5.0, -6.0, 22.0), 0.02, n_steps, 0.906, truth, model, measured, steps=steps
+        title,
+        ("x", "y", "z"),
+        _lorenz,
+        (-5.0, -6.0, 22.0),
+        0.02,
+        n_steps,
+        0.906,
+        truth,
+        model,
+        measured,
+        steps=steps,
     )
 
 
@@ -161,37 +214,75 @@ EXPERIMENTS = {
     "lorenz_xyz": lorenz("Lorenz, x, y and z measured", ("x", "y", "z")),
     "lorenz_x": lorenz("Lorenz, x alone measured", ("x",)),
     "lorenz_xyz_steps": lorenz(
-        "Lorenz, x, y and z measured, integration steps chosen by the package", ("x", "y", "z"), steps=None
+        "Lorenz, x, y and z measured, integration steps chosen by the package",
+        ("x", "y", "z"),
+        steps=None,
     ),
     "lorenz_dictionary": lorenz(
-        "Lorenz, x, y and z measured, all 30 coefficients of degree 2", ("x", "y", "z"), dictionary=True
+        "Lorenz, x, y and z measured, all 30 coefficients of degree 2",
+        ("x", "y", "z"),
+        dictionary=True,
     ),
     "pendulum": Chaos(
-        "Driven double pendulum, angles and momenta measured", ("a", "b", "pa", "pb"), _pendulum, (1.2, 1.9, 0.0, 0.0),
-        0.02, 1500, 0.8, PENDULUM_TRUTH, pendulum_model, ("a", "b", "pa", "pb"), angles=("a", "b"), steps=1,
+        "Driven double pendulum, angles and momenta measured",
+        ("a", "b", "pa", "pb"),
+        _pendulum,
+        (1.2, 1.9, 0.0, 0.0),
+        0.02,
+        1500,
+        0.8,
+        PENDULUM_TRUTH,
+        pendulum_model,
+        ("a", "b", "pa", "pb"),
+        angles=("a", "b"),
+        steps=1,
     ),
-}  # fmt: skip
+}
 
 
 def fits(name: str, seed: int) -> list[tuple[object, ...]]:
     """A row per parameter."""
     case = EXPERIMENTS[name]
-    began, values, errors, iterations, outcome = time.perf_counter(), {}, {}, np.nan, "solved"
+    began, values, errors, iterations, outcome = (
+        time.perf_counter(),
+        {},
+        {},
+        np.nan,
+        "solved",
+    )
     try:
-        fit = ph.identify(case.model(), case.data(seed), ph.MaximumLikelihood(steps=case.steps))
+        fit = ph.identify(
+            case.model(), case.data(seed), ph.MaximumLikelihood(steps=case.steps)
+        )
         values, errors, iterations = fit.values, fit.std_errors, fit.outcome.iterations
-    except Exception as error:  # whatever goes wrong is a fit that failed, and is counted
+    except (
+        Exception
+    ) as error:  # whatever goes wrong is a fit that failed, and is counted
         outcome = f"{type(error).__name__}: {str(error)[:200]}"
     seconds = time.perf_counter() - began
     return [
-        (name, seed, key, v, values.get(key, np.nan), errors.get(key, np.nan), seconds, iterations, outcome)
+        (
+            name,
+            seed,
+            key,
+            v,
+            values.get(key, np.nan),
+            errors.get(key, np.nan),
+            seconds,
+            iterations,
+            outcome,
+        )
         for key, v in case.truth.items()
     ]
 
 
-def main(names: list[str] | None = None, n_seeds: int = N_SEEDS, keep: bool = True) -> pd.DataFrame:
+def main(
+    names: list[str] | None = None, n_seeds: int = N_SEEDS, keep: bool = True
+) -> pd.DataFrame:
     """All seeds of the named experiments that are not in the table yet."""
-    table = pd.read_csv(TABLE) if keep and TABLE.exists() else pd.DataFrame(columns=COLUMNS)
+    table = (
+        pd.read_csv(TABLE) if keep and TABLE.exists() else pd.DataFrame(columns=COLUMNS)
+    )
     done = set(zip(table["experiment"], table["seed"], strict=True))
     rows: list[Any] = table.values.tolist()
     for name in names or list(EXPERIMENTS):
@@ -202,16 +293,25 @@ def main(names: list[str] | None = None, n_seeds: int = N_SEEDS, keep: bool = Tr
                 if keep:
                     RESULTS.mkdir(exist_ok=True)
                     table.to_csv(TABLE, index=False, float_format="%.10g")
-                print(f"... {name}, seed {seed}: {rows[-1][-1]}, {rows[-1][-3]:.1f} s", flush=True)
+                print(
+                    f"... {name}, seed {seed}: {rows[-1][-1]}, {rows[-1][-3]:.1f} s",
+                    flush=True,
+                )
     if keep:
         page()
     return table
 
 
 def scores(table: pd.DataFrame) -> pd.DataFrame:
-    """A row per parameter: errors over the seeds, in units and in standard errors; failed fits have no error."""
+    """A row per parameter: errors over the seeds, in units and in standard errors;
+    failed fits have no error.
+    """
     error = table["estimate"] - table["truth"]
-    table = table.assign(error=error, z=error / table["std_error"], covered=error.abs() <= WITHIN * table["std_error"])
+    table = table.assign(
+        error=error,
+        z=error / table["std_error"],
+        covered=error.abs() <= WITHIN * table["std_error"],
+    )
     by = table.groupby("parameter", sort=False)
     rms = by["error"].apply(lambda e: np.sqrt(np.mean(e**2)))
     truth = by["truth"].first()
@@ -253,12 +353,16 @@ def page() -> None:
             f"{fits_['iterations'].median():.0f} iterations of the last program.",
             "",
             "```text",
-            scores(rows).to_string(float_format=lambda v: f"{v:.4g}", index_names=False, na_rep="-"),
+            scores(rows).to_string(
+                float_format=lambda v: f"{v:.4g}", index_names=False, na_rep="-"
+            ),
             "```",
             "",
         ]
         failed = fits_[fits_["outcome"] != "solved"]
-        lines += [f"- seed {seed}: {row.outcome}" for seed, row in failed.iterrows()] + ([""] if len(failed) else [])
+        lines += [
+            f"- seed {seed}: {row.outcome}" for seed, row in failed.iterrows()
+        ] + ([""] if len(failed) else [])
     write("chaos.md", "\n".join(lines))
 
 

@@ -1,9 +1,12 @@
-"""The Cramer-Rao bound of an experiment: how small the error of any unbiased estimate can be.
+"""The Cramer-Rao bound of an experiment: how small the error of any unbiased estimate
+can be.
 
-The true system is integrated together with its sensitivities to the parameters and to the starting state of every
-trajectory, with Jacobians from SymPy and an integrator from SciPy. Nothing of phsi_opt is used, so that the bound can
-check it. The noise is normal, independent and of known size; a noise that has to be estimated as well does not change
-the bound of the parameters, because the information matrix has no entries between the two.
+The true system is integrated together with its sensitivities to the parameters and to
+the starting state of every trajectory, with Jacobians from SymPy and an integrator from
+SciPy. Nothing of phsi_opt is used, so that the bound can check it. The noise is normal,
+independent and of known size; a noise that has to be estimated as well does not change
+the bound of the parameters, because the information matrix has no entries between the
+two.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,9 +23,11 @@ RTOL, ATOL = 1e-11, 1e-13
 
 @dataclass(frozen=True)
 class TrueSystem:
-    """dx/dt = rates(t, x, parameters) as SymPy text, with the true values of the parameters.
+    """dx/dt = rates(t, x, parameters) as SymPy text, with the true values of the
+    parameters.
 
-    ``names`` are the names under which a fitted model knows the parameters, in their order.
+    ``names`` are the names under which a fitted model knows the parameters, in their
+    order.
     """
 
     states: tuple[str, ...]
@@ -37,10 +42,19 @@ class TrueSystem:
 
     @cached_property
     def functions(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """NumPy functions of (t, x, theta): the rates, and (rates, slopes in x, slopes in theta)."""
-        symbols = {name: sympy.Symbol(name, real=True) for name in (*self.states, *self.values, "t")}
-        rates = sympy.Matrix([sympy.sympify(text, locals=dict(symbols)) for text in self.rates])
-        x, theta = ([symbols[name] for name in group] for group in (self.states, self.values))
+        """NumPy functions of (t, x, theta): the rates, and (rates, slopes in x, slopes
+        in theta).
+        """
+        symbols = {
+            name: sympy.Symbol(name, real=True)
+            for name in (*self.states, *self.values, "t")
+        }
+        rates = sympy.Matrix(
+            [sympy.sympify(text, locals=dict(symbols)) for text in self.rates]
+        )
+        x, theta = (
+            [symbols[name] for name in group] for group in (self.states, self.values)
+        )
         arguments = (symbols["t"], x, theta)
         everything = [list(rates), list(rates.jacobian(x)), list(rates.jacobian(theta))]
         return (
@@ -49,49 +63,72 @@ class TrueSystem:
         )
 
     def solve(self, starts: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """True states (n_trajectories, n_samples, n_states) from ``starts`` (n_trajectories, n_states)."""
+        """True states (n_trajectories, n_samples, n_states) from ``starts``
+        (n_trajectories, n_states).
+        """
         n, m, theta = len(self.states), len(starts), list(self.values.values())
         rates = self.functions[0]
 
         def f(at: float, flat: np.ndarray) -> np.ndarray:
             return _filled(rates(at, flat.reshape(n, m), theta), m).ravel()
 
-        return _integrated(f, starts.T.ravel(), t).reshape(len(t), n, m).transpose(2, 0, 1)
+        return (
+            _integrated(f, starts.T.ravel(), t).reshape(len(t), n, m).transpose(2, 0, 1)
+        )
 
-    def sensitivities(self, starts: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """States as `solve`, with their slopes in the starting state (..., n_states, n_states) and in the parameters
-        (..., n_states, n_parameters)."""  # fmt: skip
+    def sensitivities(
+        self, starts: np.ndarray, t: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """States as `solve`, with their slopes in the starting state (..., n_states,
+        n_states) and in the parameters (..., n_states, n_parameters).
+        """
         n, m, theta = len(self.states), len(starts), list(self.values.values())
         p, both = len(theta), self.functions[1]
         shape = (m, n, 1 + n + p)
 
         def f(at: float, flat: np.ndarray) -> np.ndarray:
             z = flat.reshape(shape)
-            rates, in_x, in_theta = (_filled(part, m) for part in both(at, z[:, :, 0].T, theta))
+            rates, in_x, in_theta = (
+                _filled(part, m) for part in both(at, z[:, :, 0].T, theta)
+            )
             slopes = in_x.T.reshape(m, n, n) @ z[:, :, 1:]
             slopes[:, :, n:] += in_theta.T.reshape(m, n, p)
             return np.concatenate([rates.T[:, :, None], slopes], axis=2).ravel()
 
         start = np.zeros(shape)
         start[:, :, 0], start[:, :, 1 : 1 + n] = starts, np.eye(n)
-        z = _integrated(f, start.ravel(), t).reshape(len(t), *shape).transpose(1, 0, 2, 3)
+        z = (
+            _integrated(f, start.ravel(), t)
+            .reshape(len(t), *shape)
+            .transpose(1, 0, 2, 3)
+        )
         return z[..., 0], z[..., 1 : 1 + n], z[..., 1 + n :]
 
 
 def _filled(rows: Sequence[Any], m: int) -> np.ndarray:
     """Constants repeated for every trajectory: (n_rows, n_trajectories)."""
-    return np.array([np.broadcast_to(row, m) for row in rows], dtype=float).reshape(len(rows), m)
+    return np.array([np.broadcast_to(row, m) for row in rows], dtype=float).reshape(
+        len(rows), m
+    )
 
 
-def _integrated(f: Callable[[float, np.ndarray], np.ndarray], start: np.ndarray, t: np.ndarray) -> np.ndarray:
+def _integrated(
+    f: Callable[[float, np.ndarray], np.ndarray], start: np.ndarray, t: np.ndarray
+) -> np.ndarray:
     solution = solve_ivp(f, (t[0], t[-1]), start, "DOP853", t, rtol=RTOL, atol=ATOL)
     if not solution.success:
-        raise ArithmeticError(f"the true system cannot be integrated: {solution.message}")
+        raise ArithmeticError(
+            f"the true system cannot be integrated: {solution.message}"
+        )
     return solution.y.T
 
 
 def pseudo_hamiltonian(
-    states: Sequence[str], S: np.ndarray, H: str, R: Mapping[str, str], F: Mapping[str, str]
+    states: Sequence[str],
+    S: np.ndarray,
+    H: str,
+    R: Mapping[str, str],
+    F: Mapping[str, str],
 ) -> tuple[str, ...]:
     """(S - R) grad H + F as text, by SymPy; R and F by equation."""
     locals_ = {name: sympy.Symbol(name) for name in states}
@@ -101,7 +138,11 @@ def pseudo_hamiltonian(
     for i, name in enumerate(states):
         # Halves and whole numbers, as S has them, stay exact.
         row = sum(
-            (sympy.nsimplify(s) * effort for s, effort in zip(S[i], efforts, strict=True)), start=sympy.Integer(0)
+            (
+                sympy.nsimplify(s) * effort
+                for s, effort in zip(S[i], efforts, strict=True)
+            ),
+            start=sympy.Integer(0),
         )
         row -= sympy.sympify(R.get(name, "0"), locals=dict(locals_)) * efforts[i]
         rows.append(str(row + sympy.sympify(F.get(name, "0"), locals=dict(locals_))))
@@ -109,12 +150,16 @@ def pseudo_hamiltonian(
 
 
 def information(
-    in_start: np.ndarray, in_theta: np.ndarray, sigma: np.ndarray, measured: np.ndarray | None = None
+    in_start: np.ndarray,
+    in_theta: np.ndarray,
+    sigma: np.ndarray,
+    measured: np.ndarray | None = None,
 ) -> np.ndarray:
     """Fisher information of the parameters with the starting states unknown.
 
     Args:
-        in_start, in_theta: slopes of the states as `TrueSystem.sensitivities` gives them.
+        in_start, in_theta: slopes of the states as `TrueSystem.sensitivities` gives
+            them.
         sigma: (n_states,) standard deviation of the noise.
         measured: (n_trajectories, n_samples, n_states), which samples exist; None: all.
     """
@@ -123,17 +168,26 @@ def information(
         weight[~measured] = 0.0
     total = np.zeros((in_theta.shape[-1],) * 2)
     for w, start, theta in zip(weight, in_start, in_theta, strict=True):
-        J0, J = (slopes.reshape(w.size, -1) * w.reshape(-1, 1) for slopes in (start, theta))
+        J0, J = (
+            slopes.reshape(w.size, -1) * w.reshape(-1, 1) for slopes in (start, theta)
+        )
         span = np.linalg.qr(J0 / np.maximum(np.linalg.norm(J0, axis=0), 1e-300))[0]
-        left = J - span @ (span.T @ J)  # what no change of the starting state can imitate
+        left = J - span @ (
+            span.T @ J
+        )  # what no change of the starting state can imitate
         total += left.T @ left
     return total
 
 
 def covariance_bound(
-    in_start: np.ndarray, in_theta: np.ndarray, sigma: np.ndarray, measured: np.ndarray | None = None
+    in_start: np.ndarray,
+    in_theta: np.ndarray,
+    sigma: np.ndarray,
+    measured: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Least covariance of an unbiased estimate of the parameters, (n_parameters, n_parameters); see `information`."""
+    """Least covariance of an unbiased estimate of the parameters, (n_parameters,
+    n_parameters); see `information`.
+    """
     matrix = information(in_start, in_theta, sigma, measured)
     scale = 1 / np.sqrt(np.diag(matrix))
     return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)

@@ -2,8 +2,9 @@
 
 python problems/diagnosis_speed.py [n_samples ...]
 
-A driven spring with hidden dry friction, position alone measured at 2 % noise: one training record of n samples, a
-third of it held out beside. Times are those of this machine while it may have been doing other things as well.
+A driven spring with hidden dry friction, position alone measured at 2 % noise: one
+training record of n samples, a third of it held out beside. Times are those of this
+machine while it may have been doing other things as well.
 """
 
 import sys
@@ -25,28 +26,45 @@ def measured(n: int, seed: int) -> ph.Measurements:
     frequencies, phases = rng.uniform(0.3, 3.0, 8), rng.uniform(0, 2 * np.pi, 8)
     u = np.sin(np.outer(t, frequencies) + phases).sum(axis=1, keepdims=True) / 2
     truth = ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=ph.formula("2*q**2/2 + p**2/2"),
-        R={"p": ph.formula("0.1 + f*(dH_dp**4 + 1e-8)**(-0.25)", f=FRICTION)}, F={"p": ph.formula("u")},
-    )  # fmt: skip
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("2*q**2/2 + p**2/2"),
+        R={"p": ph.formula("0.1 + f*(dH_dp**4 + 1e-8)**(-0.25)", f=FRICTION)},
+        F={"p": ph.formula("u")},
+    )
     x = ph.simulate(truth, t, [0.5, 0.0], u)
     q = x[:, 0] + 0.02 * np.std(x[:, 0]) * rng.normal(size=n)
-    return ph.Measurements.from_arrays(t, np.column_stack([q, np.full(n, np.nan)]), u, states=["q", "p"], inputs=["u"])
+    return ph.Measurements.from_arrays(
+        t, np.column_stack([q, np.full(n, np.nan)]), u, states=["q", "p"], inputs=["u"]
+    )
 
 
 def timed(n: int) -> str:
     """One line of the table."""
     train, test = measured(n, seed=0), measured(n // 3, seed=1)
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, lower=0)), R=ph.damping("p"), F={"p": ph.formula("u")},
-    )  # fmt: skip
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, lower=0)),
+        R=ph.damping("p"),
+        F={"p": ph.formula("u")},
+    )
     began = time.perf_counter()
     fit = ph.identify(model, train)
     fitted = time.perf_counter()
     lines: list[tuple[float, str]] = []
-    found = ph.diagnose(fit, train, test, progress=lambda line: lines.append((time.perf_counter(), line)))
+    found = ph.diagnose(
+        fit,
+        train,
+        test,
+        progress=lambda line: lines.append((time.perf_counter(), line)),
+    )
     ended = time.perf_counter()
-    at = [moment for moment, line in lines if line.startswith(("screening", "re-fitting"))]
+    at = [
+        moment for moment, line in lines if line.startswith(("screening", "re-fitting"))
+    ]
     shares = [at[0] - fitted, at[1] - at[0], ended - at[1]]
     row = found.candidates.iloc[0]
     return (
@@ -59,13 +77,15 @@ def timed(n: int) -> str:
 def main(sizes: list[int]) -> None:
     """The page."""
     head = [
-        "# Time of a diagnosis", "",
+        "# Time of a diagnosis",
+        "",
         f"A driven spring, position measured at 2 % noise, friction of {FRICTION} hidden; the whole catalogue; a third",
-        "as many samples held out. Seconds; on a machine that may have been doing other things.", "",
+        "as many samples held out. Seconds; on a machine that may have been doing other things.",
+        "",
         "| samples | effects | fit of the base model | diagnosis | of it: missing force, comparison | screening "
         "| re-fits and their comparisons | what it said |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]  # fmt: skip
+    ]
     lines = []
     for n in sizes:
         lines.append(timed(n))

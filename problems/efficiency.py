@@ -1,14 +1,18 @@
-"""How close do the estimates come to the Cramer-Rao bound, and do the intervals hold what they promise?
+"""How close do the estimates come to the Cramer-Rao bound, and do the intervals hold
+what they promise?
 
 python problems/efficiency.py [--quick] [--page] [--jobs=N] [--seeds=N] [experiment ...]
 
-Rows per seed are kept in results/efficiency/<experiment>.csv as they are computed: a run that was interrupted goes on
-where it stopped, and --page writes the page anew. --quick runs two seeds of each experiment and writes nothing.
+Rows per seed are kept in results/efficiency/<experiment>.csv as they are computed: a
+run that was interrupted goes on where it stopped, and --page writes the page anew.
+--quick runs two seeds of each experiment and writes nothing.
 """
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: the processes are the parallelism
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: the processes are the parallelism
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import sys
@@ -29,7 +33,18 @@ METHODS: dict[str, ph.MaximumLikelihood | ph.PHSILoss] = {
     "likelihood": ph.MaximumLikelihood(),
     "one-step": ph.PHSILoss(),
 }
-COLUMNS = ["seed", "method", "parameter", "truth", "bound", "estimate", "std_error", "joint", "seconds", "outcome"]
+COLUMNS = [
+    "seed",
+    "method",
+    "parameter",
+    "truth",
+    "bound",
+    "estimate",
+    "std_error",
+    "joint",
+    "seconds",
+    "outcome",
+]
 WITHIN, FAR = 1.959964, 10.0
 COLOURS = {"likelihood": "#0072b2", "one-step": "#d55e00"}
 
@@ -45,22 +60,40 @@ def fits(case: Case, seed: int) -> pd.DataFrame:
 
 
 def _rows(
-    case: Case, sample: Sample, seed: int, method: str, loss: ph.MaximumLikelihood | ph.PHSILoss
+    case: Case,
+    sample: Sample,
+    seed: int,
+    method: str,
+    loss: ph.MaximumLikelihood | ph.PHSILoss,
 ) -> list[tuple[object, ...]]:
     began, values, errors, outcome = time.perf_counter(), {}, {}, "solved"
     try:
         fit = ph.identify(case.model(), sample.data, loss)
         values, errors = fit.values, fit.std_errors
-    except Exception as error:  # whatever goes wrong is a fit that failed, and is counted
+    except (
+        Exception
+    ) as error:  # whatever goes wrong is a fit that failed, and is counted
         outcome = f"{type(error).__name__}: {str(error)[:200]}"
     seconds = time.perf_counter() - began
     truth = case.system().truth
-    joint = sample.joint(np.array([values.get(name, np.nan) - value for name, value in truth.items()]))
+    joint = sample.joint(
+        np.array([values.get(name, np.nan) - value for name, value in truth.items()])
+    )
     return [
-        (seed, method, name, truth[name], bound, values.get(name, np.nan), errors.get(name, np.nan), joint, seconds,
-         outcome)
+        (
+            seed,
+            method,
+            name,
+            truth[name],
+            bound,
+            values.get(name, np.nan),
+            errors.get(name, np.nan),
+            joint,
+            seconds,
+            outcome,
+        )
         for name, bound in zip(truth, sample.bound, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _task(job: tuple[str, int]) -> tuple[str, int, pd.DataFrame]:
@@ -68,17 +101,27 @@ def _task(job: tuple[str, int]) -> tuple[str, int, pd.DataFrame]:
     return name, seed, fits(CASES[name], seed)
 
 
-def main(names: list[str] | None = None, n_seeds: int | None = None, jobs: int = 2) -> None:
+def main(
+    names: list[str] | None = None, n_seeds: int | None = None, jobs: int = 2
+) -> None:
     """Run what is not yet in the tables, experiment by experiment, and write the page."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     for name in names or list(CASES):
-        wanted = range(first_seed(name), first_seed(name) + (n_seeds or CASES[name].n_seeds))
+        wanted = range(
+            first_seed(name), first_seed(name) + (n_seeds or CASES[name].n_seeds)
+        )
         done = set(table(name)["seed"]) if _path(name).exists() else set()
-        for _, seed, rows in _computed([(name, seed) for seed in wanted if seed not in done], jobs):
+        for _, seed, rows in _computed(
+            [(name, seed) for seed in wanted if seed not in done], jobs
+        ):
             header = not _path(name).exists()
-            rows.to_csv(_path(name), mode="a", header=header, index=False, float_format="%.8g")
+            rows.to_csv(
+                _path(name), mode="a", header=header, index=False, float_format="%.8g"
+            )
             print(f"... {name}, seed {seed}", flush=True)
-        table(name).sort_values("seed", kind="stable").to_csv(_path(name), index=False, float_format="%.8g")
+        table(name).sort_values("seed", kind="stable").to_csv(
+            _path(name), index=False, float_format="%.8g"
+        )
         print(_verdict(table(name)), flush=True)
     page()
 
@@ -86,12 +129,17 @@ def main(names: list[str] | None = None, n_seeds: int | None = None, jobs: int =
 def quick(names: list[str] | None = None, n_seeds: int = 2) -> dict[str, pd.DataFrame]:
     """A few seeds of each experiment in this process; nothing is written."""
     return {
-        name: pd.concat([fits(CASES[name], first_seed(name) + k) for k in range(n_seeds)], ignore_index=True)
+        name: pd.concat(
+            [fits(CASES[name], first_seed(name) + k) for k in range(n_seeds)],
+            ignore_index=True,
+        )
         for name in names or list(CASES)
     }
 
 
-def _computed(tasks: list[tuple[str, int]], jobs: int) -> Iterator[tuple[str, int, pd.DataFrame]]:
+def _computed(
+    tasks: list[tuple[str, int]], jobs: int
+) -> Iterator[tuple[str, int, pd.DataFrame]]:
     if jobs == 1:
         yield from map(_task, tasks)
     elif tasks:
@@ -100,7 +148,9 @@ def _computed(tasks: list[tuple[str, int]], jobs: int) -> Iterator[tuple[str, in
 
 
 def first_seed(name: str) -> int:
-    """Every experiment draws from seeds of its own, so that their errors are independent."""
+    """Every experiment draws from seeds of its own, so that their errors are
+    independent.
+    """
     return 5000 + 1000 * list(CASES).index(name)
 
 
@@ -114,7 +164,9 @@ def table(name: str) -> pd.DataFrame:
 
 
 def scores(rows: pd.DataFrame) -> pd.DataFrame:
-    """A row per parameter of one method: errors over the bound of their own seed, coverage of the 95 % intervals."""
+    """A row per parameter of one method: errors over the bound of their own seed,
+    coverage of the 95 % intervals.
+    """
     rows = rows.assign(
         z=(rows["estimate"] - rows["truth"]) / rows["bound"],
         # No estimate or no standard error is an interval that does not hold the truth.
@@ -136,7 +188,9 @@ def scores(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def joint(rows: pd.DataFrame) -> str:
-    """Root mean square error over bound in all directions of the parameters together, with what chance makes of it."""
+    """Root mean square error over bound in all directions of the parameters together,
+    with what chance makes of it.
+    """
     by = rows.groupby("seed")["joint"].first().dropna()
     if by.empty:
         return "no estimate"
@@ -173,7 +227,9 @@ def summary_row(case: Case, rows: pd.DataFrame) -> dict[str, object]:
 def page() -> None:
     """The page and the figure from the tables of all experiments that have been run."""
     found = {name: table(name) for name in CASES if _path(name).exists()}
-    summary = pd.DataFrame([summary_row(CASES[name], rows) for name, rows in found.items()])
+    summary = pd.DataFrame(
+        [summary_row(CASES[name], rows) for name, rows in found.items()]
+    )
     lines = ["# How close to the Cramer-Rao bound?", ""]
     lines += [
         "No unbiased estimate has a smaller standard deviation than the bound. It is computed without phsi_opt",
@@ -201,7 +257,11 @@ def page() -> None:
 
 
 def _markdown(frame: pd.DataFrame) -> str:
-    rows = [list(frame.columns), ["---"] * len(frame.columns), *frame.astype(str).to_numpy().tolist()]
+    rows = [
+        list(frame.columns),
+        ["---"] * len(frame.columns),
+        *frame.astype(str).to_numpy().tolist(),
+    ]
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
@@ -209,7 +269,9 @@ def _details(case: Case, rows: pd.DataFrame) -> list[str]:
     lines = [f"## {case.title}", ""]
     for method, part in rows.groupby("method", sort=False):
         n = part["seed"].nunique()
-        shown = scores(part).to_string(float_format=lambda v: f"{v:.4g}", index_names=False)
+        shown = scores(part).to_string(
+            float_format=lambda v: f"{v:.4g}", index_names=False
+        )
         spread = np.sqrt(0.95 * 0.05 / n)
         lines += [
             f"{method}: {n} seeds, {failures(part)} failed; joint rmse/bound {joint(part)}; by chance "
@@ -222,7 +284,9 @@ def _details(case: Case, rows: pd.DataFrame) -> list[str]:
             "",
         ]
         reasons = part[part["outcome"] != "solved"].groupby("outcome")["seed"].nunique()
-        lines += [f"- {count} x {reason}" for reason, count in reasons.items()] + ([""] if len(reasons) else [])
+        lines += [f"- {count} x {reason}" for reason, count in reasons.items()] + (
+            [""] if len(reasons) else []
+        )
     return lines if case.one_step else [*lines, "one-step: needs all states", ""]
 
 
@@ -256,18 +320,38 @@ def figure(found: dict[str, pd.DataFrame]) -> None:
         points = {noise: found[name] for noise, name in names.items() if name in found}
         if not points:
             continue
-        worst = [scores(rows[rows["method"] == method])["rmse/bound"].max() for rows in points.values()]
-        ax.plot([100 * noise for noise in points], worst, style, color=COLOURS[method], label=label)
-    for level, style, label in ((1.0, "-", "Cramer-Rao bound"), (1.1, ":", "target: 1.1")):
+        worst = [
+            scores(rows[rows["method"] == method])["rmse/bound"].max()
+            for rows in points.values()
+        ]
+        ax.plot(
+            [100 * noise for noise in points],
+            worst,
+            style,
+            color=COLOURS[method],
+            label=label,
+        )
+    for level, style, label in (
+        (1.0, "-", "Cramer-Rao bound"),
+        (1.1, ":", "target: 1.1"),
+    ):
         ax.axhline(level, color="0.4", ls=style, lw=1, label=label)
-    ax.set(xscale="log", yscale="log", xlabel="noise (% of each channel's standard deviation)")
+    ax.set(
+        xscale="log",
+        yscale="log",
+        xlabel="noise (% of each channel's standard deviation)",
+    )
     ax.set_ylabel("rmse / bound, worst parameter")
     ticks = (0.8, 0.9, 1.0, 1.1, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
     low, high = ax.get_ylim()
     shown = [tick for tick in ticks if low <= tick <= high]
     ax.set_yticks(shown, [f"{tick:g}" for tick in shown])
     ax.yaxis.set_minor_locator(matplotlib.ticker.NullLocator())
-    ax.set_xticks([100 * noise for noise in NOISE_LEVELS], [f"{100 * noise:g}" for noise in NOISE_LEVELS], minor=False)
+    ax.set_xticks(
+        [100 * noise for noise in NOISE_LEVELS],
+        [f"{100 * noise:g}" for noise in NOISE_LEVELS],
+        minor=False,
+    )
     ax.set_title("Driven Duffing oscillator, 501 samples")
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     fig.savefig(RESULTS / "efficiency.png", dpi=150)
@@ -276,7 +360,11 @@ def figure(found: dict[str, pd.DataFrame]) -> None:
 
 def option(name: str, default: int | None) -> int | None:
     """The whole number of --name=N among the arguments."""
-    given = [argument.split("=")[1] for argument in sys.argv if argument.startswith(f"--{name}=")]
+    given = [
+        argument.split("=")[1]
+        for argument in sys.argv
+        if argument.startswith(f"--{name}=")
+    ]
     return int(given[0]) if given else default
 
 

@@ -1,4 +1,6 @@
-"""The experiments of `efficiency`: truth, data of a seed, model to fit. No starting value is the truth."""
+"""The experiments of `efficiency`: truth, data of a seed, model to fit. No starting
+value is the truth.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,7 +13,8 @@ from thesis.systems import FLOWS, LEVELS, SYSTEMS, System, tank_model, tank_stru
 import phsi_opt as ph
 from phsi_opt.model.model import Model
 
-# dq/dt = p, dp/dt = -k q - a q^3 - c p + 2 cos(1.3 t): regular, and the cubic force is as large as the linear one
+# dq/dt = p, dp/dt = -k q - a q^3 - c p + 2 cos(1.3 t): regular, and the cubic force is
+# as large as the linear one
 DUFFING = {"k": 1.7, "a": 0.6, "c": 0.15}
 DUFFING_START, DUFFING_TIMES = np.array([1.5, 0.0]), np.linspace(0.0, 50.0, 501)
 NOISE_LEVELS = (0.001, 0.01, 0.03, 0.1)
@@ -19,7 +22,9 @@ NOISE_LEVELS = (0.001, 0.01, 0.03, 0.1)
 
 @dataclass(frozen=True)
 class Sample:
-    """What one seed measured: data, the least covariance of the parameters, the true noise."""
+    """What one seed measured: data, the least covariance of the parameters, the true
+    noise.
+    """
 
     data: ph.Measurements
     covariance: np.ndarray
@@ -31,16 +36,20 @@ class Sample:
         return np.sqrt(np.diag(self.covariance))
 
     def joint(self, error: np.ndarray) -> float:
-        """Mean square of the error in every direction over the bound of that direction; on average 1 at the bound."""
+        """Mean square of the error in every direction over the bound of that direction;
+        on average 1 at the bound.
+        """
         return float(error @ np.linalg.solve(self.covariance, error) / len(error))
 
 
 @dataclass(frozen=True)
 class Case:
-    """An experiment. ``draw`` gives the starting states and standard normal noise of a seed.
+    """An experiment. ``draw`` gives the starting states and standard normal noise of a
+    seed.
 
-    ``relative``: the noise is ``noise`` times each channel's standard deviation. ``measured``: the states that are
-    measured. ``kept``: the share of their samples that is kept, drawn at random per channel.
+    ``relative``: the noise is ``noise`` times each channel's standard deviation.
+    ``measured``: the states that are measured. ``kept``: the share of their samples
+    that is kept, drawn at random per channel.
     """
 
     name: str
@@ -64,18 +73,26 @@ class Case:
         """The data of a seed with their bound."""
         system = self.system()
         starts, normal = self.draw(np.random.default_rng(seed))
-        x, in_start, in_theta = _responses(self.system, tuple(map(tuple, starts)), tuple(self.t))
-        sigma = self.noise * (x.std(axis=(0, 1)) if self.relative else np.ones(len(system.states)))
+        x, in_start, in_theta = _responses(
+            self.system, tuple(map(tuple, starts)), tuple(self.t)
+        )
+        sigma = self.noise * (
+            x.std(axis=(0, 1)) if self.relative else np.ones(len(system.states))
+        )
         seen = np.broadcast_to(np.isin(system.states, self.measured), x.shape)
         seen = seen & (np.random.default_rng([seed, 1]).random(x.shape) < self.kept)
         y = np.where(seen, x + sigma * normal, np.nan)
-        data = ph.Measurements.from_arrays([self.t] * len(y), list(y), states=system.states)
+        data = ph.Measurements.from_arrays(
+            [self.t] * len(y), list(y), states=system.states
+        )
         return Sample(data, covariance_bound(in_start, in_theta, sigma, seen), sigma)
 
 
 @lru_cache(maxsize=1)  # the starts of an experiment may be the same for every seed
 def _responses(
-    system: Callable[[], TrueSystem], starts: tuple[tuple[float, ...], ...], t: tuple[float, ...]
+    system: Callable[[], TrueSystem],
+    starts: tuple[tuple[float, ...], ...],
+    t: tuple[float, ...],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return system().sensitivities(np.array(starts), np.array(t))
 
@@ -84,7 +101,11 @@ def _responses(
 def duffing() -> TrueSystem:
     """The driven Duffing oscillator."""
     rates = pseudo_hamiltonian(
-        ("q", "p"), np.array([[0, 1], [-1, 0]]), "k*q**2/2 + a*q**4/4 + p**2/2", {"p": "c"}, {"p": "2*cos(13*t/10)"}
+        ("q", "p"),
+        np.array([[0, 1], [-1, 0]]),
+        "k*q**2/2 + a*q**4/4 + p**2/2",
+        {"p": "c"},
+        {"p": "2*cos(13*t/10)"},
     )
     return TrueSystem(("q", "p"), rates, DUFFING, ("k", "a", "R_p"))
 
@@ -93,49 +114,76 @@ def duffing_model() -> ph.PseudoHamiltonian:
     """Stiffness, cubic stiffness and damping unknown; mass and drive known."""
     stiffness, cubic = ph.Parameter(1.0), ph.Parameter(1.0)
     return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("k*q**2/2 + a*q**4/4 + p**2/2", k=stiffness, a=cubic),
-        R=ph.damping("p"), F={"p": ph.formula("2*cos(1.3*t)")},
-    )  # fmt: skip
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + a*q**4/4 + p**2/2", k=stiffness, a=cubic),
+        R=ph.damping("p"),
+        F={"p": ph.formula("2*cos(1.3*t)")},
+    )
 
 
 def _duffing_draw(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return DUFFING_START[None, :], rng.normal(size=(1, len(DUFFING_TIMES), 2))
 
 
-def duffing_case(noise: float, measured: tuple[str, ...], kept: float = 1.0, n_seeds: int = 400) -> Case:
-    """A Duffing experiment at a noise level relative to the channels' standard deviations."""
+def duffing_case(
+    noise: float, measured: tuple[str, ...], kept: float = 1.0, n_seeds: int = 400
+) -> Case:
+    """A Duffing experiment at a noise level relative to the channels' standard
+    deviations.
+    """
     title = f"Duffing, {100 * noise:g} % noise, {' and '.join(measured)} measured"
     title += "" if kept == 1.0 else f", {100 * (1 - kept):g} % of the samples removed"
     name = f"duffing_{''.join(measured)}_{noise:g}" + ("" if kept == 1.0 else "_gaps")
     return Case(
-        name, title, duffing, duffing_model, _duffing_draw, DUFFING_TIMES, noise, n_seeds, measured,
-        relative=True, kept=kept,
-    )  # fmt: skip
+        name,
+        title,
+        duffing,
+        duffing_model,
+        _duffing_draw,
+        DUFFING_TIMES,
+        noise,
+        n_seeds,
+        measured,
+        relative=True,
+        kept=kept,
+    )
 
 
-def thesis_draw(system: System) -> Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray]]:
+def thesis_draw(
+    system: System,
+) -> Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray]]:
     """Starts and noise in the order in which `System.data` draws them."""
 
     def draw(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         shape = (system.n_steps + 1, len(system.states))
-        pairs = [(system.start(rng), rng.normal(size=shape)) for _ in range(system.n_trajectories)]
+        pairs = [
+            (system.start(rng), rng.normal(size=shape))
+            for _ in range(system.n_trajectories)
+        ]
         starts, normal = zip(*pairs, strict=True)
         return np.array(starts), np.array(normal)
 
     return draw
 
 
-def thesis_case(name: str, truth: Callable[[], TrueSystem], model: Callable[[], Model], n_seeds: int) -> Case:
+def thesis_case(
+    name: str, truth: Callable[[], TrueSystem], model: Callable[[], Model], n_seeds: int
+) -> Case:
     """An experiment with the data of the thesis: size, starts, noise."""
     s = SYSTEMS[name]
     title = f"{s.title}, noise {s.noise:g}, {s.n_trajectories} trajectories x {s.n_steps} steps"
     t = np.linspace(0.0, s.n_steps * s.step, s.n_steps + 1)
-    return Case(name, title, truth, model, thesis_draw(s), t, s.noise, n_seeds, s.states)
+    return Case(
+        name, title, truth, model, thesis_draw(s), t, s.noise, n_seeds, s.states
+    )
 
 
 def on_support(model: Model, support: Mapping[str, float]) -> Model:
     """The model without the terms that are not in ``support``."""
-    return model.without({name for name, entry in model.entries.items() if entry.prunable} - set(support))
+    return model.without(
+        {name for name, entry in model.entries.items() if entry.prunable} - set(support)
+    )
 
 
 def _energy(support: dict[str, float]) -> tuple[str, dict[str, float]]:
@@ -150,14 +198,27 @@ MASS_SPRING = {**SYSTEMS["mass_spring"].truth, "F_p[cos(omega_t*t)]": 0.0}
 
 @cache
 def mass_spring() -> TrueSystem:
-    """The mass-spring of the thesis; the phase of the force is free as a pair of sine and cosine."""
+    """The mass-spring of the thesis; the phase of the force is free as a pair of sine
+    and cosine.
+    """
     energy, values = _energy(MASS_SPRING)
     rates = pseudo_hamiltonian(
-        ("q", "p"), np.array([[0, 1], [-1, 0]]), energy, {"p": "r"}, {"p": "w1*sin(omega*t) + w2*cos(omega*t)"}
+        ("q", "p"),
+        np.array([[0, 1], [-1, 0]]),
+        energy,
+        {"p": "r"},
+        {"p": "w1*sin(omega*t) + w2*cos(omega*t)"},
     )
-    names = {"r": "R_p", "w1": "F_p[sin(omega_t*t)]", "omega": "F_p.omega_t", "w2": "F_p[cos(omega_t*t)]"}
+    names = {
+        "r": "R_p",
+        "w1": "F_p[sin(omega_t*t)]",
+        "omega": "F_p.omega_t",
+        "w2": "F_p[cos(omega_t*t)]",
+    }
     values |= {symbol: MASS_SPRING[name] for symbol, name in names.items()}
-    return TrueSystem(("q", "p"), rates, values, ("H[q**2]", "H[p**2]", *names.values()))
+    return TrueSystem(
+        ("q", "p"), rates, values, ("H[q**2]", "H[p**2]", *names.values())
+    )
 
 
 def mass_spring_model() -> Model:
@@ -171,7 +232,9 @@ def schrodinger() -> TrueSystem:
     truth, states = dict(SYSTEMS["schrodinger"].truth), SYSTEMS["schrodinger"].states
     energy, values = _energy(truth)
     S = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
-    return TrueSystem(states, pseudo_hamiltonian(states, S, energy, {}, {}), values, tuple(truth))
+    return TrueSystem(
+        states, pseudo_hamiltonian(states, S, energy, {}, {}), values, tuple(truth)
+    )
 
 
 def schrodinger_model() -> Model:
@@ -191,14 +254,20 @@ def tanks() -> TrueSystem:
 
 
 def tanks_model() -> Model:
-    """All coefficients of the true support and the damping of the pipes, without starting values."""
+    """All coefficients of the true support and the damping of the pipes, without
+    starting values.
+    """
     return on_support(tank_model(), SYSTEMS["tanks"].truth)
 
 
 CASES = {
     case.name: case
     for case in (
-        *(duffing_case(noise, measured) for measured in (("q", "p"), ("q",)) for noise in NOISE_LEVELS),
+        *(
+            duffing_case(noise, measured)
+            for measured in (("q", "p"), ("q",))
+            for noise in NOISE_LEVELS
+        ),
         duffing_case(0.1, ("q", "p"), kept=0.5),
         duffing_case(0.1, ("q",), kept=0.5),
         thesis_case("mass_spring", mass_spring, mass_spring_model, 200),

@@ -1,4 +1,5 @@
-"""The demonstration over many noise draws, with the friction and without: what is named, and how large is it?
+"""The demonstration over many noise draws, with the friction and without: what is
+named, and how large is it?
 
 python problems/friction_seeds.py [N]
 """
@@ -14,22 +15,38 @@ import phsi_opt as ph
 
 
 def row(seed: int, friction: float) -> dict[str, object]:
-    """One draw: verdict, effects added, friction with its distance from the truth in standard errors."""
+    """One draw: verdict, effects added, friction with its distance from the truth in
+    standard errors.
+    """
     data = ph.Measurements.from_dataframe(
-        table(seed, friction), time="t_s", states={"q": "position_m", "p": None}, trajectory="run"
+        table(seed, friction),
+        time="t_s",
+        states={"q": "position_m", "p": None},
+        trajectory="run",
     )
     study = ph.Study(model(), *data.split(0.6))
     first = study.diagnose()
     study.auto()
     last = study.history.iloc[-1]
     result = {
-        "seed": seed, "hidden": friction, "verdict": first.verdict, "best": str(first.effects[0]),
-        "added": ", ".join(study.history["effect"][1:]), "held_out_over_floor": last.held_out_rmse / last.noise_floor,
+        "seed": seed,
+        "hidden": friction,
+        "verdict": first.verdict,
+        "best": str(first.effects[0]),
+        "added": ", ".join(study.history["effect"][1:]),
+        "held_out_over_floor": last.held_out_rmse / last.noise_floor,
         "stopped": study.stopped.split(": held")[0],
-    }  # fmt: skip
+    }
     if "coulomb_friction_p" in study.fit.values:
-        value, error = study.fit.values["coulomb_friction_p"], study.fit.std_errors["coulomb_friction_p"]
-        result |= {"coefficient": value, "std_error": error, "z": (value - friction) / error}
+        value, error = (
+            study.fit.values["coulomb_friction_p"],
+            study.fit.std_errors["coulomb_friction_p"],
+        )
+        result |= {
+            "coefficient": value,
+            "std_error": error,
+            "z": (value - friction) / error,
+        }
     return result
 
 
@@ -42,7 +59,10 @@ def main(n: int) -> pd.DataFrame:
             print(rows[-1], flush=True)
     frame = pd.DataFrame(rows)
     body = frame.to_string(index=False, float_format=lambda v: f"{v:.3g}")
-    write("friction_seeds.md", f"# The demonstration over {n} noise draws\n\n```text\n{body}\n```")
+    write(
+        "friction_seeds.md",
+        f"# The demonstration over {n} noise draws\n\n```text\n{body}\n```",
+    )
     return frame
 
 

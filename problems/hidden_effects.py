@@ -1,15 +1,20 @@
-"""Does the diagnosis find effects that were hidden in the data, and nothing where nothing is hidden?
+"""Does the diagnosis find effects that were hidden in the data, and nothing where
+nothing is hidden?
 
-python problems/hidden_effects.py [--quick] [--page] [--list] [--jobs=N] [--seeds=N] [row ...]
+python problems/hidden_effects.py [--quick] [--page] [--list] [--jobs=N] [--seeds=N]
+[row ...]
 
-A row is named in full (coulomb_friction_0.03) or by its beginning (coulomb_friction, sensor). What came out of each
-case is kept in results/hidden_effects/<row>.csv as it is computed: a run that was interrupted goes on where it stopped,
-and --page writes the page anew. --quick runs one seed of each row in this process and writes nothing.
+A row is named in full (coulomb_friction_0.03) or by its beginning (coulomb_friction,
+sensor). What came out of each case is kept in results/hidden_effects/<row>.csv as it is
+computed: a run that was interrupted goes on where it stopped, and --page writes the
+page anew. --quick runs one seed of each row in this process and writes nothing.
 """
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: the processes are the parallelism
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: the processes are the parallelism
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import sys
@@ -29,28 +34,78 @@ import phsi_opt as ph
 from phsi_opt.model.model import Model
 
 FOLDER = RESULTS / "hidden_effects"
-NOTHING, NAMED, UNEXPLAINED = "nothing missing", "missing: named", "missing: unexplained"
+NOTHING, NAMED, UNEXPLAINED = (
+    "nothing missing",
+    "missing: named",
+    "missing: unexplained",
+)
 WITHIN = 1.959964
-DETECTED = 6.63  # fall of the misfit, in noise variances, that a test at 1 % takes for real
-AT_FLOOR = 1.1  # largest held-out error over the noise floor with the right effect in the model
+DETECTED = (
+    6.63  # fall of the misfit, in noise variances, that a test at 1 % takes for real
+)
+# largest held-out error over the noise floor with the right effect in the model
+AT_FLOOR = 1.1
 MOST_STEPS = 4
 TARGETS = {0.01: 0.95, 0.03: 0.95, 0.1: 0.85}
-OTHER_TARGETS = {"nothing": 0.95, "two": 0.9, "outside": 0.9, "sensor": 0.9, "tanks": 0.95}
+OTHER_TARGETS = {
+    "nothing": 0.95,
+    "two": 0.9,
+    "outside": 0.9,
+    "sensor": 0.9,
+    "tanks": 0.95,
+}
 COLUMNS = [
-    "row", "seed", "noise", "masses", "measured", "input", "free", "known", "n_train", "truth", "equation", "value",
-    "listed", "target", "base_ratio", "base_error", "verdict", "first", "first_equation", "confusable_with", "right",
-    "tie", "misfit", "coefficient", "std_error", "covered", "after", "rank", "added", "seconds", "drawing", "outcome",
+    "row",
+    "seed",
+    "noise",
+    "masses",
+    "measured",
+    "input",
+    "free",
+    "known",
+    "n_train",
+    "truth",
+    "equation",
+    "value",
+    "listed",
+    "target",
+    "base_ratio",
+    "base_error",
+    "verdict",
+    "first",
+    "first_equation",
+    "confusable_with",
+    "right",
+    "tie",
+    "misfit",
+    "coefficient",
+    "std_error",
+    "covered",
+    "after",
+    "rank",
+    "added",
+    "seconds",
+    "drawing",
+    "outcome",
     "commit",
-]  # fmt: skip
+]
 
 
 # --- one case
 
 
 def examine(row: Row, seed: int) -> dict[str, object]:
-    """The record of a case: what was hidden, what was named, with which coefficient; whatever fails is recorded."""
+    """The record of a case: what was hidden, what was named, with which coefficient;
+    whatever fails is recorded.
+    """
     began = time.perf_counter()
-    record: dict[str, object] = {"row": row.name, "seed": seed, "right": False, "tie": False, "outcome": "examined"}
+    record: dict[str, object] = {
+        "row": row.name,
+        "seed": seed,
+        "right": False,
+        "tie": False,
+        "outcome": "examined",
+    }
     record["commit"] = commit()
     try:
         case = draw(row, seed)
@@ -60,7 +115,8 @@ def examine(row: Row, seed: int) -> dict[str, object]:
     began = time.perf_counter()
     try:
         record |= {"two": _two}.get(row.kind, _one)(case)
-    except Exception as error:  # whatever goes wrong is a case that was not examined, and is counted as wrong
+    # whatever goes wrong is a case that was not examined, and is counted as wrong
+    except Exception as error:
         record["outcome"] = f"{type(error).__name__}: {str(error)[:200]}"
     return record | {"seconds": time.perf_counter() - began}
 
@@ -68,12 +124,17 @@ def examine(row: Row, seed: int) -> dict[str, object]:
 def _described(case: Case) -> dict[str, object]:
     listed = {(e.name, e.equation) for e in ph.catalogue(case.model)}
     return {
-        "noise": case.noise, **case.settings, "target": case.target, "base_ratio": case.base_ratio,
+        "noise": case.noise,
+        **case.settings,
+        "target": case.target,
+        "base_ratio": case.base_ratio,
         "truth": " + ".join(t.effect for t in case.truths),
         "equation": " + ".join("|".join(t.equations) for t in case.truths),
         "value": case.truths[0].coefficient if len(case.truths) == 1 else np.nan,
-        "listed": all(any((t.effect, e) in listed for e in t.equations) for t in case.truths),
-    }  # fmt: skip
+        "listed": all(
+            any((t.effect, e) in listed for e in t.equations) for t in case.truths
+        ),
+    }
 
 
 def is_right(truth: Truth, name: str, equation: str) -> bool:
@@ -97,64 +158,118 @@ def _one(case: Case) -> dict[str, object]:
     if table.empty:
         return found
     first, named = table.iloc[0], diagnosis.verdict == NAMED
-    found |= {"first": first.effect, "first_equation": first.equation, "confusable_with": first.confusable_with,
-              "coefficient": first.coefficient, "std_error": first.std_error,
-              "after": first.held_out_rmse / floor(case)}  # fmt: skip
+    found |= {
+        "first": first.effect,
+        "first_equation": first.equation,
+        "confusable_with": first.confusable_with,
+        "coefficient": first.coefficient,
+        "std_error": first.std_error,
+        "after": first.held_out_rmse / floor(case),
+    }
     if case.row.kind in ("nothing", "outside"):
         return found | (
-            {"misfit": misfit(case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest)} if named else {}
+            {
+                "misfit": misfit(
+                    case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest
+                )
+            }
+            if named
+            else {}
         )
     (truth,) = case.truths
-    hits = [is_right(truth, name, equation) for name, equation in zip(table["effect"], table["equation"], strict=True)]
-    found |= {"rank": hits.index(True) + 1 if any(hits) else np.nan, "right": named and hits[0]}
+    hits = [
+        is_right(truth, name, equation)
+        for name, equation in zip(table["effect"], table["equation"], strict=True)
+    ]
+    found |= {
+        "rank": hits.index(True) + 1 if any(hits) else np.nan,
+        "right": named and hits[0],
+    }
     if named and hits[0]:
-        found["covered"] = covered(truth.coefficient, first.coefficient, first.std_error)
+        found["covered"] = covered(
+            truth.coefficient, first.coefficient, first.std_error
+        )
     elif named:
         texts = {f"{truth.effect} on {equation}" for equation in truth.equations}
         found["tie"] = bool(texts & set(str(first.confusable_with).split(", ")))
-        found["misfit"] = misfit(case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest)
+        found["misfit"] = misfit(
+            case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest
+        )
     return found
 
 
 def covered(truth: float, estimate: float, error: float) -> float:
-    """1 or 0: whether the 95 % interval holds the truth (without a standard error it does not); NaN: not comparable."""
+    """1 or 0: whether the 95 % interval holds the truth (without a standard error it
+    does not); NaN: not comparable.
+    """
     if not np.isfinite(truth):
         return np.nan
     return float(abs(estimate - truth) <= WITHIN * error)
 
 
 def _two(case: Case) -> dict[str, object]:
-    """Two effects are hidden: the study adds by itself, a step at a time, until it stops."""
+    """Two effects are hidden: the study adds by itself, a step at a time, until it
+    stops.
+    """
     study = ph.Study(case.model, case.train, held_out=case.test)
-    found: dict[str, object] = {"base_error": study.history["held_out_rmse"].iloc[0] / floor(case)}
-    alike: dict[str, set[str]] = {}  # each effect that was added, with what it could not be told from
+    found: dict[str, object] = {
+        "base_error": study.history["held_out_rmse"].iloc[0] / floor(case)
+    }
+    alike: dict[
+        str, set[str]
+    ] = {}  # each effect that was added, with what it could not be told from
     for _ in range(MOST_STEPS):
         table, n_steps = study.diagnose().candidates, len(study.steps)
         study.auto(max_steps=1)
         if len(study.steps) == n_steps:
             break
-        ties = dict(zip(table["effect"] + " on " + table["equation"], table["confusable_with"], strict=True))
-        alike = {str(e): alike.get(str(e), {str(e), *ties.get(str(e), "").split(", ")}) for e in study.effects}
+        ties = dict(
+            zip(
+                table["effect"] + " on " + table["equation"],
+                table["confusable_with"],
+                strict=True,
+            )
+        )
+        alike = {
+            str(e): alike.get(str(e), {str(e), *ties.get(str(e), "").split(", ")})
+            for e in study.effects
+        }
     added = list(alike)
-    right, with_ties = matches(case.truths, [{text} for text in added]), matches(case.truths, list(alike.values()))
-    found |= {"verdict": study.diagnose().verdict, "added": "; ".join(added), "right": right,
-              "tie": with_ties and not right,
-              "after": study.history["held_out_rmse"].iloc[-1] / floor(case)}  # fmt: skip
-    return found | ({} if right or not added else {"misfit": misfit(case, study.model, study.fit)})
+    right, with_ties = (
+        matches(case.truths, [{text} for text in added]),
+        matches(case.truths, list(alike.values())),
+    )
+    found |= {
+        "verdict": study.diagnose().verdict,
+        "added": "; ".join(added),
+        "right": right,
+        "tie": with_ties and not right,
+        "after": study.history["held_out_rmse"].iloc[-1] / floor(case),
+    }
+    return found | (
+        {} if right or not added else {"misfit": misfit(case, study.model, study.fit)}
+    )
 
 
 def matches(truths: tuple[Truth, ...], found: list[set[str]]) -> bool:
-    """Whether each truth has an effect of its own among those found, and none is left over."""
+    """Whether each truth has an effect of its own among those found, and none is left
+    over.
+    """
     texts = [{f"{t.effect} on {equation}" for equation in t.equations} for t in truths]
     if len(texts) != len(found):
         return False
     if not texts:
         return True
-    return any(texts[0] & found[k] and matches(truths[1:], found[:k] + found[k + 1 :]) for k in range(len(found)))
+    return any(
+        texts[0] & found[k] and matches(truths[1:], found[:k] + found[k + 1 :])
+        for k in range(len(found))
+    )
 
 
 def floor(case: Case) -> float:
-    """Root mean square of the noise that is in the held-out samples, on the scale of `Comparison.rmse`."""
+    """Root mean square of the noise that is in the held-out samples, on the scale of
+    `Comparison.rmse`.
+    """
     y = np.concatenate([run.x for run in case.test.trajectories])
     noise = np.concatenate(list(case.test_noise))
     seen = np.flatnonzero(np.isfinite(y).any(axis=0))
@@ -163,9 +278,11 @@ def floor(case: Case) -> float:
 
 
 def misfit(case: Case, model: Model, start: ph.Fit | None = None) -> float:
-    """How far a model stays from the noise-free training data, in noise variances; the truth itself is at zero.
+    """How far a model stays from the noise-free training data, in noise variances; the
+    truth itself is at zero.
 
-    Below `DETECTED` the data cannot tell it from the truth. Infinite where it could not be fitted, from ``start``.
+    Below `DETECTED` the data cannot tell it from the truth. Infinite where it could not
+    be fitted, from ``start``.
     """
     try:
         comparison = ph.compare(ph.identify(model, case.clean, start=start), case.clean)
@@ -173,7 +290,14 @@ def misfit(case: Case, model: Model, start: ph.Fit | None = None) -> float:
         return np.inf
     n = len(case.sigma)
     runs = zip(comparison.residuals, case.clean.trajectories, strict=True)
-    return float(sum(np.nansum((np.where(np.isfinite(run.x), r[:, :n], np.nan) / case.sigma) ** 2) for r, run in runs))
+    return float(
+        sum(
+            np.nansum(
+                (np.where(np.isfinite(run.x), r[:, :n], np.nan) / case.sigma) ** 2
+            )
+            for r, run in runs
+        )
+    )
 
 
 # --- the battery
@@ -185,14 +309,30 @@ def _task(job: tuple[str, int]) -> dict[str, object]:
 
 
 def main(names: list[str], n_seeds: int, jobs: int = 2) -> None:
-    """Examine what is not yet in the tables, the first seeds of all rows first, and write the page."""
+    """Examine what is not yet in the tables, the first seeds of all rows first, and
+    write the page.
+    """
     FOLDER.mkdir(parents=True, exist_ok=True)
-    done = {name: set(table(name)["seed"]) if _path(name).exists() else set() for name in names}
-    tasks = [(name, seed) for seed in range(n_seeds) for name in names if seed not in done[name]]
+    done = {
+        name: set(table(name)["seed"]) if _path(name).exists() else set()
+        for name in names
+    }
+    tasks = [
+        (name, seed)
+        for seed in range(n_seeds)
+        for name in names
+        if seed not in done[name]
+    ]
     for record in _computed(tasks, jobs):
         name = str(record["row"])
         line = pd.DataFrame([record], columns=COLUMNS)
-        line.to_csv(_path(name), mode="a", header=not _path(name).exists(), index=False, float_format="%.6g")
+        line.to_csv(
+            _path(name),
+            mode="a",
+            header=not _path(name).exists(),
+            index=False,
+            float_format="%.6g",
+        )
     for name in names:
         rows = table(name).sort_values("seed", kind="stable")
         rows.to_csv(_path(name), index=False, float_format="%.6g")
@@ -219,7 +359,11 @@ def chosen_rows(given: list[str]) -> list[str]:
     for text in given:
         if not any(name.startswith(text) for name in ROWS):
             raise SystemExit(f"no row begins with {text!r}; --list prints them.")
-    return [name for name in ROWS if name in given or any(name.startswith(text) for text in given) or not given]
+    return [
+        name
+        for name in ROWS
+        if name in given or any(name.startswith(text) for text in given) or not given
+    ]
 
 
 def _path(name: str) -> Path:
@@ -235,10 +379,12 @@ def table(name: str) -> pd.DataFrame:
 
 
 def scored(rows: pd.DataFrame) -> pd.DataFrame:
-    """The cases with ``good``: right, or a tie that is declared and true; without those that are imitated or not drawn.
+    """The cases with ``good``: right, or a tie that is declared and true; without those
+    that are imitated or not drawn.
 
-    A tie is true where the effect named explains the noise-free data to below what a test would detect. An effect from
-    outside that a catalogue's effect imitates as closely is no effect from outside, and leaves the count.
+    A tie is true where the effect named explains the noise-free data to below what a
+    test would detect. An effect from outside that a catalogue's effect imitates as
+    closely is no effect from outside, and leaves the count.
     """
     rows = rows.assign(tie_true=rows["tie"].astype(bool) & (rows["misfit"] < DETECTED))
     imitated = rows["row"].eq("outside") & (rows["misfit"] < DETECTED)
@@ -264,7 +410,9 @@ def summary_row(label: str, rows: pd.DataFrame, target: float) -> dict[str, obje
     """A line of the page."""
     kept = scored(rows)
     good, n = int(kept["good"].sum()), len(kept)
-    is_named = kept["right"].astype(bool) & ~kept["row"].isin(["nothing", "outside"])  # where there is one to add
+    is_named = kept["right"].astype(bool) & ~kept["row"].isin(
+        ["nothing", "outside"]
+    )  # where there is one to add
     after = kept.loc[is_named, "after"].dropna()
     return {
         "row": label,
@@ -272,9 +420,13 @@ def summary_row(label: str, rows: pd.DataFrame, target: float) -> dict[str, obje
         "right": share(good, n),
         "target": f"{target:.0%}",
         "met": "yes" if n and good / n >= target else "no",
-        "of these true ties": int((kept["tie_true"] & ~kept["right"].astype(bool)).sum()),
+        "of these true ties": int(
+            (kept["tie_true"] & ~kept["right"].astype(bool)).sum()
+        ),
         "coefficient covered": _share_of(kept["covered"]),
-        f"held-out at most {AT_FLOOR:g} x floor": _share_of(after <= AT_FLOOR) if len(after) else "-",
+        f"held-out at most {AT_FLOOR:g} x floor": _share_of(after <= AT_FLOOR)
+        if len(after)
+        else "-",
         "error before / floor": f"{kept['base_error'].median():.1f}",
         "failed": int((kept["outcome"] != "examined").sum()),
         "seconds": f"{kept['seconds'].median():.1f}",
@@ -282,7 +434,10 @@ def summary_row(label: str, rows: pd.DataFrame, target: float) -> dict[str, obje
 
 
 def _line(name: str, rows: pd.DataFrame) -> str:
-    return ", ".join(f"{key} {value}" for key, value in summary_row(name, rows, _target(ROWS[name])).items())
+    return ", ".join(
+        f"{key} {value}"
+        for key, value in summary_row(name, rows, _target(ROWS[name])).items()
+    )
 
 
 def _target(row: Row) -> float:
@@ -293,19 +448,36 @@ _TEXTS = ("first", "first_equation", "verdict", "added", "truth", "equation")
 
 
 def confusions(rows: pd.DataFrame) -> pd.DataFrame:
-    """What came instead of the truth: truth, verdict and name, number of cases, declared ties, true ties, misfit."""
+    """What came instead of the truth: truth, verdict and name, number of cases,
+    declared ties, true ties, misfit.
+    """
     wrong = scored(rows)
     wrong = wrong[~wrong["right"].astype(bool)]
-    wrong = wrong.assign(**{name: wrong[name].astype(object).where(wrong[name].notna(), "") for name in _TEXTS})
+    wrong = wrong.assign(
+        **{
+            name: wrong[name].astype(object).where(wrong[name].notna(), "")
+            for name in _TEXTS
+        }
+    )
     first = wrong["first"] + " on " + wrong["first_equation"]
     two = wrong["row"].eq("two_effects")
-    came = first.where(wrong["verdict"].eq(NAMED), wrong["verdict"].replace("", "failed"))
+    came = first.where(
+        wrong["verdict"].eq(NAMED), wrong["verdict"].replace("", "failed")
+    )
     came = came.where(~two, "added: " + wrong["added"])
-    truth = (wrong["truth"] + " on " + wrong["equation"]).where(wrong["truth"].ne(""), "nothing")
+    truth = (wrong["truth"] + " on " + wrong["equation"]).where(
+        wrong["truth"].ne(""), "nothing"
+    )
     by = wrong.assign(truth=truth, came=came).groupby(["truth", "came"])
-    counted = by.agg(cases=("seed", "size"), declared_ties=("tie", "sum"), true_ties=("tie_true", "sum"),
-                     median_misfit=("misfit", "median"))  # fmt: skip
-    return counted.reset_index().sort_values(["cases", "truth"], ascending=[False, True], ignore_index=True)
+    counted = by.agg(
+        cases=("seed", "size"),
+        declared_ties=("tie", "sum"),
+        true_ties=("tie_true", "sum"),
+        median_misfit=("misfit", "median"),
+    )
+    return counted.reset_index().sort_values(
+        ["cases", "truth"], ascending=[False, True], ignore_index=True
+    )
 
 
 # --- the page
@@ -318,8 +490,23 @@ def page() -> None:
     one = {name: rows for name, rows in found.items() if ROWS[name].kind == "one"}
     if one:
         everyone = pd.concat(one.values(), ignore_index=True)
-        lines += ["## One hidden effect", "", "Groups of effects, by noise:", "", _groups(everyone), ""]
-        lines += [_markdown([summary_row(n.replace("_", " "), r, _target(ROWS[n])) for n, r in one.items()]), ""]
+        lines += [
+            "## One hidden effect",
+            "",
+            "Groups of effects, by noise:",
+            "",
+            _groups(everyone),
+            "",
+        ]
+        lines += [
+            _markdown(
+                [
+                    summary_row(n.replace("_", " "), r, _target(ROWS[n]))
+                    for n, r in one.items()
+                ]
+            ),
+            "",
+        ]
         lines += [
             "![share of cases that are right](hidden_effects.png)",
             "",
@@ -332,7 +519,15 @@ def page() -> None:
     others = {name: rows for name, rows in found.items() if name not in one}
     if others:
         lines += ["## Nothing, two effects, effects from outside, sensors, tanks", ""]
-        lines += [_markdown([summary_row(n.replace("_", " "), r, _target(ROWS[n])) for n, r in others.items()]), ""]
+        lines += [
+            _markdown(
+                [
+                    summary_row(n.replace("_", " "), r, _target(ROWS[n]))
+                    for n, r in others.items()
+                ]
+            ),
+            "",
+        ]
         lines += ["By noise and by effect:", "", _by_noise_and_effect(others), ""]
     if found:
         wrong = confusions(pd.concat(found.values(), ignore_index=True))
@@ -368,8 +563,15 @@ _INTRODUCTION = [
 
 def _markdown(records: list[dict[str, object]] | pd.DataFrame) -> str:
     frame = pd.DataFrame(records)
-    rows = [list(frame.columns), ["---"] * len(frame.columns), *frame.astype(str).to_numpy().tolist()]
-    return "\n".join("| " + " | ".join(str(cell).replace("|", " or ") for cell in row) + " |" for row in rows)
+    rows = [
+        list(frame.columns),
+        ["---"] * len(frame.columns),
+        *frame.astype(str).to_numpy().tolist(),
+    ]
+    return "\n".join(
+        "| " + " | ".join(str(cell).replace("|", " or ") for cell in row) + " |"
+        for row in rows
+    )
 
 
 def _group(effect: str) -> str:
@@ -394,13 +596,21 @@ def _groups(rows: pd.DataFrame) -> str:
 def _by_setting(rows: pd.DataFrame) -> str:
     kept = scored(rows)
     records = [
-        {"setting": f"{key}: {value}", "cases": len(part), "right": share(int(part["good"].sum()), len(part))}
+        {
+            "setting": f"{key}: {value}",
+            "cases": len(part),
+            "right": share(int(part["good"].sum()), len(part)),
+        }
         for key in ("masses", "measured", "input")
         for value, part in kept.groupby(key)
     ]
     loud = pd.cut(kept["base_ratio"], [0, 5, 10, 40])
     records += [
-        {"setting": f"error before {b}", "cases": len(p), "right": share(int(p["good"].sum()), len(p))}
+        {
+            "setting": f"error before {b}",
+            "cases": len(p),
+            "right": share(int(p["good"].sum()), len(p)),
+        }
         for b, p in kept.groupby(loud, observed=True)
     ]
     return _markdown(records)
@@ -412,7 +622,13 @@ def _by_noise_and_effect(found: dict[str, pd.DataFrame]) -> str:
         for key in ("noise", "truth"):
             for value, part in scored(rows).groupby(key):
                 label = f"{name.replace('_', ' ')}, {key} {value}"
-                records.append({"row": label, "cases": len(part), "right": share(int(part["good"].sum()), len(part))})
+                records.append(
+                    {
+                        "row": label,
+                        "cases": len(part),
+                        "right": share(int(part["good"].sum()), len(part)),
+                    }
+                )
     return _markdown(records) if records else ""
 
 
@@ -426,7 +642,12 @@ def _failures(found: dict[str, pd.DataFrame]) -> list[str]:
 
 def _commits(found: dict[str, pd.DataFrame]) -> list[str]:
     counts = pd.concat(found.values(), ignore_index=True)["commit"].value_counts()
-    return ["## Examined on", "", *[f"- commit {which}: {count} cases" for which, count in counts.items()], ""]
+    return [
+        "## Examined on",
+        "",
+        *[f"- commit {which}: {count} cases" for which, count in counts.items()],
+        "",
+    ]
 
 
 def figure(found: dict[str, pd.DataFrame]) -> None:
@@ -442,17 +663,34 @@ def figure(found: dict[str, pd.DataFrame]) -> None:
     lowest = 80.0
     for k, noise in enumerate(NOISE_LEVELS):
         shown = {
-            e: scored(r) for n, r in found.items() for e in ROWS[n].effects if ROWS[n].noise[0] == noise and len(r)
+            e: scored(r)
+            for n, r in found.items()
+            for e in ROWS[n].effects
+            if ROWS[n].noise[0] == noise and len(r)
         }
-        tests = {e: binomtest(int(r["good"].sum()), len(r)) for e, r in shown.items() if len(r)}
+        tests = {
+            e: binomtest(int(r["good"].sum()), len(r))
+            for e, r in shown.items()
+            if len(r)
+        }
         heights = [effects.index(e) + 0.22 * (k - 1) for e in tests]
         middles = [100 * test.statistic for test in tests.values()]
         spans = [test.proportion_ci(method="wilson") for test in tests.values()]
-        ends = [[m - 100 * s.low, 100 * s.high - m] for m, s in zip(middles, spans, strict=True)]
+        ends = [
+            [m - 100 * s.low, 100 * s.high - m]
+            for m, s in zip(middles, spans, strict=True)
+        ]
         lowest = min([lowest, *(100 * s.low for s in spans)])
         errors = np.maximum(np.array(ends).reshape(-1, 2).T, 0.0)
         ax.errorbar(
-            middles, heights, xerr=errors, fmt="o", ms=4, lw=1, color=colours[noise], label=f"{noise:.0%} noise"
+            middles,
+            heights,
+            xerr=errors,
+            fmt="o",
+            ms=4,
+            lw=1,
+            color=colours[noise],
+            label=f"{noise:.0%} noise",
         )
     for target, style in ((95, "-"), (85, ":")):
         ax.axvline(target, color="0.5", lw=1, ls=style, label=f"target {target} %")
@@ -462,7 +700,9 @@ def figure(found: dict[str, pd.DataFrame]) -> None:
         xlim=(10 * (lowest // 10), 101),
         ylim=(-0.7, len(effects) - 0.3),
     )
-    ax.set_xlabel("cases with the right effect in the right equation (%), 95 % intervals")
+    ax.set_xlabel(
+        "cases with the right effect in the right equation (%), 95 % intervals"
+    )
     ax.invert_yaxis()
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     fig.savefig(RESULTS / "hidden_effects.png", dpi=150)
@@ -476,6 +716,10 @@ if __name__ == "__main__":
     elif "--page" in sys.argv:
         page()
     elif "--quick" in sys.argv:
-        print(quick(selected, option("seeds", 1) or 1).dropna(axis=1, how="all").to_string(index=False))
+        print(
+            quick(selected, option("seeds", 1) or 1)
+            .dropna(axis=1, how="all")
+            .to_string(index=False)
+        )
     else:
         main(selected, option("seeds", 50) or 50, option("jobs", 2) or 2)

@@ -1,11 +1,14 @@
-"""Machines with hidden effects, simulated without the package: one or two masses on springs, and the connected tanks.
+"""Machines with hidden effects, simulated without the package: one or two masses on
+springs, and the connected tanks.
 
-A machine obeys m q'' = -k q - b q^3 - c v (+ spring between the masses) + u + hidden forces. Every hidden effect is a
-force on one mass, with states of its own where it has a memory, or something a sensor does to the samples. The forces
-are written here once more, from textbooks; nothing is taken from the catalogue of the package.
+A machine obeys m q'' = -k q - b q^3 - c v (+ spring between the masses) + u + hidden
+forces. Every hidden effect is a force on one mass, with states of its own where it has
+a memory, or something a sensor does to the samples. The forces are written here once
+more, from textbooks; nothing is taken from the catalogue of the package.
 
-Arrays of states are (..., n_trajectories, 2 n_masses + memory): positions, momenta, memory. Parameters may have leading
-axes too, so that variations of a machine are integrated together.
+Arrays of states are (..., n_trajectories, 2 n_masses + memory): positions, momenta,
+memory. Parameters may have leading axes too, so that variations of a machine are
+integrated together.
 """
 
 import warnings
@@ -22,7 +25,9 @@ RTOL = 1e-8
 
 @dataclass(frozen=True)
 class Drive:
-    """Inputs (n_trajectories, n_samples) at a constant step, held as the data declare; before t = 0 as at t = 0."""
+    """Inputs (n_trajectories, n_samples) at a constant step, held as the data declare;
+    before t = 0 as at t = 0.
+    """
 
     step: float
     values: Array
@@ -35,12 +40,15 @@ class Drive:
         if self.hold == "zero":
             return self.values[:, min(int(place + 1e-9), last)]
         k = min(int(place), last - 1)
-        return self.values[:, k] + (place - k) * (self.values[:, k + 1] - self.values[:, k])
+        return self.values[:, k] + (place - k) * (
+            self.values[:, k + 1] - self.values[:, k]
+        )
 
 
 @dataclass(frozen=True)
 class Machine:
-    """Masses (n,), springs to the ground, cubic springs, dampers (..., n), the spring between two masses (...,).
+    """Masses (n,), springs to the ground, cubic springs, dampers (..., n), the spring
+    between two masses (...,).
 
     The input acts on mass ``pushed``.
     """
@@ -60,7 +68,9 @@ class Machine:
 
 @dataclass(frozen=True)
 class Hidden:
-    """A hidden effect of a size on the mass ``at`` (or its sensor); ``shape`` holds its other numbers."""
+    """A hidden effect of a size on the mass ``at`` (or its sensor); ``shape`` holds its
+    other numbers.
+    """
 
     name: str
     at: int
@@ -70,7 +80,9 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Moment:
-    """What a hidden force sees: time, position and velocity of its mass, of the other mass, its memory, the drive."""
+    """What a hidden force sees: time, position and velocity of its mass, of the other
+    mass, its memory, the drive.
+    """
 
     t: float
     q: Array
@@ -95,14 +107,19 @@ def _sign(v: Array, shape: Mapping[str, float]) -> Array:
 def _pulses(t: float, shape: Mapping[str, float]) -> float:
     """Half sines of a given length at three times."""
     since = [t - shape[name] for name in ("first", "second", "third")]
-    return sum(np.sin(np.pi * s / shape["length"]) for s in since if 0 < s < shape["length"])
+    return sum(
+        np.sin(np.pi * s / shape["length"]) for s in since if 0 < s < shape["length"]
+    )
 
 
-# Forces of the catalogue's effects, by its names. s: size, h: the other numbers, x: the moment.
+# Forces of the catalogue's effects, by its names. s: size, h: the other numbers, x: the
+# moment.
 FORCES: dict[str, Law] = {
     "viscous damping": lambda s, h, x: -s * x.v,
     "coulomb friction": lambda s, h, x: -s * _sign(x.v, h),
-    "stribeck friction": lambda s, h, x: -s * (1 + h["rise"] * np.exp(-((x.v / h["speed"]) ** 2))) * _sign(x.v, h),
+    "stribeck friction": lambda s, h, x: (
+        -s * (1 + h["rise"] * np.exp(-((x.v / h["speed"]) ** 2))) * _sign(x.v, h)
+    ),
     "quadratic drag": lambda s, h, x: -s * np.abs(x.v) * x.v,
     "cubic drag": lambda s, h, x: -s * x.v**3,
     "position-dependent damping": lambda s, h, x: -s * x.q**2 * x.v,
@@ -115,11 +132,15 @@ FORCES: dict[str, Law] = {
     "constant force": lambda s, h, x: s * h["sign"],
     "harmonic force": lambda s, h, x: s * np.sin(h["omega"] * x.t + h["phase"]),
     "drifting force": lambda s, h, x: s * h["sign"] * x.t,
-    "parametric stiffness": lambda s, h, x: -s * np.sin(h["omega"] * x.t + h["phase"]) * x.q,
+    "parametric stiffness": lambda s, h, x: (
+        -s * np.sin(h["omega"] * x.t + h["phase"]) * x.q
+    ),
     "input gain": lambda s, h, x: s * h["sign"] * x.input(),
     "quadratic input": lambda s, h, x: s * h["sign"] * x.input() ** 2,
     "input dead zone": lambda s, h, x: -np.clip(x.input(), -s, s),
-    "input saturation": lambda s, h, x: np.clip(x.input(), -_limit(s, h), _limit(s, h)) - x.input(),
+    "input saturation": lambda s, h, x: (
+        np.clip(x.input(), -_limit(s, h), _limit(s, h)) - x.input()
+    ),
     "input lag": lambda s, h, x: x.z[..., 0] - x.input(),
     "input delay": lambda s, h, x: x.input(s) - x.input(),
     "hysteresis": lambda s, h, x: -s * x.z[..., 0],
@@ -132,20 +153,37 @@ OUTSIDE: dict[str, Law] = {
     "change of stiffness": lambda s, h, x: -s * x.q * float(x.t > h["when"]),
     "attached absorber": lambda s, h, x: s * h["omega"] ** 2 * (x.z[..., 0] - x.q),
     "square wave": lambda s, h, x: s * np.sign(np.sin(h["omega"] * x.t + h["phase"])),
-    "impact": lambda s, h, x: -s * np.maximum(x.q - h["wall"], 0.0) ** 1.5 * np.maximum(1 + h["loss"] * x.v, 0.0),
+    "impact": lambda s, h, x: (
+        -s
+        * np.maximum(x.q - h["wall"], 0.0) ** 1.5
+        * np.maximum(1 + h["loss"] * x.v, 0.0)
+    ),
     "shocks": lambda s, h, x: s * _pulses(x.t, h),
     "damping in one direction": lambda s, h, x: -s * np.maximum(x.v, 0.0),
 }
 
 # Rates of the states of effects that have a memory.
-MEMORIES: dict[str, tuple[int, Callable[[float, Mapping[str, float], Moment], list[Array]]]] = {
+MEMORIES: dict[
+    str, tuple[int, Callable[[float, Mapping[str, float], Moment], list[Array]]]
+] = {
     "input lag": (1, lambda s, h, x: [(x.input() - x.z[..., 0]) / s]),
     # Bouc and Wen, exponent 1: the slope falls from 1 to 0 at |z| = 1/(beta + gamma)
-    "hysteresis": (1, lambda s, h, x: [
-        x.v - h["beta"] * np.abs(x.v) * x.z[..., 0] - h["gamma"] * x.v * np.abs(x.z[..., 0])]),
-    "attached absorber": (2, lambda s, h, x: [
-        x.z[..., 1], h["omega"] ** 2 * (x.q - x.z[..., 0]) - h["damping"] * (x.z[..., 1] - x.v)]),
-}  # fmt: skip
+    "hysteresis": (
+        1,
+        lambda s, h, x: [
+            x.v
+            - h["beta"] * np.abs(x.v) * x.z[..., 0]
+            - h["gamma"] * x.v * np.abs(x.z[..., 0])
+        ],
+    ),
+    "attached absorber": (
+        2,
+        lambda s, h, x: [
+            x.z[..., 1],
+            h["omega"] ** 2 * (x.q - x.z[..., 0]) - h["damping"] * (x.z[..., 1] - x.v),
+        ],
+    ),
+}
 
 Shown = Callable[[float, Mapping[str, float], Array, Array, Array], Array]
 
@@ -165,7 +203,9 @@ def _limit(size: float, shape: Mapping[str, float]) -> float:
 
 
 class RunawayError(ArithmeticError):
-    """The machine leaves every bound, as beyond the top of a softening spring: no experiment to learn from."""
+    """The machine leaves every bound, as beyond the top of a softening spring: no
+    experiment to learn from.
+    """
 
 
 def force_of(hidden: Hidden, moment: Moment) -> Array | float:
@@ -174,16 +214,24 @@ def force_of(hidden: Hidden, moment: Moment) -> Array | float:
 
 
 def simulate(
-    machine: Machine, hidden: tuple[Hidden, ...], starts: Array, drive: Drive | None, times: Array, steps: int = 0,
-) -> Array:  # fmt: skip
+    machine: Machine,
+    hidden: tuple[Hidden, ...],
+    starts: Array,
+    drive: Drive | None,
+    times: Array,
+    steps: int = 0,
+) -> Array:
     """States (n_times, ..., n_trajectories, 2 n_masses) from ``starts`` at times[0].
 
-    By SciPy to ``RTOL``, or quickly, to find the size of an effect: ``steps`` of Runge and Kutta between two times.
+    By SciPy to ``RTOL``, or quickly, to find the size of an effect: ``steps`` of Runge
+    and Kutta between two times.
     """
     n, forces = machine.n, tuple(h for h in hidden if h.name not in SENSORS)
     sizes = [MEMORIES[h.name][0] if h.name in MEMORIES else 0 for h in forces]
     ends = 2 * n + np.cumsum([0, *sizes])
-    x0 = np.concatenate([starts, *(_memory(h, starts, drive, times[0], n) for h in forces)], axis=-1)
+    x0 = np.concatenate(
+        [starts, *(_memory(h, starts, drive, times[0], n) for h in forces)], axis=-1
+    )
 
     def rates(t: float, flat: Array) -> Array:
         x = flat.reshape(x0.shape)
@@ -200,34 +248,65 @@ def simulate(
             force[..., machine.pushed] += drive.at(t)
         for k, h in enumerate(forces):
             place = slice(ends[k], ends[k + 1])
-            moment = Moment(t, q[..., h.at], v[..., h.at], q[..., n - 1 - h.at], x[..., place], drive)
+            moment = Moment(
+                t,
+                q[..., h.at],
+                v[..., h.at],
+                q[..., n - 1 - h.at],
+                x[..., place],
+                drive,
+            )
             added = force_of(h, moment)
             force[..., h.at] += added
             if h.name == "coupling stiffness":
                 force[..., 1 - h.at] -= added
             if sizes[k]:
-                dx[..., place] = np.stack(MEMORIES[h.name][1](h.size, h.shape, moment), axis=-1)
+                dx[..., place] = np.stack(
+                    MEMORIES[h.name][1](h.size, h.shape, moment), axis=-1
+                )
         return dx.ravel()
 
-    states = _quickly(rates, x0.ravel(), times, steps) if steps else _tightly(rates, x0.ravel(), times)
+    states = (
+        _quickly(rates, x0.ravel(), times, steps)
+        if steps
+        else _tightly(rates, x0.ravel(), times)
+    )
     return states.reshape(len(times), *x0.shape)[..., : 2 * n]
 
 
 def _tightly(rates: Callable[[float, Array], Array], x0: Array, times: Array) -> Array:
-    largest = float(np.max(np.diff(times)))  # no pulse, kink or step of the input is passed over
-    options = {"method": "LSODA", "t_eval": times, "rtol": RTOL, "atol": RTOL * np.abs(x0).max(), "max_step": largest}
+    largest = float(
+        np.max(np.diff(times))
+    )  # no pulse, kink or step of the input is passed over
+    options = {
+        "method": "LSODA",
+        "t_eval": times,
+        "rtol": RTOL,
+        "atol": RTOL * np.abs(x0).max(),
+        "max_step": largest,
+    }
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # LSODA's own words about a machine that runs away
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # LSODA's own words about a machine that runs away
         solved = solve_ivp(rates, (times[0], times[-1]), x0, **options)
     if not solved.success or not np.isfinite(solved.y).all():
-        raise RunawayError(f"a machine could not be simulated to t = {times[-1]:.6g}: {solved.message}")
+        raise RunawayError(
+            f"a machine could not be simulated to t = {times[-1]:.6g}: {solved.message}"
+        )
     return solved.y.T
 
 
-def _quickly(rates: Callable[[float, Array], Array], x: Array, times: Array, steps: int) -> Array:
-    """Four stages per step; the last a little before its end, where an input that is held has not yet jumped."""
+def _quickly(
+    rates: Callable[[float, Array], Array], x: Array, times: Array, steps: int
+) -> Array:
+    """Four stages per step; the last a little before its end, where an input that is
+    held has not yet jumped.
+    """
     found = [x]
-    with np.errstate(over="ignore", invalid="ignore"):  # a size that is too large by far is only told to be so
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # a size that is too large by far is only told to be so
         for begin, end in pairwise(times):
             h = (end - begin) / steps
             for k in range(steps):
@@ -235,14 +314,22 @@ def _quickly(rates: Callable[[float, Array], Array], x: Array, times: Array, ste
                 k1 = rates(t + 1e-6 * h, x)
                 k2 = rates(t + h / 2, x + h / 2 * k1)
                 k3 = rates(t + h / 2, x + h / 2 * k2)
-                x = x + h / 6 * (k1 + 2 * (k2 + k3) + rates(t + h - 1e-6 * h, x + h * k3))
+                x = x + h / 6 * (
+                    k1 + 2 * (k2 + k3) + rates(t + h - 1e-6 * h, x + h * k3)
+                )
             found.append(x)
     return np.array(found)
 
 
-def _memory(hidden: Hidden, starts: Array, drive: Drive | None, t: float, n: int) -> Array:
-    """Starting values of an effect's own states: the lag has settled, the absorber moves along, the rest is zero."""
-    z = np.zeros((*starts.shape[:-1], MEMORIES[hidden.name][0] if hidden.name in MEMORIES else 0))
+def _memory(
+    hidden: Hidden, starts: Array, drive: Drive | None, t: float, n: int
+) -> Array:
+    """Starting values of an effect's own states: the lag has settled, the absorber
+    moves along, the rest is zero.
+    """
+    z = np.zeros(
+        (*starts.shape[:-1], MEMORIES[hidden.name][0] if hidden.name in MEMORIES else 0)
+    )
     if hidden.name == "input lag" and drive is not None:
         z[..., 0] = drive.at(t)
     if hidden.name == "attached absorber":
@@ -251,18 +338,31 @@ def _memory(hidden: Hidden, starts: Array, drive: Drive | None, t: float, n: int
 
 
 def measured(
-    machine: Machine, hidden: tuple[Hidden, ...], starts: Array, drive: Drive | None, times: Array, steps: int = 0,
-) -> Array:  # fmt: skip
-    """What the sensors show, (n_times, n_trajectories, 2 n_masses), without noise; sensors count states, not masses."""
+    machine: Machine,
+    hidden: tuple[Hidden, ...],
+    starts: Array,
+    drive: Drive | None,
+    times: Array,
+    steps: int = 0,
+) -> Array:
+    """What the sensors show, (n_times, n_trajectories, 2 n_masses), without noise;
+    sensors count states, not masses.
+    """
     sensors = [h for h in hidden if h.name in SENSORS]
     delay = sum(h.size for h in sensors if h.name == "sensor delay")
     # With a delay the record begins earlier, so that its first samples are there.
-    moments = np.unique(np.concatenate([[times[0] - delay], times - delay, times])) if delay else times
+    moments = (
+        np.unique(np.concatenate([[times[0] - delay], times - delay, times]))
+        if delay
+        else times
+    )
     x = simulate(machine, hidden, starts, drive, moments, steps)
     y = x[np.searchsorted(moments, times)]
     late = x[np.searchsorted(moments, times - delay)] if delay else y
     for h in sensors:
-        shown = SENSORS[h.name](h.size, h.shape, times, y[..., h.at].T, late[..., h.at].T)
+        shown = SENSORS[h.name](
+            h.size, h.shape, times, y[..., h.at].T, late[..., h.at].T
+        )
         y = y.copy()
         y[..., h.at] = shown.T
     return y
@@ -270,7 +370,8 @@ def measured(
 
 Fault = Callable[[float, Mapping[str, float], Array], Array]
 
-# Faults of the tanks: what leaves a tank with the level y per second; what slows a pipe with the flow y (momentum).
+# Faults of the tanks: what leaves a tank with the level y per second; what slows a pipe
+# with the flow y (momentum).
 LEAKS: dict[str, Fault] = {
     "linear leak": lambda s, h, y: s * y,
     "turbulent leak": lambda s, h, y: s * np.sqrt(np.maximum(y, 0.0)),
@@ -282,8 +383,16 @@ CLOGS: dict[str, Fault] = {
 }
 
 
-def tank_states(matrix: Array, hidden: Hidden | None, starts: Array, times: Array, rtol: float = 1e-9) -> Array:
-    """States (n_times, n_trajectories, 9) of the connected tanks dx/dt = ``matrix`` x with a fault in state ``at``."""
+def tank_states(
+    matrix: Array,
+    hidden: Hidden | None,
+    starts: Array,
+    times: Array,
+    rtol: float = 1e-9,
+) -> Array:
+    """States (n_times, n_trajectories, 9) of the connected tanks dx/dt = ``matrix`` x
+    with a fault in state ``at``.
+    """
     fault = None if hidden is None else {**LEAKS, **CLOGS}[hidden.name]
 
     def rates(t: float, flat: Array) -> Array:
@@ -293,6 +402,12 @@ def tank_states(matrix: Array, hidden: Hidden | None, starts: Array, times: Arra
             dx[..., hidden.at] -= fault(hidden.size, hidden.shape, x[..., hidden.at])
         return dx.ravel()
 
-    options = {"method": "DOP853", "t_eval": times, "rtol": rtol, "atol": rtol, "max_step": times[1] - times[0]}
+    options = {
+        "method": "DOP853",
+        "t_eval": times,
+        "rtol": rtol,
+        "atol": rtol,
+        "max_step": times[1] - times[0],
+    }
     solved = solve_ivp(rates, (times[0], times[-1]), starts.ravel(), **options)
     return solved.y.T.reshape(len(times), *starts.shape)

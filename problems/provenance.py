@@ -13,18 +13,32 @@ RESULTS = ROOT / "results"
 def provenance() -> str:
     """One line for the head of a result."""
     command = " ".join(
-        ["python", *[str(Path(a).resolve().relative_to(ROOT)) if Path(a).exists() else a for a in sys.argv]]
+        [
+            "python",
+            *[
+                str(Path(a).resolve().relative_to(ROOT)) if Path(a).exists() else a
+                for a in sys.argv
+            ],
+        ]
     )
-    machine = f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
+    machine = (
+        f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
+    )
     return f"command: {command}; commit: {commit()}; machine: {machine}"
 
 
 @cache
 def commit() -> str:
-    """The commit in short, at the first call of a process, which runs on the code of then; unknown without git."""
+    """The commit in short, at the first call of a process, which runs on the code of
+    then; unknown without git.
+    """
     try:
         run = subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+            ["git", "rev-parse", "--short", "HEAD"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
         )
     except OSError:
         return "unknown"

@@ -1,9 +1,10 @@
-"""Time and memory of `identify` over the number of samples: the driven Duffing oscillator, q and p or q alone measured.
+"""Time and memory of `identify` over the number of samples: the driven Duffing
+oscillator, q and p or q alone measured.
 
 python problems/scaling.py [--quick] [--page] [--largest=N] [--limit=SECONDS]
 
-Every size runs in a process of its own, so that its peak memory is its own. Rows are kept in results/scaling.csv; a
-size that is there is not run again.
+Every size runs in a process of its own, so that its peak memory is its own. Rows are
+kept in results/scaling.csv; a size that is there is not run again.
 """
 
 import os
@@ -36,7 +37,9 @@ TABLE = RESULTS / "scaling.csv"
 
 
 def data(n_samples: int, channels: str) -> ph.Measurements:
-    """One record. The oscillator forgets its start, so errors of the integration do not grow with its length."""
+    """One record. The oscillator forgets its start, so errors of the integration do not
+    grow with its length.
+    """
     k, a, c = DUFFING.values()
     t = STEP * np.arange(n_samples)
 
@@ -44,7 +47,9 @@ def data(n_samples: int, channels: str) -> ph.Measurements:
         q, p = x.tolist()
         return p, -k * q - a * q**3 - c * p + 2 * np.cos(1.3 * at)
 
-    x = solve_ivp(rates, (0.0, t[-1]), DUFFING_START, "LSODA", t, rtol=1e-9, atol=1e-9).y.T
+    x = solve_ivp(
+        rates, (0.0, t[-1]), DUFFING_START, "LSODA", t, rtol=1e-9, atol=1e-9
+    ).y.T
     y = x + NOISE * x.std(axis=0) * np.random.default_rng(SEED).normal(size=x.shape)
     if channels == "q":
         y[:, 1] = np.nan
@@ -52,46 +57,86 @@ def data(n_samples: int, channels: str) -> ph.Measurements:
 
 
 def measure(n_samples: int, channels: str) -> dict[str, float | str]:
-    """One fit in this process: time, time and iterations in IPOPT (all likelihood programs), memory, errors."""
+    """One fit in this process: time, time and iterations in IPOPT (all likelihood
+    programs), memory, errors.
+    """
     said: list[str] = []
     given = data(n_samples, channels)
     before = _peak()
     began = time.perf_counter()
     fit = ph.identify(duffing_model(), given, progress=said.append)
     seconds = time.perf_counter() - began
-    solved = [re.search(r"(\d+) iterations, ([\d.]+) s\)", line) for line in said if line.startswith("maximum")]
+    solved = [
+        re.search(r"(\d+) iterations, ([\d.]+) s\)", line)
+        for line in said
+        if line.startswith("maximum")
+    ]
     names = {"k": "k", "a": "a", "c": "R_p"}
-    errors = [abs(fit.values[names[n]] - v) / fit.std_errors[names[n]] for n, v in DUFFING.items()]
+    errors = [
+        abs(fit.values[names[n]] - v) / fit.std_errors[names[n]]
+        for n, v in DUFFING.items()
+    ]
     return {
-        "channels": channels, "n_samples": n_samples, "seconds": seconds,
-        "ipopt_seconds": sum(float(m[2]) for m in solved if m), "programs": len(solved),
-        "iterations": sum(int(m[1]) for m in solved if m), "peak_gb": _peak(), "peak_before_gb": before,
-        "largest_error_in_std_errors": max(errors), "outcome": fit.outcome.status,
-    }  # fmt: skip
+        "channels": channels,
+        "n_samples": n_samples,
+        "seconds": seconds,
+        "ipopt_seconds": sum(float(m[2]) for m in solved if m),
+        "programs": len(solved),
+        "iterations": sum(int(m[1]) for m in solved if m),
+        "peak_gb": _peak(),
+        "peak_before_gb": before,
+        "largest_error_in_std_errors": max(errors),
+        "outcome": fit.outcome.status,
+    }
 
 
 def _peak() -> float:
-    """Peak memory of this process so far, in GB (Linux counts it in kB, macOS in bytes)."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e9
+    """Peak memory of this process so far, in GB (Linux counts it in kB, macOS in
+    bytes).
+    """
+    return (
+        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        * (1 if sys.platform == "darwin" else 1024)
+        / 1e9
+    )
 
 
 def apart(n_samples: int, channels: str, limit: float) -> dict[str, float | str]:
-    """`measure` in a process of its own; a process that dies or takes too long is a row as well."""
-    command = [sys.executable, str(Path(__file__).resolve()), f"--one={n_samples}", f"--channels={channels}"]
+    """`measure` in a process of its own; a process that dies or takes too long is a row
+    as well.
+    """
+    command = [
+        sys.executable,
+        str(Path(__file__).resolve()),
+        f"--one={n_samples}",
+        f"--channels={channels}",
+    ]
     failed: dict[str, float | str] = {"channels": channels, "n_samples": n_samples}
     try:
-        run = subprocess.run(command, capture_output=True, text=True, timeout=limit, check=False)
+        run = subprocess.run(
+            command, capture_output=True, text=True, timeout=limit, check=False
+        )
     except subprocess.TimeoutExpired:
         return failed | {"outcome": f"not done after {limit:.0f} s"}
     if run.returncode:
-        reason = run.stderr.strip().splitlines()[-1] if run.stderr.strip() else f"ended with {run.returncode}"
-        return failed | {"outcome": "out of memory" if run.returncode == -9 else reason[:200]}
+        reason = (
+            run.stderr.strip().splitlines()[-1]
+            if run.stderr.strip()
+            else f"ended with {run.returncode}"
+        )
+        return failed | {
+            "outcome": "out of memory" if run.returncode == -9 else reason[:200]
+        }
     return dict(json.loads(run.stdout.strip().splitlines()[-1]))
 
 
-def main(sizes: tuple[int, ...] = SIZES, limit: float = 3600.0, keep: bool = True) -> pd.DataFrame:
+def main(
+    sizes: tuple[int, ...] = SIZES, limit: float = 3600.0, keep: bool = True
+) -> pd.DataFrame:
     """All sizes of both kinds; a kind stops at its first size that fails."""
-    rows: list[Any] = pd.read_csv(TABLE).to_dict("records") if keep and TABLE.exists() else []
+    rows: list[Any] = (
+        pd.read_csv(TABLE).to_dict("records") if keep and TABLE.exists() else []
+    )
     done = {(row["channels"], row["n_samples"]) for row in rows}
     for channels in CHANNELS:
         for n in sizes:
@@ -133,7 +178,9 @@ def page() -> None:
         if rows.empty:
             continue
         last = rows.dropna(subset=["seconds"]).tail(2)
-        shown = rows.drop(columns="channels").to_string(index=False, float_format=lambda v: f"{v:.3g}")
+        shown = rows.drop(columns="channels").to_string(
+            index=False, float_format=lambda v: f"{v:.3g}"
+        )
         lines += [f"## {title[0].upper()}{title[1:]}", "", "```text", shown, "```", ""]
         lines += [
             f"Time grows as n^{exponent(rows):.2f} over all sizes, n^{exponent(last):.2f} over the last two; time in "
@@ -154,25 +201,57 @@ def figure(table: pd.DataFrame) -> None:
 
     fig, axes = plt.subplots(1, 2, figsize=(9.5, 4.0), layout="constrained")
     for channels, title in CHANNELS.items():
-        rows = table[table["channels"] == channels].dropna(subset=["seconds"]).sort_values("n_samples")
+        rows = (
+            table[table["channels"] == channels]
+            .dropna(subset=["seconds"])
+            .sort_values("n_samples")
+        )
         colour = COLOURS[channels]
-        axes[0].plot(rows["n_samples"], rows["seconds"], "o-", color=colour, label=f"identify, {title}")
-        axes[0].plot(rows["n_samples"], rows["ipopt_seconds"], "s:", color=colour, label=f"of it IPOPT, {title}")
-        axes[1].plot(rows["n_samples"], rows["peak_gb"], "o-", color=colour, label=title)
+        axes[0].plot(
+            rows["n_samples"],
+            rows["seconds"],
+            "o-",
+            color=colour,
+            label=f"identify, {title}",
+        )
+        axes[0].plot(
+            rows["n_samples"],
+            rows["ipopt_seconds"],
+            "s:",
+            color=colour,
+            label=f"of it IPOPT, {title}",
+        )
+        axes[1].plot(
+            rows["n_samples"], rows["peak_gb"], "o-", color=colour, label=title
+        )
     done = table.dropna(subset=["seconds"])
     if not done.empty:
         n = np.array([done["n_samples"].min(), done["n_samples"].max()], dtype=float)
-        axes[0].plot(n, done["seconds"].min() * n / n[0], color="0.6", lw=1, label="proportional to n")
+        axes[0].plot(
+            n,
+            done["seconds"].min() * n / n[0],
+            color="0.6",
+            lw=1,
+            label="proportional to n",
+        )
     for ax, label in zip(axes, ("time (s)", "peak memory (GB)"), strict=True):
         ax.set(xscale="log", yscale="log", xlabel="samples", ylabel=label)
-    fig.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    fig.legend(
+        *axes[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=2,
+        frameon=False,
+        fontsize=9,
+    )
     fig.savefig(RESULTS / "scaling.png", dpi=150)
     plt.close(fig)
 
 
 def option(name: str, default: str) -> str:
     """The text of --name=text among the arguments."""
-    return next((a.split("=", 1)[1] for a in sys.argv if a.startswith(f"--{name}=")), default)
+    return next(
+        (a.split("=", 1)[1] for a in sys.argv if a.startswith(f"--{name}=")), default
+    )
 
 
 if __name__ == "__main__":

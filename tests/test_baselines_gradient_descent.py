@@ -1,4 +1,6 @@
-"""Gradient descent: the solver's loss and its derivative, Adam with pruning, seeds, the neural force, refusals."""
+"""Gradient descent: the solver's loss and its derivative, Adam with pruning, seeds, the
+neural force, refusals.
+"""
 
 import pickle
 import subprocess
@@ -15,7 +17,13 @@ from thesis.systems import SYSTEMS
 
 import phsi_opt as ph
 from phsi_opt.baselines.descent_settings import DTYPES
-from phsi_opt.baselines.gradient_descent import Descent, HybridBaseline, JointForce, gradient_descent, starting_values
+from phsi_opt.baselines.gradient_descent import (
+    Descent,
+    HybridBaseline,
+    JointForce,
+    gradient_descent,
+    starting_values,
+)
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_dictionary import Basis, DictionaryDynamics, monomial
 from phsi_opt.baselines.torch_steps import Adam, Steps, one_thread
@@ -37,18 +45,28 @@ def one_thread_of_torch() -> Iterator[None]:
 
 
 def everything() -> ph.PseudoHamiltonian:
-    """Every kind of term: monomials, other functions and formulas, in H, R and F, with an input and fixed values."""
+    """Every kind of term: monomials, other functions and formulas, in H, R and F, with
+    an input and fixed values.
+    """
     return ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1),
-        H=ph.polynomials(["q", "p"], 4) + ph.formula("a*(1 - cos(q)) + p**2/(2*m)", a=Parameter(0.7), m=1.5)
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], 4)
+        + ph.formula("a*(1 - cos(q)) + p**2/(2*m)", a=Parameter(0.7), m=1.5)
         + Dictionary((Term("sin(w*q)", Parameter(0.2), {"w": Parameter(0.9)}),)),
-        R={**ph.damping("p"), "q": ph.formula("c*(dH_dq**2 + 0.1)**(-1/4)", c=Parameter(0.3))},
+        R={
+            **ph.damping("p"),
+            "q": ph.formula("c*(dH_dq**2 + 0.1)**(-1/4)", c=Parameter(0.3)),
+        },
         F={
-            "p": ph.polynomials(["t"], 2) + ph.trigonometric("t", frequency=2.0) + ph.formula("b*u", b=Parameter(0.9)),
+            "p": ph.polynomials(["t"], 2)
+            + ph.trigonometric("t", frequency=2.0)
+            + ph.formula("b*u", b=Parameter(0.9)),
             "q": ph.polynomials(["q", "u"], 2, constant=True)
             + ph.formula("d*min(max(p, -0.3), 0.3)", d=Parameter(0.5)),
         },
-    )  # fmt: skip
+    )
 
 
 def first_order() -> ph.FirstOrder:
@@ -58,15 +76,20 @@ def first_order() -> ph.FirstOrder:
             "q": ph.polynomials(["q", "p"], 2, constant=True),
             "p": ph.polynomials(["p", "t"], 3) + ph.formula("sin(q)*u"),
         },
-        inputs=["u"], R=ph.damping("p"),
-    )  # fmt: skip
+        inputs=["u"],
+        R=ph.damping("p"),
+    )
 
 
 MODELS: dict[str, Callable[[], Model]] = {
     "pseudo-Hamiltonian": everything,
     "first order": first_order,
     "only monomials": lambda: ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], 3), R=ph.damping("q", "p")
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], 3),
+        R=ph.damping("q", "p"),
     ),
 }
 
@@ -78,7 +101,9 @@ def record(hold: str = "linear") -> ph.Measurements:
     xs = [rng.normal(size=(len(t), 2)) for t in ts]
     xs[0][4, 1] = np.nan
     us = [rng.normal(size=(len(t), 1)) for t in ts]
-    return ph.Measurements.from_arrays(ts, xs, us, states=["q", "p"], inputs=["u"], hold=hold)
+    return ph.Measurements.from_arrays(
+        ts, xs, us, states=["q", "p"], inputs=["u"], hold=hold
+    )
 
 
 def at_random(model: Model) -> Model:
@@ -90,13 +115,26 @@ def at_random(model: Model) -> Model:
 def solvers_loss(model: Model, data: ph.Measurements, scheme: str) -> float:
     grid = complete(model, grid_of(data))
     theta = np.array([model.values[name] for name in model.free])
-    return float(np.mean(np.sum(np.square(np.array(defects(model, grid, scheme, ca.DM(grid.y.T), theta))), axis=0)))
+    return float(
+        np.mean(
+            np.sum(
+                np.square(
+                    np.array(defects(model, grid, scheme, ca.DM(grid.y.T), theta))
+                ),
+                axis=0,
+            )
+        )
+    )
 
 
-def steps_of(model: Model, data: ph.Measurements, scheme: str) -> tuple[Steps, torch.Tensor]:
+def steps_of(
+    model: Model, data: ph.Measurements, scheme: str
+) -> tuple[Steps, torch.Tensor]:
     dynamics = DictionaryDynamics(model, torch.float64)
     steps = Steps(complete(model, grid_of(data)), scheme, dynamics, torch.float64)
-    return steps, torch.tensor([model.values[name] for name in dynamics.names], dtype=torch.float64)
+    return steps, torch.tensor(
+        [model.values[name] for name in dynamics.names], dtype=torch.float64
+    )
 
 
 def henon_data(noise: float = 0.0, n: int = 400) -> ph.Measurements:
@@ -111,11 +149,18 @@ FAST = Descent(learning_rate=1e-2, epochs=40, prune_every=10)
 
 @pytest.mark.parametrize("scheme", INTEGRATORS)
 @pytest.mark.parametrize("kind", MODELS)
-def test_the_loss_is_that_of_the_solver_at_the_same_point(kind: str, scheme: str) -> None:
-    model, data = at_random(MODELS[kind]()), record("zero" if scheme == "midpoint" else "linear")
+def test_the_loss_is_that_of_the_solver_at_the_same_point(
+    kind: str, scheme: str
+) -> None:
+    model, data = (
+        at_random(MODELS[kind]()),
+        record("zero" if scheme == "midpoint" else "linear"),
+    )
     steps, theta = steps_of(model, data, scheme)
     value = float(steps.loss(theta, steps.all_tables()).detach())
-    assert value == pytest.approx(solvers_loss(model, data, scheme), rel=1e-10)  # other order of sums: rounding
+    assert value == pytest.approx(
+        solvers_loss(model, data, scheme), rel=1e-10
+    )  # other order of sums: rounding
 
 
 @pytest.mark.parametrize("scheme", INTEGRATORS)
@@ -128,7 +173,9 @@ def test_the_gradient_is_that_of_finite_differences(kind: str, scheme: str) -> N
     for i in range(0, len(theta), 2):
         shift = torch.zeros_like(theta)
         shift[i] = 1e-6
-        slope = (steps.loss(theta + shift, tables) - steps.loss(theta - shift, tables)) / 2e-6
+        slope = (
+            steps.loss(theta + shift, tables) - steps.loss(theta - shift, tables)
+        ) / 2e-6
         # Central differences: rounding of about 1e-16 / 1e-6 of the loss.
         assert float(gradient[i]) == pytest.approx(
             float(slope.detach()), rel=1e-5, abs=1e-7 * float(gradient.abs().max() + 1)
@@ -142,29 +189,56 @@ def test_the_gradient_of_a_neural_force_is_that_of_finite_differences() -> None:
     steps = Steps(complete(model, grid_of(record())), "srk4", dynamics, torch.float64)
     assert dynamics.network is not None
     weights = dynamics.network.start(torch.Generator().manual_seed(3), torch.float64)
-    theta = torch.cat((torch.tensor([model.values[name] for name in dynamics.names], dtype=torch.float64), weights))
+    theta = torch.cat(
+        (
+            torch.tensor(
+                [model.values[name] for name in dynamics.names], dtype=torch.float64
+            ),
+            weights,
+        )
+    )
     flat = theta.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(steps.loss(flat, steps.all_tables(), 0.3), flat)
     for i in range(0, len(theta), 7):
         shift = torch.zeros_like(theta)
         shift[i] = 1e-6
-        ends = [steps.loss(theta + sign * shift, steps.all_tables(), 0.3) for sign in (1, -1)]
-        assert float(gradient[i]) == pytest.approx(float((ends[0] - ends[1]).detach()) / 2e-6, rel=1e-5, abs=1e-6)
+        ends = [
+            steps.loss(theta + sign * shift, steps.all_tables(), 0.3)
+            for sign in (1, -1)
+        ]
+        assert float(gradient[i]) == pytest.approx(
+            float((ends[0] - ends[1]).detach()) / 2e-6, rel=1e-5, abs=1e-6
+        )
 
 
 def test_a_batch_has_the_loss_of_its_intervals() -> None:
     steps, theta = steps_of(at_random(everything()), record(), "srk4")
     whole = steps.defects(theta, steps.all_tables())[0]
-    part = steps.defects(theta, [table[2 * rows : 5 * rows] for table, rows in steps.arrays])[0]
+    part = steps.defects(
+        theta, [table[2 * rows : 5 * rows] for table, rows in steps.arrays]
+    )[0]
     np.testing.assert_allclose(part.detach(), whole[2:5].detach(), rtol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("body", "exponents"),
-    [("1", (0, 0)), ("q", (1, 0)), ("q**2*p", (2, 1)), ("p*q*p", (1, 2)), ("q/p", None), ("sin(q)", None),
-     ("q**-1", None), ("q**p", None), ("q*u", None), ("2*q", None), ("q + p", None)],
-)  # fmt: skip
-def test_only_products_of_powers_are_monomials(body: str, exponents: tuple[int, ...] | None) -> None:
+    [
+        ("1", (0, 0)),
+        ("q", (1, 0)),
+        ("q**2*p", (2, 1)),
+        ("p*q*p", (1, 2)),
+        ("q/p", None),
+        ("sin(q)", None),
+        ("q**-1", None),
+        ("q**p", None),
+        ("q*u", None),
+        ("2*q", None),
+        ("q + p", None),
+    ],
+)
+def test_only_products_of_powers_are_monomials(
+    body: str, exponents: tuple[int, ...] | None
+) -> None:
     assert monomial(body, ("q", "p")) == exponents
 
 
@@ -174,7 +248,11 @@ def test_a_basis_holds_each_monomial_once_and_in_its_place() -> None:
     features = basis.features(v)
     assert features.shape == (4, len(basis))
     for exponents, column in basis.position.items():
-        np.testing.assert_allclose(features[:, column], np.prod(v.numpy() ** np.array(exponents), axis=1), rtol=1e-14)
+        np.testing.assert_allclose(
+            features[:, column],
+            np.prod(v.numpy() ** np.array(exponents), axis=1),
+            rtol=1e-14,
+        )
 
 
 # ---- the descent -----------------------------------------------------------------------------------------------------
@@ -184,7 +262,10 @@ def test_adam_takes_the_steps_of_torchs_adam() -> None:
     rng = np.random.default_rng(0)
     start = torch.tensor(rng.normal(size=5))
     mine, theirs = start.clone().requires_grad_(), start.clone().requires_grad_()
-    adam, reference = Adam(mine, 0.01), torch.optim.Adam([theirs], lr=0.02, weight_decay=0.01)
+    adam, reference = (
+        Adam(mine, 0.01),
+        torch.optim.Adam([theirs], lr=0.02, weight_decay=0.01),
+    )
     for _ in range(20):
         adam.step(torch.autograd.grad((mine**4).sum(), mine)[0], 0.02)
         reference.zero_grad()
@@ -196,7 +277,9 @@ def test_adam_takes_the_steps_of_torchs_adam() -> None:
 def test_clean_data_give_the_true_terms_and_coefficients() -> None:
     fit = gradient_descent(HENON.model(), henon_data(), FAST)
     assert set(fit.values) == set(HENON.truth)
-    assert max(abs(fit.values[name] - value) for name, value in HENON.truth.items()) < 1e-4  # 520 steps: not converged
+    assert (
+        max(abs(fit.values[name] - value) for name, value in HENON.truth.items()) < 1e-4
+    )  # 520 steps: not converged
     assert len(fit.removed) + len(fit.values) == 34
     assert list(fit.history.columns) == ["epoch", "loss", "n_terms"]
     assert fit.history["epoch"].tolist() == list(range(1, 41))
@@ -206,14 +289,27 @@ def test_clean_data_give_the_true_terms_and_coefficients() -> None:
 def test_the_reported_loss_is_the_solvers_at_the_result() -> None:
     data = henon_data(noise=0.02)
     for model in (HENON.model(), HENON.first_order()):
-        fit = gradient_descent(model, data, replace(FAST, epochs=10, dtype="float32", prune_every=5))
-        assert fit.loss_value == pytest.approx(solvers_loss(fit.model, data, "srk4"), rel=1e-10)  # rounding
+        fit = gradient_descent(
+            model, data, replace(FAST, epochs=10, dtype="float32", prune_every=5)
+        )
+        assert fit.loss_value == pytest.approx(
+            solvers_loss(fit.model, data, "srk4"), rel=1e-10
+        )  # rounding
 
 
 def test_a_pruned_coefficient_stays_at_zero() -> None:
     lines: list[str] = []
-    settings = replace(FAST, prune_every=2, threshold=0.15, epochs=12, l1={"H": 0.01}, weight_decay=1e-3)
-    fit = gradient_descent(HENON.model(), henon_data(0.02, 100), settings, progress=lines.append)
+    settings = replace(
+        FAST,
+        prune_every=2,
+        threshold=0.15,
+        epochs=12,
+        l1={"H": 0.01},
+        weight_decay=1e-3,
+    )
+    fit = gradient_descent(
+        HENON.model(), henon_data(0.02, 100), settings, progress=lines.append
+    )
     n_terms = fit.history["n_terms"].tolist()
     assert n_terms == sorted(n_terms, reverse=True) and n_terms[0] == 34 > n_terms[-1]
     assert not set(fit.removed) & set(fit.values)
@@ -221,9 +317,14 @@ def test_a_pruned_coefficient_stays_at_zero() -> None:
 
 
 def test_pruning_waits_for_its_first_epoch() -> None:
-    data, settings = henon_data(n=100), replace(FAST, epochs=6, prune_every=2, threshold=0.15)
+    data, settings = (
+        henon_data(n=100),
+        replace(FAST, epochs=6, prune_every=2, threshold=0.15),
+    )
     early, late = (
-        gradient_descent(HENON.model(), data, replace(settings, prune_from=first)).history["n_terms"].tolist()
+        gradient_descent(HENON.model(), data, replace(settings, prune_from=first))
+        .history["n_terms"]
+        .tolist()
         for first in (None, 5)
     )
     assert early[1] < 34
@@ -232,20 +333,26 @@ def test_pruning_waits_for_its_first_epoch() -> None:
 
 def test_the_rate_falls_along_a_cosine() -> None:
     settings = Descent(learning_rate=2.0, epochs=4, decay="cosine")
-    assert [settings.rate(epoch) for epoch in (1, 3)] == pytest.approx([2.0, 1.0], rel=1e-14)
+    assert [settings.rate(epoch) for epoch in (1, 3)] == pytest.approx(
+        [2.0, 1.0], rel=1e-14
+    )
     assert settings.rate(4) == pytest.approx(1 + np.cos(0.75 * np.pi), rel=1e-14)
     assert replace(settings, decay="none").rate(4) == 2.0
 
 
 def test_a_relative_rate_scales_the_step() -> None:
     def moved(relative: torch.Tensor | None, rate: float) -> torch.Tensor:
-        adam = Adam(torch.ones(2, dtype=torch.float64).requires_grad_(), relative=relative)
+        adam = Adam(
+            torch.ones(2, dtype=torch.float64).requires_grad_(), relative=relative
+        )
         for _ in range(3):
             adam.step(torch.tensor([1.0, 2.0], dtype=torch.float64), rate)
         return adam.raw
 
     both = moved(torch.tensor([1.0, 0.1], dtype=torch.float64), 0.01)
-    np.testing.assert_allclose(both, [moved(None, 0.01)[0], moved(None, 0.001)[1]], rtol=1e-12)
+    np.testing.assert_allclose(
+        both, [moved(None, 0.01)[0], moved(None, 0.001)[1]], rtol=1e-12
+    )
 
 
 def test_a_held_parameter_does_not_move_even_with_momentum() -> None:
@@ -255,16 +362,24 @@ def test_a_held_parameter_does_not_move_even_with_momentum() -> None:
     adam.raw[1] = 0.0
     adam.hold(torch.tensor([False, True, False]))
     for _ in range(5):
-        adam.step(torch.ones(3, dtype=torch.float64), 0.1, l1=torch.ones(3, dtype=torch.float64))
+        adam.step(
+            torch.ones(3, dtype=torch.float64),
+            0.1,
+            l1=torch.ones(3, dtype=torch.float64),
+        )
     assert float(adam.raw[1]) == 0.0
     assert float(adam.raw[0]) < 0.6
 
 
 def test_a_fixed_parameter_keeps_its_value_and_a_bound_is_kept() -> None:
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=Parameter(2.0, lower=1.9, upper=2.1), m=1.7),
-    )  # fmt: skip
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula(
+            "k*q**2/2 + p**2/(2*m)", k=Parameter(2.0, lower=1.9, upper=2.1), m=1.7
+        ),
+    )
     fit = gradient_descent(model, record(), Descent(learning_rate=0.1, epochs=20))
     assert fit.values["m"] == 1.7
     assert fit.values["k"] in (1.9, 2.1)
@@ -275,21 +390,35 @@ def test_damping_may_go_negative_unless_it_is_kept_positive() -> None:
     growing = np.exp(0.2 * t)[:, None] * np.column_stack([np.cos(t), -np.sin(t)])
     data = ph.Measurements.from_arrays([t], [growing], states=["q", "p"])
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], 2), R=ph.damping("p")
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], 2),
+        R=ph.damping("p"),
     )
     free, kept = (
-        gradient_descent(model, data, Descent(learning_rate=0.02, epochs=40, keep_damping_positive=keep))
+        gradient_descent(
+            model,
+            data,
+            Descent(learning_rate=0.02, epochs=40, keep_damping_positive=keep),
+        )
         for keep in (False, True)
     )
     assert free.values["R_p"] < -0.1
     assert kept.values["R_p"] == 0.0
     assert free.loss_value < kept.loss_value
-    assert free.loss_value == pytest.approx(solvers_loss(free.model, data, "srk4"), rel=1e-10)
+    assert free.loss_value == pytest.approx(
+        solvers_loss(free.model, data, "srk4"), rel=1e-10
+    )
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_start_another_result() -> None:
-    data, settings = henon_data(0.02, 100), replace(FAST, epochs=6, start="normal", prune_every=None)
-    first, again, other = (gradient_descent(HENON.model(), data, settings, seed=s) for s in (1, 1, 2))
+    data, settings = (
+        henon_data(0.02, 100),
+        replace(FAST, epochs=6, start="normal", prune_every=None),
+    )
+    first, again, other = (
+        gradient_descent(HENON.model(), data, settings, seed=s) for s in (1, 1, 2)
+    )
     assert first.values == again.values and first.history.equals(again.history)
     assert first.loss_value == again.loss_value
     assert all(first.values[name] != other.values[name] for name in first.values)
@@ -301,10 +430,20 @@ def test_the_starts_are_those_of_the_thesis() -> None:
     assert start["H[q**2]"] == start["F_p[t]"] == 0.2
     assert start["F_p[sin(omega_t*t)]"] == start["F_p.omega_t"] == 1.0
     assert start["R_p"] == 0.0
-    draws = [starting_values(HENON.model(), Descent(start="normal"), seed) for seed in range(50)]
-    assert np.std(draws) == pytest.approx(0.5, rel=0.1)  # 1700 draws: a standard error of 2 %
+    draws = [
+        starting_values(HENON.model(), Descent(start="normal"), seed)
+        for seed in range(50)
+    ]
+    assert np.std(draws) == pytest.approx(
+        0.5, rel=0.1
+    )  # 1700 draws: a standard error of 2 %
     given = HENON.model().with_values({"H[q1**2]": 0.4})
-    assert starting_values(given, Descent(start="model"), 0)[list(given.entries).index("H[q1**2]")] == 0.4
+    assert (
+        starting_values(given, Descent(start="model"), 0)[
+            list(given.entries).index("H[q1**2]")
+        ]
+        == 0.4
+    )
 
 
 def test_the_threads_of_torch_are_restored() -> None:
@@ -318,7 +457,9 @@ def test_the_threads_of_torch_are_restored() -> None:
             raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            gradient_descent(HENON.model(), henon_data(n=40), replace(FAST, epochs=1), progress=stop)
+            gradient_descent(
+                HENON.model(), henon_data(n=40), replace(FAST, epochs=1), progress=stop
+            )
         assert torch.get_num_threads() == 2
     finally:
         torch.set_num_threads(before)
@@ -346,40 +487,61 @@ def hybrid() -> HybridBaseline:
         runs.append(np.array(x))
     data = ph.Measurements.from_arrays([t] * 6, runs, states=["q", "p"])
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("k*q**2/2 + p**2/2", k=Parameter(0.5))
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=Parameter(0.5)),
     )
     force = JointForce(("p",), ("p",), hidden=(20, 20), first="tanh")
-    fit = gradient_descent(model, data, Descent(learning_rate=5e-3, epochs=15), force=force)
+    fit = gradient_descent(
+        model, data, Descent(learning_rate=5e-3, epochs=15), force=force
+    )
     assert isinstance(fit, HybridBaseline)
     return fit
 
 
-def test_the_network_learns_the_force_beside_the_dictionary(hybrid: HybridBaseline) -> None:
+def test_the_network_learns_the_force_beside_the_dictionary(
+    hybrid: HybridBaseline,
+) -> None:
     v = np.linspace(-1, 1, 41)
     force = hybrid.force(np.column_stack([np.zeros(41), v]))
     assert force.shape == (41, 1)
-    assert np.sqrt(np.mean((force[:, 0] + 0.5 * np.tanh(3 * v)) ** 2)) < 0.1  # a fifth of the force, after 450 steps
+    assert (
+        np.sqrt(np.mean((force[:, 0] + 0.5 * np.tanh(3 * v)) ** 2)) < 0.1
+    )  # a fifth of the force, after 450 steps
     assert hybrid.values["k"] == pytest.approx(1.0, abs=0.05)
 
 
 def test_the_force_has_a_learning_rate_of_its_own() -> None:
     force = JointForce(("p",), ("p",), hidden=(4,))
     start, slow, fast = (
-        gradient_descent(MODELS["only monomials"](), record(), Descent(epochs=1, force_rate=rate), force=force)
+        gradient_descent(
+            MODELS["only monomials"](),
+            record(),
+            Descent(epochs=1, force_rate=rate),
+            force=force,
+        )
         for rate in (1e-12, 1e-4, None)
     )
     assert all(isinstance(fit, HybridBaseline) for fit in (start, slow, fast))
-    weights = [np.concatenate([w.ravel() for w, _ in fit.layers]) for fit in (start, slow, fast)]  # type: ignore[attr-defined]
+    weights = [
+        np.concatenate([w.ravel() for w, _ in fit.layers])
+        for fit in (start, slow, fast)
+    ]  # type: ignore[attr-defined]
     near, far = (np.abs(w - weights[0]).max() for w in weights[1:])
     assert near <= 1.01e-4 < 1e-3 < far  # one step of Adam is at most its rate
 
 
 def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -> None:
     t = np.linspace(0, 3, 31)
-    with_force, without = hybrid.simulate(t, [1.0, 0.0]), hybrid.without_force().simulate(t, [1.0, 0.0])
+    with_force, without = (
+        hybrid.simulate(t, [1.0, 0.0]),
+        hybrid.without_force().simulate(t, [1.0, 0.0]),
+    )
     energy = [np.sum(x[-1] ** 2) for x in (with_force, without)]
     assert energy[0] < 0.6 < 0.9 < energy[1]  # only the force takes energy
-    assert "network_p(p)" in hybrid.equations()[1] and "network" not in "".join(hybrid.without_force().equations())
+    assert "network_p(p)" in hybrid.equations()[1] and "network" not in "".join(
+        hybrid.without_force().equations()
+    )
     assert type(hybrid.without_force()) is Baseline
 
 
@@ -407,7 +569,9 @@ def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -
         ({"dtype": "float16"}, "dtype='float16' .*float32, float64"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], message: str) -> None:
+def test_settings_that_make_no_sense_are_refused(
+    settings: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ph.ModelError, match=message):
         Descent(**settings)
 
@@ -419,37 +583,63 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], messa
         ({"equations": ("p",), "variables": ("p", "p")}, "variables=.*only once"),
         ({"equations": ("p",), "variables": ("p",), "hidden": (0,)}, r"hidden=\(0,\)"),
         ({"equations": ("p",), "variables": ("p",), "first": "sine"}, "first='sine'"),
-        ({"equations": ("p",), "variables": ("v",)}, "variable 'v' of the neural force is unknown"),
-        ({"equations": ("v",), "variables": ("p",)}, "equation of the neural force 'v' is not a state"),
+        (
+            {"equations": ("p",), "variables": ("v",)},
+            "variable 'v' of the neural force is unknown",
+        ),
+        (
+            {"equations": ("v",), "variables": ("p",)},
+            "equation of the neural force 'v' is not a state",
+        ),
     ],
 )
-def test_a_force_that_makes_no_sense_is_refused(force: dict[str, Any], message: str) -> None:
+def test_a_force_that_makes_no_sense_is_refused(
+    force: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ph.ModelError, match=message):
-        gradient_descent(first_order(), record(), Descent(epochs=1), force=JointForce(**force))
+        gradient_descent(
+            first_order(), record(), Descent(epochs=1), force=JointForce(**force)
+        )
 
 
 def test_a_descent_that_diverges_says_what_to_do() -> None:
     with pytest.raises(ph.SolveError, match="learning_rate below"):
-        gradient_descent(HENON.first_order(), henon_data(n=60), Descent(learning_rate=1e200, epochs=4))
+        gradient_descent(
+            HENON.first_order(),
+            henon_data(n=60),
+            Descent(learning_rate=1e200, epochs=4),
+        )
 
 
 def test_an_energy_that_is_pruned_away_is_refused() -> None:
     with pytest.raises(ph.SolveError, match="removed every term of H"):
-        gradient_descent(HENON.model(), henon_data(n=60), replace(FAST, epochs=1, prune_every=1, threshold=9.0))
+        gradient_descent(
+            HENON.model(),
+            henon_data(n=60),
+            replace(FAST, epochs=1, prune_every=1, threshold=9.0),
+        )
 
 
 def test_data_that_do_not_match_and_a_model_without_parameters_are_refused() -> None:
-    with pytest.raises(ph.DataError, match="state 'q1' of the model is not in the measurements"):
+    with pytest.raises(
+        ph.DataError, match="state 'q1' of the model is not in the measurements"
+    ):
         gradient_descent(HENON.model(), record())
     with pytest.raises(ph.ModelError, match="no free parameter"):
         gradient_descent(HENON.model().frozen(), henon_data(n=40))
 
 
-def test_a_result_and_its_settings_can_be_printed_and_pickled(hybrid: HybridBaseline) -> None:
+def test_a_result_and_its_settings_can_be_printed_and_pickled(
+    hybrid: HybridBaseline,
+) -> None:
     copy = pickle.loads(pickle.dumps(hybrid))
     np.testing.assert_array_equal(copy.force([[0.1, 0.2]]), hybrid.force([[0.1, 0.2]]))
     text = str(hybrid)
-    assert text.startswith("gradient descent with a neural force: loss ") and "dp/dt" in text and " s\n" in text
+    assert (
+        text.startswith("gradient descent with a neural force: loss ")
+        and "dp/dt" in text
+        and " s\n" in text
+    )
     assert pickle.loads(pickle.dumps(Descent(l1={"H": 0.1}))) == Descent(l1={"H": 0.1})
     assert set(DTYPES) == {"float32", "float64"}
 

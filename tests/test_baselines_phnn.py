@@ -1,4 +1,6 @@
-"""PHNN: its derivatives, what it learns of a damped and driven spring, its record, refusals."""
+"""PHNN: its derivatives, what it learns of a damped and driven spring, its record,
+refusals.
+"""
 
 import pickle
 from collections.abc import Iterator
@@ -19,7 +21,9 @@ from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
 
 SPRING = SYSTEMS["mass_spring"]
-SMALL = NetworkDescent(epochs=4, hidden=(12, 12), force_hidden=(10,), learning_rate=5e-3)
+SMALL = NetworkDescent(
+    epochs=4, hidden=(12, 12), force_hidden=(10,), learning_rate=5e-3
+)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -35,15 +39,23 @@ def data(n: int = 6) -> ph.Measurements:
 
 @pytest.fixture(scope="module")
 def trained() -> PHNN:
-    settings = NetworkDescent(epochs=10, hidden=(30, 30), force_hidden=(30, 30), learning_rate=5e-3)
-    return phnn(data(12), ph.canonical(1), settings, damping=["p"], force=(["p"], ["t"]))
+    settings = NetworkDescent(
+        epochs=10, hidden=(30, 30), force_hidden=(30, 30), learning_rate=5e-3
+    )
+    return phnn(
+        data(12), ph.canonical(1), settings, damping=["p"], force=(["p"], ["t"])
+    )
 
 
 def test_the_gradient_of_the_loss_is_that_of_finite_differences() -> None:
     record = data(1)
     neural = JointForce(("p",), ("q", "t"), hidden=(4, 3))
-    structured = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q"], 1))
-    dynamics = _NetworkDynamics(structured, ("p",), NetworkDescent(hidden=(5, 4, 3)), neural, torch.float64)
+    structured = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q"], 1)
+    )
+    dynamics = _NetworkDynamics(
+        structured, ("p",), NetworkDescent(hidden=(5, 4, 3)), neural, torch.float64
+    )
     steps = Steps(grid_of(record), "srk4", dynamics, torch.float64)
     theta = dynamics.start(torch.Generator().manual_seed(0))
     flat = theta.clone().requires_grad_()
@@ -51,15 +63,22 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences() -> None:
     for i in range(0, len(theta), 3):
         shift = torch.zeros_like(theta)
         shift[i] = 1e-6
-        ends = [steps.loss(theta + sign * shift, steps.all_tables(), 0.1) for sign in (1, -1)]
+        ends = [
+            steps.loss(theta + sign * shift, steps.all_tables(), 0.1)
+            for sign in (1, -1)
+        ]
         # Central differences: rounding of about 1e-16 / 1e-6 of the loss.
-        assert float(gradient[i]) == pytest.approx(float((ends[0] - ends[1]).detach()) / 2e-6, rel=1e-5, abs=1e-7)
+        assert float(gradient[i]) == pytest.approx(
+            float((ends[0] - ends[1]).detach()) / 2e-6, rel=1e-5, abs=1e-7
+        )
 
 
 def test_the_efforts_are_the_gradient_of_the_energy(trained: PHNN) -> None:
     x = np.array([0.7, -1.2])
     slope = approx_fprime(x, lambda v: trained.energy(v)[0], 1e-7)
-    np.testing.assert_allclose(trained.efforts(x)[0], slope, atol=1e-5)  # forward differences
+    np.testing.assert_allclose(
+        trained.efforts(x)[0], slope, atol=1e-5
+    )  # forward differences
     assert trained.energy(np.zeros(2)) == pytest.approx(0.0)
 
 
@@ -72,15 +91,24 @@ def test_the_loss_falls_far_below_that_of_a_standstill(trained: PHNN) -> None:
 
 def test_the_reported_loss_is_that_of_the_record_itself(trained: PHNN) -> None:
     grid = grid_of(data(12))
-    x0, x1, h, t0 = grid.y[grid.begin], grid.y[grid.begin + 1], grid.h[:, None], grid.t[grid.begin]
+    x0, x1, h, t0 = (
+        grid.y[grid.begin],
+        grid.y[grid.begin + 1],
+        grid.h[:, None],
+        grid.t[grid.begin],
+    )
     exchange = trained.S - np.diag([0.0, trained.damping["p"]])
 
     def g(x: np.ndarray, c: float) -> np.ndarray:
-        result: np.ndarray = trained.efforts(x) @ exchange.T + trained.force(x, t0 + c * grid.h)
+        result: np.ndarray = trained.efforts(x) @ exchange.T + trained.force(
+            x, t0 + c * grid.h
+        )
         return result
 
     d = (x1 - x0) / h - integrator("srk4").psi(g, x0, x1, h)
-    assert trained.loss_value == pytest.approx(float(np.mean(np.sum(d**2, axis=1))), rel=1e-9)  # other order of sums
+    assert trained.loss_value == pytest.approx(
+        float(np.mean(np.sum(d**2, axis=1))), rel=1e-9
+    )  # other order of sums
 
 
 def test_the_record_can_be_simulated_printed_and_pickled(trained: PHNN) -> None:
@@ -92,20 +120,28 @@ def test_the_record_can_be_simulated_printed_and_pickled(trained: PHNN) -> None:
     assert text.splitlines()[0] == "dq/dt = +1*dH_dp"
     table = trained.parameters
     assert table["name"].tolist() == ["R_p"] and table["slot"].tolist() == ["R"]
-    assert list(table.columns) == list(Baseline(model=SPRING.model(), method="").parameters.columns)
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(trained)).simulate(t, [1.0, 0.5]), x)
+    assert list(table.columns) == list(
+        Baseline(model=SPRING.model(), method="").parameters.columns
+    )
+    np.testing.assert_array_equal(
+        pickle.loads(pickle.dumps(trained)).simulate(t, [1.0, 0.5]), x
+    )
     assert str(trained).startswith("PHNN: loss ")
 
 
 def test_without_force_and_damping_the_energy_is_kept() -> None:
-    made = phnn(SYSTEMS["henon_heiles"].data(0, noise=0.0, n=60), ph.canonical(2), SMALL)
+    made = phnn(
+        SYSTEMS["henon_heiles"].data(0, noise=0.0, n=60), ph.canonical(2), SMALL
+    )
     x = made.simulate(np.linspace(0, 3, 31), [0.3, 0.0, 0.0, 0.3])
     assert np.ptp(made.energy(x)) < 1e-6  # the tolerance of SciPy's steps
     assert made.parameters.empty and not made.force(x).any()
 
 
 def test_seeds_are_reproducible_to_the_bit_and_differ() -> None:
-    one, again, other = (phnn(data(1), ph.canonical(1), SMALL, damping=["p"], seed=s) for s in (0, 0, 1))
+    one, again, other = (
+        phnn(data(1), ph.canonical(1), SMALL, damping=["p"], seed=s) for s in (0, 0, 1)
+    )
     assert one.loss_value == again.loss_value and one.damping == again.damping
     assert one.loss_value != other.loss_value
 
@@ -125,7 +161,9 @@ def test_what_does_not_suit_is_refused(arguments: dict[str, Any], message: str) 
         phnn(data(1), **{"S": ph.canonical(1), "settings": SMALL, **arguments})
 
 
-@pytest.mark.parametrize("settings", [{"hidden": ()}, {"hidden": (0,)}, {"penalty": -1.0}, {"epochs": 0}])
+@pytest.mark.parametrize(
+    "settings", [{"hidden": ()}, {"hidden": (0,)}, {"penalty": -1.0}, {"epochs": 0}]
+)
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(ph.ModelError, match=next(iter(settings))):
         NetworkDescent(**settings)

@@ -1,4 +1,6 @@
-"""Screening and verdicts: what is expected without a re-fit comes out of it, and nothing false is named."""
+"""Screening and verdicts: what is expected without a re-fit comes out of it, and
+nothing false is named.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,7 +25,9 @@ STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
 NOISE = 0.01
 
 
-def truth(H: str = "2.3*q**2/2 + p**2/2", R: str = "0.1", F: str = "") -> ph.PseudoHamiltonian:
+def truth(
+    H: str = "2.3*q**2/2 + p**2/2", R: str = "0.1", F: str = ""
+) -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
         states=["q", "p"],
         S=ph.canonical(1),
@@ -35,13 +39,18 @@ def truth(H: str = "2.3*q**2/2 + p**2/2", R: str = "0.1", F: str = "") -> ph.Pse
 
 def base() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
         R=ph.damping("p"),
-    )  # fmt: skip
+    )
 
 
 def measured(
-    model: ph.PseudoHamiltonian, seed: int, hidden: tuple[str, ...] = ("p",), offset: float = 0.0
+    model: ph.PseudoHamiltonian,
+    seed: int,
+    hidden: tuple[str, ...] = ("p",),
+    offset: float = 0.0,
 ) -> ph.Measurements:
     rng = np.random.default_rng(seed)
     runs = [ph.simulate(model, T, x0) for x0 in STARTS]
@@ -60,13 +69,16 @@ def drag() -> tuple[ph.Fit, ph.Measurements, Screen]:
     return fit, data, Screen(fit, matched(fit.model, data), force_of(fit, data))
 
 
-def test_screening_expects_what_the_re_fit_then_finds(drag: tuple[ph.Fit, ph.Measurements, Screen]) -> None:
+def test_screening_expects_what_the_re_fit_then_finds(
+    drag: tuple[ph.Fit, ph.Measurements, Screen],
+) -> None:
     fit, data, screen = drag
     expected = screen.candidate(effect_named(fit.model, "quadratic drag", "p"))
     assert expected is not None
     found = ph.identify(fit.model.add(expected.effect), data, start=fit)
     error = found.std_errors["quadratic_drag_p"]
-    # The expectation is linear at states of the missing force: good to a few standard errors of this strong effect.
+    # The expectation is linear at states of the missing force: good to a few standard
+    # errors of this strong effect.
     assert abs(expected.coefficient - found.values["quadratic_drag_p"]) < 4 * error
     assert abs(found.values["quadratic_drag_p"] - 0.25) < 3 * error
     assert expected.std_error == pytest.approx(error, rel=0.5)
@@ -80,14 +92,17 @@ def test_the_adjoint_correlates_every_force_with_the_residuals_as_its_trace_does
     n, g = screen.n_theta, screen.seen_of.T @ screen.residual
     adjoint = screen.reduced.multipliers(g[n:], screen.covariance, g[:n])
     traces = screen.traces(D, np.zeros((screen.grid.n_nodes * 2, 3)))
-    np.testing.assert_allclose(np.abs(D.T @ adjoint), np.abs(traces.T @ screen.residual), rtol=1e-6)
+    np.testing.assert_allclose(
+        np.abs(D.T @ adjoint), np.abs(traces.T @ screen.residual), rtol=1e-6
+    )
 
 
 def test_an_effect_that_the_record_does_not_excite_leaves_no_trace(
     drag: tuple[ph.Fit, ph.Measurements, Screen],
 ) -> None:
     fit, _, screen = drag
-    # A free linear oscillation looks the same through a sensor of another gain; p is not measured at all.
+    # A free linear oscillation looks the same through a sensor of another gain; p is
+    # not measured at all.
     assert screen.candidate(effect_named(fit.model, "sensor gain", "q")) is None
     assert screen.candidate(effect_named(fit.model, "sensor offset", "p")) is None
 
@@ -96,18 +111,31 @@ def driven(mass: ph.Parameter) -> ph.PseudoHamiltonian:
     """A driven mass with viscous friction."""
     H = ph.formula("p**2/(2*M)", M=mass)
     return ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=H, R=ph.damping("p"), F={"p": ph.formula("u")}
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=H,
+        R=ph.damping("p"),
+        F={"p": ph.formula("u")},
     )
 
 
 def pushed(extra: str, gain: str = "1") -> ph.Measurements:
-    """Positions of a mass of two, pushed to and fro, with more friction or another gain than `driven` has."""
+    """Positions of a mass of two, pushed to and fro, with more friction or another gain
+    than `driven` has.
+    """
     u = 2 * np.sin(0.9 * T[:, None]) + np.sin(2.3 * T[:, None] + 1)
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=ph.formula("p**2/(2*2)"), R={"p": ph.formula(extra)},
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("p**2/(2*2)"),
+        R={"p": ph.formula(extra)},
         F={"p": ph.formula(f"{gain}*u")},
-    )  # fmt: skip
-    x = ph.simulate(model, T, [0.0, 1.0], u) + NOISE * np.random.default_rng(11).normal(size=(len(T), 2))
+    )
+    x = ph.simulate(model, T, [0.0, 1.0], u) + NOISE * np.random.default_rng(11).normal(
+        size=(len(T), 2)
+    )
     x[:, 1] = np.nan
     return ph.Measurements.from_arrays([T], [x], [u], states=["q", "p"], inputs=["u"])
 
@@ -116,7 +144,8 @@ def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
     data = pushed("0.5 + 0.6*(dH_dp**4 + 0.05**4)**(-0.25)")
     fit = ph.identify(driven(ph.Parameter(1.5, lower=0.1)), data)
     screen = Screen(fit, matched(fit.model, data), force_of(fit, data), fit.states)
-    # Gain, mass and friction have a common factor: with the missing force beside them, the gain would explain it all.
+    # Gain, mass and friction have a common factor: with the missing force beside them,
+    # the gain would explain it all.
     for name, equation in (("input gain", "p"), ("sensor gain", "q")):
         assert screen.candidate(effect_named(fit.model, name, equation)) is None
     found = screen.screened(ph.catalogue(fit.model))
@@ -124,7 +153,9 @@ def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0, 2.0])
-def test_a_delay_acts_on_an_interval_with_the_mean_of_what_arrives(share: float) -> None:
+def test_a_delay_acts_on_an_interval_with_the_mean_of_what_arrives(
+    share: float,
+) -> None:
     data = pushed("0.5")
     fit = ph.identify(driven(ph.Parameter(2.0, fixed=True)), data)
     screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
@@ -132,11 +163,19 @@ def test_a_delay_acts_on_an_interval_with_the_mean_of_what_arrives(share: float)
     fine = np.linspace(T[0], T[-1], 40 * (len(T) - 1) + 1)
     u = data.trajectories[0].u[:, 0]
     late = np.interp(fine - tau, T, u) - np.interp(fine, T, u)
-    mean = np.array([np.trapezoid(late[i : i + 41], fine[i : i + 41]) / h for i in range(0, len(fine) - 1, 40)])
+    mean = np.array(
+        [
+            np.trapezoid(late[i : i + 41], fine[i : i + 41]) / h
+            for i in range(0, len(fine) - 1, 40)
+        ]
+    )
     columns = Columns(screen, screen.trial(effect_named(fit.model, "input delay", "p")))
     change = -columns({"delay_u_p": tau})[0].reshape(-1, 2)[:, 1]
-    # 3 %: Pade's delay of the kinks at the samples, and the steps in which it is followed.
-    assert change[10:] @ mean[10:] / (mean[10:] @ mean[10:]) == pytest.approx(1.0, abs=0.03)
+    # 3 %: Pade's delay of the kinks at the samples, and the steps in which it is
+    # followed.
+    assert change[10:] @ mean[10:] / (mean[10:] @ mean[10:]) == pytest.approx(
+        1.0, abs=0.03
+    )
 
 
 def test_a_gain_beside_a_known_mass_is_a_candidate() -> None:
@@ -148,7 +187,9 @@ def test_a_gain_beside_a_known_mass_is_a_candidate() -> None:
 
 
 def test_a_sign_that_physics_forbids_is_not_proposed() -> None:
-    data = measured(truth(R="0.3 - 0.1*abs(dH_dp)"), seed=1)  # damping that falls with the speed
+    data = measured(
+        truth(R="0.3 - 0.1*abs(dH_dp)"), seed=1
+    )  # damping that falls with the speed
     fit = ph.identify(base(), data)
     screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
     for name in ("quadratic drag", "cubic drag"):
@@ -161,21 +202,38 @@ def test_a_pair_keeps_the_bounds_of_both_and_chooses_inner_values_together(
     drag: tuple[ph.Fit, ph.Measurements, Screen],
 ) -> None:
     fit, _, screen = drag
-    names = ["quadratic drag", "coulomb friction", "gap", "stribeck friction", "constant force"]
+    names = [
+        "quadratic drag",
+        "coulomb friction",
+        "gap",
+        "stribeck friction",
+        "constant force",
+    ]
     found = screen.screened([effect_named(fit.model, name, "p") for name in names])
     listed = pairs(screen, found, 100)
     assert listed
-    assert not any({a.effect.name, b.effect.name} == {"coulomb friction", "stribeck friction"} for a, b in listed)
+    assert not any(
+        {a.effect.name, b.effect.name} == {"coulomb friction", "stribeck friction"}
+        for a, b in listed
+    )
     for first, second in listed:
         assert first.effect != second.effect
         entries = fit.model.add(first.effect).add(second.effect).entries
         values = {**first.values, **second.values}
-        assert all(entries[n].parameter.lower <= v <= entries[n].parameter.upper for n, v in values.items())
+        assert all(
+            entries[n].parameter.lower <= v <= entries[n].parameter.upper
+            for n, v in values.items()
+        )
         # Two explain at least what the better one explains.
         together = np.hstack([_at(screen, one) for one in (first, second)])
-        c = np.array([one.values[n] for one in (first, second) for n in _linear(screen, one)])
+        c = np.array(
+            [one.values[n] for one in (first, second) for n in _linear(screen, one)]
+        )
         drop = 2 * c @ together.T @ screen.residual - float(np.sum((together @ c) ** 2))
-        alone = max(float(2 * t @ screen.residual - t @ t) for t in _alone(screen, (first, second)))
+        alone = max(
+            float(2 * t @ screen.residual - t @ t)
+            for t in _alone(screen, (first, second))
+        )
         assert drop > alone - 1e-6 * screen.misfit
 
 
@@ -183,13 +241,20 @@ def test_pairs_have_the_simplest_dry_friction_and_the_best_one_is_tried_with_its
     drag: tuple[ph.Fit, ph.Measurements, Screen],
 ) -> None:
     fit, _, screen = drag
-    names = ["stribeck friction", "coulomb friction", "constant force", "cubic stiffness"]
+    names = [
+        "stribeck friction",
+        "coulomb friction",
+        "constant force",
+        "cubic stiffness",
+    ]
     found = screen.screened([effect_named(fit.model, name, "p") for name in names])
     named = {one.effect.name: one for one in found}
     simple = dry_friction.simplest_dry(found)
     assert simple == [one for one in found if one.effect.name != "stribeck friction"]
     stribeck, coulomb, constant, cubic = (named[name] for name in names)
-    assert dry_friction.other_kinds((cubic.effect, coulomb.effect), found) == [[stribeck, cubic]]
+    assert dry_friction.other_kinds((cubic.effect, coulomb.effect), found) == [
+        [stribeck, cubic]
+    ]
     assert dry_friction.other_kinds((cubic.effect, constant.effect), found) == []
 
 
@@ -199,7 +264,9 @@ def _linear(screen: Screen, one: Screened) -> list[str]:
 
 def _at(screen: Screen, one: Screened) -> np.ndarray:
     trial = screen.trial(one.effect)
-    return screen.traces(*Columns(screen, trial)({name: one.values[name] for name in trial.tried}))
+    return screen.traces(
+        *Columns(screen, trial)({name: one.values[name] for name in trial.tried})
+    )
 
 
 def _alone(screen: Screen, pair: tuple[Screened, Screened]) -> Iterator[np.ndarray]:
@@ -209,14 +276,22 @@ def _alone(screen: Screen, pair: tuple[Screened, Screened]) -> Iterator[np.ndarr
         yield trace @ screen._regression(trial, trace)[0]
 
 
-def test_an_offset_of_one_sensor_is_blamed_on_that_sensor_and_not_on_the_dynamics() -> None:
+def test_an_offset_of_one_sensor_is_blamed_on_that_sensor_and_not_on_the_dynamics() -> (
+    None
+):
     data = measured(truth(), seed=2, hidden=(), offset=0.08)
     train, test = data.split(0.7)
     fit = ph.identify(base(), train)
     found = ph.diagnose(fit, train, test)
-    assert (found.verdict, str(found.effects[0])) == ("missing: named", "sensor offset on p")
-    assert found.candidates.iloc[0]["coefficient"] == pytest.approx(0.08, abs=3 * found.candidates.iloc[0]["std_error"])
-    # The noise is not taken for the offset: 393 values know it to 3.6 %, three of those.
+    assert (found.verdict, str(found.effects[0])) == (
+        "missing: named",
+        "sensor offset on p",
+    )
+    assert found.candidates.iloc[0]["coefficient"] == pytest.approx(
+        0.08, abs=3 * found.candidates.iloc[0]["std_error"]
+    )
+    # The noise is not taken for the offset: 393 values know it to 3.6 %, three of
+    # those.
     assert found.base.noise[1] == pytest.approx(NOISE, rel=0.11)
 
 
@@ -225,34 +300,57 @@ def test_what_no_known_effect_explains_is_called_so_and_the_nearest_is_told() ->
     train, test = data.split(0.7)
     found = ph.diagnose(ph.identify(base(), train), train, test)
     assert found.verdict == "missing: unexplained"
-    assert "no known effect explains it all" in found.reason or "no effect of the catalogue" in found.reason
+    assert (
+        "no known effect explains it all" in found.reason
+        or "no effect of the catalogue" in found.reason
+    )
 
 
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(n: int) -> None:
     fit = ph.identify(base(), measured(truth(), seed=0))
     v = np.array([0.5, -0.5, -0.5, -0.5, -0.5])[:n]
-    runs = ph.Measurements.from_arrays([T[:n]], [np.column_stack([v, v])], states=["q", "p"])
+    runs = ph.Measurements.from_arrays(
+        [T[:n]], [np.column_stack([v, v])], states=["q", "p"]
+    )
     part = replace(fit, states=(np.column_stack([v, v]),))
-    (steps,) = dry_friction.finer_at_corner(part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),))
+    (steps,) = dry_friction.finer_at_corner(
+        part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),)
+    )
     assert steps.tolist() == [8, 8, 1, 1][: n - 1]
 
 
-@pytest.mark.parametrize(("leaves_noise", "first"), [(True, "stribeck friction"), (False, "coulomb friction")])
+@pytest.mark.parametrize(
+    ("leaves_noise", "first"),
+    [(True, "stribeck friction"), (False, "coulomb friction")],
+)
 def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
-    drag: tuple[ph.Fit, ph.Measurements, Screen], leaves_noise: bool, first: str, monkeypatch: pytest.MonkeyPatch
+    drag: tuple[ph.Fit, ph.Measurements, Screen],
+    leaves_noise: bool,
+    first: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     fit, data, _ = drag
-    work = refit.Refitting.begin(fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None)
+    work = refit.Refitting.begin(
+        fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None
+    )
     refitted = []
     for name in ("coulomb friction", "stribeck friction"):
         effect = effect_named(fit.model, name, "p")
         found = work.refit([effect], {})
         assert found is not None
-        refitted.append(Candidate(effect, 0.0, 0.0, 0.0, {}, (), 0.0, fit=found[0], trained=found[1]))
+        refitted.append(
+            Candidate(
+                effect, 0.0, 0.0, 0.0, {}, (), 0.0, fit=found[0], trained=found[1]
+            )
+        )
     n_base = len(fit.names)
     # The larger one is better, by less than is clear.
-    monkeypatch.setattr(refit, "delta_bic", lambda old, new, share: -100.0 - 2 * (len(new.names) - n_base))
+    monkeypatch.setattr(
+        refit,
+        "delta_bic",
+        lambda old, new, share: -100.0 - 2 * (len(new.names) - n_base),
+    )
     monkeypatch.setattr(refit, "is_adequate", lambda trained: leaves_noise)
     ranked = work.ranked(refitted)
     assert ranked[0].effect.name == first
@@ -262,13 +360,21 @@ def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
 def test_two_effects_that_are_proposed_together_are_added_in_one_step() -> None:
     data = measured(truth(H="2.3*q**2/2 + p**2/2 + 1.5*q**4/4", F="0.4"), seed=4)
     study = ph.Study(base(), data)
-    effects = tuple(effect_named(study.model, name, "p") for name in ("cubic stiffness", "constant force"))
+    effects = tuple(
+        effect_named(study.model, name, "p")
+        for name in ("cubic stiffness", "constant force")
+    )
     found = ph.diagnose(study.fit, data, effects=list(effects))
-    both = ph.identify(study.model.add(effects[0]).add(effects[1]), data, start=study.fit)
+    both = ph.identify(
+        study.model.add(effects[0]).add(effects[1]), data, start=study.fit
+    )
     study._diagnoses[1] = replace(found, together=effects, nearest=both)
     study.auto(max_steps=1)
     assert study.effects == effects
-    assert study.history["effect"].tolist() == ["base model", "cubic stiffness on p and constant force on p"]
+    assert study.history["effect"].tolist() == [
+        "base model",
+        "cubic stiffness on p and constant force on p",
+    ]
     study.undo()
     assert study.effects == ()
 
@@ -277,7 +383,11 @@ def test_two_effects_are_both_found_and_added() -> None:
     data = measured(truth(H="2.3*q**2/2 + p**2/2 + 1.5*q**4/4", F="0.4"), seed=4)
     study = ph.Study(base(), *data.split(0.7))
     study.auto()
-    assert {effect.name for effect in study.effects} <= {"cubic stiffness", "gravity torque", "constant force"}
+    assert {effect.name for effect in study.effects} <= {
+        "cubic stiffness",
+        "gravity torque",
+        "constant force",
+    }
     assert len(study.effects) == 2
     last = study.history.iloc[-1]
     # One held-out run of 281 values knows its error to 4.2 %; two and a half of those.
@@ -300,13 +410,16 @@ def test_a_tie_names_the_experiment_that_would_separate_it() -> None:
     train, test = data.split(0.7)
     found = ph.diagnose(ph.identify(base(), train), train, test)
     names = {str(found.effects[0]), *found.ranked[0].confusable_with}
-    # A linear spring under a constant force, seen through its position alone, is one whose sensor has an offset.
+    # A linear spring under a constant force, seen through its position alone, is one
+    # whose sensor has an offset.
     assert {"constant force on p", "sensor offset on q"} <= names
     assert found.separation is not None
     assert found.separation.sentence
 
 
-def test_evidence_counts_correlated_residuals_for_less_and_sees_a_fall_that_dies_away() -> None:
+def test_evidence_counts_correlated_residuals_for_less_and_sees_a_fall_that_dies_away() -> (
+    None
+):
     data = measured(truth(R="0.1 + 0.25*abs(dH_dp)"), seed=7)
     small, large = ph.identify(base(), data), None
     large = ph.identify(base().add(effect_named(base(), "quadratic drag", "p")), data)
@@ -321,7 +434,8 @@ def test_a_diagnosis_is_the_same_each_time() -> None:
     fit = ph.identify(base(), data)
     first, second = ph.diagnose(fit, data), ph.diagnose(fit, data)
     np.testing.assert_array_equal(
-        first.candidates.select_dtypes(float).to_numpy(), second.candidates.select_dtypes(float).to_numpy()
+        first.candidates.select_dtypes(float).to_numpy(),
+        second.candidates.select_dtypes(float).to_numpy(),
     )
 
 
@@ -332,10 +446,15 @@ def test_an_effect_of_ones_own_is_tried_like_any_other() -> None:
     own = ph.Effect("own", "F", "p", ph.formula("-c*q*abs(dH_dp)", c=ph.Parameter(0.0)))
     found = ph.diagnose(fit, train, test, effects=[*ph.catalogue(fit.model), own])
     assert (found.verdict, found.effects[0].name) == ("missing: named", "own")
-    assert abs(found.candidates.iloc[0]["coefficient"] - 1.2) < 4 * found.candidates.iloc[0]["std_error"]
+    assert (
+        abs(found.candidates.iloc[0]["coefficient"] - 1.2)
+        < 4 * found.candidates.iloc[0]["std_error"]
+    )
 
 
-def test_runs_with_gaps_are_diagnosed(drag: tuple[ph.Fit, ph.Measurements, Screen]) -> None:
+def test_runs_with_gaps_are_diagnosed(
+    drag: tuple[ph.Fit, ph.Measurements, Screen],
+) -> None:
     _, data, _ = drag
     rng = np.random.default_rng(3)
     runs = []
@@ -345,23 +464,39 @@ def test_runs_with_gaps_are_diagnosed(drag: tuple[ph.Fit, ph.Measurements, Scree
         runs.append(replace(run, x=x))
     holey = replace(data, trajectories=tuple(runs))
     found = ph.diagnose(ph.identify(base(), holey), holey)
-    assert (found.verdict, str(found.effects[0])) == ("missing: named", "quadratic drag on p")
+    assert (found.verdict, str(found.effects[0])) == (
+        "missing: named",
+        "quadratic drag on p",
+    )
 
 
 def test_a_dead_zone_far_smaller_than_the_input_is_found() -> None:
     width, rng = 0.02, np.random.default_rng(4)
     u = [np.sin(1.9 * T + k) + 0.5 * np.sin(0.8 * T + 2 * k) for k in range(3)]
     pushed = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("2.3*q**2/2 + p**2/2"), inputs=["u"],
-        R={"p": ph.formula("0.1")}, F={"p": ph.formula(f"u - min(max(u, -{width}), {width})")},
-    )  # fmt: skip
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("2.3*q**2/2 + p**2/2"),
+        inputs=["u"],
+        R={"p": ph.formula("0.1")},
+        F={"p": ph.formula(f"u - min(max(u, -{width}), {width})")},
+    )
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), inputs=["u"], R=ph.damping("p"), F={"p": ph.formula("u")},
+        states=["q", "p"],
+        S=ph.canonical(1),
+        inputs=["u"],
+        R=ph.damping("p"),
+        F={"p": ph.formula("u")},
         H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
-    )  # fmt: skip
-    runs = [ph.simulate(pushed, T, x0, ui[:, None]) for x0, ui in zip(STARTS, u, strict=True)]
+    )
+    runs = [
+        ph.simulate(pushed, T, x0, ui[:, None])
+        for x0, ui in zip(STARTS, u, strict=True)
+    ]
     noisy = [x + 0.1 * NOISE * rng.normal(size=x.shape) for x in runs]
-    data = ph.Measurements.from_arrays([T] * 3, noisy, [ui[:, None] for ui in u], states=["q", "p"], inputs=["u"])
+    data = ph.Measurements.from_arrays(
+        [T] * 3, noisy, [ui[:, None] for ui in u], states=["q", "p"], inputs=["u"]
+    )
     best = ph.diagnose(ph.identify(model, data), data).candidates.iloc[0]
     assert best.effect == "input dead zone"
     assert abs(best.coefficient - width) < 3 * best.std_error
@@ -370,7 +505,8 @@ def test_a_dead_zone_far_smaller_than_the_input_is_found() -> None:
 def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() -> None:
     from hidden_cases import ROWS, draw
 
-    # The forced motion passes for one without losses, so that the traces near its resonance are sharply larger.
+    # The forced motion passes for one without losses, so that the traces near its
+    # resonance are sharply larger.
     case = draw(ROWS["harmonic_force_0.03"], 8)
     fit = ph.identify(case.model, case.train)
     data = matched(fit.model, case.train)
@@ -383,13 +519,17 @@ def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() ->
     assert one.drop > 0.95 * screen.misfit
 
 
-def test_what_a_sensor_remembers_at_the_start_keeps_the_free_run_beside_the_fit() -> None:
+def test_what_a_sensor_remembers_at_the_start_keeps_the_free_run_beside_the_fit() -> (
+    None
+):
     from hidden_cases import ROWS, draw
 
     case = draw(ROWS["sensor_delay"], 3)
     fit = ph.identify(case.model, case.train)
     (truth,) = case.truths
-    found = ph.diagnose(fit, case.train, case.test, effects=[effect_named(fit.model, truth.effect, "q")])
+    found = ph.diagnose(
+        fit, case.train, case.test, effects=[effect_named(fit.model, truth.effect, "q")]
+    )
     assert found.verdict == "missing: named"
     best = found.candidates.iloc[0]
     assert abs(best.coefficient - truth.coefficient) < 3 * best.std_error
@@ -401,9 +541,13 @@ def test_a_gap_whose_corner_falls_between_samples_gets_finer_steps() -> None:
 
     case = draw(ROWS["gap_0.01"], 3)
     fit = ph.identify(case.model, case.train)
-    found = ph.diagnose(fit, case.train, case.test, effects=[effect_named(fit.model, "gap", "p2")])
+    found = ph.diagnose(
+        fit, case.train, case.test, effects=[effect_named(fit.model, "gap", "p2")]
+    )
     assert found.verdict == "missing: named" and found.nearest is not None
-    assert max(int(n.max()) for n in found.nearest.steps) > max(int(n.max()) for n in fit.steps)
+    assert max(int(n.max()) for n in found.nearest.steps) > max(
+        int(n.max()) for n in fit.steps
+    )
 
 
 def test_a_tie_in_bic_is_ranked_by_what_is_left_on_the_data_held_out() -> None:
@@ -411,20 +555,28 @@ def test_a_tie_in_bic_is_ranked_by_what_is_left_on_the_data_held_out() -> None:
 
     case = draw(ROWS["gravity_torque_0.03"], 5)
     fit = ph.identify(case.model, case.train)
-    rivals = [effect_named(fit.model, name, "p1") for name in ("cubic stiffness", "gravity torque")]
+    rivals = [
+        effect_named(fit.model, name, "p1")
+        for name in ("cubic stiffness", "gravity torque")
+    ]
     alone = ph.diagnose(fit, case.train, effects=rivals).candidates.iloc[0]
     judged = ph.diagnose(fit, case.train, case.test, effects=rivals).candidates.iloc[0]
     assert (alone.effect, judged.effect) == ("cubic stiffness", "gravity torque")
     assert judged.confusable_with == "cubic stiffness on p1"
 
 
-def test_a_larger_candidate_is_not_preferred_for_what_it_bends_to_fit_on_the_data_held_out() -> None:
+def test_a_larger_candidate_is_not_preferred_for_what_it_bends_to_fit_on_the_data_held_out() -> (
+    None
+):
     from hidden_cases import ROWS, draw
 
     # A hysteresis that never yields is a spring, with a parameter more.
     case = draw(ROWS["linear_stiffness_0.1"], 2)
     fit = ph.identify(case.model, case.train)
-    rivals = [effect_named(fit.model, name, "p") for name in ("hysteresis", "linear stiffness")]
+    rivals = [
+        effect_named(fit.model, name, "p")
+        for name in ("hysteresis", "linear stiffness")
+    ]
     judged = ph.diagnose(fit, case.train, case.test, effects=rivals).candidates.iloc[0]
     assert judged.effect == "linear stiffness"
     assert judged.confusable_with == "hysteresis on p"
@@ -433,10 +585,16 @@ def test_a_larger_candidate_is_not_preferred_for_what_it_bends_to_fit_on_the_dat
 def test_a_wave_beside_a_parametric_resonance_is_found_at_its_frequency() -> None:
     from hidden_cases import ROWS, draw
 
-    # Near twice the natural frequency the size of a trace changes twentyfold within a twentieth of the frequency.
+    # Near twice the natural frequency the size of a trace changes twentyfold within a
+    # twentieth of the frequency.
     case = draw(ROWS["parametric_stiffness_0.03"], 15)
     fit = ph.identify(case.model, case.train)
-    found = ph.diagnose(fit, case.train, case.test, effects=[effect_named(fit.model, "parametric stiffness", "p")])
+    found = ph.diagnose(
+        fit,
+        case.train,
+        case.test,
+        effects=[effect_named(fit.model, "parametric stiffness", "p")],
+    )
     best, (truth,) = found.candidates.iloc[0], case.truths
     assert found.verdict == "missing: named"
     assert abs(best.coefficient - truth.coefficient) < 3 * best.std_error
@@ -447,7 +605,9 @@ def test_a_delay_shorter_than_half_a_sample_is_told_from_a_lag() -> None:
 
     case = draw(ROWS["input_delay_0.01"], 7)
     fit = ph.identify(case.model, case.train)
-    effects = [effect_named(fit.model, name, "p") for name in ("input lag", "input delay")]
+    effects = [
+        effect_named(fit.model, name, "p") for name in ("input lag", "input delay")
+    ]
     best = ph.diagnose(fit, case.train, case.test, effects=effects).candidates.iloc[0]
     assert best.effect == "input delay"
     assert abs(best.coefficient - case.truths[0].coefficient) < 3 * best.std_error
@@ -461,21 +621,34 @@ def test_the_memory_that_a_record_begins_with_is_such_as_it_shows_later_on() -> 
     (truth,) = case.truths
     effect = effect_named(fit.model, truth.effect, truth.equations[0])
     found = ph.diagnose(fit, case.train, case.test, effects=[effect])
-    # A wild beginning (2476 for an input of size one) claimed a standard error a hundred times too small.
+    # A wild beginning (2476 for an input of size one) claimed a standard error a
+    # hundred times too small.
     best, nearest = found.candidates.iloc[0], found.nearest
     assert abs(best.coefficient - truth.coefficient) < 3 * best.std_error
     assert nearest is not None
     largest = max(float(np.abs(run.u).max()) for run in case.train.trajectories)
     for x in nearest.states:
-        assert abs(x[0, nearest.model.states.index(nearest.model.memory[0])]) <= 3.5 * largest
+        assert (
+            abs(x[0, nearest.model.states.index(nearest.model.memory[0])])
+            <= 3.5 * largest
+        )
 
 
 def test_a_body_that_creeps_gets_the_width_of_its_corner() -> None:
     corner = 0.0045
-    data = measured(truth(H="1.7*q**2/2 + p**2/2", R=f"0.05 + 0.25*(dH_dp**4 + {corner}**4)**(-0.25)"), seed=1)
+    data = measured(
+        truth(
+            H="1.7*q**2/2 + p**2/2", R=f"0.05 + 0.25*(dH_dp**4 + {corner}**4)**(-0.25)"
+        ),
+        seed=1,
+    )
     fit = ph.identify(base(), data)
-    work = refit.Refitting.begin(fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None)
-    found = work.refit([effect_named(fit.model, "coulomb friction", "p")], {"coulomb_friction_p": 0.25})
+    work = refit.Refitting.begin(
+        fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None
+    )
+    found = work.refit(
+        [effect_named(fit.model, "coulomb friction", "p")], {"coulomb_friction_p": 0.25}
+    )
     assert found is not None
     stuck = work.at_widths(found[0], {"coulomb_friction_p.v0": corner / 8}, 8)
     assert stuck is not None

@@ -1,4 +1,6 @@
-"""The catalogue: every effect does what its name says, lives in a model file, and remembers what it must."""
+"""The catalogue: every effect does what its name says, lives in a model file, and
+remembers what it must.
+"""
 
 import pickle
 from pathlib import Path
@@ -20,27 +22,43 @@ Q, V = 0.7, -0.6  # of the state X
 
 def spring() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=ph.canonical(1), H=ph.formula("k*q**2/2 + p**2/(2*m)", k=K, m=M),
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=K, m=M),
         F={"p": ph.formula("b*u", b=5.0)},
-    )  # fmt: skip
+    )
 
 
 def tank() -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["h"], inputs=["u"], S=[[0.0]], H=ph.formula("a*h**2/2", a=ph.Parameter(1.0)), F={"h": ph.formula("u")}
+        states=["h"],
+        inputs=["u"],
+        S=[[0.0]],
+        H=ph.formula("a*h**2/2", a=ph.Parameter(1.0)),
+        F={"h": ph.formula("u")},
     )
 
 
-def change(model: ph.PseudoHamiltonian, name: str, equation: str, values: dict[str, float]) -> np.ndarray:
+def change(
+    model: ph.PseudoHamiltonian, name: str, equation: str, values: dict[str, float]
+) -> np.ndarray:
     """What the effect adds to dx/dt of the model's own states, and to what is shown."""
     x = X[: model.n_states]
     larger = model.add(effect_named(model, name, equation))
-    larger = larger.with_values({n: v for n, v in values.items() if n not in larger.states})
+    larger = larger.with_values(
+        {n: v for n, v in values.items() if n not in larger.states}
+    )
     extended = np.r_[x, [values.get(z, 0.0) for z in larger.memory]]
 
     def both(m: Model, at: np.ndarray) -> np.ndarray:
         theta = np.array([m.values[n] for n in m.free])
-        return np.concatenate([np.array(f(at, U, T, theta)).ravel()[: len(x)] for f in (m.rhs(), m.output())])
+        return np.concatenate(
+            [
+                np.array(f(at, U, T, theta)).ravel()[: len(x)]
+                for f in (m.rhs(), m.output())
+            ]
+        )
 
     return both(larger, extended) - both(model, x)
 
@@ -49,10 +67,22 @@ DELAYED_INPUT = {"delay_u_p": 0.1, "u_delayed_p": 0.8, "u_delayed_p_bend": 3.0}
 DELAYED_SENSOR = {"sensor_delay_q": 0.1, "q_delayed": 0.5, "q_delayed_bend": 3.0}
 CASES = [
     ("viscous damping", "p", {"viscous_damping_p": 0.3}, -0.3 * V, 0),
-    ("coulomb friction", "p", {"coulomb_friction_p": 0.3, "coulomb_friction_p.v0": 1e-6}, -0.3 * np.sign(V), 0),
+    (
+        "coulomb friction",
+        "p",
+        {"coulomb_friction_p": 0.3, "coulomb_friction_p.v0": 1e-6},
+        -0.3 * np.sign(V),
+        0,
+    ),
     ("quadratic drag", "p", {"quadratic_drag_p": 0.3}, -0.3 * V * abs(V), 0),
     ("cubic drag", "p", {"cubic_drag_p": 0.3}, -0.3 * V**3, 0),
-    ("position-dependent damping", "p", {"position-dependent_damping_p": 0.3}, -0.3 * Q**2 * V, 0),
+    (
+        "position-dependent damping",
+        "p",
+        {"position-dependent_damping_p": 0.3},
+        -0.3 * Q**2 * V,
+        0,
+    ),
     ("linear stiffness", "p", {"linear_stiffness_q": 0.3}, -0.3 * Q, 0),
     ("quadratic stiffness", "p", {"quadratic_stiffness_q": 0.3}, -0.3 * Q**2, 0),
     ("cubic stiffness", "p", {"cubic_stiffness_q": 0.3}, -0.3 * Q**3, 0),
@@ -60,53 +90,97 @@ CASES = [
     ("gap", "p", {"gap_q": 0.3, "gap_q.play": 0.5}, -0.3 * (Q - 0.5), 0),
     ("constant force", "p", {"constant_force_p": 0.3}, 0.3, 0),
     ("drifting force", "p", {"drifting_force_p": 0.3}, 0.3 * T, 0),
-    ("harmonic force", "p", {"F_p[sin(omega*t)]": 0.3, "F_p.omega": 2.0}, 0.3 * np.sin(2 * T), 0),
-    ("parametric stiffness", "p", {"F_p[-q*cos(omega*t)]": 0.3, "F_p.omega": 2.0}, -0.3 * Q * np.cos(2 * T), 0),
+    (
+        "harmonic force",
+        "p",
+        {"F_p[sin(omega*t)]": 0.3, "F_p.omega": 2.0},
+        0.3 * np.sin(2 * T),
+        0,
+    ),
+    (
+        "parametric stiffness",
+        "p",
+        {"F_p[-q*cos(omega*t)]": 0.3, "F_p.omega": 2.0},
+        -0.3 * Q * np.cos(2 * T),
+        0,
+    ),
     ("input gain", "p", {"input_gain_u_p": -0.2}, -0.2 * 5 * U[0], 0),
     ("quadratic input", "p", {"quadratic_input_u_p": 0.3}, 0.3 * U[0] ** 2, 0),
     ("input dead zone", "p", {"dead_zone_u_p": 0.25}, -5 * 0.25, 0),
     ("input saturation", "p", {"saturation_u_p": 0.25}, -5 * (U[0] - 0.25), 0),
     ("input lag", "p", {"lag_u_p": 0.1, "u_lagged_p": 0.5}, 5 * (0.5 - U[0]), 0),
     ("input delay", "p", DELAYED_INPUT, 5 * (2 * (0.8 - U[0]) + 0.1**2 / 5 * 3), 0),
-    ("hysteresis", "p", {"hysteresis_force_p": 0.3, "hysteresis_p": 0.5}, -0.3 * 0.5, 0),
+    (
+        "hysteresis",
+        "p",
+        {"hysteresis_force_p": 0.3, "hysteresis_p": 0.5},
+        -0.3 * 0.5,
+        0,
+    ),
     ("sensor offset", "q", {"sensor_offset_q": 0.3}, 0, 0.3),
     ("sensor gain", "q", {"sensor_gain_q": 0.3}, 0, 0.3 * Q),
     ("sensor drift", "q", {"sensor_drift_q": 0.3}, 0, 0.3 * T),
     ("sensor clipping", "q", {"clipping_q": 0.5}, 0, 0.5 - Q),
     ("sensor delay", "q", DELAYED_SENSOR, 0, 2 * (0.5 - Q) + 0.1**2 / 5 * 3),
-]  # fmt: skip
+]
 
 
-@pytest.mark.parametrize(("name", "equation", "values", "force", "shown"), CASES, ids=[case[0] for case in CASES])
+@pytest.mark.parametrize(
+    ("name", "equation", "values", "force", "shown"),
+    CASES,
+    ids=[case[0] for case in CASES],
+)
 def test_an_effect_adds_its_force_or_its_reading_and_nothing_else(
     name: str, equation: str, values: dict[str, float], force: float, shown: float
 ) -> None:
     model = spring()
     larger = model.add(effect_named(model, name, equation))
-    scales = {n: 1.0 for n in larger.entries if n not in model.entries and "[" not in n and n not in values}
+    scales = {
+        n: 1.0
+        for n in larger.entries
+        if n not in model.entries and "[" not in n and n not in values
+    }
     scales = {n: v for n, v in scales.items() if not larger.entries[n].prunable}
     expected = np.array([0.0, force, shown if equation == "q" else 0.0, 0.0])
-    np.testing.assert_allclose(change(model, name, equation, {**scales, **values}), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        change(model, name, equation, {**scales, **values}), expected, atol=1e-9
+    )
 
 
 LEAKS = [
     ("linear leak", {"linear_leak_h": 0.3}, -0.3 * Q),
-    ("turbulent leak", {"turbulent_leak_h": 0.3, "turbulent_leak_h.e0": 1e-6}, -0.3 * np.sqrt(Q)),
-    ("saturating leak", {"saturating_leak_h": 0.3, "saturating_leak_h.half": 0.5}, -0.3 * Q / (1 + Q / 0.5)),
+    (
+        "turbulent leak",
+        {"turbulent_leak_h": 0.3, "turbulent_leak_h.e0": 1e-6},
+        -0.3 * np.sqrt(Q),
+    ),
+    (
+        "saturating leak",
+        {"saturating_leak_h": 0.3, "saturating_leak_h.half": 0.5},
+        -0.3 * Q / (1 + Q / 0.5),
+    ),
     ("overflow", {"overflow_h": 0.3, "overflow_h.limit": 0.5}, -0.3 * (Q - 0.5)),
 ]
 
 
-@pytest.mark.parametrize(("name", "values", "expected"), LEAKS, ids=[case[0] for case in LEAKS])
-def test_a_leak_takes_what_its_name_says_from_a_tank(name: str, values: dict[str, float], expected: float) -> None:
-    np.testing.assert_allclose(change(tank(), name, "h", values), [expected, 0.0], atol=1e-6)
+@pytest.mark.parametrize(
+    ("name", "values", "expected"), LEAKS, ids=[case[0] for case in LEAKS]
+)
+def test_a_leak_takes_what_its_name_says_from_a_tank(
+    name: str, values: dict[str, float], expected: float
+) -> None:
+    np.testing.assert_allclose(
+        change(tank(), name, "h", values), [expected, 0.0], atol=1e-6
+    )
 
 
 def test_stribeck_friction_falls_from_its_static_level_to_that_of_sliding() -> None:
     model = spring()
     larger = model.add(effect_named(model, "stribeck friction", "p"))
     inner = {n: 1e-6 if n.endswith("v0") else 0.5 for n in larger.entries if "." in n}
-    larger = larger.with_values({**inner, "coulomb_friction_p": 0.2, "stribeck_friction_p": 0.1})
+    larger = larger.with_values(
+        {**inner, "coulomb_friction_p": 0.2, "stribeck_friction_p": 0.1}
+    )
     theta = np.array([larger.values[n] for n in larger.free])
 
     def friction(v: float) -> float:
@@ -118,29 +192,52 @@ def test_stribeck_friction_falls_from_its_static_level_to_that_of_sliding() -> N
 
 def test_two_coupled_positions_pull_each_other() -> None:
     model = ph.PseudoHamiltonian(
-        states=["a", "b", "pa", "pb"], S=ph.canonical(2),
+        states=["a", "b", "pa", "pb"],
+        S=ph.canonical(2),
         H=ph.formula("(a**2 + b**2)/2 + (pa**2 + pb**2)/(2*m)", m=ph.Parameter(1.0)),
-    )  # fmt: skip
+    )
     (effect,) = (e for e in ph.catalogue(model) if e.name == "coupling stiffness")
     larger = model.add(effect).with_values({"coupling_stiffness_a_b": 0.3})
-    rate = np.array(larger.rhs()([0.7, 0.2, 0.0, 0.0], [], 0.0, [larger.values[n] for n in larger.free])).ravel()
-    np.testing.assert_allclose(rate, [0, 0, -0.7 - 0.3 * 0.5, -0.2 + 0.3 * 0.5], atol=1e-12)
+    rate = np.array(
+        larger.rhs()(
+            [0.7, 0.2, 0.0, 0.0], [], 0.0, [larger.values[n] for n in larger.free]
+        )
+    ).ravel()
+    np.testing.assert_allclose(
+        rate, [0, 0, -0.7 - 0.3 * 0.5, -0.2 + 0.3 * 0.5], atol=1e-12
+    )
 
 
 def test_a_delayed_input_arrives_late_and_a_lagged_one_smoothed() -> None:
     t = np.linspace(0.0, 20.0, 801)
     u = np.sin(1.3 * t)[:, None]
-    data = ph.Measurements.from_arrays(t, np.zeros((801, 2)), u, states=["q", "p"], inputs=["u"])
+    data = ph.Measurements.from_arrays(
+        t, np.zeros((801, 2)), u, states=["q", "p"], inputs=["u"]
+    )
     grid, model = grid_of(data), spring()
-    late = model.add(effect_named(model, "input delay", "p")).with_values({"delay_u_p": 0.4})
-    x = remembered(late, grid, np.zeros((801, 2)), np.array([late.values[n] for n in late.free]))
+    late = model.add(effect_named(model, "input delay", "p")).with_values(
+        {"delay_u_p": 0.4}
+    )
+    x = remembered(
+        late, grid, np.zeros((801, 2)), np.array([late.values[n] for n in late.free])
+    )
     arrived = u[:, 0] + 2 * (x[:, 2] - u[:, 0]) + 0.4**2 / 5 * x[:, 4]
-    # 0.002: Pade's phase error at 0.4*1.3 rad, and the input held linearly between samples
+    # 0.002: Pade's phase error at 0.4*1.3 rad, and the input held linearly between
+    # samples
     np.testing.assert_allclose(arrived[200:], np.sin(1.3 * (t[200:] - 0.4)), atol=0.002)
-    lagged = model.add(effect_named(model, "input lag", "p")).with_values({"lag_u_p": 0.4})
-    z = remembered(lagged, grid, np.zeros((801, 2)), np.array([lagged.values[n] for n in lagged.free]))[200:, 2]
+    lagged = model.add(effect_named(model, "input lag", "p")).with_values(
+        {"lag_u_p": 0.4}
+    )
+    z = remembered(
+        lagged,
+        grid,
+        np.zeros((801, 2)),
+        np.array([lagged.values[n] for n in lagged.free]),
+    )[200:, 2]
     gain = 1 / np.sqrt(1 + (0.4 * 1.3) ** 2)
-    np.testing.assert_allclose(z, gain * np.sin(1.3 * t[200:] - np.arctan(0.4 * 1.3)), atol=0.002)
+    np.testing.assert_allclose(
+        z, gain * np.sin(1.3 * t[200:] - np.arctan(0.4 * 1.3)), atol=0.002
+    )
 
 
 def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
@@ -149,35 +246,62 @@ def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
     data = ph.Measurements.from_arrays(
         t, np.zeros((len(t), 2)), u, states=["q", "p"], inputs=["u"], hold="zero"
     )  # each input holds until the next sample, so that a delay of a fifth leaves a fifth of the last one in the mean
-    late = spring().add(effect_named(spring(), "input delay", "p")).with_values({"delay_u_p": 0.1})
+    late = (
+        spring()
+        .add(effect_named(spring(), "input delay", "p"))
+        .with_values({"delay_u_p": 0.1})
+    )
     grid = grid_of(data)
     theta = np.array([late.values[n] for n in late.free])
     means = Memory(late, grid, np.zeros((len(t), 2)))(theta)[1]
     shown = u[:-1, 0] + 2 * (means[:, 0] - u[:-1, 0]) + 0.1**2 / 5 * means[:, 2]
     expected = u[:-1, 0] - 0.2 * np.diff(u[:-1, 0], prepend=u[0, 0])
-    np.testing.assert_allclose(shown, expected, atol=0.05)  # of a jump of 2: Pade rings behind it, and steps of 0.125
+    np.testing.assert_allclose(
+        shown, expected, atol=0.05
+    )  # of a jump of 2: Pade rings behind it, and steps of 0.125
 
 
 def test_a_rim_is_not_sought_above_the_highest_level() -> None:
-    data = ph.Measurements.from_arrays(T * np.arange(5), np.array([[0.5], [2.0], [3.0], [1.0], [0.7]]), states=["h"])
+    data = ph.Measurements.from_arrays(
+        T * np.arange(5), np.array([[0.5], [2.0], [3.0], [1.0], [0.7]]), states=["h"]
+    )
     model = ph.FirstOrder(["h"], {"h": ph.formula("-k*h", k=0.1)})
     larger = model.add(effect_named(model, "overflow", "h"))
     grid = grid_of(data)
-    (limit,) = (e.parameter for n, e in resolved(larger, grid, grid.y).entries.items() if n.endswith("limit"))
+    (limit,) = (
+        e.parameter
+        for n, e in resolved(larger, grid, grid.y).entries.items()
+        if n.endswith("limit")
+    )
     assert limit.upper == 3.0 and 0 < limit.start < 3.0
-    assert resolved(larger, grid, grid.y).with_values({"overflow_h.limit": 9.0}).values["overflow_h.limit"] == 3.0
+    assert (
+        resolved(larger, grid, grid.y)
+        .with_values({"overflow_h.limit": 9.0})
+        .values["overflow_h.limit"]
+        == 3.0
+    )
 
 
 def test_a_body_that_stays_is_at_rest_and_one_that_turns_is_not() -> None:
-    mass = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.formula("p**2/2"))
+    mass = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.formula("p**2/2")
+    )
     t = np.linspace(0.0, 20.0, 401)
     turning, dying = np.cos(t), np.where(t < 10, np.cos(t), 0.0)
     for v, expected in ((turning, 0.0), (dying, 0.5)):
-        grid = grid_of(ph.Measurements.from_arrays(t, np.column_stack([0 * t, v]), states=["q", "p"]))
-        assert at_rest(mass, grid, grid.y, "p", 0.03).mean() == pytest.approx(expected, abs=0.01)
+        grid = grid_of(
+            ph.Measurements.from_arrays(
+                t, np.column_stack([0 * t, v]), states=["q", "p"]
+            )
+        )
+        assert at_rest(mass, grid, grid.y, "p", 0.03).mean() == pytest.approx(
+            expected, abs=0.01
+        )
 
 
-def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimated() -> None:
+def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimated() -> (
+    None
+):
     t = np.linspace(0.0, 12.0, 241)
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-1, 1, 25), 10)[:241, None]
@@ -186,31 +310,53 @@ def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimate
     x = ph.simulate(truth, t, [0.1, 0.0, u[0, 0]], u)[:, :2]
     data = ph.Measurements.from_arrays(
         t, x + 0.01 * rng.normal(size=x.shape), u, states=["q", "p"], inputs=["u"]
-    )  # fmt: skip
+    )
     fit = ph.identify(model.with_values({"lag_u_p": 0.3}), data)
     assert abs(fit.values["lag_u_p"] - 0.5) < 3 * fit.std_errors["lag_u_p"]
     assert 0 < fit.std_errors["lag_u_p"] < 0.05
-    assert ph.compare(fit, data).table["state"].tolist() == ["q", "p"]  # the lagged input is nobody's channel
+    assert ph.compare(fit, data).table["state"].tolist() == [
+        "q",
+        "p",
+    ]  # the lagged input is nobody's channel
 
 
-def test_a_model_with_memory_scans_and_sensors_is_data_in_a_file(tmp_path: Path) -> None:
+def test_a_model_with_memory_scans_and_sensors_is_data_in_a_file(
+    tmp_path: Path,
+) -> None:
     t = np.linspace(0.0, 8.0, 161)
     u = np.sin(2 * t)[:, None]
-    model = spring().add(effect_named(spring(), "input lag", "p")).add(effect_named(spring(), "sensor offset", "q"))
-    x = ph.simulate(model.with_values({"lag_u_p": 0.3, "sensor_offset_q": 0.2}), t, [0.3, 0.0, 0.0], u)[:, :2]
+    model = (
+        spring()
+        .add(effect_named(spring(), "input lag", "p"))
+        .add(effect_named(spring(), "sensor offset", "q"))
+    )
+    x = ph.simulate(
+        model.with_values({"lag_u_p": 0.3, "sensor_offset_q": 0.2}),
+        t,
+        [0.3, 0.0, 0.0],
+        u,
+    )[:, :2]
     data = ph.Measurements.from_arrays(
-        t, x + [0.2, 0.0] + 0.01 * np.random.default_rng(0).normal(size=x.shape), u, states=["q", "p"], inputs=["u"]
+        t,
+        x + [0.2, 0.0] + 0.01 * np.random.default_rng(0).normal(size=x.shape),
+        u,
+        states=["q", "p"],
+        inputs=["u"],
     )
     fit = ph.identify(model.with_values({"lag_u_p": 0.2}), data)
     fit.save(tmp_path / "m.json")
     again = ph.Fit.load(tmp_path / "m.json")
     assert again.model == fit.model and again.model.memory == ("u_lagged_p",)
     start = [0.3, 0.0, 0.0]
-    np.testing.assert_array_equal(again.simulate(t, start, u), fit.simulate(t, start, u))
+    np.testing.assert_array_equal(
+        again.simulate(t, start, u), fit.simulate(t, start, u)
+    )
 
 
 def test_effects_can_be_sent_to_other_processes_and_refuse_an_unknown_slot() -> None:
     for effect in ph.catalogue(spring()):
         assert pickle.loads(pickle.dumps(effect)) == effect
-    with pytest.raises(ph.ModelError, match="slot 'G' is unknown; expected H, R, F, sensor"):
+    with pytest.raises(
+        ph.ModelError, match="slot 'G' is unknown; expected H, R, F, sensor"
+    ):
         Effect("odd", "G", "p", ph.formula("1"))

@@ -6,7 +6,15 @@ import pytest
 import sympy as sp
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.expressions import FUNCTIONS, NUMPY, SYMPY, evaluate, names_of, parse, renamed
+from phsi_opt.model.expressions import (
+    FUNCTIONS,
+    NUMPY,
+    SYMPY,
+    evaluate,
+    names_of,
+    parse,
+    renamed,
+)
 
 FORMULAS = [
     *(f"{name}(0.3 + q**2)" for name in FUNCTIONS if name not in ("min", "max")),
@@ -23,9 +31,15 @@ FORMULAS = [
 def test_casadi_sympy_and_numpy_agree(text: str) -> None:
     q, p = 0.7, -0.4
     x = ca.SX.sym("x", 2)
-    by_casadi = float(ca.Function("f", [x], [evaluate(text, {"q": x[0], "p": x[1]})])([q, p]))
+    by_casadi = float(
+        ca.Function("f", [x], [evaluate(text, {"q": x[0], "p": x[1]})])([q, p])
+    )
     symbols = sp.symbols("q p")
-    by_sympy = float(evaluate(text, dict(zip("qp", symbols, strict=True)), SYMPY).subs({"q": q, "p": p}))
+    by_sympy = float(
+        evaluate(text, dict(zip("qp", symbols, strict=True)), SYMPY).subs(
+            {"q": q, "p": p}
+        )
+    )
     by_numpy = evaluate(text, {"q": q, "p": p}, NUMPY)
     # The same few operations in three libraries: rounding only.
     assert by_casadi == pytest.approx(by_numpy, rel=1e-14)
@@ -42,7 +56,10 @@ def test_names_are_those_that_need_a_value() -> None:
 
 
 def test_renaming_changes_names_and_nothing_else() -> None:
-    assert renamed("k*q**2/2 + sin(q*k2)", {"q": "x", "k": "c"}) == "c * x ** 2 / 2 + sin(x * k2)"
+    assert (
+        renamed("k*q**2/2 + sin(q*k2)", {"q": "x", "k": "c"})
+        == "c * x ** 2 / 2 + sin(x * k2)"
+    )
 
 
 @pytest.mark.parametrize(

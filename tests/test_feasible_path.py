@@ -1,4 +1,6 @@
-"""Fits along solutions of the model: the optimum of the same likelihood, also where a body sticks."""
+"""Fits along solutions of the model: the optimum of the same likelihood, also where a
+body sticks.
+"""
 
 from dataclasses import replace
 
@@ -20,12 +22,22 @@ NOISE = 0.01
 FRICTION, DAMPING = 0.25, 0.05
 
 
-def rubbing(corner: float, friction: ph.Parameter | float, damping: ph.Parameter | float) -> ph.PseudoHamiltonian:
-    """A spring and a mass with dry friction, whose sign turns over within the velocity ``corner``."""
+def rubbing(
+    corner: float, friction: ph.Parameter | float, damping: ph.Parameter | float
+) -> ph.PseudoHamiltonian:
+    """A spring and a mass with dry friction, whose sign turns over within the velocity
+    ``corner``.
+    """
     return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("1.7*q**2/2 + p**2/2"),
-        R={"p": ph.formula("c + f*(dH_dp**4 + v0**4)**(-1/4)", c=damping, f=friction, v0=corner)},
-    )  # fmt: skip
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("1.7*q**2/2 + p**2/2"),
+        R={
+            "p": ph.formula(
+                "c + f*(dH_dp**4 + v0**4)**(-1/4)", c=damping, f=friction, v0=corner
+            )
+        },
+    )
 
 
 def measured(corner: float) -> ph.Measurements:
@@ -38,12 +50,20 @@ def measured(corner: float) -> ph.Measurements:
     return ph.Measurements.from_arrays([T] * 2, runs, states=["q", "p"])
 
 
-def path_and_solver(model: ph.PseudoHamiltonian, data: ph.Measurements, x: np.ndarray) -> tuple[FeasiblePath, Solver]:
-    grid, unknown, loss = grid_of(data), Theta.of(model, ("run 1", "run 2")), ph.MaximumLikelihood()
+def path_and_solver(
+    model: ph.PseudoHamiltonian, data: ph.Measurements, x: np.ndarray
+) -> tuple[FeasiblePath, Solver]:
+    grid, unknown, loss = (
+        grid_of(data),
+        Theta.of(model, ("run 1", "run 2")),
+        ph.MaximumLikelihood(),
+    )
     theta = np.array([model.values[name] for name in model.free])
     point = point_at(model, grid, unknown, theta, x)
     program = loss.program(model, grid, point, {}, np.array([NOISE, 1.0]), unknown)
-    return FeasiblePath(program, model, grid, unknown, loss, 60.0), Solver(program, Settings())
+    return FeasiblePath(program, model, grid, unknown, loss, 60.0), Solver(
+        program, Settings()
+    )
 
 
 def test_it_finds_the_optimum_that_ipopt_finds() -> None:
@@ -57,14 +77,20 @@ def test_it_finds_the_optimum_that_ipopt_finds() -> None:
     assert mine.outcome.success and mine.outcome.infeasibility < 1e-7
     # A thousandth of a fall of -2 log likelihood is a thirtieth of a standard error.
     n = path.program.residual.numel()
-    assert n * (mine.outcome.objective - ipopt.outcome.objective) == pytest.approx(0.0, abs=2e-3)
+    assert n * (mine.outcome.objective - ipopt.outcome.objective) == pytest.approx(
+        0.0, abs=2e-3
+    )
     np.testing.assert_allclose(mine.values["x"], ipopt.values["x"], atol=0.05 * NOISE)
 
 
 def test_a_parameter_stays_within_its_bounds() -> None:
     data = measured(0.3)
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0, upper=0.22), ph.Parameter(0.1, lower=0.0))
-    path, _ = path_and_solver(model, data, np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
+    model = rubbing(
+        0.3, ph.Parameter(0.2, lower=0.0, upper=0.22), ph.Parameter(0.1, lower=0.0)
+    )
+    path, _ = path_and_solver(
+        model, data, np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
+    )
     found = path.solve(path.program.start, path.program.set_to)
     assert found.outcome.success and found.outcome.at_bounds == ("f",)
     assert found.values["theta"][model.free.index("f")] == pytest.approx(0.22)
@@ -72,26 +98,45 @@ def test_a_parameter_stays_within_its_bounds() -> None:
 
 def test_the_time_limit_ends_it() -> None:
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    path, _ = path_and_solver(model, measured(0.3), np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
+    path, _ = path_and_solver(
+        model,
+        measured(0.3),
+        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
+    )
     path.max_seconds = 0.0
-    with pytest.raises(ph.SolveError, match="the time limit was reached along solutions of the model"):
+    with pytest.raises(
+        ph.SolveError, match="the time limit was reached along solutions of the model"
+    ):
         path.solve(path.program.start, path.program.set_to)
 
 
 def test_a_model_without_slopes_ends_it() -> None:
-    # The square root is vertical at zero, where its parameter is: there is no step to take, and no error from within.
+    # The square root is vertical at zero, where its parameter is: there is no step to
+    # take, and no error from within.
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("1.7*q**2/2 + p**2/2"),
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("1.7*q**2/2 + p**2/2"),
         R={"p": ph.formula("0.1 + sqrt(s)", s=ph.Parameter(0.0, lower=0.0))},
-    )  # fmt: skip
-    path, _ = path_and_solver(model, measured(0.3), np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
-    with pytest.raises(ph.SolveError, match="the slopes of the model are not finite along its solution"):
+    )
+    path, _ = path_and_solver(
+        model,
+        measured(0.3),
+        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
+    )
+    with pytest.raises(
+        ph.SolveError, match="the slopes of the model are not finite along its solution"
+    ):
         path.solve(path.program.start, path.program.set_to)
 
 
 def test_every_point_is_on_the_model_or_there_is_none() -> None:
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    path, _ = path_and_solver(model, measured(0.3), np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]))
+    path, _ = path_and_solver(
+        model,
+        measured(0.3),
+        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
+    )
     z = path.program.start.copy()
     x = z[path.x].reshape(2, len(T), 2)
     x[:, 1:] = 0.0  # but for the starting states nothing is given
@@ -99,8 +144,16 @@ def test_every_point_is_on_the_model_or_there_is_none() -> None:
     assert found is not None
     states = (found.z * path.program.scale)[path.x].reshape(2, len(T), 2)
     for x, x0 in zip(states, STARTS, strict=True):
-        np.testing.assert_allclose(x, ph.simulate(model, T, x0), atol=2e-4)  # the scheme takes one step per sample
-    assert path.follow(np.where(np.arange(len(z)) == path.theta.start, -1e6, z), path.program.set_to) is None
+        np.testing.assert_allclose(
+            x, ph.simulate(model, T, x0), atol=2e-4
+        )  # the scheme takes one step per sample
+    assert (
+        path.follow(
+            np.where(np.arange(len(z)) == path.theta.start, -1e6, z),
+            path.program.set_to,
+        )
+        is None
+    )
 
 
 def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
@@ -110,8 +163,12 @@ def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
     lines: list[str] = []
     start = replace(wide, model=wide.model.with_values({"v0": 0.002}))
     brief = Settings(thorough=False)
-    fit = ph.identify(model, data, loss, start=start, settings=brief, progress=lines.append)
-    assert fit.outcome.way == FEASIBLE_PATH and any("again along solutions of the model" in line for line in lines)
+    fit = ph.identify(
+        model, data, loss, start=start, settings=brief, progress=lines.append
+    )
+    assert fit.outcome.way == FEASIBLE_PATH and any(
+        "again along solutions of the model" in line for line in lines
+    )
     for name, value in (("f", FRICTION), ("c", DAMPING)):
         assert abs(fit.estimates[name] - value) < 4 * fit.std_errors[name]
     assert fit.noise["q"] == pytest.approx(NOISE, rel=0.15)
@@ -119,8 +176,12 @@ def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
 
 def test_where_all_fails_ipopt_says_why() -> None:
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    with pytest.raises(ph.SolveError, match=r"the time limit was reached; .*Maximum_WallTime"):
-        ph.identify(model, measured(0.3), settings=Settings(max_seconds=1e-6, thorough=False))
+    with pytest.raises(
+        ph.SolveError, match=r"the time limit was reached; .*Maximum_WallTime"
+    ):
+        ph.identify(
+            model, measured(0.3), settings=Settings(max_seconds=1e-6, thorough=False)
+        )
 
 
 def test_ways_that_the_settings_leave_out_are_not_taken() -> None:
@@ -130,35 +191,51 @@ def test_ways_that_the_settings_leave_out_are_not_taken() -> None:
         fit = ph.identify(model, data, settings=Settings(ways=(way,)))
         assert (fit.outcome.success, fit.outcome.status) == (True, status)
         assert abs(fit.estimates["f"] - FRICTION) < 4 * fit.std_errors["f"]
-    # Huber's outliers are slack variables: nothing can be solved along the model, the exact Hessian stands in.
+    # Huber's outliers are slack variables: nothing can be solved along the model, the
+    # exact Hessian stands in.
     loss = ph.MaximumLikelihood(huber=1.345)
     fit = ph.identify(model, data, loss, settings=Settings(ways=(FEASIBLE_PATH,)))
     assert (fit.outcome.success, fit.outcome.status) == (True, "Solve_Succeeded")
 
 
-def test_a_fit_along_solutions_is_compared_along_solutions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_along_solutions_is_compared_along_solutions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     data = measured(0.3)
-    fit = ph.identify(rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0)), data)
+    fit = ph.identify(
+        rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0)), data
+    )
     along = replace(fit, outcome=replace(fit.outcome, status="Feasible_Path"))
     found = ph.compare(fit, data)
     used: list[str] = []
-    monkeypatch.setattr(likelihood_solve, "Solver", lambda *a, **k: used.append("ipopt"))
+    monkeypatch.setattr(
+        likelihood_solve, "Solver", lambda *a, **k: used.append("ipopt")
+    )
     assert ph.compare(along, data).rmse == pytest.approx(found.rmse, rel=1e-4)
     assert not used
 
 
-def test_what_settled_at_a_kink_stays_there_when_the_noise_is_estimated_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_settled_at_a_kink_stays_there_when_the_noise_is_estimated_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     solve, solved = FeasiblePath.solve, []
 
-    def stuck_from_the_second_on(self: FeasiblePath, start: np.ndarray, set_to: np.ndarray, **options: bool) -> object:
+    def stuck_from_the_second_on(
+        self: FeasiblePath, start: np.ndarray, set_to: np.ndarray, **options: bool
+    ) -> object:
         found = solve(self, start, set_to, **options)
         solved.append(found)
-        return found if len(solved) == 1 else replace(found, outcome=replace(found.outcome, success=False))
+        return (
+            found
+            if len(solved) == 1
+            else replace(found, outcome=replace(found.outcome, success=False))
+        )
 
     monkeypatch.setattr(FeasiblePath, "solve", stuck_from_the_second_on)
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
     only = Settings(ways=(FEASIBLE_PATH,))
-    # Two channels whose noise is not as it seems at the start, each by a factor of its own.
+    # Two channels whose noise is not as it seems at the start, each by a factor of its
+    # own.
     rng = np.random.default_rng(1)
     runs = [ph.simulate(rubbing(0.3, FRICTION, DAMPING), T, x0) for x0 in STARTS]
     runs = [x + np.array([NOISE, 5 * NOISE]) * rng.normal(size=x.shape) for x in runs]
@@ -172,25 +249,49 @@ def test_what_settled_at_a_kink_stays_there_when_the_noise_is_estimated_anew(mon
         ph.identify(model, data, settings=only)
 
 
-def test_where_newton_is_caught_beyond_a_corner_it_begins_again_at_the_state_before() -> None:
+def test_where_newton_is_caught_beyond_a_corner_it_begins_again_at_the_state_before() -> (
+    None
+):
     corner = 0.0005
-    model = rubbing(corner, ph.Parameter(FRICTION, lower=0.0), ph.Parameter(DAMPING, lower=0.0))
+    model = rubbing(
+        corner, ph.Parameter(FRICTION, lower=0.0), ph.Parameter(DAMPING, lower=0.0)
+    )
     nodes = np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
     path, _ = path_and_solver(model, measured(corner), nodes)
     z = path.program.start.copy()
-    z[path.x].reshape(2, len(T), 2)[:, 1:, 1] += 0.01  # guesses that slide where the body sticks
+    z[path.x].reshape(2, len(T), 2)[:, 1:, 1] += (
+        0.01  # guesses that slide where the body sticks
+    )
     assert path.follow(z, path.program.set_to) is not None
     path.careful_march = path.march
     assert path.follow(z, path.program.set_to) is None
 
 
-def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    data, x = measured(0.3), tuple(ph.simulate(rubbing(0.3, FRICTION, DAMPING), T, x0) for x0 in STARTS)
-    model, sigma, steps = rubbing(0.3, 0.9 * FRICTION, DAMPING), np.array([NOISE, 1.0]), [np.ones(len(T) - 1, int)] * 2
+def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    data, x = (
+        measured(0.3),
+        tuple(ph.simulate(rubbing(0.3, FRICTION, DAMPING), T, x0) for x0 in STARTS),
+    )
+    model, sigma, steps = (
+        rubbing(0.3, 0.9 * FRICTION, DAMPING),
+        np.array([NOISE, 1.0]),
+        [np.ones(len(T) - 1, int)] * 2,
+    )
     monkeypatch.setattr("phsi_opt.estimation.feasible_path.MAX_ITERATIONS", 1)
 
     def solved(is_start: bool) -> str:
-        state = on_record(model, data, sigma, x, ph.MaximumLikelihood(), steps, FEASIBLE_PATH, is_start=is_start)
+        state = on_record(
+            model,
+            data,
+            sigma,
+            x,
+            ph.MaximumLikelihood(),
+            steps,
+            FEASIBLE_PATH,
+            is_start=is_start,
+        )
         assert state is not None
         return state.solution.outcome.status
 

@@ -1,4 +1,6 @@
-"""What a Fit promises: its forms agree with each other, its file gives it back, and no file is ever run."""
+"""What a Fit promises: its forms agree with each other, its file gives it back, and no
+file is ever run.
+"""
 
 import json
 import pickle
@@ -15,10 +17,28 @@ from phsi_opt.estimation.fit import Fit, to_json
 from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Parameter, Scan, Share, damping, formula, polynomials, trigonometric
+from phsi_opt.model.terms import (
+    Parameter,
+    Scan,
+    Share,
+    damping,
+    formula,
+    polynomials,
+    trigonometric,
+)
 from phsi_opt.optimization.ipopt import Outcome
 
-OUTCOME = Outcome(True, "Solve_Succeeded", "a local optimum was found", "", 7, 0.25, 1.5, 1e-12, ("R_p",))
+OUTCOME = Outcome(
+    True,
+    "Solve_Succeeded",
+    "a local optimum was found",
+    "",
+    7,
+    0.25,
+    1.5,
+    1e-12,
+    ("R_p",),
+)
 
 
 def fit_of(model: Model, **values: float) -> Fit:
@@ -27,34 +47,68 @@ def fit_of(model: Model, **values: float) -> Fit:
     covariance = np.diag(np.linspace(0.01, 0.1, n) ** 2)
     covariance[-1, -1] = np.nan
     return Fit(
-        model=model, loss="MaximumLikelihood", loss_value=1.25, covariance=covariance, noise={"q": 0.01},
-        outcome=OUTCOME, n_values=320, bic=-12.5, hold="zero", seconds=0.5,
-        units={"q": "m", "t": "s"}, removed=("H[p]",), warnings=("take care",), provenance={"phsi_opt": "0.1.0"},
-    )  # fmt: skip
+        model=model,
+        loss="MaximumLikelihood",
+        loss_value=1.25,
+        covariance=covariance,
+        noise={"q": 0.01},
+        outcome=OUTCOME,
+        n_values=320,
+        bic=-12.5,
+        hold="zero",
+        seconds=0.5,
+        units={"q": "m", "t": "s"},
+        removed=("H[p]",),
+        warnings=("take care",),
+        provenance={"phsi_opt": "0.1.0"},
+    )
 
 
 def rich_fit() -> Fit:
-    """Every kind of part: formula, dictionary, damping, trigonometric, efforts, an input, guesses and bounds."""
+    """Every kind of part: formula, dictionary, damping, trigonometric, efforts, an
+    input, guesses and bounds.
+    """
     model = PseudoHamiltonian(
         states=("q", "p"),
         inputs=("u",),
         S=canonical(1),
-        H=formula("k*abs(q)**3 + p**2/(2*m)", k=Parameter(2.0, lower=0.0, unit="N/m^2"), m=2.5) + polynomials(["q"], 2),
+        H=formula(
+            "k*abs(q)**3 + p**2/(2*m)", k=Parameter(2.0, lower=0.0, unit="N/m^2"), m=2.5
+        )
+        + polynomials(["q"], 2),
         R=damping("p"),
         F={
-            "p": formula("b*u - c*tanh(dH_dp/eps)", b=1.5, c=Parameter(0.3), eps=Parameter(guess=Share("dH_dp", 0.05)))
+            "p": formula(
+                "b*u - c*tanh(dH_dp/eps)",
+                b=1.5,
+                c=Parameter(0.3),
+                eps=Parameter(guess=Share("dH_dp", 0.05)),
+            )
             + trigonometric("t")
         },
     )
     return fit_of(
-        model, **{"k": 1.875, "R_p": 0.7, "c": 0.3, "eps": 0.1, "H[q]": 1e-9, "H[q**2]": -0.2,
-                  "F_p[sin(omega_t*t)]": 0.9, "F_p[cos(omega_t*t)]": -0.4, "F_p.omega_t": 3.1}
-    )  # fmt: skip
+        model,
+        **{
+            "k": 1.875,
+            "R_p": 0.7,
+            "c": 0.3,
+            "eps": 0.1,
+            "H[q]": 1e-9,
+            "H[q**2]": -0.2,
+            "F_p[sin(omega_t*t)]": 0.9,
+            "F_p[cos(omega_t*t)]": -0.4,
+            "F_p.omega_t": 3.1,
+        },
+    )
 
 
 def points(n: int = 20) -> list[tuple[np.ndarray, np.ndarray, float]]:
     rng = np.random.default_rng(0)
-    return [(rng.normal(size=2), rng.normal(size=1), float(rng.uniform(0, 5))) for _ in range(n)]
+    return [
+        (rng.normal(size=2), rng.normal(size=1), float(rng.uniform(0, 5)))
+        for _ in range(n)
+    ]
 
 
 def rate(fit: Fit, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
@@ -74,7 +128,9 @@ def test_sympy_and_casadi_give_the_right_hand_side_of_the_model() -> None:
         expected = rate(fit, x, u, t)
         # The same formula in another order of operations: rounding only.
         np.testing.assert_allclose(numeric(*x, *u, t), expected, rtol=1e-12, atol=1e-13)
-        np.testing.assert_allclose(np.array(function(x, u, t)).ravel(), expected, rtol=1e-14)
+        np.testing.assert_allclose(
+            np.array(function(x, u, t)).ravel(), expected, rtol=1e-14
+        )
 
 
 def test_the_parts_in_sympy_add_up_to_the_equations() -> None:
@@ -88,7 +144,9 @@ def test_the_parts_in_sympy_add_up_to_the_equations() -> None:
 
 
 def test_equations_keep_every_term_however_small() -> None:
-    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 4))
+    model = PseudoHamiltonian(
+        states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 4)
+    )
     values = {name: 10.0 ** -(k + 1) for k, name in enumerate(model.free)}
     fit = fit_of(model, **values)
     dq, dp = fit.equations()
@@ -98,28 +156,58 @@ def test_equations_keep_every_term_however_small() -> None:
         # One monomial per coefficient whose derivative does not vanish: 10 of the 14.
         assert len(re.findall(r" [+-] ", text.split(" = ")[1])) + 1 == 10
         for at in zip(q, p, strict=True):
-            found = float(evaluate(text.split(" = ")[1], {"q": at[0], "p": at[1]}, NUMPY))
+            found = float(
+                evaluate(text.split(" = ")[1], {"q": at[0], "p": at[1]}, NUMPY)
+            )
             # Six digits are printed.
-            assert found == pytest.approx(rate(fit, np.array(at), np.zeros(0), 0.0)[row], rel=2e-6)
+            assert found == pytest.approx(
+                rate(fit, np.array(at), np.zeros(0), 0.0)[row], rel=2e-6
+            )
 
 
 def test_latex_holds_the_same_numbers_as_the_equations() -> None:
-    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=2.5))
+    model = PseudoHamiltonian(
+        states=("q", "p"),
+        S=canonical(1),
+        H=formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=2.5),
+    )
     fit = fit_of(replace_free(model))
     rows = re.findall(r"\\dot\{(\w)\} &= (.*?)(?: \\\\)?\n", fit.latex())
     assert [name for name, _ in rows] == ["q", "p"]
     x = np.array([0.3, -0.8])
-    found = [float(evaluate(re.sub(r"(\d) ([a-z])", r"\1*\2", row), {"q": x[0], "p": x[1]}, NUMPY)) for _, row in rows]
-    np.testing.assert_allclose(found, rate(fit, x, np.zeros(0), 0.0), rtol=1e-5)  # six digits are printed
+    found = [
+        float(
+            evaluate(
+                re.sub(r"(\d) ([a-z])", r"\1*\2", row), {"q": x[0], "p": x[1]}, NUMPY
+            )
+        )
+        for _, row in rows
+    ]
+    np.testing.assert_allclose(
+        found, rate(fit, x, np.zeros(0), 0.0), rtol=1e-5
+    )  # six digits are printed
 
 
 def replace_free(model: PseudoHamiltonian) -> PseudoHamiltonian:
-    return PseudoHamiltonian(states=model.states, S=model.S, H=model.H, R=damping("p")).with_values({"R_p": 0.0})  # type: ignore[return-value]
+    return PseudoHamiltonian(
+        states=model.states, S=model.S, H=model.H, R=damping("p")
+    ).with_values({"R_p": 0.0})  # type: ignore[return-value]
 
 
-def test_the_report_names_every_parameter_with_its_standard_error_and_every_warning() -> None:
+def test_the_report_names_every_parameter_with_its_standard_error_and_every_warning() -> (
+    None
+):
     text = str(rich_fit())
-    for part in ("1.875 +- ", "N/m^2", "H[p]", "take care", "R_p", "b = 1.5 (fixed)", "q 0.01 m", "local optimum"):
+    for part in (
+        "1.875 +- ",
+        "N/m^2",
+        "H[p]",
+        "take care",
+        "R_p",
+        "b = 1.5 (fixed)",
+        "q 0.01 m",
+        "local optimum",
+    ):
         assert part in text
 
 
@@ -137,7 +225,10 @@ def test_the_parameter_table_has_a_row_per_parameter() -> None:
 
 
 def first_order_fit() -> Fit:
-    model = FirstOrder(states=("q", "v"), F={"q": formula("v"), "v": polynomials(["q", "v"], 3, constant=True)})
+    model = FirstOrder(
+        states=("q", "v"),
+        F={"q": formula("v"), "v": polynomials(["q", "v"], 3, constant=True)},
+    )
     return fit_of(model, **{"F_v[q]": -4.0})
 
 
@@ -148,9 +239,22 @@ def test_a_saved_fit_comes_back_equal(make: Any, tmp_path: Path) -> None:
     again = Fit.load(tmp_path / "fit.json")
     assert again.model == fit.model
     assert type(again.model) is type(fit.model)
-    np.testing.assert_array_equal(again.covariance, fit.covariance)  # exact: JSON keeps every digit of a float
+    np.testing.assert_array_equal(
+        again.covariance, fit.covariance
+    )  # exact: JSON keeps every digit of a float
     assert again.outcome == fit.outcome
-    plain = ("loss", "loss_value", "noise", "n_values", "bic", "hold", "units", "removed", "warnings", "provenance")
+    plain = (
+        "loss",
+        "loss_value",
+        "noise",
+        "n_values",
+        "bic",
+        "hold",
+        "units",
+        "removed",
+        "warnings",
+        "provenance",
+    )
     for name in plain:
         assert getattr(again, name) == getattr(fit, name), name
     assert str(again) == str(fit)
@@ -233,16 +337,24 @@ def test_a_formula_that_is_not_a_formula_is_refused_and_never_run(
         lambda c: c["model"]["H"][0]["inner"]["k"].update(extra=1),
         lambda c: c["model"].update(R={"x": []}),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_file_is_refused(change: Any, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"fit\.json (is damaged|holds a model that is not valid)"):
+    with pytest.raises(
+        DataError, match=r"fit\.json (is damaged|holds a model that is not valid)"
+    ):
         Fit.load(damaged(tmp_path, change))
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": "other"}', "\x00", "[" * 100_000, "9" * 5000])
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "null", '{"format": "other"}', "\x00", "[" * 100_000, "9" * 5000],
+)
 def test_a_file_that_is_not_a_fit_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "fit.json").write_text(text)
-    with pytest.raises(DataError, match=r"fit\.json (cannot be read as a fit|is not a file of the format)"):
+    with pytest.raises(
+        DataError,
+        match=r"fit\.json (cannot be read as a fit|is not a file of the format)",
+    ):
         Fit.load(tmp_path / "fit.json")
 
 

@@ -1,4 +1,6 @@
-"""The fast free run against SciPy and closed forms, for smooth, kinked, stiff, irregular and broken off motion."""
+"""The fast free run against SciPy and closed forms, for smooth, kinked, stiff,
+irregular and broken off motion.
+"""
 
 import numpy as np
 import pytest
@@ -12,14 +14,21 @@ from phsi_opt.model.terms import Dictionary, formula
 from phsi_opt.simulation.free_run import Runs, free_run, rates
 from phsi_opt.simulation.simulate import simulate
 
-CLOSE = 1e-5  # of the spread: what two integrations at tolerances of 1e-6 and 1e-8 per step may differ by
+# of the spread: what two integrations at tolerances of 1e-6 and 1e-8 per step may
+# differ by
+CLOSE = 1e-5
 
 
 def spring(H: Dictionary | None = None, F: str = "u") -> PseudoHamiltonian:
     energy = formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=2.5) if H is None else H
     force = {"p": formula(F)} if F else {}
     return PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"] if F else [], S=canonical(1), H=energy, R={"p": formula("d", d=0.3)}, F=force
+        states=["q", "p"],
+        inputs=["u"] if F else [],
+        S=canonical(1),
+        H=energy,
+        R={"p": formula("d", d=0.3)},
+        F=force,
     )
 
 
@@ -39,12 +48,20 @@ def gap() -> PseudoHamiltonian:
 
 def tanks(pipe: float = 20.0) -> FirstOrder:
     flow = formula("30*u - c*sqrt(abs(a))", c=pipe)
-    return FirstOrder(states=["a", "b"], inputs=["u"], F={"a": flow, "b": formula("20*sqrt(abs(a)) - 2*sqrt(abs(b))")})
+    return FirstOrder(
+        states=["a", "b"],
+        inputs=["u"],
+        F={"a": flow, "b": formula("20*sqrt(abs(a)) - 2*sqrt(abs(b))")},
+    )
 
 
 def rushing() -> FirstOrder:
     """A time constant of a third of a hundredth beside one of a second."""
-    return FirstOrder(states=["a", "b"], inputs=["u"], F={"a": formula("300*(u - a)"), "b": formula("a - b")})
+    return FirstOrder(
+        states=["a", "b"],
+        inputs=["u"],
+        F={"a": formula("300*(u - a)"), "b": formula("a - b")},
+    )
 
 
 def regular(step: float) -> np.ndarray:
@@ -82,7 +99,9 @@ def test_the_free_run_is_that_of_scipy_without_its_help(
     expected = simulate(model, t, x0, u, hold=hold)
     monkeypatch.setattr(module, "simulate", without_scipy)
     found = free_run(model, t, x0, u, hold)
-    np.testing.assert_array_less(np.abs(found - expected) / np.std(expected, axis=0), CLOSE)
+    np.testing.assert_array_less(
+        np.abs(found - expected) / np.std(expected, axis=0), CLOSE
+    )
     np.testing.assert_array_equal(found[0], x0)
 
 
@@ -96,13 +115,17 @@ def test_a_damped_oscillation_is_that_of_the_closed_form() -> None:
 
 
 def test_a_run_from_rest_stays_there() -> None:
-    np.testing.assert_array_equal(free_run(spring(F=""), regular(0.05), [0.0, 0.0]), 0.0)
+    np.testing.assert_array_equal(
+        free_run(spring(F=""), regular(0.05), [0.0, 0.0]), 0.0
+    )
 
 
 def test_half_the_steps_are_tried_until_nothing_changes_beyond_the_tolerance() -> None:
     t, x0, u = regular(0.1), np.array([1.0, 0.0]), np.zeros((300, 1))
     runs = Runs(rates(duffing()))
-    exact, rough = (runs.run(t, x0, u, "linear", tolerance) for tolerance in (1e-9, 1e-3))
+    exact, rough = (
+        runs.run(t, x0, u, "linear", tolerance) for tolerance in (1e-9, 1e-3)
+    )
     assert exact is not None and rough is not None
     error = np.max(np.abs(rough - exact) / np.std(exact, axis=0))
     assert 1e-8 < error < 1e-3
@@ -113,7 +136,9 @@ def test_what_explicit_steps_cannot_do_is_left_to_scipy() -> None:
     t = np.linspace(0.0, 2.0, 41)
     u = np.sin(t)[:, None]
     assert Runs(rates(model)).run(t, np.zeros(1), u, "linear") is None
-    np.testing.assert_array_equal(free_run(model, t, [0.0], u), simulate(model, t, [0.0], u))
+    np.testing.assert_array_equal(
+        free_run(model, t, [0.0], u), simulate(model, t, [0.0], u)
+    )
 
 
 def test_a_run_that_escapes_to_infinity_is_refused_where_it_ends() -> None:
@@ -124,7 +149,9 @@ def test_a_run_that_escapes_to_infinity_is_refused_where_it_ends() -> None:
 
 def test_two_runs_are_the_same_to_the_last_digit() -> None:
     t = regular(0.05)
-    first, second = (free_run(rubbing(), t, [1.0, 0.0], np.cos(t)[:, None]) for _ in range(2))
+    first, second = (
+        free_run(rubbing(), t, [1.0, 0.0], np.cos(t)[:, None]) for _ in range(2)
+    )
     np.testing.assert_array_equal(first, second)
 
 
@@ -138,7 +165,14 @@ def test_two_runs_are_the_same_to_the_last_digit() -> None:
         ({"hold": "cubic"}, "hold='cubic' is unknown"),
     ],
 )
-def test_arguments_of_the_wrong_shape_are_refused(arguments: dict[str, object], message: str) -> None:
-    given: dict[str, object] = {"t": [0.0, 1.0], "x0": [1.0, 0.0], "u": np.zeros((2, 1)), "hold": "linear"}
+def test_arguments_of_the_wrong_shape_are_refused(
+    arguments: dict[str, object], message: str
+) -> None:
+    given: dict[str, object] = {
+        "t": [0.0, 1.0],
+        "x0": [1.0, 0.0],
+        "u": np.zeros((2, 1)),
+        "hold": "linear",
+    }
     with pytest.raises(DataError, match=message):
         free_run(duffing(), **(given | arguments))  # type: ignore[arg-type]

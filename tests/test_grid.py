@@ -1,4 +1,6 @@
-"""The grid: which node is which, and defects whose derivatives are those of finite differences."""
+"""The grid: which node is which, and defects whose derivatives are those of finite
+differences.
+"""
 
 from typing import Any
 
@@ -21,15 +23,22 @@ def data(hold: str = "linear") -> Measurements:
     xs = [rng.normal(size=(len(t), 2)) for t in ts]
     xs[0][2, 1] = np.nan
     us = [rng.normal(size=(len(t), 1)) for t in ts]
-    return Measurements.from_arrays(ts, xs, us, states=["q", "p"], inputs=["u"], hold=hold)
+    return Measurements.from_arrays(
+        ts, xs, us, states=["q", "p"], inputs=["u"], hold=hold
+    )
 
 
 def model() -> PseudoHamiltonian:
     made = PseudoHamiltonian(
-        states=("q", "p"), inputs=("u",), S=canonical(1), R=damping("p"),
-        H=formula("k*q**2/2 + a*q**4 + p**2/(2*m)", k=Parameter(3.0), a=Parameter(0.4), m=1.5),
+        states=("q", "p"),
+        inputs=("u",),
+        S=canonical(1),
+        R=damping("p"),
+        H=formula(
+            "k*q**2/2 + a*q**4 + p**2/(2*m)", k=Parameter(3.0), a=Parameter(0.4), m=1.5
+        ),
         F={"p": formula("b*u", b=Parameter(0.9)) + trigonometric("t", frequency=2.0)},
-    )  # fmt: skip
+    )
     values = {"R_p": 0.3, "F_p[sin(omega_t*t)]": 0.5, "F_p[cos(omega_t*t)]": -0.2}
     return made.with_values(values)  # type: ignore[return-value]
 
@@ -42,18 +51,30 @@ def theta_of(made: PseudoHamiltonian) -> np.ndarray:
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 7])
-def test_every_sample_is_a_node_and_no_interval_leaves_its_trajectory(steps: int) -> None:
+def test_every_sample_is_a_node_and_no_interval_leaves_its_trajectory(
+    steps: int,
+) -> None:
     record = data()
     grid = grid_of(record, steps)
     assert grid.n_nodes == (5 + 3) * steps + 2
     assert grid.n_intervals == (5 + 3) * steps
-    np.testing.assert_array_equal(grid.y[grid.sample], np.concatenate([run.x for run in record.trajectories]))
+    np.testing.assert_array_equal(
+        grid.y[grid.sample], np.concatenate([run.x for run in record.trajectories])
+    )
     assert np.isnan(grid.y[~grid.sample]).all()
     # A node's time is left + fraction * step, which rounds once or twice.
-    np.testing.assert_allclose(grid.t[grid.sample], np.concatenate([r.t for r in record.trajectories]), rtol=1e-15)
-    np.testing.assert_array_equal(grid.trajectory[grid.begin], grid.trajectory[grid.begin + 1])
+    np.testing.assert_allclose(
+        grid.t[grid.sample],
+        np.concatenate([r.t for r in record.trajectories]),
+        rtol=1e-15,
+    )
+    np.testing.assert_array_equal(
+        grid.trajectory[grid.begin], grid.trajectory[grid.begin + 1]
+    )
     np.testing.assert_array_equal(grid.h, grid.t[grid.begin + 1] - grid.t[grid.begin])
-    np.testing.assert_array_equal(grid.t[grid.first], [run.t[0] for run in record.trajectories])
+    np.testing.assert_array_equal(
+        grid.t[grid.first], [run.t[0] for run in record.trajectories]
+    )
 
 
 @pytest.mark.parametrize("steps", [1, 3])
@@ -63,7 +84,9 @@ def test_a_linear_input_is_interpolated_between_the_samples(steps: int) -> None:
     for k, run in enumerate(record.trajectories):
         node = grid.trajectory == k
         # Interpolation in another order of operations: rounding only.
-        np.testing.assert_allclose(grid.u[node, 0], np.interp(grid.t[node], run.t, run.u[:, 0]), atol=1e-14)
+        np.testing.assert_allclose(
+            grid.u[node, 0], np.interp(grid.t[node], run.t, run.u[:, 0]), atol=1e-14
+        )
     np.testing.assert_array_equal(grid.u0, grid.u[grid.begin])
     np.testing.assert_array_equal(grid.u1, grid.u[grid.begin + 1])
 
@@ -72,7 +95,9 @@ def test_a_linear_input_is_interpolated_between_the_samples(steps: int) -> None:
 def test_a_held_input_keeps_the_value_of_the_sample_before(steps: int) -> None:
     record = data("zero")
     grid = grid_of(record, steps)
-    expected = np.concatenate([np.repeat(run.u[:-1], steps, axis=0) for run in record.trajectories])
+    expected = np.concatenate(
+        [np.repeat(run.u[:-1], steps, axis=0) for run in record.trajectories]
+    )
     np.testing.assert_array_equal(grid.u0, expected)
     np.testing.assert_array_equal(grid.u1, expected)
 
@@ -102,7 +127,12 @@ def test_the_jacobian_of_the_defects_is_that_of_finite_differences(scheme: str) 
     def flat(at: np.ndarray) -> np.ndarray:
         return np.array(defects(made, grid, scheme, x.T, at)).T.ravel()
 
-    numeric = np.column_stack([(flat(theta + e) - flat(theta - e)) / (2 * step) for e in step * np.eye(len(theta))])
+    numeric = np.column_stack(
+        [
+            (flat(theta + e) - flat(theta - e)) / (2 * step)
+            for e in step * np.eye(len(theta))
+        ]
+    )
     # Central differences: rounding of defects near 10 over the step, 1e-15 * 10 / 1e-6.
     np.testing.assert_allclose(jacobian, numeric, atol=1e-7)
 
@@ -113,19 +143,27 @@ def test_all_defects_are_those_of_the_intervals_one_by_one(scheme: str) -> None:
     theta, one = theta_of(made), defect(model(), scheme)
     together = np.array(defects(made, grid, scheme, x.T, theta)).T
     for k, i in enumerate(grid.begin):
-        alone = np.array(one(x[i], x[i + 1], grid.t[i], grid.h[k], grid.u0[k], grid.u1[k], theta)).ravel()
+        alone = np.array(
+            one(x[i], x[i + 1], grid.t[i], grid.h[k], grid.u0[k], grid.u1[k], theta)
+        ).ravel()
         np.testing.assert_array_equal(together[k], alone)
 
 
 def test_chosen_columns_are_those_of_the_whole_jacobian() -> None:
     made, (grid, x) = model(), complete()
     whole = np.array(defect_jacobian(made, grid, "srk4")(x.T, theta_of(made)))
-    some = np.array(defect_jacobian(made, grid, "srk4", only=[4, 1])(x.T, theta_of(made)))
-    np.testing.assert_allclose(some, whole[:, [4, 1]], rtol=1e-13)  # the same derivatives, perhaps reordered sums
+    some = np.array(
+        defect_jacobian(made, grid, "srk4", only=[4, 1])(x.T, theta_of(made))
+    )
+    np.testing.assert_allclose(
+        some, whole[:, [4, 1]], rtol=1e-13
+    )  # the same derivatives, perhaps reordered sums
 
 
 def test_intervals_that_are_left_out_take_their_defects_with_them() -> None:
     made, (grid, x) = model(), complete()
     keep = np.array([0, 3, 6])
     fewer = np.array(defects(made, grid.intervals(keep), "rk4", x.T, theta_of(made)))
-    np.testing.assert_array_equal(fewer, np.array(defects(made, grid, "rk4", x.T, theta_of(made)))[:, keep])
+    np.testing.assert_array_equal(
+        fewer, np.array(defects(made, grid, "rk4", x.T, theta_of(made)))[:, keep]
+    )

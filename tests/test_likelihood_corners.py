@@ -14,20 +14,28 @@ from phsi_opt.model.terms import Dictionary, Scan, Term
 NOISE = 0.02
 
 
-def decay(rate: ph.Parameter | float, sensor: dict[str, Dictionary] | None = None) -> ph.FirstOrder:
+def decay(
+    rate: ph.Parameter | float, sensor: dict[str, Dictionary] | None = None
+) -> ph.FirstOrder:
     return ph.FirstOrder(["x"], {"x": ph.formula("-a*x", a=rate)}, sensor=sensor or {})
 
 
-def decaying(n: int = 60, seed: int = 0, noise: float = NOISE) -> tuple[np.ndarray, np.ndarray]:
+def decaying(
+    n: int = 60, seed: int = 0, noise: float = NOISE
+) -> tuple[np.ndarray, np.ndarray]:
     t = np.linspace(0.0, 4.0, n)
-    return t, 2 * np.exp(-0.7 * t)[:, None] + noise * np.random.default_rng(seed).normal(size=(n, 1))
+    return t, 2 * np.exp(-0.7 * t)[:, None] + noise * np.random.default_rng(
+        seed
+    ).normal(size=(n, 1))
 
 
 def spring(mass: ph.Parameter | float) -> ph.PseudoHamiltonian:
     return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=mass),
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=mass),
         R=ph.damping("p"),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +68,14 @@ def test_a_known_run_is_compared_with_its_own_parameters(
         assert comparison.rmse < 1.1 * comparison.noise_floor
 
 
-def test_renamed_runs_are_other_runs(loaded_fit: ph.Fit, loads: ph.Measurements) -> None:
+def test_renamed_runs_are_other_runs(
+    loaded_fit: ph.Fit, loads: ph.Measurements
+) -> None:
     renamed = replace(
-        loads, trajectories=tuple(replace(run, name=f"again {i}") for i, run in enumerate(loads.trajectories))
+        loads,
+        trajectories=tuple(
+            replace(run, name=f"again {i}") for i, run in enumerate(loads.trajectories)
+        ),
     )
     comparison = ph.compare(loaded_fit, renamed)
     assert comparison.rmse < 1.1 * comparison.noise_floor
@@ -74,14 +87,21 @@ def test_a_name_that_would_stand_for_two_parameters_is_refused() -> None:
     own = Dictionary((Term("1", ph.Parameter(per_trajectory=True)),))
     model = ph.FirstOrder(["x"], {"x": own + ph.polynomials(["x"], 2)})
     data = ph.Measurements.from_arrays([t, t], [y, y], states=["x"], names=["x", "b"])
-    with pytest.raises(ModelError, match=r"the name 'F_x\[x\]' stands for two parameters"):
+    with pytest.raises(
+        ModelError, match=r"the name 'F_x\[x\]' stands for two parameters"
+    ):
         ph.identify(model, data)
-    fit = ph.identify(model, replace(data, trajectories=tuple(replace(r, name=f"{r.name} 1") for r in data)))
+    fit = ph.identify(
+        model,
+        replace(data, trajectories=tuple(replace(r, name=f"{r.name} 1") for r in data)),
+    )
     assert fit.parameters["name"].is_unique
 
 
 def test_a_scan_of_a_frequency_per_trajectory_is_refused() -> None:
-    with pytest.raises(ModelError, match="a scanned frequency is one for all trajectories"):
+    with pytest.raises(
+        ModelError, match="a scanned frequency is one for all trajectories"
+    ):
         ph.Parameter(guess=Scan("t"), per_trajectory=True)
 
 
@@ -89,11 +109,17 @@ def test_a_scan_of_a_frequency_per_trajectory_is_refused() -> None:
 
 
 @pytest.mark.parametrize("gain", [2.0, 5.0, 10.0])
-def test_a_known_gain_of_any_size_changes_neither_the_estimate_nor_the_noise_floor(gain: float) -> None:
+def test_a_known_gain_of_any_size_changes_neither_the_estimate_nor_the_noise_floor(
+    gain: float,
+) -> None:
     t, y = decaying()
-    plain = ph.identify(decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"]))
+    plain = ph.identify(
+        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
+    )
     data = ph.Measurements.from_arrays(t, gain * y, states=["x"])
-    fit = ph.identify(decay(ph.Parameter(0.5), {"x": ph.formula("(g - 1)*x", g=gain)}), data)
+    fit = ph.identify(
+        decay(ph.Parameter(0.5), {"x": ph.formula("(g - 1)*x", g=gain)}), data
+    )
     assert fit.values["a"] == pytest.approx(plain.values["a"], rel=1e-4)
     assert fit.noise["x"] == pytest.approx(gain * plain.noise["x"], rel=1e-3)
     comparison = ph.compare(fit, data)
@@ -111,13 +137,18 @@ def test_the_band_knows_that_the_offset_of_the_sensor_is_uncertain() -> None:
         t, y = decaying(30, seed)
         data = ph.Measurements.from_arrays(t, y + 0.3, states=["x"])
         model = decay(ph.Parameter(0.5), {"x": ph.formula("b", b=ph.Parameter(0.0))})
-        comparison = ph.compare(ph.identify(model, data, ph.MaximumLikelihood(noise={"x": NOISE})), data)
+        comparison = ph.compare(
+            ph.identify(model, data, ph.MaximumLikelihood(noise={"x": NOISE})), data
+        )
         assert comparison.bands is not None
         shown.append(comparison.shown[0][:, 0])
         bands.append(comparison.bands[0][:, 0])
     error = np.array(shown) - (2 * np.exp(-0.7 * decaying(30)[0]) + 0.3)
-    # 24 draws tell the spread at one time to 14 %; without the offset's part the last ones would be off by more than 3.
-    np.testing.assert_allclose(np.sqrt(np.mean(error**2, axis=0)) / np.mean(bands, axis=0), 1.0, atol=0.5)
+    # 24 draws tell the spread at one time to 14 %; without the offset's part the last
+    # ones would be off by more than 3.
+    np.testing.assert_allclose(
+        np.sqrt(np.mean(error**2, axis=0)) / np.mean(bands, axis=0), 1.0, atol=0.5
+    )
 
 
 def test_a_drifting_sensor_does_not_hide_the_friction() -> None:
@@ -127,7 +158,12 @@ def test_a_drifting_sensor_does_not_hide_the_friction() -> None:
     runs = []
     for seed, start in enumerate(([1.0, 0.0], [0.6, 1.0])):
         x = ph.simulate(truth, t, start)
-        y = x[:, 0] + 1.0 + 0.5 * t + 0.01 * np.random.default_rng(seed).normal(size=len(t))
+        y = (
+            x[:, 0]
+            + 1.0
+            + 0.5 * t
+            + 0.01 * np.random.default_rng(seed).normal(size=len(t))
+        )
         runs.append(np.column_stack([y, np.full(len(t), np.nan)]))
     data = ph.Measurements.from_arrays([t, t], runs, states=["q", "p"])
     drift = {"q": ph.formula("b + d*t", b=ph.Parameter(0.0), d=ph.Parameter(0.0))}
@@ -144,10 +180,16 @@ def test_the_standard_errors_of_huber_are_those_of_repeated_draws() -> None:
     for seed in range(60):
         t, y = decaying(60, seed)
         data = ph.Measurements.from_arrays(t, y, states=["x"])
-        fits.append(ph.identify(decay(ph.Parameter(0.5)), data, ph.MaximumLikelihood(huber=1.345)))
+        fits.append(
+            ph.identify(
+                decay(ph.Parameter(0.5)), data, ph.MaximumLikelihood(huber=1.345)
+            )
+        )
     spread = np.std([fit.values["a"] for fit in fits], ddof=1)
     # 60 draws tell a standard deviation to 9 %.
-    assert np.mean([fit.std_errors["a"] for fit in fits]) == pytest.approx(spread, rel=0.2)
+    assert np.mean([fit.std_errors["a"] for fit in fits]) == pytest.approx(
+        spread, rel=0.2
+    )
     assert min(fit.std_errors["a"] for fit in fits) > 0.7 * spread
 
 
@@ -164,33 +206,53 @@ def test_a_comparison_keeps_the_loss_of_the_fit() -> None:
 # ---- starts and files ------------------------------------------------------------------------------------------------
 
 
-def test_a_loaded_fit_is_a_start_and_has_the_profile_of_the_fit_it_was(tmp_path: Path) -> None:
+def test_a_loaded_fit_is_a_start_and_has_the_profile_of_the_fit_it_was(
+    tmp_path: Path,
+) -> None:
     t = np.linspace(0.0, 12.0, 150)
-    y = (0.8 * np.sin(3.3 * t) + 0.05 * np.random.default_rng(0).normal(size=150))[:, None]
-    model = ph.FirstOrder(["x"], {"x": ph.formula("A*w*cos(w*t)", A=ph.Parameter(1.0), w=ph.Parameter(3.2))})
+    y = (0.8 * np.sin(3.3 * t) + 0.05 * np.random.default_rng(0).normal(size=150))[
+        :, None
+    ]
+    model = ph.FirstOrder(
+        ["x"],
+        {"x": ph.formula("A*w*cos(w*t)", A=ph.Parameter(1.0), w=ph.Parameter(3.2))},
+    )
     data = ph.Measurements.from_arrays(t, y, states=["x"])
     fit = ph.identify(model, data)
     assert fit.values["w"] == pytest.approx(3.3, rel=0.01)
     fit.save(tmp_path / "fit.json")
     loaded = ph.Fit.load(tmp_path / "fit.json")
     far = model.with_values({"A": 1.0, "w": 1.0})
-    assert ph.identify(far, data, start=loaded).values["w"] == pytest.approx(fit.values["w"], rel=1e-5)
+    assert ph.identify(far, data, start=loaded).values["w"] == pytest.approx(
+        fit.values["w"], rel=1e-5
+    )
     assert [n.tolist() for n in loaded.steps] == [n.tolist() for n in fit.steps]
-    assert ph.profile(loaded, data, "w").lower == pytest.approx(ph.profile(fit, data, "w").lower, rel=1e-5)
+    assert ph.profile(loaded, data, "w").lower == pytest.approx(
+        ph.profile(fit, data, "w").lower, rel=1e-5
+    )
 
 
 def test_a_profile_of_other_measurements_is_refused() -> None:
     t, y = decaying()
-    fit = ph.identify(decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"]))
-    with pytest.raises(ph.SolveError, match=r"could not be repeated on these measurements: a is .* in the fit, now"):
+    fit = ph.identify(
+        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
+    )
+    with pytest.raises(
+        ph.SolveError,
+        match=r"could not be repeated on these measurements: a is .* in the fit, now",
+    ):
         ph.profile(fit, ph.Measurements.from_arrays(t, y**2, states=["x"]), "a")
 
 
 def test_a_fit_of_shorter_records_is_still_a_start() -> None:
     (t, y), (t2, y2) = decaying(60), decaying(90)
-    fit = ph.identify(decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"]))
+    fit = ph.identify(
+        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
+    )
     longer = ph.Measurements.from_arrays(t2, y2, states=["x"])
-    assert ph.identify(decay(ph.Parameter(0.5)), longer, start=fit).values["a"] == pytest.approx(0.7, abs=0.05)
+    assert ph.identify(decay(ph.Parameter(0.5)), longer, start=fit).values[
+        "a"
+    ] == pytest.approx(0.7, abs=0.05)
 
 
 # ---- noise -----------------------------------------------------------------------------------------------------------
@@ -209,7 +271,9 @@ def test_noise_may_be_known_of_one_channel_and_estimated_of_the_other() -> None:
 
 def test_data_without_noise_are_explained_and_the_fit_says_so() -> None:
     t, y = decaying(noise=0.0)
-    fit = ph.identify(decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"]))
+    fit = ph.identify(
+        decay(ph.Parameter(0.5)), ph.Measurements.from_arrays(t, y, states=["x"])
+    )
     assert fit.outcome.success
     assert fit.values["a"] == pytest.approx(0.7, rel=1e-5)
 
@@ -218,15 +282,23 @@ def test_data_without_noise_are_explained_and_the_fit_says_so() -> None:
 def test_a_channel_that_never_changes_does_not_harm_the_other(value: float) -> None:
     t, y = decaying()
     model = ph.FirstOrder(
-        ["x", "z"], {"x": ph.formula("-a*x", a=ph.Parameter(0.5)), "z": ph.formula("c", c=ph.Parameter(0.1))}
+        ["x", "z"],
+        {
+            "x": ph.formula("-a*x", a=ph.Parameter(0.5)),
+            "z": ph.formula("c", c=ph.Parameter(0.1)),
+        },
     )
-    data = ph.Measurements.from_arrays(t, np.column_stack([y[:, 0], np.full(len(t), value)]), states=["x", "z"])
+    data = ph.Measurements.from_arrays(
+        t, np.column_stack([y[:, 0], np.full(len(t), value)]), states=["x", "z"]
+    )
     fit = ph.identify(model, data)
     assert fit.values["a"] == pytest.approx(0.7, abs=0.05)
     assert fit.values["c"] == pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_long_record_is_begun_through_its_first_part(loads: ph.Measurements, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_record_is_begun_through_its_first_part(
+    loads: ph.Measurements, monkeypatch: pytest.MonkeyPatch
+) -> None:
     model = spring(ph.Parameter(2.5, lower=0.1, per_trajectory=True))
     whole = ph.identify(model, loads)
     said: list[str] = []
@@ -237,12 +309,21 @@ def test_a_long_record_is_begun_through_its_first_part(loads: ph.Measurements, m
         assert through.estimates[name] == pytest.approx(whole.estimates[name], rel=1e-5)
 
 
-def test_other_data_are_started_from_states_as_accurate_as_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_data_are_started_from_states_as_accurate_as_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     t = np.linspace(0.0, 30.0, 101)
-    runs = [ph.simulate(spring(2.0).with_values({"R_p": 0.05}), t, x0) for x0 in ([1.0, 0.0], [0.0, 3.0])]
+    runs = [
+        ph.simulate(spring(2.0).with_values({"R_p": 0.05}), t, x0)
+        for x0 in ([1.0, 0.0], [0.0, 3.0])
+    ]
     rng = np.random.default_rng(0)
     train, other = (
-        ph.Measurements.from_arrays(t, x + 0.005 * np.std(x, axis=0) * rng.normal(size=x.shape), states=["q", "p"])
+        ph.Measurements.from_arrays(
+            t,
+            x + 0.005 * np.std(x, axis=0) * rng.normal(size=x.shape),
+            states=["q", "p"],
+        )
         for x in runs
     )
     fit = ph.identify(spring(ph.Parameter(2.1, lower=0.1)), train)

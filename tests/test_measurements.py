@@ -1,4 +1,6 @@
-"""What Measurements promises: it reads what was recorded, refuses what cannot be used, and changes nothing."""
+"""What Measurements promises: it reads what was recorded, refuses what cannot be used,
+and changes nothing.
+"""
 
 import copy
 import io
@@ -14,11 +16,14 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, PhsiOptError, did_you_mean
 
-# All comparisons are exact: reading, joining and splitting copy numbers and never compute with them.
+# All comparisons are exact: reading, joining and splitting copy numbers and never
+# compute with them.
 
 
 def record(n_runs: int = 3, seed: int = 0) -> Measurements:
-    """Irregularly sampled runs of different lengths with gaps, two states and one input."""
+    """Irregularly sampled runs of different lengths with gaps, two states and one
+    input.
+    """
     rng = np.random.default_rng(seed)
     ts = [np.cumsum(rng.uniform(0.01, 0.2, size=10 + 3 * k)) for k in range(n_runs)]
     xs = [rng.normal(size=(len(t), 2)) for t in ts]
@@ -27,20 +32,37 @@ def record(n_runs: int = 3, seed: int = 0) -> Measurements:
     us = [rng.normal(size=(len(t), 1)) for t in ts]
     units = {"q": "m", "u": "N", "t": "s"}
     return Measurements.from_arrays(
-        ts, xs, us, states=["q", "p"], inputs=["u"], units=units, noise={"q": 0.1}, hold="zero"
+        ts,
+        xs,
+        us,
+        states=["q", "p"],
+        inputs=["u"],
+        units=units,
+        noise={"q": 0.1},
+        hold="zero",
     )
 
 
 def frame(**columns: Any) -> pd.DataFrame:
-    return pd.DataFrame({"t": [0.0, 0.1, 0.3], "q": [1.0, 2.0, 3.0], "u": [0.0, 1.0, 0.0]} | columns)
+    return pd.DataFrame(
+        {"t": [0.0, 0.1, 0.3], "q": [1.0, 2.0, 3.0], "u": [0.0, 1.0, 0.0]} | columns
+    )
 
 
 def read(text: str, **options: Any) -> Measurements:
-    return Measurements.from_csv(io.StringIO(text), **({"time": "t", "states": ["q"]} | options))
+    return Measurements.from_csv(
+        io.StringIO(text), **({"time": "t", "states": ["q"]} | options)
+    )
 
 
 def assert_same(a: Measurements, b: Measurements) -> None:
-    assert (a.states, a.inputs, a.hold, a.noise, dict(a.units)) == (b.states, b.inputs, b.hold, b.noise, dict(b.units))
+    assert (a.states, a.inputs, a.hold, a.noise, dict(a.units)) == (
+        b.states,
+        b.inputs,
+        b.hold,
+        b.noise,
+        dict(b.units),
+    )
     assert [run.name for run in a] == [run.name for run in b]
     for run, other in zip(a, b, strict=True):
         for label in "txu":
@@ -51,18 +73,33 @@ def assert_same(a: Measurements, b: Measurements) -> None:
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
-def test_a_csv_file_gives_back_exactly_the_numbers_that_were_written(tmp_path: Path, separator: str) -> None:
+def test_a_csv_file_gives_back_exactly_the_numbers_that_were_written(
+    tmp_path: Path, separator: str
+) -> None:
     data = record()
     path = tmp_path / "bench.csv"
     data.to_dataframe().to_csv(path, index=False, sep=separator)
-    options: dict[str, Any] = {"hold": "zero", "units": {"q": "m", "u": "N", "t": "s"}, "noise": {"q": 0.1}}
-    again = Measurements.from_csv(path, time="t", states=["q", "p"], inputs=["u"], trajectory="trajectory", **options)
+    options: dict[str, Any] = {
+        "hold": "zero",
+        "units": {"q": "m", "u": "N", "t": "s"},
+        "noise": {"q": 0.1},
+    }
+    again = Measurements.from_csv(
+        path,
+        time="t",
+        states=["q", "p"],
+        inputs=["u"],
+        trajectory="trajectory",
+        **options,
+    )
     assert_same(again, data)
 
 
 def test_columns_may_have_other_names_and_states_may_be_unmeasured() -> None:
     text = "time/s,force (N),x_m\n0,5,1\n0.1,6,2\n"
-    data = read(text, time="time/s", states={"q": "x_m", "p": None}, inputs={"u": "force (N)"})
+    data = read(
+        text, time="time/s", states={"q": "x_m", "p": None}, inputs={"u": "force (N)"}
+    )
     np.testing.assert_array_equal(data.trajectories[0].x, [[1, np.nan], [2, np.nan]])
     np.testing.assert_array_equal(data.trajectories[0].u, [[5], [6]])
     assert data.measured == ("q",)
@@ -71,7 +108,9 @@ def test_columns_may_have_other_names_and_states_may_be_unmeasured() -> None:
 
 @pytest.mark.parametrize("cell", ["", "  ", "nan", "NaN", "NA", "n/a"])
 def test_empty_cells_are_missing_samples(cell: str) -> None:
-    np.testing.assert_array_equal(read(f"t,q\n0,1\n1,{cell}\n2,3\n").trajectories[0].x, [[1], [np.nan], [3]])
+    np.testing.assert_array_equal(
+        read(f"t,q\n0,1\n1,{cell}\n2,3\n").trajectories[0].x, [[1], [np.nan], [3]]
+    )
 
 
 @pytest.mark.parametrize(
@@ -108,10 +147,14 @@ def test_an_open_file_is_read_and_left_open(tmp_path: Path) -> None:
     assert [run.name for run in read("t,q\n0,1\n1,2\n")] == ["run 1"]
 
 
-def test_several_files_are_several_trajectories_in_the_order_given(tmp_path: Path) -> None:
+def test_several_files_are_several_trajectories_in_the_order_given(
+    tmp_path: Path,
+) -> None:
     paths = [tmp_path / name for name in ("b.csv", "a.csv")]
     for i, path in enumerate(paths):
-        path.write_text(f"t,q,run\n0,{i},x\n1,{i},x\n0,7,y\n1,7,y\n2,7,y\n", encoding="utf-8")
+        path.write_text(
+            f"t,q,run\n0,{i},x\n1,{i},x\n0,7,y\n1,7,y\n2,7,y\n", encoding="utf-8"
+        )
     by_value = Measurements.from_csv(paths, time="t", states=["q"], trajectory="run")
     assert [run.name for run in by_value] == ["b/x", "b/y", "a/x", "a/y"]
     assert [run.n_samples for run in by_value] == [2, 3, 2, 3]
@@ -138,7 +181,12 @@ def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
 
 
 def test_names_of_runs_in_a_file_stay_text() -> None:
-    assert [run.name for run in read("run,t,q\n007,0,1\n007,1,2\n1.0,0,1\n1.0,1,2\n", trajectory="run")] == [
+    assert [
+        run.name
+        for run in read(
+            "run,t,q\n007,0,1\n007,1,2\n1.0,0,1\n1.0,1,2\n", trajectory="run"
+        )
+    ] == [
         "007",
         "1.0",
     ]
@@ -151,38 +199,92 @@ def test_names_of_runs_in_a_file_stay_text() -> None:
         ("\n,,\n", {}, "open file is empty"),
         ("t,q\n", {}, "open file has no samples; expected at least 2 rows"),
         ("t,q\n0,1\n", {}, "trajectory 'run 1' has 1 sample; expected at least 2"),
-        ("t,position\n0,1\n", {"states": {"q": "positon"}}, r"no column 'positon'.*Did you mean 'position'\?"),
+        (
+            "t,position\n0,1\n",
+            {"states": {"q": "positon"}},
+            r"no column 'positon'.*Did you mean 'position'\?",
+        ),
         ("T,q\n0,1\n1,2\n", {}, r"no column 't'.*\['T', 'q'\].*Did you mean 'T'\?"),
         ("t,q\n0,1\n1,2\n", {"trajectory": "run"}, "no column 'run'"),
         ("t,q,q\n0,1,2\n1,2,3\n", {}, "2 columns called 'q'; expected one"),
-        ("t,q\n0,1\n1,abc\n", {}, "open file, column 'q', line 3: 'abc' is not a real number"),
+        (
+            "t,q\n0,1\n1,abc\n",
+            {},
+            "open file, column 'q', line 3: 'abc' is not a real number",
+        ),
         ("\nt,q\n\n0,1\n1,abc\n", {}, "column 'q', line 5: 'abc'"),
-        ("t,q\n0,1\n1,1e400\n", {}, "column 'q', line 3: the value is inf; expected a finite value"),
+        (
+            "t,q\n0,1\n1,1e400\n",
+            {},
+            "column 'q', line 3: the value is inf; expected a finite value",
+        ),
         ("t,q\n0,1\n1,-inf\n", {}, "column 'q', line 3: the value is -inf"),
-        ("t,q\n0,1\n1,-1e101\n", {}, r"column 'q', line 3: the value is -1e\+101; expected at most 1e\+100 in size"),
-        ("t,q\n0,1\n,2\n", {}, "column 't', line 3: the value is nan; times and inputs must be known"),
-        ("t,q,u\n0,1,1\n1,2,NA\n", {"inputs": ["u"]}, "column 'u', line 3: the value is nan; times and inputs"),
-        ("t;q\n0,1;1,5\n", {}, "column 't', line 2: '0,1' is not a real number. Decimal commas.*decimal=','"),
+        (
+            "t,q\n0,1\n1,-1e101\n",
+            {},
+            r"column 'q', line 3: the value is -1e\+101; expected at most 1e\+100 in size",
+        ),
+        (
+            "t,q\n0,1\n,2\n",
+            {},
+            "column 't', line 3: the value is nan; times and inputs must be known",
+        ),
+        (
+            "t,q,u\n0,1,1\n1,2,NA\n",
+            {"inputs": ["u"]},
+            "column 'u', line 3: the value is nan; times and inputs",
+        ),
+        (
+            "t;q\n0,1;1,5\n",
+            {},
+            "column 't', line 2: '0,1' is not a real number. Decimal commas.*decimal=','",
+        ),
         ("t,q\n0,1,1,5\n", {}, "line 2 has 4 cells; expected 2.*decimal commas"),
         ("t,q\n0,1\n1\n", {}, "line 3 has 1 cells; expected 2, as in the header"),
-        ("run,t,q\na,0,1\n,1,2\n", {"trajectory": "run"}, "column 'run', line 3: the trajectory's name is missing"),
+        (
+            "run,t,q\na,0,1\n,1,2\n",
+            {"trajectory": "run"},
+            "column 'run', line 3: the trajectory's name is missing",
+        ),
         (
             "t,q\n0,1\n0,2\n",
             {},
             r"trajectory 'run 1': t\[1\]=0.0 is not after t\[0\]=0.0; times must increase strictly",
         ),
         ("t,q\n0,\n1,NA\n", {}, "trajectory 'run 1' has no measured value"),
-        ("t,q\n0,1\n1,2\n", {"states": {"q": None}}, "trajectory 'run 1' has no measured value"),
-        ("t,q\n0,1\n1,2\n", {"states": {"q": "q", "p": "q"}}, "the column 'q' is asked for twice"),
+        (
+            "t,q\n0,1\n1,2\n",
+            {"states": {"q": None}},
+            "trajectory 'run 1' has no measured value",
+        ),
+        (
+            "t,q\n0,1\n1,2\n",
+            {"states": {"q": "q", "p": "q"}},
+            "the column 'q' is asked for twice",
+        ),
         ("t,q\n0,1\n1,2\n", {"states": {}}, "names no state"),
         ("t,q\n0,1\n1,2\n", {"states": "q"}, "states='q' is not a list of names"),
-        ("t,q\n0,1\n1,2\n", {"inputs": {"u": None}}, "input without a column; inputs must be measured"),
-        ("t,q\n0,1\n1,2\n", {"inputs": {"q": "t"}}, "the column 't' is asked for twice"),
-        ("t,q,u\n0,1,1\n1,2,1\n", {"inputs": {"q": "u"}}, "the name 'q' is used 2 times"),
+        (
+            "t,q\n0,1\n1,2\n",
+            {"inputs": {"u": None}},
+            "input without a column; inputs must be measured",
+        ),
+        (
+            "t,q\n0,1\n1,2\n",
+            {"inputs": {"q": "t"}},
+            "the column 't' is asked for twice",
+        ),
+        (
+            "t,q,u\n0,1,1\n1,2,1\n",
+            {"inputs": {"q": "u"}},
+            "the name 'q' is used 2 times",
+        ),
         ("t,q\n0," + "9" * 200_000 + "\n", {}, "line 2: field larger than field limit"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused_by_place(text: str, options: dict[str, Any], message: str) -> None:
+def test_a_file_that_cannot_be_used_is_refused_by_place(
+    text: str, options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(DataError, match=f"(?s){message}"):
         read(text, **options)
 
@@ -226,7 +328,9 @@ def test_a_source_of_the_wrong_type_is_refused(source: Any, message: str) -> Non
 def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,q\n0,1\n1,2\n", encoding="utf-8")
-    with pytest.raises(DataError, match=r"the trajectory name '.*a\.csv' is used 2 times"):
+    with pytest.raises(
+        DataError, match=r"the trajectory name '.*a\.csv' is used 2 times"
+    ):
         Measurements.from_csv([path, path], time="t", states=["q"])
 
 
@@ -240,7 +344,14 @@ def test_a_data_frame_gives_back_exactly_the_record_it_came_from() -> None:
     assert len(table) == data.n_samples
     units, noise = dict(data.units), data.noise
     again = Measurements.from_dataframe(
-        table, time="t", states=["q", "p"], inputs=["u"], trajectory="trajectory", hold="zero", units=units, noise=noise
+        table,
+        time="t",
+        states=["q", "p"],
+        inputs=["u"],
+        trajectory="trajectory",
+        hold="zero",
+        units=units,
+        noise=noise,
     )
     assert_same(again, data)
 
@@ -248,7 +359,9 @@ def test_a_data_frame_gives_back_exactly_the_record_it_came_from() -> None:
 def test_a_data_frame_is_not_changed() -> None:
     table = frame(run=["a", "a", "a"], note=["x", None, "y"])
     before = table.copy(deep=True)
-    data = Measurements.from_dataframe(table, time="t", states=["q"], inputs=["u"], trajectory="run")
+    data = Measurements.from_dataframe(
+        table, time="t", states=["q"], inputs=["u"], trajectory="run"
+    )
     pd.testing.assert_frame_equal(table, before)
     table.loc[0, "q"] = 99.0
     assert data.trajectories[0].x[0, 0] == 1.0
@@ -273,7 +386,10 @@ def test_every_numeric_kind_of_column_is_read(column: pd.Series) -> None:
     assert data.trajectories[0].x[0, 0] == 1.0
 
 
-@pytest.mark.parametrize("labels", [[2, 1, 2], [2.5, 1.5, 2.5], ["b", "a", "b"], pd.Categorical(["b", "a", "b"])])
+@pytest.mark.parametrize(
+    "labels",
+    [[2, 1, 2], [2.5, 1.5, 2.5], ["b", "a", "b"], pd.Categorical(["b", "a", "b"])],
+)
 def test_runs_may_be_named_by_anything(labels: Any) -> None:
     table = pd.DataFrame({"t": [0.0, 0.0, 1.0], "q": 1.0, "run": labels})
     table = pd.concat([table, table.iloc[[1]].assign(t=1.0)])
@@ -284,17 +400,37 @@ def test_runs_may_be_named_by_anything(labels: Any) -> None:
 @pytest.mark.parametrize(
     ("table", "options", "message"),
     [
-        (frame(q=[1.0, np.inf, 2.0]), {}, "data frame, column 'q', row 'b': the value is inf"),
-        (frame(q=["1", "x", "2"]), {}, "data frame, column 'q', row 'b': 'x' is not a real number"),
-        (frame(q=[1.0, 2j, 2.0]), {}, "column 'q', row 'a': .* is not a real number. Convert the column"),
+        (
+            frame(q=[1.0, np.inf, 2.0]),
+            {},
+            "data frame, column 'q', row 'b': the value is inf",
+        ),
+        (
+            frame(q=["1", "x", "2"]),
+            {},
+            "data frame, column 'q', row 'b': 'x' is not a real number",
+        ),
+        (
+            frame(q=[1.0, 2j, 2.0]),
+            {},
+            "column 'q', row 'a': .* is not a real number. Convert the column",
+        ),
         (
             frame(t=pd.date_range("2024-01-01", periods=3)),
             {},
             "column 't', row 'a': Timestamp.*seconds since the start",
         ),
         (frame(t=[0.0, np.nan, 1.0]), {}, "column 't', row 'b': the value is nan"),
-        (frame(u=[0.0, np.nan, 1.0]), {"inputs": ["u"]}, "column 'u', row 'b': the value is nan"),
-        (frame(run=["a", None, "a"]), {"trajectory": "run"}, "column 'run', row 'b': the trajectory's name is missing"),
+        (
+            frame(u=[0.0, np.nan, 1.0]),
+            {"inputs": ["u"]},
+            "column 'u', row 'b': the value is nan",
+        ),
+        (
+            frame(run=["a", None, "a"]),
+            {"trajectory": "run"},
+            "column 'run', row 'b': the trajectory's name is missing",
+        ),
         (
             frame(run=[1.0, np.nan, 1.0]),
             {"trajectory": "run"},
@@ -314,7 +450,9 @@ def test_a_data_frame_that_cannot_be_used_is_refused_by_row(
 
 
 def test_what_is_no_data_frame_is_refused() -> None:
-    with pytest.raises(DataError, match=r"frame is a dict; expected a pandas\.DataFrame"):
+    with pytest.raises(
+        DataError, match=r"frame is a dict; expected a pandas\.DataFrame"
+    ):
         Measurements.from_dataframe({"t": [0, 1]}, time="t", states=["q"])  # type: ignore[arg-type]
 
 
@@ -323,8 +461,15 @@ def test_what_is_no_data_frame_is_refused() -> None:
 
 def test_one_trajectory_or_several_come_from_arrays() -> None:
     one = Measurements.from_arrays([0, 1, 2], [1, 2, 3], [4, 5, 6], states=["q"])
-    assert (one.n_trajectories, one.n_states, one.n_inputs, one.inputs) == (1, 1, 1, ("u1",))
-    two = Measurements.from_arrays([[0, 1], [0, 1, 2]], [np.ones((2, 2)), np.ones((3, 2))], states=["q", "p"])
+    assert (one.n_trajectories, one.n_states, one.n_inputs, one.inputs) == (
+        1,
+        1,
+        1,
+        ("u1",),
+    )
+    two = Measurements.from_arrays(
+        [[0, 1], [0, 1, 2]], [np.ones((2, 2)), np.ones((3, 2))], states=["q", "p"]
+    )
     assert [run.name for run in two] == ["run 1", "run 2"]
     assert (two.n_samples, two.n_inputs) == (5, 0)
     named = Measurements.from_arrays([[0, 1]], [[1, 2]], states=["q"], names=["swing"])
@@ -356,13 +501,17 @@ def test_the_record_is_read_only() -> None:
 
 def test_mappings_of_the_user_are_neither_changed_nor_shared() -> None:
     units, noise = {"q": "m"}, {"q": 0.1}
-    data = Measurements.from_arrays([0, 1], [1, 2], states=["q"], units=units, noise=noise)
+    data = Measurements.from_arrays(
+        [0, 1], [1, 2], states=["q"], units=units, noise=noise
+    )
     units["q"], noise["q"] = "km", 7.0
     assert dict(data.units) == {"t": "", "q": "m"}
     assert data.noise == {"q": 0.1}
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda data: pickle.loads(pickle.dumps(data))])
+@pytest.mark.parametrize(
+    "duplicate", [copy.deepcopy, lambda data: pickle.loads(pickle.dumps(data))]
+)
 def test_a_copy_in_another_process_is_the_same_and_read_only(duplicate: Any) -> None:
     data = record()
     again = duplicate(data)
@@ -378,7 +527,9 @@ def test_masked_entries_are_missing_samples() -> None:
 
 def test_an_entirely_empty_channel_of_one_trajectory_is_fine() -> None:
     empty = np.array([[np.nan, 1.0], [np.nan, 2.0]])
-    data = Measurements.from_arrays([[0, 1], [0, 1]], [empty, empty[:, ::-1]], states=["q", "p"])
+    data = Measurements.from_arrays(
+        [[0, 1], [0, 1]], [empty, empty[:, ::-1]], states=["q", "p"]
+    )
     assert data.measured == ("q", "p")
     assert data[0].measured == ("p",)
 
@@ -410,7 +561,9 @@ def test_a_jump_of_the_input_separates_linear_pairs_and_not_held_ones() -> None:
     linear = Measurements.from_pairs(x0, x1, t0, t1, u_start=u, u_end=u)
     assert [run.n_samples for run in linear] == [2, 2]
     for u_end in (u, None):
-        held = Measurements.from_pairs(x0, x1, t0, t1, u_start=u, u_end=u_end, hold="zero", inputs=["force"])
+        held = Measurements.from_pairs(
+            x0, x1, t0, t1, u_start=u, u_end=u_end, hold="zero", inputs=["force"]
+        )
         assert held.inputs == ("force",)
         np.testing.assert_array_equal(held.trajectories[0].u, [[5], [6], [6]])
 
@@ -418,19 +571,38 @@ def test_a_jump_of_the_input_separates_linear_pairs_and_not_held_ones() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"x_end": [[1.0]]}, r"x_start has the shape \(2, 1\) and x_end \(1, 1\); expected the same shape"),
-        ({"t_start": [0], "t_end": [1]}, "lengths differ: .*'x_start': 2, 't_start': 1.*one row per pair"),
+        (
+            {"x_end": [[1.0]]},
+            r"x_start has the shape \(2, 1\) and x_end \(1, 1\); expected the same shape",
+        ),
+        (
+            {"t_start": [0], "t_end": [1]},
+            "lengths differ: .*'x_start': 2, 't_start': 1.*one row per pair",
+        ),
         ({"t_end": [1, 1]}, r"pair 1: t_end\[1\]=1.0 is not after t_start\[1\]=1.0"),
         ({"t_start": [0, np.nan]}, r"t_start\[1\] is nan"),
         ({"u_start": [1, 2]}, "only one of u_start and u_end is given.*hold='zero'"),
         ({"u_end": [1, 2], "hold": "zero"}, "only one of u_start and u_end"),
-        ({"states": ["a", "b"]}, r"has 1 state column; expected 2, one for each of \['a', 'b'\]"),
+        (
+            {"states": ["a", "b"]},
+            r"has 1 state column; expected 2, one for each of \['a', 'b'\]",
+        ),
         ({"x_start": ["a", "b"]}, "x_start has the type"),
-        ({"x_start": [], "x_end": [], "t_start": [], "t_end": []}, "there are no pairs"),
+        (
+            {"x_start": [], "x_end": [], "t_start": [], "t_end": []},
+            "there are no pairs",
+        ),
     ],
 )
-def test_pairs_that_cannot_be_used_are_refused(changes: dict[str, Any], message: str) -> None:
-    good: dict[str, Any] = {"x_start": [1.0, 2.0], "x_end": [2.0, 3.0], "t_start": [0, 1], "t_end": [1, 2]}
+def test_pairs_that_cannot_be_used_are_refused(
+    changes: dict[str, Any], message: str
+) -> None:
+    good: dict[str, Any] = {
+        "x_start": [1.0, 2.0],
+        "x_end": [2.0, 3.0],
+        "t_start": [0, 1],
+        "t_end": [1, 2],
+    }
     with pytest.raises(DataError, match=message):
         Measurements.from_pairs(**(good | changes))
 
@@ -438,24 +610,51 @@ def test_pairs_that_cannot_be_used_are_refused(changes: dict[str, Any], message:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"t": [0, 2, 1]}, r"trajectory 'run 1': t\[2\]=1.0 is not after t\[1\]=2.0; .*Sort the samples or drop"),
+        (
+            {"t": [0, 2, 1]},
+            r"trajectory 'run 1': t\[2\]=1.0 is not after t\[1\]=2.0; .*Sort the samples or drop",
+        ),
         ({"t": [0, 1, 1]}, r"t\[2\]=1.0 is not after t\[1\]=1.0"),
         ({"t": [0, np.nan, 1]}, r"trajectory 'run 1': t\[1\] is nan"),
         ({"t": [0, 1, np.inf]}, r"t\[2\] is inf"),
         ({"t": [[0], [1], [2]]}, r"trajectory 'run 1': x has the shape \(\)"),
-        ({"t": np.zeros((3, 1))}, r"trajectory 'run 1': t has the shape \(3, 1\); expected \(n_samples,\)"),
+        (
+            {"t": np.zeros((3, 1))},
+            r"trajectory 'run 1': t has the shape \(3, 1\); expected \(n_samples,\)",
+        ),
         ({"t": [0, 1]}, "x has 3 rows and t has 2; expected one row per time"),
         ({"u": [1, 2]}, "u has 2 rows and t has 3"),
-        ({"x": np.zeros((3, 1, 1))}, r"x has the shape \(3, 1, 1\); expected \(n_samples, n_channels\)"),
+        (
+            {"x": np.zeros((3, 1, 1))},
+            r"x has the shape \(3, 1, 1\); expected \(n_samples, n_channels\)",
+        ),
         ({"x": np.zeros((3, 2))}, "trajectory 'run 1' has 2 state columns; expected 1"),
         ({"x": [[1], [2, 3], [4]]}, "x is not a regular array"),
-        ({"x": np.array([1, 2, 1j])}, "x has the type complex128; expected real numbers"),
-        ({"x": np.array([1, None, 2])}, "x has the type object; expected real numbers, NaN where nothing"),
+        (
+            {"x": np.array([1, 2, 1j])},
+            "x has the type complex128; expected real numbers",
+        ),
+        (
+            {"x": np.array([1, None, 2])},
+            "x has the type object; expected real numbers, NaN where nothing",
+        ),
         ({"x": ["1", "2", "3"]}, "x has the type <U1"),
-        ({"x": [1, np.inf, 2]}, r"trajectory 'run 1': state 'q' at sample 1 \(t=1.0\) is inf; expected a finite value"),
-        ({"x": [1, 2, -2e100]}, r"state 'q' at sample 2 \(t=2.0\) is -2e\+100; expected at most 1e\+100 in size"),
-        ({"x": [np.nan] * 3}, r"trajectory 'run 1' has no measured value in any of the states \['q'\]"),
-        ({"u": [1, np.nan, 2]}, r"input 'u1' at sample 1 \(t=1.0\) is nan; times and inputs must be known"),
+        (
+            {"x": [1, np.inf, 2]},
+            r"trajectory 'run 1': state 'q' at sample 1 \(t=1.0\) is inf; expected a finite value",
+        ),
+        (
+            {"x": [1, 2, -2e100]},
+            r"state 'q' at sample 2 \(t=2.0\) is -2e\+100; expected at most 1e\+100 in size",
+        ),
+        (
+            {"x": [np.nan] * 3},
+            r"trajectory 'run 1' has no measured value in any of the states \['q'\]",
+        ),
+        (
+            {"u": [1, np.nan, 2]},
+            r"input 'u1' at sample 1 \(t=1.0\) is nan; times and inputs must be known",
+        ),
         ({"u": [1, 2, 3], "inputs": ["a", "b"]}, "has 1 input column; expected 2"),
         ({"inputs": ["a"]}, "has 0 input columns; expected 1"),
         ({"t": [0], "x": [1]}, "trajectory 'run 1' has 1 sample; expected at least 2"),
@@ -470,28 +669,48 @@ def test_pairs_that_cannot_be_used_are_refused(changes: dict[str, Any], message:
         ({"states": ["dH_dq"]}, "the name 'dH_dq' is reserved"),
         ({"u": [1, 2, 3], "inputs": ["dH_d"]}, "inputs: the name 'dH_d' is reserved"),
         ({"u": [1, 2, 3], "inputs": ["q"]}, "the name 'q' is used 2 times"),
-        ({"hold": "zeros"}, r"hold='zeros' is unknown; expected 'linear' or 'zero'. Did you mean 'zero'\?"),
+        (
+            {"hold": "zeros"},
+            r"hold='zeros' is unknown; expected 'linear' or 'zero'. Did you mean 'zero'\?",
+        ),
         ({"hold": None}, "hold=None is unknown"),
-        ({"noise": {"q": 0}}, "noise: 'q' has the standard deviation 0; expected a positive number"),
+        (
+            {"noise": {"q": 0}},
+            "noise: 'q' has the standard deviation 0; expected a positive number",
+        ),
         ({"noise": {"q": -1.0}}, "standard deviation -1.0; expected a positive number"),
         ({"noise": {"q": np.nan}}, "standard deviation nan"),
         ({"noise": {"q": np.inf}}, "standard deviation inf"),
         ({"noise": {"q": "1"}}, "standard deviation '1'"),
-        ({"noise": {"Q": 1.0}}, r"noise names the unknown 'Q'; expected names of \['q'\]. Did you mean 'q'\?"),
+        (
+            {"noise": {"Q": 1.0}},
+            r"noise names the unknown 'Q'; expected names of \['q'\]. Did you mean 'q'\?",
+        ),
         ({"noise": 0.1}, "noise=0.1 is not a mapping"),
-        ({"units": {"w": "m"}}, r"units names the unknown 'w'; expected names of \['t', 'q'\]"),
+        (
+            {"units": {"w": "m"}},
+            r"units names the unknown 'w'; expected names of \['t', 'q'\]",
+        ),
         ({"units": {"q": None}}, "units: 'q' has the unit None; expected text"),
         ({"units": ""}, "units='' is not a mapping"),
         ({"units": "m"}, "units='m' is not a mapping"),
-        ({"names": ["a", "b"]}, "the lengths differ: .*'names': 2.*one entry per trajectory"),
+        (
+            {"names": ["a", "b"]},
+            "the lengths differ: .*'names': 2.*one entry per trajectory",
+        ),
         ({"names": [""]}, "trajectory name '' is not a text"),
         ({"names": [1]}, "trajectory name 1 is not a text"),
         ({"t": [[0, 1], [0, 1]], "x": None}, "the lengths differ: {'t': 2, 'x': None"),
         ({"t": [[0, 1], [0, 1]], "x": [[1, 2]]}, "the lengths differ: {'t': 2, 'x': 1"),
-        ({"t": [[0, 1], [0, 1]], "x": [[1, 2], [1, 2]], "names": ["a", "a"]}, "trajectory name 'a' is used 2 times"),
+        (
+            {"t": [[0, 1], [0, 1]], "x": [[1, 2], [1, 2]], "names": ["a", "a"]},
+            "trajectory name 'a' is used 2 times",
+        ),
     ],
 )
-def test_arrays_that_cannot_be_used_are_refused(changes: dict[str, Any], message: str) -> None:
+def test_arrays_that_cannot_be_used_are_refused(
+    changes: dict[str, Any], message: str
+) -> None:
     good: dict[str, Any] = {"t": [0, 1, 2], "x": [1, 2, 3], "states": ["q"]}
     with pytest.raises(DataError, match=message):
         Measurements.from_arrays(**(good | changes))
@@ -499,7 +718,11 @@ def test_arrays_that_cannot_be_used_are_refused(changes: dict[str, Any], message
 
 @pytest.mark.parametrize(
     ("trajectories", "message"),
-    [((), "expected a list or tuple of at least one"), (3, "trajectories=3"), ([3], r"trajectories\[0\] is a int")],
+    [
+        ((), "expected a list or tuple of at least one"),
+        (3, "trajectories=3"),
+        ([3], r"trajectories\[0\] is a int"),
+    ],
 )
 def test_what_are_no_trajectories_is_refused(trajectories: Any, message: str) -> None:
     with pytest.raises(DataError, match=message):
@@ -511,7 +734,13 @@ def test_what_are_no_trajectories_is_refused(trajectories: Any, message: str) ->
 
 def test_sizes_count_all_trajectories() -> None:
     data = record(3)
-    assert (len(data), data.n_trajectories, data.n_samples, data.n_states, data.n_inputs) == (3, 3, 10 + 13 + 16, 2, 1)
+    assert (
+        len(data),
+        data.n_trajectories,
+        data.n_samples,
+        data.n_states,
+        data.n_inputs,
+    ) == (3, 3, 10 + 13 + 16, 2, 1)
     assert [run.n_samples for run in data] == [10, 13, 16]
 
 
@@ -521,13 +750,20 @@ def test_trajectories_are_chosen_by_position_slice_or_name() -> None:
     assert [run.name for run in data[np.int64(1)]] == ["run 2"]  # type: ignore[index]
     assert [run.name for run in data["run 2"]] == ["run 2"]
     assert [run.name for run in data[::2]] == ["run 1", "run 3"]
-    assert (data[0].units, data[0].hold, data[0].noise) == (data.units, "zero", {"q": 0.1})
+    assert (data[0].units, data[0].hold, data[0].noise) == (
+        data.units,
+        "zero",
+        {"q": 0.1},
+    )
 
 
 @pytest.mark.parametrize(
     ("key", "message"),
     [
-        ("run 9", r"there is no trajectory 'run 9'; expected one of \['run 1', 'run 2'\]. Did you mean 'run"),
+        (
+            "run 9",
+            r"there is no trajectory 'run 9'; expected one of \['run 1', 'run 2'\]. Did you mean 'run",
+        ),
         (2, "there is no trajectory 2; there are 2, counted from 0"),
         (-3, "there is no trajectory -3"),
         (slice(5, 9), "at least one Trajectory"),
@@ -540,9 +776,12 @@ def test_a_trajectory_that_does_not_exist_is_refused(key: Any, message: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("fraction", "n_runs", "n_train"), [(0.7, 10, 7), (0.7, 3, 2), (0.01, 3, 1), (0.99, 3, 2), (0.5, 2, 1)]
+    ("fraction", "n_runs", "n_train"),
+    [(0.7, 10, 7), (0.7, 3, 2), (0.01, 3, 1), (0.99, 3, 2), (0.5, 2, 1)],
 )
-def test_several_trajectories_are_split_by_trajectory_in_order(fraction: float, n_runs: int, n_train: int) -> None:
+def test_several_trajectories_are_split_by_trajectory_in_order(
+    fraction: float, n_runs: int, n_train: int
+) -> None:
     data = record(n_runs)
     train, test = data.split(fraction)
     assert train.trajectories == data.trajectories[:n_train]
@@ -551,12 +790,16 @@ def test_several_trajectories_are_split_by_trajectory_in_order(fraction: float, 
 
 
 @pytest.mark.parametrize(("fraction", "n_train"), [(0.7, 7), (0.001, 2), (0.999, 8)])
-def test_one_trajectory_is_split_in_time_without_sharing_a_sample(fraction: float, n_train: int) -> None:
+def test_one_trajectory_is_split_in_time_without_sharing_a_sample(
+    fraction: float, n_train: int
+) -> None:
     data = record(1)
     train, test = data.split(fraction)
     assert train.n_samples == n_train
     for label in "txu":
-        both = np.concatenate([getattr(part.trajectories[0], label) for part in (train, test)])
+        both = np.concatenate(
+            [getattr(part.trajectories[0], label) for part in (train, test)]
+        )
         np.testing.assert_array_equal(both, getattr(data.trajectories[0], label))
     assert train.trajectories[0].name == test.trajectories[0].name == "run 1"
     assert not test.trajectories[0].x.flags.writeable
@@ -570,14 +813,21 @@ def test_a_share_outside_zero_and_one_is_refused(fraction: Any) -> None:
 
 def test_a_record_too_short_to_split_is_refused() -> None:
     data = Measurements.from_arrays([0, 1, 2], [1, 2, 3], states=["q"])
-    with pytest.raises(DataError, match="trajectory 'run 1' has 3 samples; a split in time needs at least 4"):
+    with pytest.raises(
+        DataError,
+        match="trajectory 'run 1' has 3 samples; a split in time needs at least 4",
+    ):
         data.split()
 
 
 def test_noise_can_be_given_later() -> None:
     data = record()
     other = data.with_noise({"p": 2})
-    assert (data.noise, other.noise, data.with_noise(None).noise) == ({"q": 0.1}, {"p": 2.0}, None)
+    assert (data.noise, other.noise, data.with_noise(None).noise) == (
+        {"q": 0.1},
+        {"p": 2.0},
+        None,
+    )
     assert other.trajectories is data.trajectories
     with pytest.raises(DataError, match="noise names the unknown 'u'"):
         data.with_noise({"u": 1.0})
@@ -586,7 +836,13 @@ def test_noise_can_be_given_later() -> None:
 def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
     x = np.array([[1.0, np.nan, np.nan], [-2.5, 3.0, np.nan]])
     data = Measurements.from_arrays(
-        [0, 2.5], x, [0, 1], states=["q", "p", "r"], inputs=["u"], units={"q": "m", "t": "s"}, noise={"q": 0.1}
+        [0, 2.5],
+        x,
+        [0, 1],
+        states=["q", "p", "r"],
+        inputs=["u"],
+        units={"q": "m", "t": "s"},
+        noise={"q": 0.1},
     )
     assert repr(data).splitlines() == [
         "Measurements: 1 trajectory, 2 samples, t = 0 to 2.5 [s]",
@@ -609,6 +865,8 @@ def test_data_errors_are_value_errors_and_errors_of_this_package() -> None:
 
 
 def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None:
-    assert did_you_mean("Positon", ["velocity", "POSITION"]) == " Did you mean 'POSITION'?"
+    assert (
+        did_you_mean("Positon", ["velocity", "POSITION"]) == " Did you mean 'POSITION'?"
+    )
     assert did_you_mean("xyz", ["velocity"]) == ""
     assert did_you_mean(3, []) == ""

@@ -1,4 +1,6 @@
-"""The missing force: what a model lacks is found in positions alone, together with the noise."""
+"""The missing force: what a model lacks is found in positions alone, together with the
+noise.
+"""
 
 import numpy as np
 import pytest
@@ -21,7 +23,10 @@ START = ([1.0, 0.0], [-0.8, 0.0], [0.6, 1.5])
 
 def spring() -> PseudoHamiltonian:
     model = PseudoHamiltonian(
-        states=("q", "p"), S=canonical(1), H=formula("k*q**2/2 + p**2/(2*m)", k=K, m=M), R=damping("p")
+        states=("q", "p"),
+        S=canonical(1),
+        H=formula("k*q**2/2 + p**2/(2*m)", k=K, m=M),
+        R=damping("p"),
     )
     return model.with_values({"R_p": D})  # type: ignore[return-value]
 
@@ -31,41 +36,67 @@ def rubbing_spring(t: np.ndarray, x0: list[float]) -> np.ndarray:
         v = x[1] / M
         return [v, -K * x[0] - D * v - FRICTION * np.tanh(v / 1e-3)]
 
-    return solve_ivp(f, (t[0], t[-1]), x0, "LSODA", t_eval=t, rtol=1e-8, atol=1e-9, max_step=0.02).y.T
+    return solve_ivp(
+        f, (t[0], t[-1]), x0, "LSODA", t_eval=t, rtol=1e-8, atol=1e-9, max_step=0.02
+    ).y.T
 
 
 @pytest.fixture(scope="module")
 def case() -> tuple[ForceEstimate, np.ndarray]:
-    """Positions of a spring with Coulomb friction, seen through the model of a spring without; and the true states."""
+    """Positions of a spring with Coulomb friction, seen through the model of a spring
+    without; and the true states.
+    """
     rng, t = np.random.default_rng(0), np.linspace(0.0, 4.0, 161)
     truth = [rubbing_spring(t, x0) for x0 in START]
-    noisy = [np.column_stack([x[:, 0] + NOISE * rng.normal(size=len(t)), np.full(len(t), np.nan)]) for x in truth]
+    noisy = [
+        np.column_stack(
+            [x[:, 0] + NOISE * rng.normal(size=len(t)), np.full(len(t), np.nan)]
+        )
+        for x in truth
+    ]
     data = Measurements.from_arrays([t] * 3, noisy, states=["q", "p"])
     grid = grid_of(data)
-    point = Point(np.array([D]), np.nan_to_num(grid.y), np.ones(1), np.array([0.5, 5.0]))
+    point = Point(
+        np.array([D]), np.nan_to_num(grid.y), np.ones(1), np.array([0.5, 5.0])
+    )
     sigma = np.array([difference_noise(data)[0], 1.0])
     return estimate_force(spring(), grid, point, sigma), np.concatenate(truth)
 
 
-def test_hidden_friction_is_recovered_from_positions(case: tuple[ForceEstimate, np.ndarray]) -> None:
+def test_hidden_friction_is_recovered_from_positions(
+    case: tuple[ForceEstimate, np.ndarray],
+) -> None:
     estimate, truth = case
     middle = (truth[estimate.grid.begin] + truth[estimate.grid.begin + 1]) / 2
-    moving = np.abs(middle[:, 1]) > 0.3 * np.max(np.abs(middle[:, 1]))  # away from the reversals, where it jumps
+    moving = np.abs(middle[:, 1]) > 0.3 * np.max(
+        np.abs(middle[:, 1])
+    )  # away from the reversals, where it jumps
     friction = -FRICTION * np.sign(middle[:, 1])
-    # A force that jumps, seen through twice differentiated noise: the sign is sure, the size is good to a half.
+    # A force that jumps, seen through twice differentiated noise: the sign is sure, the
+    # size is good to a half.
     assert np.mean(np.sign(estimate.w[moving, 0]) == np.sign(friction[moving])) > 0.95
-    assert np.sqrt(np.mean((estimate.w[moving, 0] - friction[moving]) ** 2)) < 0.5 * FRICTION
+    assert (
+        np.sqrt(np.mean((estimate.w[moving, 0] - friction[moving]) ** 2))
+        < 0.5 * FRICTION
+    )
 
 
-def test_the_hidden_momentum_is_recovered(case: tuple[ForceEstimate, np.ndarray]) -> None:
+def test_the_hidden_momentum_is_recovered(
+    case: tuple[ForceEstimate, np.ndarray],
+) -> None:
     estimate, truth = case
     error = np.sqrt(np.mean((estimate.x - truth) ** 2, axis=0))
     assert error[0] < NOISE  # smoothing beats the single measurement
-    assert error[1] < 0.1 * np.std(truth[:, 1])  # the noise of 2 % of the amplitude costs a derivative
+    assert error[1] < 0.1 * np.std(
+        truth[:, 1]
+    )  # the noise of 2 % of the amplitude costs a derivative
 
 
-def test_the_noise_is_estimated_within_ten_per_cent(case: tuple[ForceEstimate, np.ndarray]) -> None:
-    # 483 values tell a standard deviation to 1/sqrt(966) = 3.2 %; ten per cent are three of those.
+def test_the_noise_is_estimated_within_ten_per_cent(
+    case: tuple[ForceEstimate, np.ndarray],
+) -> None:
+    # 483 values tell a standard deviation to 1/sqrt(966) = 3.2 %; ten per cent are
+    # three of those.
     assert case[0].sigma[0] == pytest.approx(NOISE, rel=0.1)
 
 
@@ -74,7 +105,9 @@ def test_the_evidence_is_larger_for_the_right_size_of_the_force_than_for_far_one
 ) -> None:
     estimate, _ = case
     grid, prior, sigma = estimate.grid, estimate.prior, estimate.sigma
-    point = Point(np.array([D]), estimate.x, np.ones(1), np.array([0.5, 5.0]), estimate.w)
+    point = Point(
+        np.array([D]), estimate.x, np.ones(1), np.array([0.5, 5.0]), estimate.w
+    )
     assert 0.3 * FRICTION < prior.size[0] < 3 * FRICTION  # of the order of the friction
 
     def evidence(factor: float) -> float:
@@ -88,7 +121,9 @@ def test_the_evidence_is_larger_for_the_right_size_of_the_force_than_for_far_one
 
 def test_the_difference_noise_of_a_smooth_curve_is_that_which_was_added() -> None:
     rng, t = np.random.default_rng(0), np.linspace(0.0, 5.0, 2000)
-    x = np.column_stack([np.sin(t) + 0.05 * rng.normal(size=2000), np.full(2000, np.nan)])
+    x = np.column_stack(
+        [np.sin(t) + 0.05 * rng.normal(size=2000), np.full(2000, np.nan)]
+    )
     noise = difference_noise(Measurements.from_arrays([t], [x], states=["q", "p"]))
     # The median of 2000 correlated values is good to about 3 %; three of those.
     assert noise[0] == pytest.approx(0.05, rel=0.09)
@@ -97,16 +132,24 @@ def test_the_difference_noise_of_a_smooth_curve_is_that_which_was_added() -> Non
 
 def test_the_whitened_prior_is_an_ornstein_uhlenbeck_process() -> None:
     t = np.linspace(0.0, 3.0, 31)
-    data = Measurements.from_arrays([t, t[:11]], [np.zeros((31, 1)), np.zeros((11, 1))], states=["q"])
+    data = Measurements.from_arrays(
+        [t, t[:11]], [np.zeros((31, 1)), np.zeros((11, 1))], states=["q"]
+    )
     grid, prior = grid_of(data), ForcePrior((0,), np.array([2.0]), 0.7)
     whitener = prior.whitener(grid, 0).toarray()
     covariance = np.linalg.inv(whitener.T @ whitener)
     middle, run = grid.t[grid.begin] + grid.h / 2, grid.trajectory[grid.begin]
-    expected = 4.0 * np.exp(-np.abs(middle[:, None] - middle) / 0.7) * (run[:, None] == run)
-    np.testing.assert_allclose(covariance, expected, atol=1e-11)  # an inverse of condition 1e3: rounding times that
+    expected = (
+        4.0 * np.exp(-np.abs(middle[:, None] - middle) / 0.7) * (run[:, None] == run)
+    )
+    np.testing.assert_allclose(
+        covariance, expected, atol=1e-11
+    )  # an inverse of condition 1e3: rounding times that
 
 
 def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
     assert positions(spring()) == (0,)
     assert forced_rows(spring()) == (1,)
-    assert forced_rows(FirstOrder(states=["a", "b"], F={"a": polynomials(["a", "b"], 1)})) == (0, 1)
+    assert forced_rows(
+        FirstOrder(states=["a", "b"], F={"a": polynomials(["a", "b"], 1)})
+    ) == (0, 1)

@@ -11,7 +11,14 @@ import pytest
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Dictionary, Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.model.terms import (
+    Dictionary,
+    Parameter,
+    damping,
+    formula,
+    polynomials,
+    trigonometric,
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,9 @@ def test_the_right_hand_side_is_that_of_the_textbook_spring() -> None:
     q, p, u, t = 0.3, -1.2, 0.7, 2.0
     v = p / 2.5
     expected = [v, -40 * q - 0.8 * v + 1.5 * u * np.cos(t) - 0.3 * np.tanh(v)]
-    np.testing.assert_allclose(rate(model, [q, p], [u], t), expected, rtol=1e-14)  # rounding of a few operations
+    np.testing.assert_allclose(
+        rate(model, [q, p], [u], t), expected, rtol=1e-14
+    )  # rounding of a few operations
 
 
 def test_without_loss_and_force_the_energy_does_not_change() -> None:
@@ -72,26 +81,37 @@ def test_the_efforts_are_the_gradient_of_the_energy() -> None:
     function = model.function("dH_dq", "dH_dp", "k*q**2/2 + p**2/(2*m)")
     at = np.array([0.4, 0.9])
     step = 1e-5
-    energy = [float(function(at + d, 0.0, 0.0, theta)[2]) for d in (*(step * np.eye(2)), *(-step * np.eye(2)))]
+    energy = [
+        float(function(at + d, 0.0, 0.0, theta)[2])
+        for d in (*(step * np.eye(2)), *(-step * np.eye(2)))
+    ]
     numeric = (np.array(energy[:2]) - energy[2:]) / (2 * step)
     # Central differences of a quadratic: rounding over the step, 1e-16 * 4 / 1e-5.
-    np.testing.assert_allclose(np.array(function(at, 0.0, 0.0, theta)).ravel()[:2], numeric, atol=1e-9)
+    np.testing.assert_allclose(
+        np.array(function(at, 0.0, 0.0, theta)).ravel()[:2], numeric, atol=1e-9
+    )
 
 
 def test_canonical_is_the_structure_matrix_of_hamilton() -> None:
-    np.testing.assert_array_equal(canonical(2), [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]])
+    np.testing.assert_array_equal(
+        canonical(2), [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]]
+    )
 
 
 def test_a_first_order_model_takes_its_states_as_efforts() -> None:
     model = FirstOrder(
-        states=("a", "b"), F={"a": formula("dH_db", **{}), "b": formula("2*a")}, R={"b": formula("d", d=0.5)}
+        states=("a", "b"),
+        F={"a": formula("dH_db", **{}), "b": formula("2*a")},
+        R={"b": formula("d", d=0.5)},
     )
     np.testing.assert_allclose(rate(model, [3.0, 4.0]), [4.0, 6.0 - 2.0], rtol=1e-15)
 
 
 def test_an_energy_that_is_a_number_pushes_nothing() -> None:
     force = {"p": formula("c", c=Parameter(1.0))}
-    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=formula("3"), F=force)
+    model = PseudoHamiltonian(
+        states=("q", "p"), S=canonical(1), H=formula("3"), F=force
+    )
     np.testing.assert_array_equal(rate(model, [1.0, 1.0]), [0.0, 1.0])
 
 
@@ -100,10 +120,15 @@ def test_an_energy_that_is_a_number_pushes_nothing() -> None:
 
 def test_every_parameter_has_one_entry_in_its_place() -> None:
     model = spring()
-    assert [(e.name, e.slot, e.equation, e.prunable) for e in model.entries.values()] == [
-        ("k", "H", "", False), ("m", "H", "", False), ("R_p", "R", "p", True), ("b", "F", "p", False),
+    assert [
+        (e.name, e.slot, e.equation, e.prunable) for e in model.entries.values()
+    ] == [
+        ("k", "H", "", False),
+        ("m", "H", "", False),
+        ("R_p", "R", "p", True),
+        ("b", "F", "p", False),
         ("c", "F", "p", False),
-    ]  # fmt: skip
+    ]
     assert model.free == ("k", "R_p", "c")
 
 
@@ -111,29 +136,49 @@ def test_a_parameter_of_formulas_may_stand_in_several_places() -> None:
     k = Parameter(2.0)
     model = spring(H=formula("k*q**2/2 + p**2/2", k=k), F={"p": formula("k*u", k=k)})
     assert model.free.count("k") == 1
-    assert rate(model.with_values({"k": 3.0}), [1.0, 0.0], [1.0])[1] == pytest.approx(0.0, abs=1e-15)  # -3 + 3
+    assert rate(model.with_values({"k": 3.0}), [1.0, 0.0], [1.0])[1] == pytest.approx(
+        0.0, abs=1e-15
+    )  # -3 + 3
 
 
 def test_setting_values_makes_a_new_model() -> None:
     model = spring()
     assert model.with_values({"k": 1.0}).values["k"] == 1.0
     assert model.values["k"] == 40.0
-    with pytest.raises(ModelError, match=r"parameter 'R_pp' is not in the model. Did you mean 'R_p'\?"):
+    with pytest.raises(
+        ModelError, match=r"parameter 'R_pp' is not in the model. Did you mean 'R_p'\?"
+    ):
         model.with_values({"R_pp": 1.0})
 
 
 def test_removing_a_term_leaves_the_others_as_they_are() -> None:
     model = PseudoHamiltonian(
-        states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 2), R=damping("p"), F={"p": trigonometric("t")}
+        states=("q", "p"),
+        S=canonical(1),
+        H=polynomials(["q", "p"], 2),
+        R=damping("p"),
+        F={"p": trigonometric("t")},
     )
     smaller = model.without({"H[q]", "F_p[cos(omega_t*t)]", "R_p"})
-    assert set(model.entries) - set(smaller.entries) == {"H[q]", "F_p[cos(omega_t*t)]", "R_p"}
+    assert set(model.entries) - set(smaller.entries) == {
+        "H[q]",
+        "F_p[cos(omega_t*t)]",
+        "R_p",
+    }
     assert not smaller.R
-    assert "F_p.omega_t" not in model.without({"F_p[cos(omega_t*t)]", "F_p[sin(omega_t*t)]"}).entries
+    assert (
+        "F_p.omega_t"
+        not in model.without({"F_p[cos(omega_t*t)]", "F_p[sin(omega_t*t)]"}).entries
+    )
 
 
-@pytest.mark.parametrize(("slot", "equation", "text"), [("H", "", "a*q**4"), ("R", "q", "a"), ("F", "p", "a*u")])
-def test_adding_an_effect_makes_a_new_model_with_its_parameter(slot: str, equation: str, text: str) -> None:
+@pytest.mark.parametrize(
+    ("slot", "equation", "text"),
+    [("H", "", "a*q**4"), ("R", "q", "a"), ("F", "p", "a*u")],
+)
+def test_adding_an_effect_makes_a_new_model_with_its_parameter(
+    slot: str, equation: str, text: str
+) -> None:
     model = spring()
     bigger = model.add(Effect("extra", slot, equation, formula(text, a=Parameter(0.1))))
     assert set(bigger.entries) - set(model.entries) == {"a"}
@@ -160,7 +205,10 @@ def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
     ("changes", "message"),
     [
         ({"S": None}, "S is missing"),
-        ({"S": [[0, 1], [1, 0]]}, r"S is not skew-symmetric: S\[0, 1\]=1 but S\[1, 0\]=1"),
+        (
+            {"S": [[0, 1], [1, 0]]},
+            r"S is not skew-symmetric: S\[0, 1\]=1 but S\[1, 0\]=1",
+        ),
         ({"S": np.zeros((3, 3))}, r"S has shape \(3, 3\); expected \(2, 2\)"),
         ({"S": [[0, np.nan], [np.nan, 0]]}, "S is not skew-symmetric"),
         ({"S": "canonical"}, "is not a matrix of numbers"),
@@ -172,15 +220,26 @@ def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
         ({"H": Dictionary()}, "H has no term"),
         ({"H": "q**2"}, "H='q\\*\\*2' is not a dictionary"),
         ({"H": formula("q*u")}, "uses 'u', but an energy depends on the states alone"),
-        ({"H": formula("k*q**2")}, "name 'k' in 'k\\*q\\*\\*2' .* If it is a parameter"),
+        (
+            {"H": formula("k*q**2")},
+            "name 'k' in 'k\\*q\\*\\*2' .* If it is a parameter",
+        ),
         ({"R": {"x": formula("1")}}, "equation of R 'x' is not a state"),
         ({"F": [formula("u")]}, "must map a state to its terms"),
         ({"F": {"p": formula("dH_dx")}}, r"name 'dH_dx' .* Did you mean"),
-        ({"F": {"p": formula("u*q", u=Parameter(1.0))}}, "parameter name 'u' is also a state, an input"),
-        ({"F": {"p": formula("k*u", k=Parameter(1.0))}}, "parameter 'k' is defined twice and differently"),
+        (
+            {"F": {"p": formula("u*q", u=Parameter(1.0))}},
+            "parameter name 'u' is also a state, an input",
+        ),
+        (
+            {"F": {"p": formula("k*u", k=Parameter(1.0))}},
+            "parameter 'k' is defined twice and differently",
+        ),
     ],
-)  # fmt: skip
-def test_a_model_that_contradicts_itself_is_refused(changes: dict[str, Any], message: str) -> None:
+)
+def test_a_model_that_contradicts_itself_is_refused(
+    changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ModelError, match=message):
         spring(**changes)
 
@@ -198,7 +257,9 @@ def test_a_first_order_model_refuses_an_energy_and_a_structure() -> None:
 def test_an_effect_with_an_unknown_place_is_refused() -> None:
     with pytest.raises(ModelError, match="acts in slot 'G'"):
         spring().add(Effect("extra", "G", "p", formula("1")))
-    with pytest.raises(ModelError, match="equation of effect 'extra': 'x' is not a state"):
+    with pytest.raises(
+        ModelError, match="equation of effect 'extra': 'x' is not a state"
+    ):
         spring().add(Effect("extra", "F", "x", formula("1")))
 
 

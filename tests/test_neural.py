@@ -11,7 +11,9 @@ import phsi_opt as ph
 from phsi_opt.learning.hybrid import Hybrid, hybrid
 from phsi_opt.learning.network import NeuralForce
 
-SMALL = NeuralForce(("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3)
+SMALL = NeuralForce(
+    ("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3
+)
 
 
 def outside(q: np.ndarray) -> np.ndarray:
@@ -26,18 +28,37 @@ def data(forced: bool = True, noise: float = 0.0, seed: int = 0) -> ph.Measureme
         return [x[1], -2.0 * x[0] - 0.2 * x[1] + (outside(x[0]) if forced else 0.0)]
 
     runs = [
-        solve_ivp(f, (0, 4), rng.uniform(-2, 2, 2), "LSODA", t, rtol=1e-10, atol=1e-10, max_step=0.05).y.T
+        solve_ivp(
+            f,
+            (0, 4),
+            rng.uniform(-2, 2, 2),
+            "LSODA",
+            t,
+            rtol=1e-10,
+            atol=1e-10,
+            max_step=0.05,
+        ).y.T
         for _ in range(10)
     ]
     return ph.Measurements.from_arrays(
-        [t] * 10, [x + noise * rng.normal(size=x.shape) for x in runs], states=["q", "p"]
+        [t] * 10,
+        [x + noise * rng.normal(size=x.shape) for x in runs],
+        states=["q", "p"],
     )
 
 
 def model(stiffness: bool = False) -> ph.PseudoHamiltonian:
-    """With the stiffness known unless ``stiffness``: a network of q and a spring cannot be told apart."""
-    H = ph.polynomials(["q", "p"], degree=3) if stiffness else ph.formula("q**2") + ph.polynomials(["p"], degree=3)
-    return ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=H, R=ph.damping("p"))
+    """With the stiffness known unless ``stiffness``: a network of q and a spring cannot
+    be told apart.
+    """
+    H = (
+        ph.polynomials(["q", "p"], degree=3)
+        if stiffness
+        else ph.formula("q**2") + ph.polynomials(["p"], degree=3)
+    )
+    return ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=H, R=ph.damping("p")
+    )
 
 
 @pytest.fixture(scope="module")
@@ -58,13 +79,25 @@ def test_the_turns_end_when_neither_moves(found: Hybrid) -> None:
     table = found.convergence
     assert found.converged and len(table) < 20
     assert table["loss"].iloc[-1] < 0.2 * table["loss"].iloc[0]
-    assert table["coefficient_change"].iloc[-1] < 1e-3 < table["coefficient_change"].iloc[0]
+    assert (
+        table["coefficient_change"].iloc[-1]
+        < 1e-3
+        < table["coefficient_change"].iloc[0]
+    )
 
 
 def test_the_force_can_be_switched_off(found: Hybrid) -> None:
     t, x0 = np.linspace(0, 8, 41), np.array([1.5, 0.0])
-    with_force = solve_ivp(lambda s, x: [x[1], -2 * x[0] - 0.2 * x[1] + outside(x[0])], (0, 8), x0, "LSODA", t).y.T
-    without = solve_ivp(lambda s, x: [x[1], -2 * x[0] - 0.2 * x[1]], (0, 8), x0, "LSODA", t).y.T
+    with_force = solve_ivp(
+        lambda s, x: [x[1], -2 * x[0] - 0.2 * x[1] + outside(x[0])],
+        (0, 8),
+        x0,
+        "LSODA",
+        t,
+    ).y.T
+    without = solve_ivp(
+        lambda s, x: [x[1], -2 * x[0] - 0.2 * x[1]], (0, 8), x0, "LSODA", t
+    ).y.T
     assert np.abs(found.simulate(t, x0) - with_force).max() < 0.15
     assert np.abs(found.without_force().simulate(t, x0) - without).max() < 0.05
     assert np.abs(with_force - without).max() > 0.5
@@ -79,7 +112,9 @@ def test_without_an_outside_force_the_network_takes_nothing() -> None:
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
     few = NeuralForce(("p",), ("q",), hidden=(8,), epochs=4)
-    a, b, c = (hybrid(model(), data(), few, seed=seed, max_turns=2) for seed in (3, 3, 4))
+    a, b, c = (
+        hybrid(model(), data(), few, seed=seed, max_turns=2) for seed in (3, 3, 4)
+    )
     assert a.values == b.values and all(
         np.array_equal(u, v)
         for x, y in zip(a.force.layers, b.force.layers, strict=True)
@@ -93,8 +128,18 @@ def test_a_force_of_one_variable_becomes_a_dictionary_of_hinges(found: Hybrid) -
     assert list(terms) == ["p"]
     distilled = ph.FirstOrder(["q", "p"], {"p": terms["p"]})
     q = np.linspace(-1, 1, 21)
-    values = [float(distilled.rhs()([v, 0.0], [], 0.0, [distilled.values[n] for n in distilled.free])[1]) for v in q]
-    assert np.abs(np.array(values) - found.force(np.column_stack([q, 0 * q]))[:, 0]).max() < 0.15
+    values = [
+        float(
+            distilled.rhs()(
+                [v, 0.0], [], 0.0, [distilled.values[n] for n in distilled.free]
+            )[1]
+        )
+        for v in q
+    ]
+    assert (
+        np.abs(np.array(values) - found.force(np.column_stack([q, 0 * q]))[:, 0]).max()
+        < 0.15
+    )
 
 
 def test_equations_name_the_network(found: Hybrid) -> None:
@@ -138,8 +183,14 @@ def test_a_damaged_file_is_refused(found: Hybrid, tmp_path: Path, damage) -> Non
         (lambda: NeuralForce("p"), "tuple of states"),  # type: ignore[arg-type]
         (lambda: NeuralForce(("p",), hidden=()), "sizes of layers"),
         (lambda: NeuralForce(("p",), epochs=0), "above zero"),
-        (lambda: hybrid(model(), data(), NeuralForce(("velocity",))), "'velocity' is not a state"),
-        (lambda: hybrid(model(), data(), NeuralForce(("p",), ("z",))), "'z' is not a state"),
+        (
+            lambda: hybrid(model(), data(), NeuralForce(("velocity",))),
+            "'velocity' is not a state",
+        ),
+        (
+            lambda: hybrid(model(), data(), NeuralForce(("p",), ("z",))),
+            "'z' is not a state",
+        ),
     ],
 )
 def test_bad_settings_are_refused(made, message: str) -> None:
@@ -148,6 +199,8 @@ def test_bad_settings_are_refused(made, message: str) -> None:
 
 
 def test_a_force_of_several_variables_is_not_distilled() -> None:
-    both = hybrid(model(), data(), NeuralForce(("p",), hidden=(8,), epochs=2), max_turns=1)
+    both = hybrid(
+        model(), data(), NeuralForce(("p",), hidden=(8,), epochs=2), max_turns=1
+    )
     with pytest.raises(ph.ModelError, match="2 variables"):
         both.distilled(data())

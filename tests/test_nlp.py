@@ -1,4 +1,6 @@
-"""The program and its solver, against an independent convex formulation and the refusals of `Assembly`."""
+"""The program and its solver, against an independent convex formulation and the
+refusals of `Assembly`.
+"""
 
 from typing import Any
 
@@ -17,18 +19,32 @@ from phsi_opt.optimization.program import Assembly
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import PHSILoss, Point
 
-POWERS = [(1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)]  # of q and p, total degree 1 to 3
+POWERS = [
+    (1, 0),
+    (0, 1),
+    (2, 0),
+    (1, 1),
+    (0, 2),
+    (3, 0),
+    (2, 1),
+    (1, 2),
+    (0, 3),
+]  # of q and p, total degree 1 to 3
 
 
 def noisy_oscillator(n: int = 80) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
     t = np.linspace(0.0, 6.0, n)
     q = np.cos(1.5 * t) + 0.4
-    return t, np.column_stack([q, -1.5 * np.sin(1.5 * t)]) + 0.02 * rng.normal(size=(n, 2))
+    return t, np.column_stack([q, -1.5 * np.sin(1.5 * t)]) + 0.02 * rng.normal(
+        size=(n, 2)
+    )
 
 
 def features(x: np.ndarray) -> np.ndarray:
-    """dx/dt of the canonical system per unit of each coefficient, written out by hand: (n, 2, 10)."""
+    """dx/dt of the canonical system per unit of each coefficient, written out by hand:
+    (n, 2, 10).
+    """
     q, p = x.T
     columns = []
     for a, b in POWERS:
@@ -39,12 +55,16 @@ def features(x: np.ndarray) -> np.ndarray:
     return np.stack(columns, axis=2)
 
 
-def convex_optimum(t: np.ndarray, x: np.ndarray, at: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def convex_optimum(
+    t: np.ndarray, x: np.ndarray, at: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
     rates = np.diff(x, axis=0) / np.diff(t)[:, None]
     matrix, m = features(at).reshape(-1, 10), len(rates)
     xi = cp.Variable(10)
     loss = cp.sum_squares(matrix @ xi - rates.ravel()) / m + weights @ cp.abs(xi)
-    cp.Problem(cp.Minimize(loss)).solve(solver=cp.CLARABEL, tol_gap_abs=1e-13, tol_gap_rel=1e-13, tol_feas=1e-13)
+    cp.Problem(cp.Minimize(loss)).solve(
+        solver=cp.CLARABEL, tol_gap_abs=1e-13, tol_gap_rel=1e-13, tol_feas=1e-13
+    )
     return np.asarray(xi.value)
 
 
@@ -55,30 +75,45 @@ def loss_of(t: np.ndarray, x: np.ndarray, at: np.ndarray, xi: np.ndarray) -> flo
 
 @pytest.mark.parametrize("scheme", ["euler", "midpoint"])
 @pytest.mark.parametrize("lam", [0.0, 0.01, 0.1, 1.0])
-def test_ipopt_with_slacks_agrees_with_cvxpy_where_the_loss_is_convex(scheme: str, lam: float) -> None:
+def test_ipopt_with_slacks_agrees_with_cvxpy_where_the_loss_is_convex(
+    scheme: str, lam: float
+) -> None:
     t, x = noisy_oscillator()
     force = {"p": Dictionary((Term("1", Parameter()),))}
-    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 3), F=force)
+    model = PseudoHamiltonian(
+        states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 3), F=force
+    )
     grid = grid_of(Measurements.from_arrays([t], [x], states=["q", "p"]))
     point = Point(np.zeros(10), grid.y, np.ones(10), np.ones(2))
     program = PHSILoss(scheme).program(model, grid, point, {"H": lam, "F": 2 * lam})
     solution = solve(program, Settings(tolerance=1e-11))
     at = x[:-1] if scheme == "euler" else (x[:-1] + x[1:]) / 2
     expected = convex_optimum(t, x, at, np.array(9 * [lam] + [2 * lam]))
-    # The barrier leaves coefficients off by about the tolerance over the curvature (1e-11 over 1e-4 at the least).
+    # The barrier leaves coefficients off by about the tolerance over the curvature
+    # (1e-11 over 1e-4 at the least).
     np.testing.assert_allclose(solution.values["theta"], expected, atol=1e-6)
-    assert lam < 0.1 or np.sum(np.abs(expected) < 1e-6) >= 4  # the L1 term acts: there is a support to agree on
+    assert (
+        lam < 0.1 or np.sum(np.abs(expected) < 1e-6) >= 4
+    )  # the L1 term acts: there is a support to agree on
 
 
 def test_the_residual_of_the_solution_is_the_thesis_loss() -> None:
     t, x = noisy_oscillator()
-    model = PseudoHamiltonian(states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 3))
+    model = PseudoHamiltonian(
+        states=("q", "p"), S=canonical(1), H=polynomials(["q", "p"], 3)
+    )
     grid = grid_of(Measurements.from_arrays([t], [x], states=["q", "p"]))
-    solution = solve(PHSILoss("midpoint").program(model, grid, Point(np.zeros(9), grid.y, np.ones(9), np.ones(2)), {}))
+    solution = solve(
+        PHSILoss("midpoint").program(
+            model, grid, Point(np.zeros(9), grid.y, np.ones(9), np.ones(2)), {}
+        )
+    )
     xi = np.append(solution.values["theta"], 0.0)
     size = np.mean(np.sum((np.diff(x, axis=0) / np.diff(t)[:, None]) ** 2, axis=1))
     # The same sum in another order: rounding only.
-    assert np.sum(solution.residual**2) / 2 * size == pytest.approx(loss_of(t, x, (x[:-1] + x[1:]) / 2, xi), rel=1e-12)
+    assert np.sum(solution.residual**2) / 2 * size == pytest.approx(
+        loss_of(t, x, (x[:-1] + x[1:]) / 2, xi), rel=1e-12
+    )
 
 
 def test_scaling_a_variable_changes_the_iteration_but_not_the_solution() -> None:
@@ -89,16 +124,23 @@ def test_scaling_a_variable_changes_the_iteration_but_not_the_solution() -> None
         build.residual(ca.vertcat(x[0] - 3, 2 * (x[1] + 1)))
         build.constrain("sum", x[0] + x[1] - 1)
         found.append(solve(build.finish()).values["x"])
-    # Lagrange by hand: minimise ((a - 3)^2 + 4 (b + 1)^2) / 2 on a + b = 1 gives a = 2.2, b = -1.2.
-    np.testing.assert_allclose(found, [[2.2, -1.2]] * 3, rtol=1e-7)  # the solver's tolerance is 1e-8
+    # Lagrange by hand: minimise ((a - 3)^2 + 4 (b + 1)^2) / 2 on a + b = 1 gives a =
+    # 2.2, b = -1.2.
+    np.testing.assert_allclose(
+        found, [[2.2, -1.2]] * 3, rtol=1e-7
+    )  # the solver's tolerance is 1e-8
 
 
 def test_bounds_are_kept_and_reported_by_name() -> None:
     build = Assembly()
-    theta = build.variable("theta", np.array([1.0]), lower=0.5, label=lambda i: "stiffness")
+    theta = build.variable(
+        "theta", np.array([1.0]), lower=0.5, label=lambda i: "stiffness"
+    )
     build.residual(theta)
     solution = solve(build.finish())
-    assert 0.5 <= solution.values["theta"][0] <= 0.5 + 1e-6  # the barrier's distance from a bound
+    assert (
+        0.5 <= solution.values["theta"][0] <= 0.5 + 1e-6
+    )  # the barrier's distance from a bound
     assert solution.outcome.at_bounds == ("stiffness",)
 
 
@@ -115,7 +157,9 @@ def test_an_entry_is_named_by_its_block_and_label() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_start_that_is_not_finite_is_refused(bad: float) -> None:
-    with pytest.raises(ModelError, match="the start of x has 1 values that are not finite"):
+    with pytest.raises(
+        ModelError, match="the start of x has 1 values that are not finite"
+    ):
         Assembly().variable("x", np.array([0.0, bad]))
 
 
@@ -131,15 +175,23 @@ def test_the_gauss_newton_hessian_is_the_product_of_the_residual_jacobian() -> N
         return np.array([np.sin(a) * b, b**2, a])
 
     step = 1e-6
-    jacobian = np.column_stack([(residual(z + step * e) - residual(z - step * e)) / (2 * step) for e in np.eye(2)])
+    jacobian = np.column_stack(
+        [
+            (residual(z + step * e) - residual(z - step * e)) / (2 * step)
+            for e in np.eye(2)
+        ]
+    )
     hessian = np.array(program.hessian(z, [], 1.0, np.zeros(0)))
-    # Central differences: an error of step^2 = 1e-12 and rounding of 1e-16 / step = 1e-10.
+    # Central differences: an error of step^2 = 1e-12 and rounding of 1e-16 / step =
+    # 1e-10.
     np.testing.assert_allclose(hessian, np.triu(jacobian.T @ jacobian), atol=1e-8)
 
 
 def test_a_solve_that_goes_to_and_fro_over_a_kink_has_settled() -> None:
     def ended(objectives: list[float], violation: float = 1e-8) -> bool:
-        stats = {"iterations": {"obj": objectives, "inf_pr": [violation] * len(objectives)}}
+        stats = {
+            "iterations": {"obj": objectives, "inf_pr": [violation] * len(objectives)}
+        }
         return _is_settled(stats, n_residuals=1000)
 
     over_and_back = [3.0, 1.2] + 5 * [0.96299157, 0.96299151]

@@ -1,4 +1,6 @@
-"""The package as a whole: what importing it brings, and that the public names are there."""
+"""The package as a whole: what importing it brings, and that the public names are
+there.
+"""
 
 import subprocess
 import sys
@@ -8,10 +10,16 @@ import phsi_opt
 
 def test_importing_the_core_imports_no_extra() -> None:
     code = "import sys, phsi_opt; print(sorted({'torch', 'pysindy', 'nicegui', 'dask'} & set(sys.modules)))"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert run.stdout.strip() == "[]"
 
 
 def test_every_public_name_is_exported_once_and_documented() -> None:
     assert len(set(phsi_opt.__all__)) == len(phsi_opt.__all__)
-    assert not [name for name in phsi_opt.__all__ if not (getattr(phsi_opt, name).__doc__ or "").strip()]
+    assert not [
+        name
+        for name in phsi_opt.__all__
+        if not (getattr(phsi_opt, name).__doc__ or "").strip()
+    ]

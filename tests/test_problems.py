@@ -11,12 +11,16 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 
 
-@pytest.mark.parametrize("name", ["ball_and_hoop", "emps", "silverbox", "cascaded_tanks", "quarter_drone"])
+@pytest.mark.parametrize(
+    "name", ["ball_and_hoop", "emps", "silverbox", "cascaded_tanks", "quarter_drone"]
+)
 def test_a_script_of_measured_data_says_where_it_looked_for_them(
     name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert import_module(f"measured.{name}").main(tmp_path / "absent") == {}
-    assert f"skipped: the data are not at {tmp_path / 'absent'}" in capsys.readouterr().out
+    assert (
+        f"skipped: the data are not at {tmp_path / 'absent'}" in capsys.readouterr().out
+    )
 
 
 def present(name: str, file: str = "") -> Path:
@@ -34,10 +38,13 @@ def test_the_silverbox_model_predicts_a_record_it_was_not_fitted_to() -> None:
 
     path = present("silverbox", "SNLS80mV.csv")
     larger = (
-        model().add(effect_named(model(), "constant force", "p")).add(effect_named(model(), "cubic stiffness", "p"))
+        model()
+        .add(effect_named(model(), "constant force", "p"))
+        .add(effect_named(model(), "cubic stiffness", "p"))
     )
     fit = ph.identify(larger, load(path, 40_700, 41_700))
-    # A quarter of the samples of the script, which leaves 0.42 mV; the linear spring leaves 9 mV.
+    # A quarter of the samples of the script, which leaves 0.42 mV; the linear spring
+    # leaves 9 mV.
     assert free_run_error(fit, path, 50_000, 51_000) < 1.0
 
 
@@ -71,7 +78,9 @@ def _drag() -> Effect:
     return effect_named(model(), "quadratic drag", "y")
 
 
-def test_the_windows_of_the_quarter_drone_share_their_ends_and_keep_the_mean_command() -> None:
+def test_the_windows_of_the_quarter_drone_share_their_ends_and_keep_the_mean_command() -> (
+    None
+):
     import numpy as np
     from measured.quarter_drone import FLYING, THIN, WINDOW, load
 
@@ -82,11 +91,15 @@ def test_the_windows_of_the_quarter_drone_share_their_ends_and_keep_the_mean_com
     for earlier, later in pairwise(runs):
         assert earlier.t[-1] == later.t[0] and earlier.x[-1, 0] == later.x[0, 0]
     (whole,) = load(path, "steps", thin=1, window=FLYING[1] - FLYING[0]).trajectories
-    assert runs[0].u[:-1].mean() == pytest.approx(whole.u[: THIN * (len(runs[0].t) - 1)].mean())
+    assert runs[0].u[:-1].mean() == pytest.approx(
+        whole.u[: THIN * (len(runs[0].t) - 1)].mean()
+    )
     assert np.all(np.abs(np.rad2deg(whole.x[:, 0])) < 90)
 
 
-def test_a_story_tells_each_step_and_why_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_story_tells_each_step_and_why_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import measured.story as story
     from demo import measurements, model
 
@@ -95,7 +108,9 @@ def test_a_story_tells_each_step_and_why_it_ends(tmp_path: Path, monkeypatch: py
     found = story.told(model(), train, held_out, max_steps=1, say=lambda line: None)
     assert found.how == ["base model", "named"]
     assert [d.verdict for d in found.diagnoses] == ["missing: named", "nothing missing"]
-    text = story.page(found, "spring", "A spring.", {"again": [1.0, 0.5]}, scale=1e3, unit="mm")
+    text = story.page(
+        found, "spring", "A spring.", {"again": [1.0, 0.5]}, scale=1e3, unit="mm"
+    )
     assert "| 1 | coulomb friction on p | named |" in text
     assert 'The last verdict is "nothing missing"' in text
     assert {path.name for path in (tmp_path / "measured").iterdir()} == {

@@ -12,7 +12,10 @@ import phsi_opt as ph
 def at_truth(name: str) -> tuple[ph.PseudoHamiltonian, ph.FirstOrder]:
     system = SYSTEMS[name]
     found = []
-    for model, truth in ((system.model(), system.truth), (system.first_order(), system.truth_first_order)):
+    for model, truth in (
+        (system.model(), system.truth),
+        (system.first_order(), system.truth_first_order),
+    ):
         found.append(model.with_values({**dict.fromkeys(model.entries, 0.0), **truth}))
     return found[0], found[1]  # type: ignore[return-value]
 
@@ -37,13 +40,21 @@ def test_the_tanks_lose_nothing_but_by_friction_and_the_leak() -> None:
     model = tank_model()
     S = np.array(model.S)
     assert np.array_equal(S, -S.T)
-    assert np.allclose(S[:, 5:] @ np.ones(4), 0)  # the sum of the levels moves nothing: a Casimir
+    assert np.allclose(
+        S[:, 5:] @ np.ones(4), 0
+    )  # the sum of the levels moves nothing: a Casimir
     x = np.random.default_rng(0).uniform(-1, 1, 9)
-    assert SYSTEMS["tanks"].rhs(0.0, x) - closed_tanks(0.0, x) == pytest.approx(np.r_[np.zeros(8), leak(x[8])])
+    assert SYSTEMS["tanks"].rhs(0.0, x) - closed_tanks(0.0, x) == pytest.approx(
+        np.r_[np.zeros(8), leak(x[8])]
+    )
 
 
-@pytest.mark.parametrize(("name", "n"), [("henon_heiles", 400), ("schrodinger", 20), ("mass_spring", 12)])
-def test_clean_data_give_every_coefficient_to_1e_4_and_the_exact_support(name: str, n: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "n"), [("henon_heiles", 400), ("schrodinger", 20), ("mass_spring", 12)]
+)
+def test_clean_data_give_every_coefficient_to_1e_4_and_the_exact_support(
+    name: str, n: int
+) -> None:
     system = SYSTEMS[name]
     data = system.data(5, 0.0, n=n)
     fit = solver(system, data)
@@ -59,7 +70,9 @@ def test_clean_tanks_give_every_coefficient_to_1e_3_and_the_leak() -> None:
     fit = solver(system, system.data(5, 0.0, n=12))
     s = score(system, fit)
     assert (s.spurious, s.missed) == ((), ())
-    assert s.relative < 1e-3  # the integrator's error at h = 0.01; results/thesis/tanks.md halves h
+    assert (
+        s.relative < 1e-3
+    )  # the integrator's error at h = 0.01; results/thesis/tanks.md halves h
     level = np.linspace(-0.6, 0.6, 41)
     x = np.zeros((41, 9))
     x[:, 8] = level
@@ -70,7 +83,12 @@ def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
     from thesis.compare import main, ratios
 
     table = main(quick=True, names=["henon_heiles"])
-    assert set(table["method"]) == {"solver", "solver, all terms", "solver, then likelihood", "descent"}
+    assert set(table["method"]) == {
+        "solver",
+        "solver, all terms",
+        "solver, then likelihood",
+        "descent",
+    }
     clean = table[(table["data"] == "clean") & (table["method"] == "solver")]
     assert (clean["largest error"] < 1e-5).all() and (clean["spurious"] == 0).all()
     assert ratios(table)["not higher"].all()
@@ -98,14 +116,21 @@ def test_the_grids_have_a_row_per_point() -> None:
 
     table = main(quick=True, names=["henon_heiles"])
     assert len(table[table["method"] == "solver"]) == 6
-    exact = table[(table["method"] == "solver") & (table["lambda_H"] == 0) & (table["pruning"] == "threshold 0.05")]
+    exact = table[
+        (table["method"] == "solver")
+        & (table["lambda_H"] == 0)
+        & (table["pruning"] == "threshold 0.05")
+    ]
     assert float(exact["error"].iloc[0]) < 1e-4 and int(exact["spurious"].iloc[0]) == 0
 
 
 def test_the_score_counts_missed_and_spurious_terms() -> None:
     system = SYSTEMS["henon_heiles"]
     truth, _ = at_truth("henon_heiles")
-    kept = truth.without({n for n in truth.entries if n not in system.truth and n != "H[q1]"} | {"H[q2**2]"})
+    kept = truth.without(
+        {n for n in truth.entries if n not in system.truth and n != "H[q1]"}
+        | {"H[q2**2]"}
+    )
 
     class Result:
         model = kept.with_values({"H[q1]": 0.2})

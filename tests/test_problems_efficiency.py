@@ -1,4 +1,6 @@
-"""The Cramer-Rao bound, and the studies of efficiency, chaos and scaling under problems/, small."""
+"""The Cramer-Rao bound, and the studies of efficiency, chaos and scaling under
+problems/, small.
+"""
 
 from pathlib import Path
 
@@ -13,37 +15,56 @@ def test_the_bound_agrees_with_the_closed_form_of_exponential_decay() -> None:
     from cramer_rao import TrueSystem, covariance_bound
 
     system = TrueSystem(("x",), ("-a*x",), {"a": 0.7}, ("a",))
-    t, starts, sigma = np.linspace(0.0, 3.0, 31), np.array([[2.0], [-1.0]]), np.array([0.1])
+    t, starts, sigma = (
+        np.linspace(0.0, 3.0, 31),
+        np.array([[2.0], [-1.0]]),
+        np.array([0.1]),
+    )
     _, in_start, in_theta = system.sensitivities(starts, t)
     decay = np.exp(-0.7 * t)
     left = -t * decay - decay * np.sum(-t * decay**2) / np.sum(decay**2)
     variance = sigma[0] ** 2 / (np.sum(left**2) * (2.0**2 + 1.0**2))
     # rtol=1e-11 of the integration
-    assert covariance_bound(in_start, in_theta, sigma)[0, 0] == pytest.approx(variance, rel=1e-8)
+    assert covariance_bound(in_start, in_theta, sigma)[0, 0] == pytest.approx(
+        variance, rel=1e-8
+    )
 
 
 @pytest.mark.parametrize("measured", [("q", "p"), ("q",)])
-def test_the_bound_agrees_with_finite_differences_of_an_integration(measured: tuple[str, ...]) -> None:
+def test_the_bound_agrees_with_finite_differences_of_an_integration(
+    measured: tuple[str, ...],
+) -> None:
     from dataclasses import replace
 
     from cramer_rao import covariance_bound
     from efficiency_cases import duffing
 
-    system, t, start, sigma = duffing(), np.linspace(0.0, 8.0, 41), np.array([1.5, 0.0]), np.array([0.1, 0.2])
+    system, t, start, sigma = (
+        duffing(),
+        np.linspace(0.0, 8.0, 41),
+        np.array([1.5, 0.0]),
+        np.array([0.1, 0.2]),
+    )
     seen = np.random.default_rng(0).random((1, 41, 2)) < 0.7
     seen &= np.isin(system.states, measured)
 
     def states(values: np.ndarray) -> np.ndarray:
-        moved = replace(system, values=dict(zip(system.values, values[2:], strict=True)))
+        moved = replace(
+            system, values=dict(zip(system.values, values[2:], strict=True))
+        )
         return moved.solve(values[None, :2], t)[0]
 
     at, h = np.array([*start, *system.values.values()]), 1e-4
-    columns = [(states(at + h * e) - states(at - h * e)) / (2 * h) for e in np.eye(len(at))]
+    columns = [
+        (states(at + h * e) - states(at - h * e)) / (2 * h) for e in np.eye(len(at))
+    ]
     J = np.stack([(column / sigma)[seen[0]] for column in columns], axis=1)
     expected = np.linalg.inv(J.T @ J)[2:, 2:]
     _, in_start, in_theta = system.sensitivities(start[None, :], t)
     # central differences of step 1e-4: errors of 1e-8 times third derivatives
-    assert covariance_bound(in_start, in_theta, sigma, seen) == pytest.approx(expected, rel=1e-5)
+    assert covariance_bound(in_start, in_theta, sigma, seen) == pytest.approx(
+        expected, rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("name", ["mass_spring", "schrodinger", "tanks"])
@@ -74,23 +95,33 @@ def test_the_data_of_the_thesis_systems_are_drawn_as_in_the_thesis() -> None:
         assert a.x == pytest.approx(b.x, abs=1e-8)
 
 
-def test_likelihood_is_close_to_the_bound_where_one_step_is_not_and_gaps_need_the_likelihood() -> None:
+def test_likelihood_is_close_to_the_bound_where_one_step_is_not_and_gaps_need_the_likelihood() -> (
+    None
+):
     from efficiency import quick
 
     tables = quick(["duffing_qp_0.1", "duffing_q_0.1_gaps"], 1)
     table = tables["duffing_qp_0.1"]
-    z = ((table["estimate"] - table["truth"]) / table["bound"]).abs().groupby(table["method"]).max()
+    z = (
+        ((table["estimate"] - table["truth"]) / table["bound"])
+        .abs()
+        .groupby(table["method"])
+        .max()
+    )
     # the largest of three standard normal numbers is above 4 once in 5000 draws
     assert z["likelihood"] < 4
     assert set(table["method"]) == {"likelihood", "one-step"}
-    # the standard error is the bound with estimated noise and parameters: within 15 % at 1002 values
+    # the standard error is the bound with estimated noise and parameters: within 15 %
+    # at 1002 values
     share = (table["std_error"] / table["bound"])[table["method"] == "likelihood"]
     assert share.to_numpy() == pytest.approx(1, abs=0.15)
     assert set(tables["duffing_q_0.1_gaps"]["method"]) == {"likelihood"}
     assert set(tables["duffing_q_0.1_gaps"]["outcome"]) == {"solved"}
 
 
-def test_a_failed_fit_is_counted_and_its_interval_does_not_hold_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_fit_is_counted_and_its_interval_does_not_hold_the_truth(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     import efficiency
 
     def fail(*_: object) -> None:
@@ -118,7 +149,9 @@ def test_the_page_is_made_from_the_kept_rows_and_a_run_goes_on_where_it_stopped(
     both = pd.read_csv(tmp_path / "efficiency" / "duffing_qp_0.1.csv")
     assert both["seed"].nunique() == 2
     pd.testing.assert_frame_equal(both.head(len(first)), first)
-    assert "coverage, pooled" in (tmp_path / "efficiency.md").read_text(encoding="utf-8")
+    assert "coverage, pooled" in (tmp_path / "efficiency.md").read_text(
+        encoding="utf-8"
+    )
     assert (tmp_path / "efficiency.png").stat().st_size > 10_000
 
 
@@ -127,15 +160,23 @@ def test_the_double_pendulum_of_the_data_is_that_of_the_model() -> None:
 
     model = chaos.pendulum_model().with_values(chaos.PENDULUM_TRUTH)
     x = np.array([0.3, 1.1, 0.7, -0.4])
-    rates = np.array(model.rhs()(x, [], 0.3, [model.values[name] for name in model.free])).ravel()
+    rates = np.array(
+        model.rhs()(x, [], 0.3, [model.values[name] for name in model.free])
+    ).ravel()
     # the same formula in two orders of evaluation
     assert rates == pytest.approx(chaos._pendulum(0.3, x), rel=1e-12)
 
 
-def test_lorenz_is_identified_beyond_the_time_of_any_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lorenz_is_identified_beyond_the_time_of_any_prediction(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     import chaos
 
-    monkeypatch.setattr(chaos, "EXPERIMENTS", {"small": chaos.lorenz("small", ("x", "y", "z"), n_steps=500)})
+    monkeypatch.setattr(
+        chaos,
+        "EXPERIMENTS",
+        {"small": chaos.lorenz("small", ("x", "y", "z"), n_steps=500)},
+    )
     table = chaos.main(["small"], 1, keep=False)
     assert set(table["outcome"]) == {"solved"}
     # the largest of three standard normal numbers is above 4 once in 5000 draws

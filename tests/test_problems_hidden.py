@@ -1,4 +1,6 @@
-"""The battery of hidden effects: its machines, its sizes, its scores (not the diagnosis: that is what it examines)."""
+"""The battery of hidden effects: its machines, its sizes, its scores (not the
+diagnosis: that is what it examines).
+"""
 
 import numpy as np
 import pandas as pd
@@ -8,37 +10,61 @@ import phsi_opt as ph
 
 
 def _free_fall_of_one_mass(**hidden: float) -> np.ndarray:
-    """q(t) of m = 2, k = 3 with one hidden effect given as name=size, from q = 1 at rest."""
+    """q(t) of m = 2, k = 3 with one hidden effect given as name=size, from q = 1 at
+    rest.
+    """
     from hidden_truth import Hidden, Machine, simulate
 
     zero = np.zeros(1)
     machine = Machine(np.array([2.0]), np.array([3.0]), zero, zero, np.asarray(0.0))
-    effects = tuple(Hidden(name.replace("_", " "), 0, size, {"sign": 1.0}) for name, size in hidden.items())
-    return simulate(machine, effects, np.array([[1.0, 0.0]]), None, np.linspace(0.0, 9.0, 91))[:, 0, 0]
+    effects = tuple(
+        Hidden(name.replace("_", " "), 0, size, {"sign": 1.0})
+        for name, size in hidden.items()
+    )
+    return simulate(
+        machine, effects, np.array([[1.0, 0.0]]), None, np.linspace(0.0, 9.0, 91)
+    )[:, 0, 0]
 
 
-def test_a_hidden_linear_stiffness_and_damping_move_the_mass_as_the_closed_form_says() -> None:
+def test_a_hidden_linear_stiffness_and_damping_move_the_mass_as_the_closed_form_says() -> (
+    None
+):
     t, k, c = np.linspace(0.0, 9.0, 91), 3.0 + 0.4, 0.3
     decay, omega = c / 4, np.sqrt(k / 2 - (c / 4) ** 2)
-    expected = np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+    expected = np.exp(-decay * t) * (
+        np.cos(omega * t) + decay / omega * np.sin(omega * t)
+    )
     found = _free_fall_of_one_mass(linear_stiffness=0.4, viscous_damping=0.3)
     # RTOL=1e-8 per step, a few hundred steps
     assert found == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("hold", ["linear", "zero"])
-def test_quick_and_tight_simulation_agree_with_an_input_that_is_delayed_and_lagged(hold: str) -> None:
+def test_quick_and_tight_simulation_agree_with_an_input_that_is_delayed_and_lagged(
+    hold: str,
+) -> None:
     from hidden_truth import Drive, Hidden, Machine, simulate
 
     rng, t = np.random.default_rng(3), np.linspace(0.0, 12.0, 61)
     machine = Machine(
-        np.array([1.0, 2.0]), np.array([1.0, 1.5]), np.full(2, 0.2), np.full(2, 0.1), np.asarray(0.4), pushed=1
+        np.array([1.0, 2.0]),
+        np.array([1.0, 1.5]),
+        np.full(2, 0.2),
+        np.full(2, 0.1),
+        np.asarray(0.4),
+        pushed=1,
     )
     drive = Drive(float(t[1]), rng.normal(size=(2, len(t))), hold)
-    hidden = (Hidden("input delay", 1, 0.4), Hidden("input lag", 1, 0.5))  # two samples late: jumps stay at samples
+    hidden = (
+        Hidden("input delay", 1, 0.4),
+        Hidden("input lag", 1, 0.5),
+    )  # two samples late: jumps stay at samples
     starts = rng.normal(size=(2, 4))
-    tight, quick = (simulate(machine, hidden, starts, drive, t, steps) for steps in (0, 16))
-    # Runge and Kutta of order 4 with h = 0.0125: about 1e-8; LSODA passes kinks at 1e-8 per step
+    tight, quick = (
+        simulate(machine, hidden, starts, drive, t, steps) for steps in (0, 16)
+    )
+    # Runge and Kutta of order 4 with h = 0.0125: about 1e-8; LSODA passes kinks at 1e-8
+    # per step
     assert quick == pytest.approx(tight, abs=1e-5)
 
 
@@ -46,11 +72,23 @@ def test_a_drive_is_held_before_its_start_and_between_its_samples() -> None:
     from hidden_truth import Drive
 
     values = np.array([[2.0, 4.0, 1.0]])
-    assert [Drive(0.5, values, "linear").at(t)[0] for t in (-1.0, 0.25, 0.5, 1.0)] == [2.0, 3.0, 4.0, 1.0]
-    assert [Drive(0.5, values, "zero").at(t)[0] for t in (-1.0, 0.25, 0.5, 1.0)] == [2.0, 2.0, 4.0, 1.0]
+    assert [Drive(0.5, values, "linear").at(t)[0] for t in (-1.0, 0.25, 0.5, 1.0)] == [
+        2.0,
+        3.0,
+        4.0,
+        1.0,
+    ]
+    assert [Drive(0.5, values, "zero").at(t)[0] for t in (-1.0, 0.25, 0.5, 1.0)] == [
+        2.0,
+        2.0,
+        4.0,
+        1.0,
+    ]
 
 
-def test_hysteresis_takes_energy_from_a_closed_loop_and_keeps_within_its_yield_force() -> None:
+def test_hysteresis_takes_energy_from_a_closed_loop_and_keeps_within_its_yield_force() -> (
+    None
+):
     from hidden_truth import MEMORIES, Moment
 
     shape, q = {"beta": 2.0, "gamma": 2.0}, np.sin(np.linspace(0.0, 6 * np.pi, 6001))
@@ -61,7 +99,8 @@ def test_hysteresis_takes_energy_from_a_closed_loop_and_keeps_within_its_yield_f
         forces.append(float(z[0]))
     work = np.sum(np.array(forces)[2000:4000] * np.diff(q)[2000:4000])
     assert max(np.abs(forces)) <= 0.25 + 1e-6  # 1/(beta + gamma)
-    # the parallelogram that is cut by the yield force: 4 z_max (q_max - z_max) at most 1, rounded corners take some
+    # the parallelogram that is cut by the yield force: 4 z_max (q_max - z_max) at most
+    # 1, rounded corners take some
     assert 0.5 < work < 1.0
 
 
@@ -72,10 +111,13 @@ def test_a_delayed_sensor_shows_what_the_state_was() -> None:
     machine = Machine(np.array([1.0]), np.array([1.0]), zero, zero, np.asarray(0.0))
     starts = np.array([[1.0, 0.0]])
     y = measured(machine, (Hidden("sensor delay", 0, 0.25),), starts, None, t)[:, 0]
-    # the record begins one delay after the start: q(t) = cos(t + 0.25), shown late = cos(t)
+    # the record begins one delay after the start: q(t) = cos(t + 0.25), shown late =
+    # cos(t)
     assert y[:, 0] == pytest.approx(np.cos(t), abs=1e-6)
     assert y[:, 1] == pytest.approx(-np.sin(t + 0.25), abs=1e-6)
-    assert simulate(machine, (), starts, None, t)[:, 0, 0] == pytest.approx(np.cos(t), abs=1e-6)
+    assert simulate(machine, (), starts, None, t)[:, 0, 0] == pytest.approx(
+        np.cos(t), abs=1e-6
+    )
 
 
 def test_healthy_tanks_are_those_of_the_thesis_and_a_leak_empties_them() -> None:
@@ -87,7 +129,9 @@ def test_healthy_tanks_are_those_of_the_thesis_and_a_leak_empties_them() -> None
     assert _tank_matrix() @ x == pytest.approx(closed_tanks(0.0, x), rel=1e-12)
     starts, t = np.r_[np.zeros(5), np.ones(4)][None, :], np.linspace(0.0, 1.0, 11)
     held = tank_states(_tank_matrix(), None, starts, t)[:, 0, 5:].sum(axis=1)
-    left = tank_states(_tank_matrix(), Hidden("linear leak", 7, 0.5), starts, t)[:, 0, 5:].sum(axis=1)
+    left = tank_states(_tank_matrix(), Hidden("linear leak", 7, 0.5), starts, t)[
+        :, 0, 5:
+    ].sum(axis=1)
     assert held == pytest.approx(np.full(11, 4.0), abs=1e-6)
     assert np.all(np.diff(left) < 0)
 
@@ -97,10 +141,14 @@ def test_a_case_depends_on_row_and_seed_alone(name: str) -> None:
     from hidden_cases import ROWS, draw
 
     first, again, other = (draw(ROWS[name], seed) for seed in (4, 4, 5))
-    for one, two in zip(first.train.trajectories, again.train.trajectories, strict=True):
+    for one, two in zip(
+        first.train.trajectories, again.train.trajectories, strict=True
+    ):
         assert np.array_equal(one.x, two.x, equal_nan=True)
     assert (first.truths, first.model.values) == (again.truths, again.model.values)
-    assert first.train.trajectories[0].x.shape != other.train.trajectories[0].x.shape or not np.array_equal(
+    assert first.train.trajectories[0].x.shape != other.train.trajectories[
+        0
+    ].x.shape or not np.array_equal(
         first.train.trajectories[0].x, other.train.trajectories[0].x, equal_nan=True
     )
 
@@ -110,11 +158,18 @@ def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
     from hidden_truth import RunawayError
 
     with pytest.raises(RunawayError, match="could not be simulated"):
-        _free_fall_of_one_mass(quadratic_stiffness=-5.0)  # over the top of a spring that softens
-    assert draw(ROWS["quadratic_stiffness_0.03"], 3).truths[0].effect == "quadratic stiffness"  # its first one does
+        _free_fall_of_one_mass(
+            quadratic_stiffness=-5.0
+        )  # over the top of a spring that softens
+    assert (
+        draw(ROWS["quadratic_stiffness_0.03"], 3).truths[0].effect
+        == "quadratic stiffness"
+    )  # its first one does
 
 
-def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_has_no_misfit() -> None:
+def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_has_no_misfit() -> (
+    None
+):
     from hidden_cases import ROWS, draw
     from hidden_effects import DETECTED, floor, misfit
 
@@ -122,10 +177,17 @@ def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_h
     (truth,) = case.truths
     comparison = ph.compare(ph.identify(case.model, case.train), case.train)
     # the noise floor is estimated, and the noise moves the fit
-    assert comparison.rmse / comparison.noise_floor == pytest.approx(case.base_ratio, rel=0.1)
-    # two held-out runs: about a thousand values, 2 % by chance, and the held-out runs have other deviations
+    assert comparison.rmse / comparison.noise_floor == pytest.approx(
+        case.base_ratio, rel=0.1
+    )
+    # two held-out runs: about a thousand values, 2 % by chance, and the held-out runs
+    # have other deviations
     assert floor(case) == pytest.approx(comparison.noise_floor, rel=0.25)
-    effect = next(e for e in ph.catalogue(case.model) if e.name == truth.effect and e.equation in truth.equations)
+    effect = next(
+        e
+        for e in ph.catalogue(case.model)
+        if e.name == truth.effect and e.equation in truth.equations
+    )
     # SRK4 between samples leaves an error far below the noise
     assert misfit(case, case.model.add(effect)) < 0.1 * DETECTED
 
@@ -134,7 +196,12 @@ def test_the_model_of_a_case_does_not_have_the_hidden_effect() -> None:
     from hidden_cases import ONE, draw_setting, model_of
 
     assert "input delay" in ONE
-    for name in ("viscous damping", "linear stiffness", "coupling stiffness", "input delay"):
+    for name in (
+        "viscous damping",
+        "linear stiffness",
+        "coupling stiffness",
+        "input delay",
+    ):
         rng = np.random.default_rng(7)
         model = model_of(draw_setting(rng, (name,)), rng)
         assert name in {effect.name for effect in ph.catalogue(model)}
@@ -146,10 +213,14 @@ def test_two_effects_are_right_only_when_each_is_found_once_and_nothing_else() -
 
     truths = (Truth("gap", ("p1",)), Truth("coupling stiffness", ("p1", "p2")))
     assert matches(truths, [{"coupling stiffness on p2"}, {"gap on p1"}])
-    assert matches(truths, [{"coupling stiffness on p2"}, {"cubic stiffness on p1", "gap on p1"}])
+    assert matches(
+        truths, [{"coupling stiffness on p2"}, {"cubic stiffness on p1", "gap on p1"}]
+    )
     assert not matches(truths, [{"gap on p1"}])
     assert not matches(truths, [{"gap on p1"}, {"gap on p2"}])
-    assert not matches(truths, [{"gap on p1"}, {"coupling stiffness on p1"}, {"constant force on p1"}])
+    assert not matches(
+        truths, [{"gap on p1"}, {"coupling stiffness on p1"}, {"constant force on p1"}]
+    )
 
 
 def test_the_interval_covers_within_two_standard_errors_and_not_without_one() -> None:
@@ -165,11 +236,26 @@ def _record(**changes: object) -> dict[str, object]:
     from hidden_effects import COLUMNS
 
     usual: dict[str, object] = {
-        "row": "gap_0.01", "seed": 0, "noise": 0.01, "masses": 1, "measured": "q", "input": "none", "truth": "gap",
-        "equation": "p", "verdict": "missing: named", "first": "gap", "first_equation": "p", "right": True,
-        "tie": False, "covered": 1.0, "after": 1.0, "base_error": 5.0, "base_ratio": 5.0, "seconds": 1.0,
+        "row": "gap_0.01",
+        "seed": 0,
+        "noise": 0.01,
+        "masses": 1,
+        "measured": "q",
+        "input": "none",
+        "truth": "gap",
+        "equation": "p",
+        "verdict": "missing: named",
+        "first": "gap",
+        "first_equation": "p",
+        "right": True,
+        "tie": False,
+        "covered": 1.0,
+        "after": 1.0,
+        "base_error": 5.0,
+        "base_ratio": 5.0,
+        "seconds": 1.0,
         "outcome": "examined",
-    }  # fmt: skip
+    }
     return {name: {**usual, **changes}.get(name, np.nan) for name in COLUMNS}
 
 
@@ -189,7 +275,12 @@ def test_a_tie_counts_only_if_it_is_declared_and_true() -> None:
     assert (line["cases"], line["of these true ties"], line["met"]) == (4, 1, "yes")
     assert str(line["right"]).startswith("50%")
     (came,) = confusions(rows).to_dict("records")
-    assert (came["came"], came["cases"], came["declared_ties"], came["true_ties"]) == ("cubic stiffness on p", 3, 2, 1)
+    assert (came["came"], came["cases"], came["declared_ties"], came["true_ties"]) == (
+        "cubic stiffness on p",
+        3,
+        2,
+        1,
+    )
 
 
 def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -> None:
@@ -198,14 +289,24 @@ def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -
     rows = pd.DataFrame(
         [
             _record(row="outside", truth="square wave", right=False, misfit=1.0),
-            _record(row="outside", truth="square wave", right=False, misfit=1e3, seed=1),
-            _record(row="outside", truth="square wave", verdict="missing: unexplained", right=True, seed=2),
+            _record(
+                row="outside", truth="square wave", right=False, misfit=1e3, seed=1
+            ),
+            _record(
+                row="outside",
+                truth="square wave",
+                verdict="missing: unexplained",
+                right=True,
+                seed=2,
+            ),
         ]
     )
     assert list(scored(rows)["seed"]) == [1, 2]
 
 
-def test_a_diagnosis_that_fails_is_recorded_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_diagnosis_that_fails_is_recorded_and_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     import hidden_effects
     from hidden_cases import ROWS
 
@@ -242,8 +343,13 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
     monkeypatch.setattr(hidden_effects, "examine", record)
     hidden_effects.main(["gap_0.01"], 2, jobs=1)
     hidden_effects.main(["gap_0.01", "nothing"], 3, jobs=1)
-    first, then = [("gap_0.01", 0), ("gap_0.01", 1)], [("nothing", 0), ("nothing", 1), ("gap_0.01", 2), ("nothing", 2)]
-    assert examined == first + then  # nothing twice, and the first seeds of all rows first
+    first, then = (
+        [("gap_0.01", 0), ("gap_0.01", 1)],
+        [("nothing", 0), ("nothing", 1), ("gap_0.01", 2), ("nothing", 2)],
+    )
+    assert (
+        examined == first + then
+    )  # nothing twice, and the first seeds of all rows first
     text = (tmp_path / "hidden_effects.md").read_text(encoding="utf-8")
     assert "| gap 0.01 | 3 | 100%" in text and "command:" in text
     assert "commit abc1234: 6 cases" in text
@@ -254,7 +360,11 @@ def test_rows_are_chosen_by_their_beginning_and_an_unknown_one_is_refused() -> N
     from hidden_cases import ROWS
     from hidden_effects import chosen_rows
 
-    assert chosen_rows(["input_gain"]) == ["input_gain_0.01", "input_gain_0.03", "input_gain_0.1"]
+    assert chosen_rows(["input_gain"]) == [
+        "input_gain_0.01",
+        "input_gain_0.03",
+        "input_gain_0.1",
+    ]
     assert chosen_rows([]) == list(ROWS)
     with pytest.raises(SystemExit, match="no row begins with 'frition'"):
         chosen_rows(["frition"])

@@ -6,15 +6,20 @@ import numpy as np
 import pytest
 
 
-def test_defects_have_the_order_of_their_integrator_and_two_integrators_are_symmetric() -> None:
+def test_defects_have_the_order_of_their_integrator_and_two_integrators_are_symmetric() -> (
+    None
+):
     from thesis.integrators import orders, symmetry
 
     table = orders(2).set_index(["system", "integrator"])["order"]
     for system in ("Henon-Heiles", "Tanks, leak shut"):
         found = table[system].to_dict()
         # terms of the next order at h/8: below a tenth
-        assert found == pytest.approx({"euler": 1, "midpoint": 2, "rk4": 4, "srk4": 4}, abs=0.1)
-    # where the leak reaches its limit the right-hand side has a kink, and no scheme keeps order 4
+        assert found == pytest.approx(
+            {"euler": 1, "midpoint": 2, "rk4": 4, "srk4": 4}, abs=0.1
+        )
+    # where the leak reaches its limit the right-hand side has a kink, and no scheme
+    # keeps order 4
     assert table["Tanks and pipes"]["srk4"] < 3
     changes = symmetry(2)
     is_symmetric = changes["symmetric"].to_numpy()
@@ -22,7 +27,9 @@ def test_defects_have_the_order_of_their_integrator_and_two_integrators_are_symm
     assert changes["largest change"][~is_symmetric].min() > 1e-2
 
 
-def test_on_nearly_clean_data_the_order_of_the_integrator_is_the_accuracy_of_the_model() -> None:
+def test_on_nearly_clean_data_the_order_of_the_integrator_is_the_accuracy_of_the_model() -> (
+    None
+):
     from thesis.integrators import main
 
     fits = main(quick=True)["fits"]
@@ -33,7 +40,10 @@ def test_on_nearly_clean_data_the_order_of_the_integrator_is_the_accuracy_of_the
     assert clean["euler"] > 2 * clean["midpoint"]
     assert clean["midpoint"] > 10 * clean["srk4"]
     # with noise the three better ones cannot be told apart by more than the draw
-    assert noisy[["midpoint", "rk4", "srk4"]].max() < 3 * noisy[["midpoint", "rk4", "srk4"]].min()
+    assert (
+        noisy[["midpoint", "rk4", "srk4"]].max()
+        < 3 * noisy[["midpoint", "rk4", "srk4"]].min()
+    )
 
 
 def test_what_is_regularised_gives_its_dynamics_away() -> None:
@@ -56,24 +66,43 @@ def test_without_weights_the_start_decides_and_the_fit_says_that_it_cannot() -> 
     free = table[(table["lambda_H"] == 0) & (table["lambda_F"] == 0)]
     assert np.ptp(free["share of F"]) > 0.05
     warnings = tables["warnings"]
-    assert any("cannot tell" in note and "H[q**2]" in note for note in warnings[warnings["lambda_H"] == 0]["warning"])
+    assert any(
+        "cannot tell" in note and "H[q**2]" in note
+        for note in warnings[warnings["lambda_H"] == 0]["warning"]
+    )
 
 
-def test_every_method_of_the_thesis_is_scored_beside_the_solver_and_its_errors_are_small() -> None:
+def test_every_method_of_the_thesis_is_scored_beside_the_solver_and_its_errors_are_small() -> (
+    None
+):
     from thesis.experiments import main
     from thesis.systems import SYSTEMS
 
     tables = main(quick=True, names=["henon_heiles"])
     table: Any = tables["henon_heiles, scores"].set_index(["data", "method"])
-    expected = {"PHSI, solver", "PHSI, likelihood", "PHSI, descent", "BSI, solver", "BSI, descent", "SINDy, STLSQ",
-                "SINDy, SR3", "LASSO", "SSINN", "PHNN"}  # fmt: skip
+    expected = {
+        "PHSI, solver",
+        "PHSI, likelihood",
+        "PHSI, descent",
+        "BSI, solver",
+        "BSI, descent",
+        "SINDy, STLSQ",
+        "SINDy, SR3",
+        "LASSO",
+        "SSINN",
+        "PHNN",
+    }
     assert set(table.loc["clean"].index) == expected
     assert set(table.loc["noisy"].index) == {*expected, "PHSI, threshold alone"}
     assert (table["reason"] == "").all()
     clean = table.loc["clean"]
-    # SRK4's own error at h = 0.1 is below 1e-6; the derivative of SINDy is of order 2 and misses by 4e-3
+    # SRK4's own error at h = 0.1 is below 1e-6; the derivative of SINDy is of order 2
+    # and misses by 4e-3
     assert clean.loc["PHSI, solver", "largest error"] < 1e-4
-    assert clean.loc["PHSI, solver", "largest error"] < clean.loc["SINDy, SR3", "largest error"]
+    assert (
+        clean.loc["PHSI, solver", "largest error"]
+        < clean.loc["SINDy, SR3", "largest error"]
+    )
     assert clean.loc["PHSI, solver", "l2 whole"] < clean.loc["SINDy, SR3", "l2 whole"]
     assert np.isnan(clean.loc["PHNN", "largest error"])
     truth = tables["henon_heiles, coefficients, noisy"].set_index("coefficient")["true"]

@@ -1,4 +1,6 @@
-"""The profile likelihood: the parabola where the model is linear, and the honest interval where it is not."""
+"""The profile likelihood: the parabola where the model is linear, and the honest
+interval where it is not.
+"""
 
 import numpy as np
 import pytest
@@ -14,10 +16,14 @@ from phsi_opt.transcription.losses import PHSILoss
 
 
 def decay(noise: float, rate: Parameter) -> tuple[FirstOrder, Measurements]:
-    """x' = -r x from 1, few and noisy samples: the rate is known badly to the fast side."""
+    """x' = -r x from 1, few and noisy samples: the rate is known badly to the fast
+    side.
+    """
     t = np.linspace(0.0, 4.0, 12)
     y = np.exp(-0.8 * t) + noise * np.random.default_rng(2).normal(size=len(t))
-    return FirstOrder(states=("x",), F={"x": formula("-r*x", r=rate)}), Measurements.from_arrays(t, y, states=["x"])
+    return FirstOrder(
+        states=("x",), F={"x": formula("-r*x", r=rate)}
+    ), Measurements.from_arrays(t, y, states=["x"])
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +43,9 @@ def test_little_noise_gives_the_interval_of_the_curvature() -> None:
     assert found.upper == pytest.approx(upper, abs=0.02 * (upper - lower))
 
 
-def test_much_noise_gives_a_longer_arm_to_the_fast_side(loose: tuple[Fit, Measurements]) -> None:
+def test_much_noise_gives_a_longer_arm_to_the_fast_side(
+    loose: tuple[Fit, Measurements],
+) -> None:
     fit, data = loose
     found = profile(fit, data, "r")
     assert found.is_curved
@@ -45,7 +53,9 @@ def test_much_noise_gives_a_longer_arm_to_the_fast_side(loose: tuple[Fit, Measur
     assert "curvature alone" in str(found)
 
 
-def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(loose: tuple[Fit, Measurements]) -> None:
+def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(
+    loose: tuple[Fit, Measurements],
+) -> None:
     fit, data = loose
     found = profile(fit, data, "r")
     run = data.trajectories[0]
@@ -57,7 +67,9 @@ def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(loose: tu
 
     for end in (found.lower, found.upper):
         # 2 % of the half width is 4 % of the rise.
-        assert misfit(end) - misfit(found.value) == pytest.approx(found.threshold, rel=0.06)
+        assert misfit(end) - misfit(found.value) == pytest.approx(
+            found.threshold, rel=0.06
+        )
 
 
 def test_an_end_is_the_bound_where_the_profile_meets_it_first() -> None:
@@ -66,7 +78,9 @@ def test_an_end_is_the_bound_where_the_profile_meets_it_first() -> None:
     assert profile(fit, data, "r").lower == 0.7
 
 
-def test_a_parameter_without_a_profile_is_refused(loose: tuple[Fit, Measurements]) -> None:
+def test_a_parameter_without_a_profile_is_refused(
+    loose: tuple[Fit, Measurements],
+) -> None:
     fit, data = loose
     with pytest.raises(ModelError, match="parameter 's' is not a free, shared one"):
         profile(fit, data, "s")
@@ -77,7 +91,9 @@ def test_a_parameter_without_a_profile_is_refused(loose: tuple[Fit, Measurements
         profile(one_step, data, "r")
 
 
-def test_the_picture_is_drawn_where_it_is_asked_for(loose: tuple[Fit, Measurements]) -> None:
+def test_the_picture_is_drawn_where_it_is_asked_for(
+    loose: tuple[Fit, Measurements],
+) -> None:
     import matplotlib.pyplot as plt
 
     fit, data = loose

@@ -7,13 +7,19 @@ import phsi_opt as ph
 from phsi_opt.estimation.pruning import Pruning
 
 MODEL = ph.PseudoHamiltonian(
-    states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2), R=ph.damping("p")
+    states=["q", "p"],
+    S=ph.canonical(1),
+    H=ph.polynomials(["q", "p"], degree=2),
+    R=ph.damping("p"),
 )
 NAMES = list(MODEL.free)
 
 
 def values(**given: float) -> dict[str, float]:
-    return {**dict.fromkeys(NAMES, 1.0), **{name.replace("_", "["): v for name, v in given.items()}}
+    return {
+        **dict.fromkeys(NAMES, 1.0),
+        **{name.replace("_", "["): v for name, v in given.items()},
+    }
 
 
 def test_size_alone_knows_nothing_of_errors() -> None:
@@ -27,28 +33,38 @@ def test_a_term_goes_where_zero_explains_the_data_as_well() -> None:
     found = {**dict.fromkeys(NAMES, 1.0), "H[q]": 0.3, "H[p]": 0.3}
     error = dict.fromkeys(NAMES, 0.01) | {"H[q]": 0.2, "H[p]": 0.02}
     covariance = np.diag([error[name] ** 2 for name in NAMES])
-    assert Pruning(0.0, significance=0.01).insignificant(MODEL, found, covariance, 6) == {"H[q]"}
+    assert Pruning(0.0, significance=0.01).insignificant(
+        MODEL, found, covariance, 6
+    ) == {"H[q]"}
 
 
 def test_two_terms_that_are_needed_together_do_not_both_go() -> None:
-    # Each alone is within its error because the other can stand in for it; together they are far from zero.
+    # Each alone is within its error because the other can stand in for it; together
+    # they are far from zero.
     found = {**dict.fromkeys(NAMES, 1.0), "H[q]": 0.5, "H[p]": 0.4}
     i, j = NAMES.index("H[q]"), NAMES.index("H[p]")
     covariance = 1e-4 * np.eye(len(NAMES))
     covariance[i, i] = covariance[j, j] = 0.3**2
     covariance[i, j] = covariance[j, i] = -0.999 * 0.3**2
-    assert Pruning(0.0, significance=0.01).insignificant(MODEL, found, covariance, 6) == {"H[p]"}
+    assert Pruning(0.0, significance=0.01).insignificant(
+        MODEL, found, covariance, 6
+    ) == {"H[p]"}
 
 
 def test_a_term_without_a_standard_error_stays() -> None:
     found = {**dict.fromkeys(NAMES, 1.0), "H[q]": 1e-9}
     covariance = np.full((len(NAMES), len(NAMES)), np.nan)
-    assert Pruning(0.0, significance=0.01).insignificant(MODEL, found, covariance, 6) == set()
+    assert (
+        Pruning(0.0, significance=0.01).insignificant(MODEL, found, covariance, 6)
+        == set()
+    )
 
 
 def test_more_tests_make_it_harder_to_stay() -> None:
     found = {**dict.fromkeys(NAMES, 1.0), "H[q]": 0.3}
-    covariance = np.diag([0.1**2 if name == "H[q]" else 1e-6 for name in NAMES])  # three standard errors from zero
+    covariance = np.diag(
+        [0.1**2 if name == "H[q]" else 1e-6 for name in NAMES]
+    )  # three standard errors from zero
     rule = Pruning(0.0, significance=0.01)
     assert rule.insignificant(MODEL, found, covariance, 1) == set()
     assert rule.insignificant(MODEL, found, covariance, 34) == {"H[q]"}
@@ -56,9 +72,13 @@ def test_more_tests_make_it_harder_to_stay() -> None:
 
 @pytest.mark.parametrize(
     ("settings", "message"),
-    [({"significance": 0.0}, "between 0 and 1"), ({"significance": 5}, "between 0 and 1"),
-     ({"significance": 0.01, "debias": False}, "debias"), ({"threshold": -1}, "at least 0")],
-)  # fmt: skip
+    [
+        ({"significance": 0.0}, "between 0 and 1"),
+        ({"significance": 5}, "between 0 and 1"),
+        ({"significance": 0.01, "debias": False}, "debias"),
+        ({"threshold": -1}, "at least 0"),
+    ],
+)
 def test_bad_settings_are_refused(settings, message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         Pruning(**settings)
@@ -69,35 +89,62 @@ def oscillator(seed: int) -> ph.Measurements:
     runs = []
     for _ in range(4):
         size, phase = rng.uniform(1, 2), rng.uniform(0, 2 * np.pi)
-        runs.append(size * np.column_stack([np.cos(t + phase), -np.sin(t + phase)]) + 0.02 * rng.normal(size=(100, 2)))
+        runs.append(
+            size * np.column_stack([np.cos(t + phase), -np.sin(t + phase)])
+            + 0.02 * rng.normal(size=(100, 2))
+        )
     return ph.Measurements.from_arrays([t] * 4, runs, states=["q", "p"])
 
 
 def test_standard_errors_of_the_phsi_loss_are_the_spread_over_many_draws() -> None:
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2))
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2)
+    )
     fits = [ph.identify(model, oscillator(seed), ph.PHSILoss()) for seed in range(40)]
-    z = np.array([
-        [(fit.values[n] - (0.5 if n in ("H[q**2]", "H[p**2]") else 0.0)) / fit.std_errors[n] for n in fit.model.free]
-        for fit in fits
-    ])  # fmt: skip
+    z = np.array(
+        [
+            [
+                (fit.values[n] - (0.5 if n in ("H[q**2]", "H[p**2]") else 0.0))
+                / fit.std_errors[n]
+                for n in fit.model.free
+            ]
+            for fit in fits
+        ]
+    )
     assert 0.85 < np.sqrt(np.mean((z - z.mean(axis=0)) ** 2)) < 1.15
 
 
 def test_pruning_that_leaves_no_energy_says_so() -> None:
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2))
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2)
+    )
     with pytest.raises(ph.ModelError, match="removes every term"):
         ph.identify(model, oscillator(0), ph.PHSILoss(), pruning=Pruning(10.0))
     damped = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=2), R=ph.damping("p")
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], degree=2),
+        R=ph.damping("p"),
     )
     with pytest.raises(ph.ModelError, match="every term of H"):
         ph.identify(damped, oscillator(0), ph.PHSILoss(), pruning=Pruning(10.0))
 
 
-def test_significance_leaves_the_true_terms_and_no_others_in_nearly_every_draw() -> None:
-    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=3))
+def test_significance_leaves_the_true_terms_and_no_others_in_nearly_every_draw() -> (
+    None
+):
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=3)
+    )
     kept = [
-        set(ph.identify(model, oscillator(s), ph.PHSILoss(), pruning=Pruning(0.0, significance=0.01)).model.free)
+        set(
+            ph.identify(
+                model,
+                oscillator(s),
+                ph.PHSILoss(),
+                pruning=Pruning(0.0, significance=0.01),
+            ).model.free
+        )
         for s in range(20)
     ]
     assert all({"H[q**2]", "H[p**2]"} <= names for names in kept)

@@ -1,4 +1,6 @@
-"""`simulate` against closed forms, for free motion and for both ways of holding an input; and what it refuses."""
+"""`simulate` against closed forms, for free motion and for both ways of holding an
+input; and what it refuses.
+"""
 
 import gc
 from typing import Any
@@ -19,7 +21,10 @@ RTOL = 2e-6
 
 def spring() -> PseudoHamiltonian:
     model = PseudoHamiltonian(
-        states=("q", "p"), S=canonical(1), H=formula("k*q**2/2 + p**2/(2*m)", k=Parameter(K), m=M), R=damping("p")
+        states=("q", "p"),
+        S=canonical(1),
+        H=formula("k*q**2/2 + p**2/(2*m)", k=Parameter(K), m=M),
+        R=damping("p"),
     )
     return model.with_values({"R_p": D})  # type: ignore[return-value]
 
@@ -36,7 +41,9 @@ def test_a_damped_oscillation_is_that_of_the_closed_form(method: str) -> None:
     q = np.exp(-decay * s) * (np.cos(omega * s) + decay / omega * np.sin(omega * s))
     v = -np.exp(-decay * s) * (K / M) / omega * np.sin(omega * s)
     found = simulate(spring(), t, [1.0, 0.0], method=method)
-    np.testing.assert_allclose(found, np.column_stack([q, M * v]), atol=10 * RTOL)  # momenta reach 10
+    np.testing.assert_allclose(
+        found, np.column_stack([q, M * v]), atol=10 * RTOL
+    )  # momenta reach 10
     np.testing.assert_array_equal(found[0], [1.0, 0.0])
 
 
@@ -47,7 +54,9 @@ def test_a_held_input_follows_the_exponentials_between_the_samples() -> None:
     expected = [0.3]
     for h, value in zip(np.diff(t), u[:-1, 0], strict=True):
         expected.append(value + (expected[-1] - value) * np.exp(-2 * h))
-    np.testing.assert_allclose(simulate(lag(), t, [0.3], u, hold="zero")[:, 0], expected, atol=RTOL)
+    np.testing.assert_allclose(
+        simulate(lag(), t, [0.3], u, hold="zero")[:, 0], expected, atol=RTOL
+    )
 
 
 def test_a_linear_input_follows_the_ramp_response_between_the_samples() -> None:
@@ -56,7 +65,9 @@ def test_a_linear_input_follows_the_ramp_response_between_the_samples() -> None:
     expected = [0.3]
     for h, u0, slope in zip(np.diff(t), u[:-1], np.diff(u) / np.diff(t), strict=True):
         particular = u0 - slope / 2  # x = u - slope / a solves the equation with a = 2
-        expected.append(particular + slope * h + (expected[-1] - particular) * np.exp(-2 * h))
+        expected.append(
+            particular + slope * h + (expected[-1] - particular) * np.exp(-2 * h)
+        )
     np.testing.assert_allclose(simulate(lag(), t, [0.3], u)[:, 0], expected, atol=RTOL)
 
 
@@ -64,7 +75,9 @@ def test_an_input_may_be_a_function_of_the_time() -> None:
     t = np.linspace(0.0, 5.0, 51)
     # x' = 2 (sin t - x): x = (4 sin t - 2 cos t)/5 + c exp(-2 t).
     expected = (4 * np.sin(t) - 2 * np.cos(t)) / 5 + 0.4 * np.exp(-2 * t)
-    np.testing.assert_allclose(simulate(lag(), t, [0.0], np.sin)[:, 0], expected, atol=RTOL)
+    np.testing.assert_allclose(
+        simulate(lag(), t, [0.0], np.sin)[:, 0], expected, atol=RTOL
+    )
 
 
 def test_a_short_pulse_is_not_stepped_over() -> None:
@@ -74,11 +87,14 @@ def test_a_short_pulse_is_not_stepped_over() -> None:
     for hold, area in (("linear", 0.05), ("zero", 0.05)):
         # A pulse of that area moves an integrator by it.
         model = FirstOrder(states=["x"], inputs=["u"], F={"x": formula("u")})
-        assert simulate(model, t, [0.0], u, hold=hold)[-1, 0] == pytest.approx(area, abs=RTOL)
+        assert simulate(model, t, [0.0], u, hold=hold)[-1, 0] == pytest.approx(
+            area, abs=RTOL
+        )
 
 
 def test_the_right_hand_side_outlives_the_memory_it_was_made_in() -> None:
-    # CasADi's buffers are bare pointers; this crashed the interpreter once the arrays behind them were freed.
+    # CasADi's buffers are bare pointers; this crashed the interpreter once the arrays
+    # behind them were freed.
     t = np.linspace(0.0, 1.0, 11)
     first = simulate(spring(), t, [1.0, 0.0])
     for _ in range(8):
@@ -96,10 +112,15 @@ def test_the_right_hand_side_outlives_the_memory_it_was_made_in() -> None:
         ({"t": [0.0, np.nan]}, "finite"),
         ({"x0": [1.0]}, r"must be 2 finite numbers, one per state \(q, p\)"),
         ({"x0": [1.0, np.nan]}, "must be 2 finite numbers"),
-        ({"u": np.zeros((3, 1))}, r"u has shape \(3, 1\); expected finite numbers of shape \(2, 0\)"),
+        (
+            {"u": np.zeros((3, 1))},
+            r"u has shape \(3, 1\); expected finite numbers of shape \(2, 0\)",
+        ),
     ],
 )
-def test_arguments_of_the_wrong_shape_are_refused(arguments: dict[str, Any], message: str) -> None:
+def test_arguments_of_the_wrong_shape_are_refused(
+    arguments: dict[str, Any], message: str
+) -> None:
     with pytest.raises(DataError, match=message):
         simulate(spring(), **({"t": [0.0, 1.0], "x0": [1.0, 0.0]} | arguments))
 

@@ -21,30 +21,47 @@ PULSE = "-1.5*exp(-((q - 0.6)/0.2)**2)"
 
 def spring(hidden: str = "", known: bool = True) -> ph.PseudoHamiltonian:
     """q' = p, p' = -k q - c p + hidden, with k and c free unless ``known``."""
-    k, c = (2.0, ph.formula("0.2")) if known else (ph.Parameter(1.0, lower=0.0), ph.damping("p")["p"])
+    k, c = (
+        (2.0, ph.formula("0.2"))
+        if known
+        else (ph.Parameter(1.0, lower=0.0), ph.damping("p")["p"])
+    )
     return ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), R={"p": c}, H=ph.formula("k*q**2/2 + p**2/2", k=k),
+        states=["q", "p"],
+        S=ph.canonical(1),
+        R={"p": c},
+        H=ph.formula("k*q**2/2 + p**2/2", k=k),
         F={"p": ph.formula(hidden)} if hidden else {},
-    )  # fmt: skip
+    )
 
 
-def measured(hidden: str, starts: Sequence[tuple[float, float]], seed: int) -> ph.Measurements:
+def measured(
+    hidden: str, starts: Sequence[tuple[float, float]], seed: int
+) -> ph.Measurements:
     """The position alone, with noise of 1 % of its spread."""
     rng, runs = np.random.default_rng(seed), []
     for start in starts:
         q = ph.simulate(spring(hidden), TIMES, start)[:, 0]
-        runs.append(np.column_stack([q + 0.01 * q.std() * rng.normal(size=len(q)), np.full(len(q), np.nan)]))
+        runs.append(
+            np.column_stack(
+                [q + 0.01 * q.std() * rng.normal(size=len(q)), np.full(len(q), np.nan)]
+            )
+        )
     return ph.Measurements.from_arrays([TIMES] * len(runs), runs, states=["q", "p"])
 
 
 class Case:
-    """A spring with a hidden force: base fit, training and held-out record, and what was learned."""
+    """A spring with a hidden force: base fit, training and held-out record, and what
+    was learned.
+    """
 
     def __init__(self, hidden: str, on: Sequence[str]) -> None:
         self.train = measured(hidden, [(1.5, 0.0), (-1.0, 1.0)], seed=0)
         self.held_out = measured(hidden, [(1.2, -0.5)], seed=9)
         self.fit = ph.identify(spring(known=False), self.train)
-        self.learned = learned_force(self.fit, self.train, equation="p", on=on, epochs=40)
+        self.learned = learned_force(
+            self.fit, self.train, equation="p", on=on, epochs=40
+        )
         self.before = ph.compare(self.fit, self.held_out)
 
 
@@ -63,13 +80,17 @@ def coupled() -> Case:
     return Case("-0.3*q**2*p", ["q", "dH_dp"])
 
 
-def test_a_force_pulse_outside_the_catalogue_is_learned_and_the_held_out_error_falls(pulse: Case) -> None:
+def test_a_force_pulse_outside_the_catalogue_is_learned_and_the_held_out_error_falls(
+    pulse: Case,
+) -> None:
     assert pulse.before.rmse > 10 * pulse.before.noise_floor
     assert pulse.learned.explains > 0.9
     assert pulse.learned.free_run_rmse(pulse.held_out) < 0.2 * pulse.before.rmse
 
 
-def test_the_learned_force_is_orthogonal_to_what_the_free_parameters_can_produce(coupled: Case) -> None:
+def test_the_learned_force_is_orthogonal_to_what_the_free_parameters_can_produce(
+    coupled: Case,
+) -> None:
     record = coupled.learned.record
     assert record.physics.shape[1] == 2  # stiffness and damping
     force = coupled.learned.at(record.v) / record.std
@@ -79,19 +100,26 @@ def test_the_learned_force_is_orthogonal_to_what_the_free_parameters_can_produce
     assert np.linalg.norm(record.physics.T @ missing) > 0.05 * np.linalg.norm(missing)
 
 
-def test_less_is_missing_beside_the_learned_force_and_the_parameters_have_taken_their_part(pulse: Case) -> None:
+def test_less_is_missing_beside_the_learned_force_and_the_parameters_have_taken_their_part(
+    pulse: Case,
+) -> None:
     fit = pulse.learned.fit
     left, before = force_of(fit, pulse.train).w, pulse.learned.record.w
     assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(before**2))
-    # The free run needs both: with the parameters of the first fit, which had stood in for the force, it is worse.
+    # The free run needs both: with the parameters of the first fit, which had stood in
+    # for the force, it is worse.
     without = replace(pulse.learned, physics=pulse.fit)
-    assert pulse.learned.free_run_rmse(pulse.held_out) < 0.6 * without.free_run_rmse(pulse.held_out)
+    assert pulse.learned.free_run_rmse(pulse.held_out) < 0.6 * without.free_run_rmse(
+        pulse.held_out
+    )
 
 
 def test_with_nothing_hidden_it_explains_nothing_and_says_so(nothing: Case) -> None:
     assert nothing.learned.explains < 0.05
     error = nothing.learned.free_run_rmse(nothing.held_out)
-    assert error == pytest.approx(nothing.before.rmse, rel=0.01)  # noise of 151 samples moves it by 5 %
+    assert error == pytest.approx(
+        nothing.before.rmse, rel=0.01
+    )  # noise of 151 samples moves it by 5 %
 
 
 def test_a_pulse_becomes_one_term_with_its_place_and_width(pulse: Case) -> None:
@@ -102,11 +130,16 @@ def test_a_pulse_becomes_one_term_with_its_place_and_width(pulse: Case) -> None:
     # 15 %: the noise of 151 samples is known to 5 %
     assert after.rmse < 1.15 * after.noise_floor
     for name, true in (("", -1.5), (".centre", 0.6), (".width", 0.2)):
-        found, error = fit.values[f"learned_p_1{name}"], fit.std_errors[f"learned_p_1{name}"]
+        found, error = (
+            fit.values[f"learned_p_1{name}"],
+            fit.std_errors[f"learned_p_1{name}"],
+        )
         assert abs(found - true) < 4 * error < 0.2 * abs(true)
 
 
-def test_a_product_of_two_variables_is_distilled_and_the_diagnosis_confirms_it(coupled: Case) -> None:
+def test_a_product_of_two_variables_is_distilled_and_the_diagnosis_confirms_it(
+    coupled: Case,
+) -> None:
     effects = distil(coupled.learned, coupled.train)
     assert [str(effect) for effect in effects] == ["learned q**2*dH_dp on p"]
     found = ph.diagnose(coupled.fit, coupled.train, coupled.held_out, effects=effects)
@@ -118,17 +151,26 @@ def test_a_product_of_two_variables_is_distilled_and_the_diagnosis_confirms_it(c
 
 def test_terms_that_the_physics_has_are_never_distilled(pulse: Case) -> None:
     record, v = pulse.learned.record, pulse.learned.record.v[:, 0]
-    response = Response.of(pulse.fit, pulse.train, force_of(pulse.fit, pulse.train), row=1)
-    beside = replace(response, residual=response.traces(-(v**3)[:, None])[:, 0])  # what a cubic spring would leave
+    response = Response.of(
+        pulse.fit, pulse.train, force_of(pulse.fit, pulse.train), row=1
+    )
+    beside = replace(
+        response, residual=response.traces(-(v**3)[:, None])[:, 0]
+    )  # what a cubic spring would leave
     (cubic,) = short_form(["q"], record, beside, -2.0 * v - v**3, most=3, share=0.9)
     assert cubic.body == "q**3" and cubic.coefficient is not None
-    # 1 %: the curve is taken in the middle of the intervals, the physics at the stages of SRK4
+    # 1 %: the curve is taken in the middle of the intervals, the physics at the stages
+    # of SRK4
     assert cubic.coefficient.value == pytest.approx(-1.0, rel=0.01)
 
 
-def test_a_force_without_a_short_formula_is_not_distilled(pulse: Case, nothing: Case) -> None:
+def test_a_force_without_a_short_formula_is_not_distilled(
+    pulse: Case, nothing: Case
+) -> None:
     assert distil(pulse.learned, pulse.train, most=1, share=0.999999999) == []
-    silent = replace(nothing.learned, output=(np.zeros_like(nothing.learned.output[0]), 0.0))
+    silent = replace(
+        nothing.learned, output=(np.zeros_like(nothing.learned.output[0]), 0.0)
+    )
     assert distil(silent, nothing.train) == []
 
 
@@ -139,7 +181,9 @@ def test_distilled_terms_take_names_that_are_free_in_the_model(pulse: Case) -> N
     assert {"learned_p_1", "learned_p_2"} < set(model.free)
 
 
-def test_the_formula_in_the_model_is_the_network_and_is_held_at_the_edge_of_the_data(coupled: Case) -> None:
+def test_the_formula_in_the_model_is_the_network_and_is_held_at_the_edge_of_the_data(
+    coupled: Case,
+) -> None:
     learned = coupled.learned
     x = np.array([[0.3, -0.7], [9.0, 9.0], [-1.0, 1.0]])
     with_force, without = learned.fit.casadi(), learned.physics.casadi()
@@ -148,10 +192,17 @@ def test_the_formula_in_the_model_is_the_network_and_is_held_at_the_edge_of_the_
     assert learned.force([[9.0, 9.0]]) == pytest.approx(learned.at(learned.seen[1:]))
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(pulse: Case) -> None:
+def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(
+    pulse: Case,
+) -> None:
     short = pulse.train[:1]
-    a, b, c = (learned_force(pulse.fit, short, equation="p", on=["q"], epochs=2, seed=seed) for seed in (3, 3, 4))
-    assert np.array_equal(a.hidden[0], b.hidden[0]) and np.array_equal(a.output[0], b.output[0])
+    a, b, c = (
+        learned_force(pulse.fit, short, equation="p", on=["q"], epochs=2, seed=seed)
+        for seed in (3, 3, 4)
+    )
+    assert np.array_equal(a.hidden[0], b.hidden[0]) and np.array_equal(
+        a.output[0], b.output[0]
+    )
     assert not np.array_equal(a.hidden[0], c.hidden[0])
 
 
@@ -161,11 +212,17 @@ def test_a_force_of_an_input_is_learned_in_a_drive_with_held_input() -> None:
 
     def drive(**force: ph.Parameter | float) -> ph.PseudoHamiltonian:
         return ph.PseudoHamiltonian(
-            states=["v"], inputs=["u"], S=[[0.0]], H=ph.formula("v**2/2"), R={"v": ph.formula("0.8")},
+            states=["v"],
+            inputs=["u"],
+            S=[[0.0]],
+            H=ph.formula("v**2/2"),
+            R={"v": ph.formula("0.8")},
             F={"v": ph.formula("b*u + c*abs(u)", **force)},
-        )  # fmt: skip
+        )
 
-    v = ph.simulate(drive(b=5.0, c=2.0), t, [0.0], u, hold="zero") + 0.02 * rng.normal(size=(400, 1))
+    v = ph.simulate(drive(b=5.0, c=2.0), t, [0.0], u, hold="zero") + 0.02 * rng.normal(
+        size=(400, 1)
+    )
     data = ph.Measurements.from_arrays(t, v, u, states=["v"], inputs=["u"], hold="zero")
     train, test = data.split(0.7)
     fit = ph.identify(drive(b=ph.Parameter(1.0), c=0.0), train)
@@ -182,8 +239,12 @@ def test_a_saved_force_is_the_same_when_loaded(coupled: Case, tmp_path: Path) ->
     again = LearnedForce.load(tmp_path / "force.json")
     t, x0 = np.linspace(0.0, 2.0, 11), [1.0, 0.5]
     assert np.array_equal(again.simulate(t, x0), coupled.learned.simulate(t, x0))
-    assert again.explains == coupled.learned.explains and str(again) == str(coupled.learned)
-    assert [e.term for e in distil(again, coupled.train)] == [e.term for e in distil(coupled.learned, coupled.train)]
+    assert again.explains == coupled.learned.explains and str(again) == str(
+        coupled.learned
+    )
+    assert [e.term for e in distil(again, coupled.train)] == [
+        e.term for e in distil(coupled.learned, coupled.train)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -206,7 +267,9 @@ def test_a_damaged_file_is_refused(pulse: Case, tmp_path: Path, damage) -> None:
         LearnedForce.load(path)
 
 
-def test_pictures_use_the_axes_given_and_warn_of_extrapolation(pulse: Case, coupled: Case) -> None:
+def test_pictures_use_the_axes_given_and_warn_of_extrapolation(
+    pulse: Case, coupled: Case
+) -> None:
     for case, label in ((pulse, "force in dp/dt"), (coupled, "dH_dp")):
         _, ax = plt.subplots()
         assert case.learned.plot(ax) is ax
@@ -225,13 +288,20 @@ def test_pictures_use_the_axes_given_and_warn_of_extrapolation(pulse: Case, coup
         ({"epochs": 0}, ph.ModelError, "at least 1"),
     ],
 )
-def test_bad_settings_are_refused(pulse: Case, changed: dict, error: type[Exception], message: str) -> None:
+def test_bad_settings_are_refused(
+    pulse: Case, changed: dict, error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
-        learned_force(pulse.fit, pulse.train, **{"equation": "p", "on": ["q"], **changed})
+        learned_force(
+            pulse.fit, pulse.train, **{"equation": "p", "on": ["q"], **changed}
+        )
 
 
 def test_too_short_a_record_is_refused(pulse: Case) -> None:
     run = pulse.train.trajectories[0]
-    few = replace(pulse.train, trajectories=(replace(run, t=run.t[:30], x=run.x[:30], u=run.u[:30]),))
+    few = replace(
+        pulse.train,
+        trajectories=(replace(run, t=run.t[:30], x=run.x[:30], u=run.u[:30]),),
+    )
     with pytest.raises(ph.DataError, match="29 intervals are too few"):
         learned_force(pulse.fit, few, equation="p", on=["q"])

@@ -1,4 +1,6 @@
-"""The loop, from a hidden effect to a better model: comparison, diagnosis, study, effects, pictures."""
+"""The loop, from a hidden effect to a better model: comparison, diagnosis, study,
+effects, pictures.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -19,14 +21,27 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.presentation.pictures import plot_history
 
 HISTORY = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"]
-CANDIDATES = ["effect", "slot", "equation", "coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]
+CANDIDATES = [
+    "effect",
+    "slot",
+    "equation",
+    "coefficient",
+    "std_error",
+    "p_value",
+    "delta_bic",
+    "held_out_rmse",
+]
 
 
 def measurements(friction: float, seed: int) -> ph.Measurements:
     frame = table(seed, friction)
     kept = frame[frame["run"].isin([f"run {i}" for i in (1, 2, 3, 4, 5)])]
     return ph.Measurements.from_dataframe(
-        kept, time="t_s", states={"q": "position_m", "p": None}, trajectory="run", units={"q": "m", "t": "s"}
+        kept,
+        time="t_s",
+        states={"q": "position_m", "p": None},
+        trajectory="run",
+        units={"q": "m", "t": "s"},
     )
 
 
@@ -46,25 +61,36 @@ def complete() -> ph.Study:
 
 def test_the_csv_file_of_the_demonstration_is_what_its_script_writes() -> None:
     # 1e-6: the file is rounded to six digits
-    pd.testing.assert_frame_equal(pd.read_csv(CSV), table(seed=0).round(6), atol=2e-6, rtol=0)
+    pd.testing.assert_frame_equal(
+        pd.read_csv(CSV), table(seed=0).round(6), atol=2e-6, rtol=0
+    )
 
 
-def test_a_hidden_friction_is_named_added_and_brings_the_held_out_error_to_the_noise_floor(hidden: ph.Study) -> None:
+def test_a_hidden_friction_is_named_added_and_brings_the_held_out_error_to_the_noise_floor(
+    hidden: ph.Study,
+) -> None:
     assert list(hidden.history["effect"]) == ["base model", "coulomb friction on p"]
     assert list(hidden.history.columns) == HISTORY
     first, last = hidden.history.iloc[0], hidden.history.iloc[-1]
     assert first["held_out_rmse"] > 1.2 * first["noise_floor"]
-    # 1.1: two held-out runs of 201 samples know an error to 1/sqrt(2*402) = 3.5 %, so this is three standard errors
+    # 1.1: two held-out runs of 201 samples know an error to 1/sqrt(2*402) = 3.5 %, so
+    # this is three standard errors
     assert last["held_out_rmse"] < 1.1 * last["noise_floor"]
 
 
-def test_the_coefficient_of_the_friction_lies_within_three_standard_errors(hidden: ph.Study) -> None:
+def test_the_coefficient_of_the_friction_lies_within_three_standard_errors(
+    hidden: ph.Study,
+) -> None:
     row = hidden.fit.parameters.set_index("name").loc["coulomb_friction_p"]
     assert abs(row["value"] - 2.0) < 3 * row["std_error"]
-    assert 0 < row["std_error"] < 0.2  # a tenth of the friction: far below what would hide a wrong value
+    assert (
+        0 < row["std_error"] < 0.2
+    )  # a tenth of the friction: far below what would hide a wrong value
 
 
-def test_with_nothing_hidden_the_study_says_nothing_missing_and_adds_nothing(complete: ph.Study) -> None:
+def test_with_nothing_hidden_the_study_says_nothing_missing_and_adds_nothing(
+    complete: ph.Study,
+) -> None:
     assert complete.diagnose().verdict == "nothing missing"
     assert list(complete.history["effect"]) == ["base model"]
     assert complete.stopped.startswith("nothing missing")
@@ -87,8 +113,12 @@ def test_the_diagnosis_tells_where_and_ranks_candidates(hidden: ph.Study) -> Non
         base.undo()
 
 
-def test_the_noise_given_to_a_study_holds_for_the_candidates_too(hidden: ph.Study) -> None:
-    study = ph.Study(spring(), hidden.train, loss=ph.MaximumLikelihood(noise={"q": 0.08}))
+def test_the_noise_given_to_a_study_holds_for_the_candidates_too(
+    hidden: ph.Study,
+) -> None:
+    study = ph.Study(
+        spring(), hidden.train, loss=ph.MaximumLikelihood(noise={"q": 0.08})
+    )
     study.diagnose()
     assert study.add("coulomb friction", "p").noise == {"q": 0.08}
 
@@ -103,22 +133,42 @@ def test_add_by_a_wrong_name_suggests_the_right_one(complete: ph.Study) -> None:
 def test_adding_an_effect_leaves_the_model_as_it_was() -> None:
     model = spring()
     larger = model.add(effect_named(model, "quadratic drag", "p"))
-    assert "quadratic_drag_p" in larger.entries and "quadratic_drag_p" not in model.entries
+    assert (
+        "quadratic_drag_p" in larger.entries and "quadratic_drag_p" not in model.entries
+    )
 
 
 def test_the_catalogue_knows_slots_and_leaves_out_what_the_model_has() -> None:
     listed = {(e.name, e.slot, e.equation) for e in ph.catalogue(spring())}
-    assert ("coulomb friction", "R", "p") in listed and ("cubic stiffness", "H", "p") in listed
+    assert ("coulomb friction", "R", "p") in listed and (
+        "cubic stiffness",
+        "H",
+        "p",
+    ) in listed
     assert ("harmonic force", "F", "p") in listed
-    assert not any(name == "viscous damping" for name, _, _ in listed)  # the model has it
-    assert not any(name == "linear stiffness" for name, _, _ in listed)  # k of its formula does the same
+    assert not any(
+        name == "viscous damping" for name, _, _ in listed
+    )  # the model has it
+    assert not any(
+        name == "linear stiffness" for name, _, _ in listed
+    )  # k of its formula does the same
     # dq/dt = dH/dp is kinematics: only its sensor can be wrong.
     assert {slot for _, slot, equation in listed if equation == "q"} == {"sensor"}
     first_order = ph.FirstOrder(["v"], {"v": ph.polynomials(["v"], 1)})
     names = {e.name for e in ph.catalogue(first_order)}
-    assert {"coulomb friction", "quadratic drag", "turbulent leak", "overflow", "constant force"} <= names
-    assert "viscous damping" not in names and "linear leak" not in names  # its linear term
-    assert not any(e.slot == "H" for e in ph.catalogue(first_order))  # no energy to change
+    assert {
+        "coulomb friction",
+        "quadratic drag",
+        "turbulent leak",
+        "overflow",
+        "constant force",
+    } <= names
+    assert (
+        "viscous damping" not in names and "linear leak" not in names
+    )  # its linear term
+    assert not any(
+        e.slot == "H" for e in ph.catalogue(first_order)
+    )  # no energy to change
 
 
 def test_comparison_of_the_true_model_shows_the_noise(complete: ph.Study) -> None:
@@ -141,8 +191,13 @@ def _truth() -> list[np.ndarray]:
 def test_the_energy_of_a_free_run_balances(hidden: ph.Study) -> None:
     balance = hidden.compare().energy
     scale = balance["dissipated"].abs().max()
-    # 2 %: trapezoids over 60 samples per period, with the corner of the friction between samples
-    assert np.allclose(balance["change"], balance["supplied"] - balance["dissipated"], atol=0.02 * scale)
+    # 2 %: trapezoids over 60 samples per period, with the corner of the friction
+    # between samples
+    assert np.allclose(
+        balance["change"],
+        balance["supplied"] - balance["dissipated"],
+        atol=0.02 * scale,
+    )
 
 
 def test_quadratic_drag_is_found_in_a_one_state_drive_with_held_input() -> None:
@@ -150,15 +205,23 @@ def test_quadratic_drag_is_found_in_a_one_state_drive_with_held_input() -> None:
     t = 0.1 * np.arange(600)
     u = np.repeat(rng.uniform(-1, 1, 30), 20)[:, None]
     truth = ph.PseudoHamiltonian(
-        states=["v"], inputs=["u"], S=[[0.0]], H=ph.formula("v**2/2"),
-        R={"v": ph.formula("0.4 + 0.3*abs(dH_dv)")}, F={"v": ph.formula("5*u")},
-    )  # fmt: skip
+        states=["v"],
+        inputs=["u"],
+        S=[[0.0]],
+        H=ph.formula("v**2/2"),
+        R={"v": ph.formula("0.4 + 0.3*abs(dH_dv)")},
+        F={"v": ph.formula("5*u")},
+    )
     v = ph.simulate(truth, t, [0.0], u, hold="zero") + 0.05 * rng.normal(size=(600, 1))
     data = ph.Measurements.from_arrays(t, v, u, states=["v"], inputs=["u"], hold="zero")
     base = ph.PseudoHamiltonian(
-        states=["v"], inputs=["u"], S=[[0.0]], H=ph.formula("v**2/2"), R=ph.damping("v"),
+        states=["v"],
+        inputs=["u"],
+        S=[[0.0]],
+        H=ph.formula("v**2/2"),
+        R=ph.damping("v"),
         F={"v": ph.formula("b*u", b=ph.Parameter(1.0))},
-    )  # fmt: skip
+    )
     study = ph.Study(base, *data.split(0.7))
     study.auto()
     assert list(study.history["effect"]) == ["base model", "quadratic drag on v"]
@@ -166,13 +229,19 @@ def test_quadratic_drag_is_found_in_a_one_state_drive_with_held_input() -> None:
     assert abs(row["value"] - 0.3) < 3 * row["std_error"]
 
 
-def test_pictures_use_the_axes_given_and_the_report_is_text(hidden: ph.Study, tmp_path: Path) -> None:
+def test_pictures_use_the_axes_given_and_the_report_is_text(
+    hidden: ph.Study, tmp_path: Path
+) -> None:
     _, ax = plt.subplots()
     assert hidden.compare().plot(ax) is ax
     assert hidden.diagnose().plot().get_xlabel() == "t (s)"
     assert "m" in hidden.plot_history().get_ylabel()
     plt.close("all")
-    effects = ["base model", "coulomb friction on p and sensor delay on q", "without drag"]
+    effects = [
+        "base model",
+        "coulomb friction on p and sensor delay on q",
+        "without drag",
+    ]
     errors = {"train_rmse": 1.0, "held_out_rmse": 1.0, "noise_floor": 0.5, "bic": 0.0}
     long = pd.DataFrame({"step": [0, 1, 2], "effect": effects, **errors})
     axes = plot_history(long)
@@ -189,31 +258,53 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(hidden: ph.Study, tm
 
 def test_measurements_in_which_nothing_moves_are_refused() -> None:
     t = np.linspace(0.0, 5.0, 50)
-    still = ph.Measurements.from_arrays(t, np.column_stack([np.ones(50), np.full(50, np.nan)]), states=["q", "p"])
+    still = ph.Measurements.from_arrays(
+        t, np.column_stack([np.ones(50), np.full(50, np.nan)]), states=["q", "p"]
+    )
     with pytest.raises(ph.DataError, match="nothing moves"):
         ph.identify(spring(), still)
 
 
 def test_fewer_values_than_unknowns_are_refused() -> None:
-    few = ph.Measurements.from_arrays([0.0, 0.1, 0.2], [[1.0, np.nan], [0.9, np.nan], [0.7, np.nan]], states=["q", "p"])
-    with pytest.raises(ph.DataError, match="3 measured values are too few for 4 unknowns"):
+    few = ph.Measurements.from_arrays(
+        [0.0, 0.1, 0.2],
+        [[1.0, np.nan], [0.9, np.nan], [0.7, np.nan]],
+        states=["q", "p"],
+    )
+    with pytest.raises(
+        ph.DataError, match="3 measured values are too few for 4 unknowns"
+    ):
         ph.identify(spring(), few)
 
 
-def test_friction_is_found_beside_a_sensor_with_an_offset_and_a_load_that_differs_between_runs() -> None:
+def test_friction_is_found_beside_a_sensor_with_an_offset_and_a_load_that_differs_between_runs() -> (
+    None
+):
     data = measurements(2.0, seed=5)
     runs = [replace(run, x=run.x + np.array([0.4, 0.0])) for run in data.trajectories]
     train, held_out = replace(data, trajectories=tuple(runs)).split(0.6)
     model = ph.PseudoHamiltonian(
-        states=["q", "p"], S=ph.canonical(1), R=ph.damping("p"),
-        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=ph.Parameter(2.5, lower=0.1, per_trajectory=True)),
+        states=["q", "p"],
+        S=ph.canonical(1),
+        R=ph.damping("p"),
+        H=ph.formula(
+            "k*q**2/2 + p**2/(2*m)",
+            k=40.0,
+            m=ph.Parameter(2.5, lower=0.1, per_trajectory=True),
+        ),
         sensor={"q": ph.formula("b", b=ph.Parameter(0.0))},
-    )  # fmt: skip
+    )
     study = ph.Study(model, train, held_out)
     found = study.diagnose()
-    assert (found.verdict, str(found.effects[0])) == ("missing: named", "coulomb friction on p")
+    assert (found.verdict, str(found.effects[0])) == (
+        "missing: named",
+        "coulomb friction on p",
+    )
     fit = study.add(found.effects[0])
-    assert abs(fit.values["coulomb_friction_p"] - 2.0) < 3 * fit.std_errors["coulomb_friction_p"]
+    assert (
+        abs(fit.values["coulomb_friction_p"] - 2.0)
+        < 3 * fit.std_errors["coulomb_friction_p"]
+    )
     # The offset of the sensor stays the sensor's.
     assert abs(fit.values["b"] - 0.4) < 3 * fit.std_errors["b"]
     assert study.compare().rmse < 1.1 * study.compare().noise_floor

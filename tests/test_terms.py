@@ -1,4 +1,6 @@
-"""Parameters, terms and dictionaries: what they hold, what they are called, and what they refuse."""
+"""Parameters, terms and dictionaries: what they hold, what they are called, and what
+they refuse.
+"""
 
 import pickle
 from math import comb
@@ -21,7 +23,9 @@ from phsi_opt.model.terms import (
 )
 
 
-def test_a_parameter_starts_at_its_value_or_at_the_point_of_its_bounds_nearest_to_zero() -> None:
+def test_a_parameter_starts_at_its_value_or_at_the_point_of_its_bounds_nearest_to_zero() -> (
+    None
+):
     assert Parameter(2.0).start == 2.0
     assert Parameter().start == 0.0
     assert Parameter(lower=0.5).start == 0.5
@@ -41,13 +45,17 @@ def test_a_parameter_starts_at_its_value_or_at_the_point_of_its_bounds_nearest_t
         ({"fixed": True}, "a fixed parameter needs a value"),
     ],
 )
-def test_a_parameter_that_contradicts_itself_is_refused(arguments: dict[str, Any], message: str) -> None:
+def test_a_parameter_that_contradicts_itself_is_refused(
+    arguments: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ModelError, match=message):
         Parameter(**arguments)
 
 
 @pytest.mark.parametrize(("n", "degree"), [(1, 1), (1, 4), (2, 3), (3, 2)])
-def test_polynomials_are_all_monomials_up_to_the_degree_and_each_once(n: int, degree: int) -> None:
+def test_polynomials_are_all_monomials_up_to_the_degree_and_each_once(
+    n: int, degree: int
+) -> None:
     names = [f"x{i}" for i in range(n)]
     bodies = [term.body for term in polynomials(names, degree, constant=True)]
     assert len(bodies) == len(set(bodies)) == comb(n + degree, degree)
@@ -56,7 +64,13 @@ def test_polynomials_are_all_monomials_up_to_the_degree_and_each_once(n: int, de
 
 
 def test_monomials_are_written_as_formulas() -> None:
-    assert [t.body for t in polynomials(["q", "p"], 2)] == ["q", "p", "q**2", "q*p", "p**2"]
+    assert [t.body for t in polynomials(["q", "p"], 2)] == [
+        "q",
+        "p",
+        "q**2",
+        "q*p",
+        "p**2",
+    ]
 
 
 def test_a_trigonometric_pair_shares_one_frequency_that_is_scanned() -> None:
@@ -107,9 +121,15 @@ def test_setting_a_value_keeps_the_bounds() -> None:
         (lambda: polynomials(["q"], 0), "degree=0 of polynomials"),
         (lambda: polynomials(["q"], 1.5), "degree=1.5 of polynomials"),  # type: ignore[arg-type]
         (lambda: trigonometric("t", n=0), "n=0 of trigonometric"),
-        (lambda: polynomials(["q"], 2) + polynomials(["q"], 1), "term 'q' stands in the dictionary twice"),
+        (
+            lambda: polynomials(["q"], 2) + polynomials(["q"], 1),
+            "term 'q' stands in the dictionary twice",
+        ),
         (lambda: polynomials(["q"], 2) + 3, "3 cannot be added to a dictionary"),  # type: ignore[operator]
-        (lambda: formula("k*q", k=1.0, m=2.0), "parameter 'm' does not occur in 'k\\*q'"),
+        (
+            lambda: formula("k*q", k=1.0, m=2.0),
+            "parameter 'm' does not occur in 'k\\*q'",
+        ),
     ],
 )
 def test_a_dictionary_that_makes_no_sense_is_refused(make: Any, message: str) -> None:

@@ -21,7 +21,9 @@ def test_terms_without_significance_are_not_called_a_common_factor() -> None:
 def test_a_factor_that_leaves_no_trace_is_found_among_well_known_parameters() -> None:
     rng = np.random.default_rng(1)
     theta = np.array([3.0, 2.0, 0.5, 1.0, -4.0])
-    together = np.array([3.0, 2.0, 0.5, 0.0, 0.0])  # the first three may be multiplied by one number
+    together = np.array(
+        [3.0, 2.0, 0.5, 0.0, 0.0]
+    )  # the first three may be multiplied by one number
     away = np.eye(5) - np.outer(together, together) / (together @ together)
     root = rng.normal(size=(50, 5)) @ away
     sentences, members = weak_directions(NAMES[:5], theta, inverse(root.T @ root), [])
@@ -32,14 +34,23 @@ def test_a_factor_that_leaves_no_trace_is_found_among_well_known_parameters() ->
 def test_a_product_and_a_ratio_are_told_apart() -> None:
     rng = np.random.default_rng(2)
     theta = np.array([3.0, 2.0])
-    for along, text in (([3.0, 2.0], "only c0/c1 is identifiable"), ([3.0, -2.0], "only c0*c1 is identifiable")):
+    for along, text in (
+        ([3.0, 2.0], "only c0/c1 is identifiable"),
+        ([3.0, -2.0], "only c0*c1 is identifiable"),
+    ):
         direction = np.array(along) / np.linalg.norm(along)
         root = rng.normal(size=(50, 2)) @ (np.eye(2) - np.outer(direction, direction))
-        assert text in weak_directions(NAMES[:2], theta, inverse(root.T @ root), [])[0][0]
+        assert (
+            text in weak_directions(NAMES[:2], theta, inverse(root.T @ root), [])[0][0]
+        )
 
 
 def test_a_parameter_without_a_trace_is_named_alone() -> None:
     root = np.diag([1.0, 0.0, 2.0])
-    sentences, members = weak_directions(NAMES[:3], np.ones(3), inverse(root.T @ root), [])
+    sentences, members = weak_directions(
+        NAMES[:3], np.ones(3), inverse(root.T @ root), []
+    )
     assert members == [1]
-    assert sentences == ("the data say nothing about c1: fix it to a known value or remove it",)
+    assert sentences == (
+        "the data say nothing about c1: fix it to a known value or remove it",
+    )

@@ -1,4 +1,6 @@
-"""Where a model fails: the missing force is placed in time, state space and frequency, and what it follows is named."""
+"""Where a model fails: the missing force is placed in time, state space and frequency,
+and what it follows is named.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -17,7 +19,13 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation, force_of
 from phsi_opt.force_analysis.dependence import depends_on
 from phsi_opt.force_analysis.energy import power
-from phsi_opt.force_analysis.force_plots import plot_dependence, plot_force, plot_map, plot_spectrum, plot_where
+from phsi_opt.force_analysis.force_plots import (
+    plot_dependence,
+    plot_force,
+    plot_map,
+    plot_spectrum,
+    plot_where,
+)
 from phsi_opt.force_analysis.force_record import spectrum
 from phsi_opt.force_analysis.localization import located, uncertain
 from phsi_opt.force_analysis.wording import sentences
@@ -37,30 +45,55 @@ def spring(c: Number | None = None) -> PseudoHamiltonian:
     """A driven spring whose stiffness and, unless it is given, damping are to be found."""
     k, c = Parameter(30.0, lower=0), Parameter(0.5, lower=0) if c is None else c
     return PseudoHamiltonian(
-        states=["q", "p"], inputs=["u"], S=canonical(1), H=formula("k*q**2/2 + p**2/(2*m)", k=k, m=M),
-        R={"p": formula("c", c=c)}, F={"p": formula("u")},
-    )  # fmt: skip
+        states=["q", "p"],
+        inputs=["u"],
+        S=canonical(1),
+        H=formula("k*q**2/2 + p**2/(2*m)", k=k, m=M),
+        R={"p": formula("c", c=c)},
+        F={"p": formula("u")},
+    )
 
 
 def spring_with(
-    force: Force | None, p_seen: bool = False, even: bool = True, model: PseudoHamiltonian | None = None, n: int = 121
+    force: Force | None,
+    p_seen: bool = False,
+    even: bool = True,
+    model: PseudoHamiltonian | None = None,
+    n: int = 121,
 ) -> Case:
-    """Two trajectories of a spring with a hidden force, and the spring without it fitted to them."""
+    """Two trajectories of a spring with a hidden force, and the spring without it
+    fitted to them.
+    """
     rng, true = np.random.default_rng(0), spring().with_values({"k": K, "c": D})
     times, states, inputs = [], [], []
     for start in ([1.0, 0.0], [-0.8, 2.0]):
-        t = np.linspace(0, 10, n) if even else np.sort(np.r_[0.0, 10.0, rng.uniform(0, 10, n - 2)])
+        t = (
+            np.linspace(0, 10, n)
+            if even
+            else np.sort(np.r_[0.0, 10.0, rng.uniform(0, 10, n - 2)])
+        )
         u = 6 * np.sin(1.3 * t) + 5 * np.sin(3.7 * t + 1)
 
-        def hidden(at: float, x: np.ndarray, t: np.ndarray = t, u: np.ndarray = u) -> np.ndarray:
-            return np.array([0.0, 0.0 if force is None else force(at, x[0], x[1] / M, float(np.interp(at, t, u)))])
+        def hidden(
+            at: float, x: np.ndarray, t: np.ndarray = t, u: np.ndarray = u
+        ) -> np.ndarray:
+            return np.array(
+                [
+                    0.0,
+                    0.0
+                    if force is None
+                    else force(at, x[0], x[1] / M, float(np.interp(at, t, u))),
+                ]
+            )
 
         x = simulate(true, t, start, u, force=hidden)
         y = x + np.array([0.01, 0.1]) * rng.normal(size=x.shape)
         states.append(y if p_seen else np.column_stack([y[:, 0], np.full(n, np.nan)]))
         times.append(t)
         inputs.append(u[:, None])
-    data = Measurements.from_arrays(times, states, inputs, states=["q", "p"], inputs=["u"], units=UNITS)
+    data = Measurements.from_arrays(
+        times, states, inputs, states=["q", "p"], inputs=["u"], units=UNITS
+    )
     fit = identify(model or spring(), data)
     return fit, data, force_of(fit, data)
 
@@ -78,23 +111,35 @@ HIDDEN: dict[str, Force] = {
 @pytest.fixture(scope="module")
 def cases() -> dict[str, Case]:
     found = {name: spring_with(force) for name, force in HIDDEN.items()}
-    return {**found, "friction, both": spring_with(HIDDEN["friction"], p_seen=True), "nothing": spring_with(None)}
+    return {
+        **found,
+        "friction, both": spring_with(HIDDEN["friction"], p_seen=True),
+        "nothing": spring_with(None),
+    }
 
 
 @pytest.fixture(scope="module")
 def tanks() -> Case:
-    """Two tanks, the upper with a hidden leak; both levels measured, outlets and pump to be found."""
+    """Two tanks, the upper with a hidden leak; both levels measured, outlets and pump
+    to be found.
+    """
 
     def model(b: Number, a1: Number, a2: Number, leak: str = "0") -> FirstOrder:
         out1, out2 = "sqrt(h1**2 + 0.01)**0.5", "sqrt(h2**2 + 0.01)**0.5"
         upper = formula(f"b*u - a1*{out1} - {leak}", b=b, a1=a1)
-        return FirstOrder(["h1", "h2"], {"h1": upper, "h2": formula(f"a1*{out1} - a2*{out2}", a1=a1, a2=a2)}, ["u"])
+        return FirstOrder(
+            ["h1", "h2"],
+            {"h1": upper, "h2": formula(f"a1*{out1} - a2*{out2}", a1=a1, a2=a2)},
+            ["u"],
+        )
 
     rng, t = np.random.default_rng(5), 4.0 * np.arange(300)
     u = np.repeat(rng.uniform(0.5, 4.0, 30), 10)[:, None]
     x = simulate(model(0.06, 0.07, 0.06, "0.005*h1**2"), t, [2.0, 2.0], u, hold="zero")
     y = x + 0.01 * rng.normal(size=x.shape)
-    data = Measurements.from_arrays(t, y, u, states=["h1", "h2"], inputs=["u"], hold="zero")
+    data = Measurements.from_arrays(
+        t, y, u, states=["h1", "h2"], inputs=["u"], hold="zero"
+    )
     b, a1, a2 = (Parameter(0.05, lower=0, upper=1) for _ in range(3))
     fit = identify(model(b, a1, a2), data)
     return fit, data, force_of(fit, data)
@@ -108,22 +153,35 @@ def best(case: Case, equation: str = "p") -> tuple[str, float]:
 
 @pytest.mark.parametrize(
     ("name", "variable"),
-    [("friction", "p"), ("friction, both", "p"), ("cubic", "q"), ("wave", "t"), ("dead zone", "u"),
-     ("constant", "constant")],
-)  # fmt: skip
-def test_the_variable_that_the_hidden_force_follows_is_named(cases: dict[str, Case], name: str, variable: str) -> None:
+    [
+        ("friction", "p"),
+        ("friction, both", "p"),
+        ("cubic", "q"),
+        ("wave", "t"),
+        ("dead zone", "u"),
+        ("constant", "constant"),
+    ],
+)
+def test_the_variable_that_the_hidden_force_follows_is_named(
+    cases: dict[str, Case], name: str, variable: str
+) -> None:
     found, share = best(cases[name])
-    # A pair with the right variable may predict a hundredth better; the sentences name the single one then.
+    # A pair with the right variable may predict a hundredth better; the sentences name
+    # the single one then.
     assert variable in found.split(", ")
     assert share > 0.8  # what noise and smoothing leave of the force
 
 
 @pytest.mark.parametrize(
     ("name", "cause", "words"),
-    [("friction", "dissipated", "changes how energy is lost"), ("cubic", "conserved", "stores and returns energy"),
-     ("wave", "time", "period 2.5"), ("dead zone", "inputs", "follows the input u"),
-     ("constant", "constant", "is constant at 3.9")],
-)  # fmt: skip
+    [
+        ("friction", "dissipated", "changes how energy is lost"),
+        ("cubic", "conserved", "stores and returns energy"),
+        ("wave", "time", "period 2.5"),
+        ("dead zone", "inputs", "follows the input u"),
+        ("constant", "constant", "is constant at 3.9"),
+    ],
+)
 def test_what_the_hidden_force_does_with_energy_is_named(
     cases: dict[str, Case], name: str, cause: str, words: str
 ) -> None:
@@ -140,7 +198,8 @@ def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     found = power(fit, estimate)
     assert "takes energy out (it opposes the velocity dH_dp)" in found.sentences[0]
     speed = np.abs(estimate.x[:, 1] / M).mean()
-    # Minus friction times speed, but for what smoothing takes off where the velocity turns.
+    # Minus friction times speed, but for what smoothing takes off where the velocity
+    # turns.
     assert found.table["mean_power"].iloc[0] == pytest.approx(-3 * speed, rel=0.15)
 
 
@@ -152,7 +211,9 @@ def test_a_short_push_is_placed_in_its_time(cases: dict[str, Case]) -> None:
     assert row["trajectory"] in ("first", "second")
 
 
-def test_a_stiffening_spring_is_strong_at_both_ends_of_the_positions(cases: dict[str, Case]) -> None:
+def test_a_stiffening_spring_is_strong_at_both_ends_of_the_positions(
+    cases: dict[str, Case],
+) -> None:
     fit, _, estimate = cases["cubic"]
     region = located(fit, estimate)["state_region"].iloc[0]
     assert region.startswith("q ")
@@ -161,38 +222,57 @@ def test_a_stiffening_spring_is_strong_at_both_ends_of_the_positions(cases: dict
     assert max(abs(v) for v in bounds) > 0.6 * np.abs(estimate.x[:, 0]).max()
 
 
-def test_the_frequency_of_a_hidden_wave_is_found_in_even_and_uneven_samples(cases: dict[str, Case]) -> None:
+def test_the_frequency_of_a_hidden_wave_is_found_in_even_and_uneven_samples(
+    cases: dict[str, Case],
+) -> None:
     for case in (cases["wave"], spring_with(HIDDEN["wave"], even=False)):
-        # The peak of ten seconds is 0.1 wide; noise moves its top by a fraction of that.
-        assert located(case[0], case[2])["frequency"].iloc[0] == pytest.approx(0.4, abs=0.03)
+        # The peak of ten seconds is 0.1 wide; noise moves its top by a fraction of
+        # that.
+        assert located(case[0], case[2])["frequency"].iloc[0] == pytest.approx(
+            0.4, abs=0.03
+        )
         assert best(case)[0] == "t"
 
 
-def test_where_nothing_is_missing_no_force_is_called_sure(cases: dict[str, Case]) -> None:
+def test_where_nothing_is_missing_no_force_is_called_sure(
+    cases: dict[str, Case],
+) -> None:
     fit, data, estimate = cases["nothing"]
     assert located(fit, estimate)["times_noise"].iloc[0] < 0.5
     assert "no missing force is sure" in sentences(fit, estimate, units=data.units)[0]
 
 
-def test_every_hidden_force_is_surer_than_its_standard_deviation(cases: dict[str, Case]) -> None:
+def test_every_hidden_force_is_surer_than_its_standard_deviation(
+    cases: dict[str, Case],
+) -> None:
     for name in HIDDEN:
         fit, _, estimate = cases[name]
         row = located(fit, estimate).iloc[0]
         assert row["times_noise"] > 1
         typical = float(np.median(force_deviation(estimate)))
-        # The sizes of force and noise have settled within 2 % per update, and both shift the ratio.
+        # The sizes of force and noise have settled within 2 % per update, and both
+        # shift the ratio.
         assert row["times_noise"] == pytest.approx(row["strength"] / typical, rel=0.1)
 
 
-def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(tanks: Case) -> None:
+def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
+    tanks: Case,
+) -> None:
     fit, _, estimate = tanks
-    assert list(located(fit, estimate)["equation"]) == ["h1", "h2"]  # the strongest first
+    assert list(located(fit, estimate)["equation"]) == [
+        "h1",
+        "h2",
+    ]  # the strongest first
     assert best(tanks, "h1")[0] == "h1"
     upper, lower = power(fit, estimate).table.to_dict("records")
     assert upper["dissipated"] > 0.8
-    # The outlets of the second tank are right but for a1 and a2, which the leak has moved.
+    # The outlets of the second tank are right but for a1 and a2, which the leak has
+    # moved.
     assert lower["parameters"] > 0.8
-    assert "other values of the model's own parameters" in power(fit, estimate).sentences[1]
+    assert (
+        "other values of the model's own parameters"
+        in power(fit, estimate).sentences[1]
+    )
 
 
 def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:
@@ -200,14 +280,18 @@ def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:
     rng = np.random.default_rng(1)
     noise = replace(estimate, w=rng.normal(size=estimate.w.shape))
     found = depends_on(fit, noise)
-    assert found["share"].max() < 0.1  # 2 to 49 coefficients for 400 values, none of them earned
+    assert (
+        found["share"].max() < 0.1
+    )  # 2 to 49 coefficients for 400 values, none of them earned
     assert power(fit, noise).sentences == ("no clear pattern",)
 
 
 def test_shares_do_not_depend_on_the_unit_of_the_force(cases: dict[str, Case]) -> None:
     fit, _, estimate = cases["cubic"]
     scaled = depends_on(fit, replace(estimate, w=1e3 * estimate.w))
-    np.testing.assert_allclose(scaled["share"], depends_on(fit, estimate)["share"], atol=1e-9)
+    np.testing.assert_allclose(
+        scaled["share"], depends_on(fit, estimate)["share"], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("even", [True, False])
@@ -217,13 +301,18 @@ def test_a_sine_has_its_amplitude_in_the_spectrum(even: bool) -> None:
     t, run = np.r_[one, one], np.repeat([0, 1], 400)
     f, amplitude = spectrum(t, run, 2.0 * np.sin(2 * np.pi * 1.5 * t + run))
     assert f[np.argmax(amplitude)] == pytest.approx(1.5, abs=0.02)
-    assert amplitude.max() == pytest.approx(2.0, rel=0.01 if even else 0.1)  # gaps are bridged by straight lines
+    assert amplitude.max() == pytest.approx(
+        2.0, rel=0.01 if even else 0.1
+    )  # gaps are bridged by straight lines
 
 
-def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(cases: dict[str, Case]) -> None:
+def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(
+    cases: dict[str, Case],
+) -> None:
     estimate = cases["cubic"][2]
     draws = uncertain(estimate, n_draws=400)
-    # 400 draws tell each standard deviation to 3.5 %; the mean over all intervals better than that.
+    # 400 draws tell each standard deviation to 3.5 %; the mean over all intervals
+    # better than that.
     ratio = draws.std(axis=2) / force_deviation(estimate)
     assert ratio.mean() == pytest.approx(1.0, abs=0.03)
     assert np.ptp(ratio) < 0.4
@@ -231,8 +320,16 @@ def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(cases: 
 
 def test_sentences_say_size_place_and_cause_with_units(cases: dict[str, Case]) -> None:
     fit, data, estimate = cases["wave"]
-    (said,) = sentences(fit, estimate, [run.name for run in data.trajectories], data.units)
-    for part in ("dp/dt lacks a force of rms 2.", "(kg m/s)/s", " Hz", "period 2.5", "Best predicted from t"):
+    (said,) = sentences(
+        fit, estimate, [run.name for run in data.trajectories], data.units
+    )
+    for part in (
+        "dp/dt lacks a force of rms 2.",
+        "(kg m/s)/s",
+        " Hz",
+        "period 2.5",
+        "Best predicted from t",
+    ):
         assert part in said
 
 
@@ -261,7 +358,9 @@ def test_the_four_panels_name_what_they_show(cases: dict[str, Case]) -> None:
 
 
 @pytest.mark.usefixtures("closing")
-def test_cells_that_were_not_visited_are_blank_and_colours_are_symmetric(cases: dict[str, Case]) -> None:
+def test_cells_that_were_not_visited_are_blank_and_colours_are_symmetric(
+    cases: dict[str, Case],
+) -> None:
     ax = plot_map(diagnosis_of(cases["friction"]))
     (mesh,) = ax.collections
     values: np.ma.MaskedArray = np.ma.asarray(mesh.get_array())
@@ -273,18 +372,26 @@ def test_cells_that_were_not_visited_are_blank_and_colours_are_symmetric(cases: 
 
 @pytest.mark.usefixtures("closing")
 def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
-    rng, t, c = np.random.default_rng(0), np.linspace(0, 20, 201), Parameter(0.1, lower=0)
+    rng, t, c = (
+        np.random.default_rng(0),
+        np.linspace(0, 20, 201),
+        Parameter(0.1, lower=0),
+    )
     model = PseudoHamiltonian(
-        states=["q1", "q2", "p1", "p2"], S=canonical(2), R={"p1": formula("c", c=c), "p2": formula("c", c=c)},
+        states=["q1", "q2", "p1", "p2"],
+        S=canonical(2),
+        R={"p1": formula("c", c=c), "p2": formula("c", c=c)},
         H=formula("k*(q1**2 + q2**2)/2 + p1**2/2 + p2**2/4", k=Parameter(5.0, lower=0)),
-    )  # fmt: skip
+    )
 
     def between(at: float, x: np.ndarray) -> np.ndarray:
         f = 2 * (x[0] - x[1]) ** 3
         return np.array([0.0, 0.0, -f, f])
 
     x = simulate(model, t, [1.0, -0.5, 0.0, 1.0], force=between)
-    data = Measurements.from_arrays(t, x + 0.01 * rng.normal(size=x.shape), states=["q1", "q2", "p1", "p2"])
+    data = Measurements.from_arrays(
+        t, x + 0.01 * rng.normal(size=x.shape), states=["q1", "q2", "p1", "p2"]
+    )
     fit = identify(model, data)
     case = fit, data, force_of(fit, data)
     assert best(case, "p1")[0] == "q1, q2"
@@ -299,12 +406,17 @@ def test_tanks_are_drawn_over_the_states_that_matter(tanks: Case) -> None:
     ax = plot_map(diagnosis, "h1")
     assert {ax.get_xlabel(), ax.get_ylabel()} == {"h1", "h2"}
     assert "follows h1" in plot_dependence(diagnosis, equation="h1").get_title()
-    assert plot_spectrum(diagnosis, "h2").get_xlabel() == "frequency (cycles per unit of time)"
+    assert (
+        plot_spectrum(diagnosis, "h2").get_xlabel()
+        == "frequency (cycles per unit of time)"
+    )
     assert plot_force(diagnosis, "h2").get_ylabel() == "missing force"
 
 
 @pytest.mark.usefixtures("closing")
-def test_a_variable_or_equation_that_is_not_there_is_refused_by_name(cases: dict[str, Case]) -> None:
+def test_a_variable_or_equation_that_is_not_there_is_refused_by_name(
+    cases: dict[str, Case],
+) -> None:
     diagnosis = diagnosis_of(cases["wave"])
     with pytest.raises(ModelError, match=r"variable='velocity'.*known are q, p, u, t"):
         plot_dependence(diagnosis, "velocity")

@@ -1,4 +1,6 @@
-"""What a baseline returns: the same record as every method of identification, with its loss and its history."""
+"""What a baseline returns: the same record as every method of identification, with its
+loss and its history.
+"""
 
 from dataclasses import dataclass, field
 
@@ -13,8 +15,10 @@ class Baseline(Identified):
 
     Attributes:
         method: name of the method, such as "gradient descent".
-        loss_value: the method's own loss over all its data at the result, without its penalties; NaN if it has none.
-        history: a row per epoch with at least epoch, loss and n_terms; empty for a method without epochs.
+        loss_value: the method's own loss over all its data at the result, without its
+            penalties; NaN if it has none.
+        history: a row per epoch with at least epoch, loss and n_terms; empty for a
+            method without epochs.
         settings: the settings that were used, as text.
     """
 
@@ -24,7 +28,10 @@ class Baseline(Identified):
     settings: str = ""
 
     def __str__(self) -> str:
-        lines = [f"{self.method}: loss {self.loss_value:.6g}, {self.seconds:.3g} s", *self.equations()]
+        lines = [
+            f"{self.method}: loss {self.loss_value:.6g}, {self.seconds:.3g} s",
+            *self.equations(),
+        ]
         if self.removed:
             lines.append(f"removed: {', '.join(self.removed)}")
         return "\n".join(lines)

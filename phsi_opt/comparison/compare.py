@@ -1,4 +1,6 @@
-"""Model against measurements: the free run, its errors, and what the noise alone would leave."""
+"""Model against measurements: the free run, its errors, and what the noise alone would
+leave.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,17 +28,20 @@ from phsi_opt.transcription.sensors import shown
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LOST = 1e3  # in standard deviations of the measurements: stands for a simulation that broke off
-WORST_OF_NOISE = 4.0  # standard deviations of noise beyond which a single residual ends the free-run horizon
+# in standard deviations of the measurements: stands for a simulation that broke off
+LOST = 1e3
+# standard deviations of noise beyond which a single residual ends the free-run horizon
+WORST_OF_NOISE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A free run beside the measurements.
 
-    ``simulated``, ``shown`` (what the sensors would show of it) and ``residuals`` hold one array (n_samples, n_states)
-    per trajectory, ``values`` the free parameters that were used in each; ``noise`` is the measurement noise per state,
-    estimated with a free missing force, so that a wrong model does not inflate it.
+    ``simulated``, ``shown`` (what the sensors would show of it) and ``residuals`` hold
+    one array (n_samples, n_states) per trajectory, ``values`` the free parameters that
+    were used in each; ``noise`` is the measurement noise per state, estimated with a
+    free missing force, so that a wrong model does not inflate it.
     """
 
     fit: Fit
@@ -54,13 +59,21 @@ class Comparison:
 
     @cached_property
     def bands(self) -> tuple[np.ndarray, ...] | None:
-        """Standard deviation of what the free run shows (see `record.bands`), per trajectory; None: not known."""
+        """Standard deviation of what the free run shows (see `record.bands`), per
+        trajectory; None: not known.
+        """
         return bands(self.fit, self.data, self.noise, self.simulated, self.values)
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """Per measured state: unit, fit %, rmse, noise_floor, chi2_dof, whiteness (p-value), horizon, n_samples."""
-        rows = [self._row(k, name) for k, name in enumerate(self.model.states) if name in self.data.measured]
+        """Per measured state: unit, fit %, rmse, noise_floor, chi2_dof, whiteness
+        (p-value), horizon, n_samples.
+        """
+        rows = [
+            self._row(k, name)
+            for k, name in enumerate(self.model.states)
+            if name in self.data.measured
+        ]
         columns = [
             "state",
             "unit",
@@ -82,12 +95,24 @@ class Comparison:
         fit = 100 * (1 - rmse / max(float(np.std(y)), 1e-300))
         horizon = min(self._horizon(i, k) for i in range(len(self.residuals)))
         unit = self.data.units.get(name, "")
-        return name, unit, fit, rmse, self.noise[k], (rmse / self.noise[k]) ** 2, self._whiteness(k), horizon, len(r)
+        return (
+            name,
+            unit,
+            fit,
+            rmse,
+            self.noise[k],
+            (rmse / self.noise[k]) ** 2,
+            self._whiteness(k),
+            horizon,
+            len(r),
+        )
 
     def _horizon(self, run: int, k: int) -> float:
         """Time from the start until a residual leaves the noise."""
         t, r = self.data.trajectories[run].t, self.residuals[run][:, k]
-        beyond = np.flatnonzero(np.abs(np.nan_to_num(r)) > WORST_OF_NOISE * self.noise[k])
+        beyond = np.flatnonzero(
+            np.abs(np.nan_to_num(r)) > WORST_OF_NOISE * self.noise[k]
+        )
         return float((t[beyond[0]] if len(beyond) else t[-1]) - t[0])
 
     def _whiteness(self, k: int) -> float:
@@ -98,24 +123,37 @@ class Comparison:
             lags = min(10, len(r) // 5)
             power = float(np.sum(r**2))
             for lag in range(1, lags + 1) if power > 0 else ():
-                statistic += len(r) * (len(r) + 2) * (np.sum(r[lag:] * r[:-lag]) / power) ** 2 / (len(r) - lag)
+                statistic += (
+                    len(r)
+                    * (len(r) + 2)
+                    * (np.sum(r[lag:] * r[:-lag]) / power) ** 2
+                    / (len(r) - lag)
+                )
             n_lags += lags
         return float(chi2.sf(statistic, n_lags)) if n_lags else np.nan
 
     @property
     def weights(self) -> np.ndarray:
-        """Scale of each state in `rmse`: one where a single channel is measured, else 1/(its standard deviation)."""
+        """Scale of each state in `rmse`: one where a single channel is measured, else
+        1/(its standard deviation).
+        """
         seen = [name in self.data.measured for name in self.model.states]
         if sum(seen) == 1:
             return np.where(seen, 1.0, 0.0)
         y = np.concatenate([run.x for run in self.data.trajectories])
-        spread = np.array([np.nanstd(y[:, k]) if seen[k] else np.inf for k in range(len(seen))])
+        spread = np.array(
+            [np.nanstd(y[:, k]) if seen[k] else np.inf for k in range(len(seen))]
+        )
         return 1 / np.where(spread > 0, spread, 1.0)
 
     @cached_property
     def squares(self) -> np.ndarray:
-        """Squared, scaled residuals of all measured values in the order of time, trajectory after trajectory."""
-        rows = [((r * self.weights) ** 2)[np.isfinite(run.x)] for r, run in self._pairs()]
+        """Squared, scaled residuals of all measured values in the order of time,
+        trajectory after trajectory.
+        """
+        rows = [
+            ((r * self.weights) ** 2)[np.isfinite(run.x)] for r, run in self._pairs()
+        ]
         return np.concatenate(rows)
 
     def _pairs(self) -> list[tuple[np.ndarray, Any]]:
@@ -123,27 +161,41 @@ class Comparison:
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the free-run residual over the measured channels, on the scale of `weights`."""
+        """Root mean square of the free-run residual over the measured channels, on the
+        scale of `weights`.
+        """
         return float(np.sqrt(np.mean(self.squares)))
 
     @property
     def noise_floor(self) -> float:
         """What the estimated measurement noise alone leaves, on the same scale."""
-        n = np.array([np.isfinite(np.concatenate([r.x[:, k] for r in self.data.trajectories])).sum()
-                      for k in range(len(self.weights))])  # fmt: skip
+        n = np.array(
+            [
+                np.isfinite(
+                    np.concatenate([r.x[:, k] for r in self.data.trajectories])
+                ).sum()
+                for k in range(len(self.weights))
+            ]
+        )
         return float(np.sqrt(np.sum(n * (self.noise * self.weights) ** 2) / n.sum()))
 
     @cached_property
     def energy(self) -> pd.DataFrame:
-        """Energy balance of the free run per trajectory: change of H = supplied - dissipated (trapezoid rule)."""
+        """Energy balance of the free run per trajectory: change of H = supplied -
+        dissipated (trapezoid rule).
+        """
         rows = []
         for x, run in zip(self.simulated, self.data.trajectories, strict=True):
             model = self.model.with_values(self.values[run.name])
             rows.append((run.name, *_energy_balance(model, x, run.t, run.u)))
-        return pd.DataFrame(rows, columns=["trajectory", "change", "supplied", "dissipated"])
+        return pd.DataFrame(
+            rows, columns=["trajectory", "change", "supplied", "dissipated"]
+        )
 
     def plot(self, ax: "Axes | None" = None, trajectory: int = 0) -> "Axes":
-        """Measurements and free run of one trajectory, with two standard deviations of what is uncertain in the run."""
+        """Measurements and free run of one trajectory, with two standard deviations of
+        what is uncertain in the run.
+        """
         from phsi_opt.presentation.pictures import plot_comparison
 
         return plot_comparison(self, ax, trajectory)
@@ -159,30 +211,47 @@ class Comparison:
 
 
 def compare(fit: Fit, data: Measurements) -> Comparison:
-    """Simulate the fitted model from starting states estimated from the record, and compare (see `Comparison`).
+    """Simulate the fitted model from starting states estimated from the record, and
+    compare (see `Comparison`).
 
-    Parameters that every trajectory has of its own are those of the fit for trajectories of the same name, and
-    estimated from the record, with its starting state, for others.
+    Parameters that every trajectory has of its own are those of the fit for
+    trajectories of the same name, and estimated from the record, with its starting
+    state, for others.
     """
     data = matched(fit.model, data)
     estimate = force_of(fit, data)
     return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
 
 
-def compared(fit: Fit, data: Measurements, sigma: np.ndarray, guess: Sequence[np.ndarray]) -> Comparison:
-    """`compare` with the noise known, and states to start from that may lack the memory of the model's effects."""
+def compared(
+    fit: Fit, data: Measurements, sigma: np.ndarray, guess: Sequence[np.ndarray]
+) -> Comparison:
+    """`compare` with the noise known, and states to start from that may lack the memory
+    of the model's effects.
+    """
     data = matched(fit.model, data)
     sigma = np.r_[sigma, np.ones(fit.model.n_states - len(sigma))]
-    # The starting states of a fit to these very measurements are its own; others are estimated from the record.
+    # The starting states of a fit to these very measurements are its own; others are
+    # estimated from the record.
     if fit.states and fit.provenance.get("data_sha256") == data_digest(data):
         states: Sequence[np.ndarray] = fit.states
         values = parameters_of(fit, data)
     else:
         values, grid = parameters_of(fit, data), grid_of(data)
-        guess = grid.split(remembered(fit.model, grid, np.concatenate(guess), matrix_of(fit.model, values)))
-        # Where no states obey the model along the whole record, those of the missing force are the best to start from.
-        # Outliers that the fit set aside must not make up the noise here.
-        own = np.array([fit.noise.get(name, s) for name, s in zip(fit.model.states, sigma, strict=True)])
+        guess = grid.split(
+            remembered(
+                fit.model, grid, np.concatenate(guess), matrix_of(fit.model, values)
+            )
+        )
+        # Where no states obey the model along the whole record, those of the missing
+        # force are the best to start from. Outliers that the fit set aside must not
+        # make up the noise here.
+        own = np.array(
+            [
+                fit.noise.get(name, s)
+                for name, s in zip(fit.model.states, sigma, strict=True)
+            ]
+        )
         found = explained(fit, data, sigma if fit.huber is None else own, guess)
         states, values = found or (guess, values)
     simulated = tuple(
@@ -199,23 +268,44 @@ def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.nd
     try:
         return free_run(model, run.t, x0, run.u, hold)
     except SolveError:
-        return np.where(np.arange(run.n_samples)[:, None] == 0, x0, LOST * np.nanstd(run.x))
+        return np.where(
+            np.arange(run.n_samples)[:, None] == 0, x0, LOST * np.nanstd(run.x)
+        )
 
 
-def _energy_balance(model: Model, x: np.ndarray, t: np.ndarray, u: np.ndarray) -> tuple[float, float, float]:
+def _energy_balance(
+    model: Model, x: np.ndarray, t: np.ndarray, u: np.ndarray
+) -> tuple[float, float, float]:
     import casadi as ca
 
     n = len(t)
-    sx, su, st = ca.SX.sym("x", model.n_states), ca.SX.sym("u", model.n_inputs), ca.SX.sym("t")
-    e = model.expressions(
-        [sx[i] for i in range(model.n_states)], [su[i] for i in range(model.n_inputs)], st, model.values
+    sx, su, st = (
+        ca.SX.sym("x", model.n_states),
+        ca.SX.sym("u", model.n_inputs),
+        ca.SX.sym("t"),
     )
-    supplied = sum((f * g for f, g in zip(e.force, e.efforts, strict=True)), start=ca.SX(0))
-    lost = sum((r * g**2 for r, g in zip(e.loss, e.efforts, strict=True)), start=ca.SX(0))
+    e = model.expressions(
+        [sx[i] for i in range(model.n_states)],
+        [su[i] for i in range(model.n_inputs)],
+        st,
+        model.values,
+    )
+    supplied = sum(
+        (f * g for f, g in zip(e.force, e.efforts, strict=True)), start=ca.SX(0)
+    )
+    lost = sum(
+        (r * g**2 for r, g in zip(e.loss, e.efforts, strict=True)), start=ca.SX(0)
+    )
     powers = ca.Function("p", [sx, su, st], [ca.SX(e.energy), supplied, lost]).map(n)
     energy, gain, loss = (np.array(v).ravel() for v in powers(x.T, u.T, t[None, :]))
-    return float(energy[-1] - energy[0]), float(np.trapezoid(gain, t)), float(np.trapezoid(loss, t))
+    return (
+        float(energy[-1] - energy[0]),
+        float(np.trapezoid(gain, t)),
+        float(np.trapezoid(loss, t)),
+    )
 
 
-def compared_from_estimate(fit: Fit, data: Measurements, estimate: ForceEstimate) -> Comparison:
+def compared_from_estimate(
+    fit: Fit, data: Measurements, estimate: ForceEstimate
+) -> Comparison:
     return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))

@@ -1,4 +1,6 @@
-"""Evidence for a larger model: likelihoods and free-run errors, from residuals that may be correlated."""
+"""Evidence for a larger model: likelihoods and free-run errors, from residuals that may
+be correlated.
+"""
 
 import numpy as np
 
@@ -6,11 +8,19 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.statistics import independent_share, spread_together
 
-ABOVE_FLOOR = 1.1  # free-run error over the noise floor from which a model counts as failing
-LIKE_NOISE = 1.25  # the same, of white residuals: beside a strong missing force the floor itself is estimated too low
-NEARLY_ALL = 0.97  # share of the squared error above the floor that is explained, where the rest is not white
+ABOVE_FLOOR = (
+    1.1  # free-run error over the noise floor from which a model counts as failing
+)
+# the same, of white residuals: beside a strong missing force the floor itself is
+# estimated too low
+LIKE_NOISE = 1.25
+# share of the squared error above the floor that is explained, where the rest is not
+# white
+NEARLY_ALL = 0.97
 WHITE = 1e-3  # p-value below which residuals are not white
-MOST = 0.5  # share of the squared error above the floor from which effects that leave more than noise are proposed
+# share of the squared error above the floor from which effects that leave more than
+# noise are proposed
+MOST = 0.5
 FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
 
 
@@ -22,15 +32,25 @@ def is_adequate(comparison: Comparison) -> bool:
 
 
 def explains(old: Comparison, trained: Comparison, judged: Comparison) -> bool:
-    """Whether a larger model explains what was missing: what it leaves is like noise, or as small as the noise."""
-    small = judged.rmse < ABOVE_FLOOR * judged.noise_floor and trained.rmse < ABOVE_FLOOR * trained.noise_floor
+    """Whether a larger model explains what was missing: what it leaves is like noise,
+    or as small as the noise.
+    """
+    small = (
+        judged.rmse < ABOVE_FLOOR * judged.noise_floor
+        and trained.rmse < ABOVE_FLOOR * trained.noise_floor
+    )
     return is_adequate(trained) or (small and explained_share(old, judged) > NEARLY_ALL)
 
 
 def delta_bic(old: Fit, new: Fit, share: float) -> float:
-    """Change of BIC from one fit to another, for residuals worth ``share`` of as many independent ones."""
+    """Change of BIC from one fit to another, for residuals worth ``share`` of as many
+    independent ones.
+    """
     n = max(share * new.n_values, 3.0)
-    return float(share * (deviance(new) - deviance(old)) + (len(new.names) - len(old.names)) * np.log(n))
+    return float(
+        share * (deviance(new) - deviance(old))
+        + (len(new.names) - len(old.names)) * np.log(n)
+    )
 
 
 def deviance(fit: Fit) -> float:
@@ -39,7 +59,9 @@ def deviance(fit: Fit) -> float:
 
 
 def left_over(comparison: Comparison) -> float:
-    """-2 log likelihood of the residuals of a free run, up to a constant; the noise of every channel as they say."""
+    """-2 log likelihood of the residuals of a free run, up to a constant; the noise of
+    every channel as they say.
+    """
     seen = comparison.table[comparison.table["rmse"] > 0]
     return float(2 * np.sum(seen["n_samples"] * np.log(seen["rmse"])))
 
@@ -51,30 +73,47 @@ def explained_share(old: Comparison, new: Comparison) -> float:
 
 
 def share_of(old: Comparison, new: Comparison) -> float:
-    """`independent_share` for the change from one model to a larger one, on the same data."""
-    n = min(run.shape[1] for run in (old.residuals[0], new.residuals[0]))  # without the memory of the new effects
+    """`independent_share` for the change from one model to a larger one, on the same
+    data.
+    """
+    n = min(
+        run.shape[1] for run in (old.residuals[0], new.residuals[0])
+    )  # without the memory of the new effects
     before, after = ([run[:, :n] for run in one.residuals] for one in (old, new))
     left = np.concatenate(after)
-    size = np.array([np.sqrt(np.nanmean(r**2)) if np.isfinite(r).any() else np.inf for r in left.T])
+    size = np.array(
+        [np.sqrt(np.nanmean(r**2)) if np.isfinite(r).any() else np.inf for r in left.T]
+    )
     size = np.maximum(size, 1e-300)
-    changes = [np.nan_to_num((a - b) / size) for a, b in zip(before, after, strict=True)]
+    changes = [
+        np.nan_to_num((a - b) / size) for a, b in zip(before, after, strict=True)
+    ]
     return independent_share(changes, [np.nan_to_num(r / size) for r in after])
 
 
 def independent_samples(comparison: Comparison) -> float:
     """Number of independent values that the residuals are worth."""
-    columns = [c[np.isfinite(c)] for run in comparison.residuals for c in (run * comparison.weights).T]
-    measured = sum(int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories)
+    columns = [
+        c[np.isfinite(c)]
+        for run in comparison.residuals
+        for c in (run * comparison.weights).T
+    ]
+    measured = sum(
+        int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories
+    )
     return max(measured / spread_together(columns), 3.0)
 
 
 def falls(old: Comparison, new: Comparison) -> bool:
-    """Whether the error of ``new`` on the same data is significantly below that of ``old``.
+    """Whether the error of ``new`` on the same data is significantly below that of
+    ``old``.
 
-    Logarithms of mean squares are compared in blocks of time: an error that dies away with the motion counts in every
-    block alike.
+    Logarithms of mean squares are compared in blocks of time: an error that dies away
+    with the motion counts in every block alike.
     """
-    n_blocks = int(np.clip(min(independent_samples(old), independent_samples(new)) / 2, 4, 40))
+    n_blocks = int(
+        np.clip(min(independent_samples(old), independent_samples(new)) / 2, 4, 40)
+    )
     before, after = (_block_means(one.squares, n_blocks) for one in (old, new))
     fall = np.log(before / after)
     spread = fall.std(ddof=1) / np.sqrt(n_blocks)
@@ -82,10 +121,17 @@ def falls(old: Comparison, new: Comparison) -> bool:
 
 
 def falls_or_most(old: Comparison, new: Comparison) -> bool:
-    """The same, or most of the error is gone: a record of few independent samples can show no more."""
+    """The same, or most of the error is gone: a record of few independent samples can
+    show no more.
+    """
     is_above = old.rmse > ABOVE_FLOOR * old.noise_floor
     return falls(old, new) or (is_above and explained_share(old, new) > MOST)
 
 
 def _block_means(squares: np.ndarray, n_blocks: int) -> np.ndarray:
-    return np.array([max(float(block.mean()), 1e-300) for block in np.array_split(squares, n_blocks)])
+    return np.array(
+        [
+            max(float(block.mean()), 1e-300)
+            for block in np.array_split(squares, n_blocks)
+        ]
+    )

@@ -1,7 +1,9 @@
-"""Profile likelihood: how the best fit worsens as one parameter is held away from its estimate.
+"""Profile likelihood: how the best fit worsens as one parameter is held away from its
+estimate.
 
-Where the curvature at the estimate misleads (a bent valley, a bound near by), the interval in which the profile stays
-below the threshold is the better one. Every point is a re-fit of all other parameters, started from the one before.
+Where the curvature at the estimate misleads (a bent valley, a bound near by), the
+interval in which the profile stays below the threshold is the better one. Every point
+is a re-fit of all other parameters, started from the one before.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +27,9 @@ from phsi_opt.transcription.alignment import matched
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DIFFERS = 0.1  # share of the half width by which an end may differ from that of the curvature
+DIFFERS = (
+    0.1  # share of the half width by which an end may differ from that of the curvature
+)
 CLOSE = 0.02  # accuracy of an end, in half widths
 MOVED = 0.1  # standard errors by which the repeated fit may differ from the fit
 FARTHEST = 8  # half widths beyond which no end is looked for
@@ -37,10 +41,11 @@ class Profile:
 
     Attributes:
         name: of the parameter; value: its estimate; level: of the interval.
-        points: (n, 2) values of the parameter and rise of -2 log likelihood above the best fit, sorted by value.
+        points: (n, 2) values of the parameter and rise of -2 log likelihood above the
+            best fit, sorted by value.
         threshold: rise at the ends of the interval.
-        lower, upper: ends of the interval; infinite where the profile never reaches the threshold, the bound where a
-            bound of the parameter comes first.
+        lower, upper: ends of the interval; infinite where the profile never reaches the
+            threshold, the bound where a bound of the parameter comes first.
         curvature: the interval from the standard error alone.
     """
 
@@ -55,7 +60,9 @@ class Profile:
 
     @property
     def is_curved(self) -> bool:
-        """Whether an end differs from that of the curvature by more than a tenth of the half width."""
+        """Whether an end differs from that of the curvature by more than a tenth of the
+        half width.
+        """
         half = (self.curvature[1] - self.curvature[0]) / 2
         shift = np.abs(np.array([self.lower, self.upper]) - np.array(self.curvature))
         return not np.all(shift <= DIFFERS * half)
@@ -69,7 +76,11 @@ class Profile:
     def __str__(self) -> str:
         text = f"{self.name} = {self.value:.6g}, {100 * self.level:.3g} % interval {self.lower:.6g} to {self.upper:.6g}"
         low, high = self.curvature
-        return text + (f"; curvature alone: {low:.6g} to {high:.6g}" if self.is_curved else ", as the curvature says")
+        return text + (
+            f"; curvature alone: {low:.6g} to {high:.6g}"
+            if self.is_curved
+            else ", as the curvature says"
+        )
 
     __repr__ = __str__
 
@@ -84,28 +95,49 @@ def profile(
 ) -> Profile:
     """Profile likelihood of one parameter of a fit to ``data`` by `MaximumLikelihood`.
 
-    The noise stays at the fit's estimate; the threshold is that of the F distribution, which knows that it was
-    estimated (for a fit with ``huber``, times the ratio by which its loss rises faster than the squares). Raises
-    `ModelError` for a parameter that the fit does not have as a free and shared one, or that has no standard error.
+    The noise stays at the fit's estimate; the threshold is that of the F distribution,
+    which knows that it was estimated (for a fit with ``huber``, times the ratio by
+    which its loss rises faster than the squares). Raises `ModelError` for a parameter
+    that the fit does not have as a free and shared one, or that has no standard error.
     """
     _check(fit, name, level)
     line = _Line(fit, matched(fit.model, data), name, progress or (lambda text: None))
     value, error = line.value, fit.std_errors[name]
-    quantile = float(f_distribution.isf(1 - level, 1, max(fit.n_values - len(fit.names), 1)))
+    quantile = float(
+        f_distribution.isf(1 - level, 1, max(fit.n_values - len(fit.names), 1))
+    )
     half, threshold = error * np.sqrt(quantile), quantile * line.factor
     p = fit.model.entries[name].parameter
-    lower, upper = (line.end(bound, half, threshold) for bound in (min(p.lower, value), max(p.upper, value)))
+    lower, upper = (
+        line.end(bound, half, threshold)
+        for bound in (min(p.lower, value), max(p.upper, value))
+    )
     points = np.array(sorted(line.points.items()))
-    return Profile(name, value, level, points, threshold, lower, upper, (value - half, value + half))
+    return Profile(
+        name,
+        value,
+        level,
+        points,
+        threshold,
+        lower,
+        upper,
+        (value - half, value + half),
+    )
 
 
 def _check(fit: Fit, name: str, level: float) -> None:
     if fit.loss != "MaximumLikelihood":
-        raise ModelError(f"the fit is one by {fit.loss}, which has no likelihood; fit with MaximumLikelihood().")
+        raise ModelError(
+            f"the fit is one by {fit.loss}, which has no likelihood; fit with MaximumLikelihood()."
+        )
     if name not in fit.model.free or name not in fit.names:
-        raise ModelError(f"parameter {name!r} is not a free, shared one of the fit.{did_you_mean(name, fit.names)}")
+        raise ModelError(
+            f"parameter {name!r} is not a free, shared one of the fit.{did_you_mean(name, fit.names)}"
+        )
     if not np.isfinite(fit.std_errors[name]):
-        raise ModelError(f"parameter {name!r} has no standard error (see the fit's warnings), so no profile either.")
+        raise ModelError(
+            f"parameter {name!r} has no standard error (see the fit's warnings), so no profile either."
+        )
     if not 0 < level < 1:
         raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
 
@@ -113,17 +145,29 @@ def _check(fit: Fit, name: str, level: float) -> None:
 class _Line:
     """The profile as a function of the parameter, with the points that were worked out."""
 
-    def __init__(self, fit: Fit, data: Measurements, name: str, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, fit: Fit, data: Measurements, name: str, say: Callable[[str], None]
+    ) -> None:
         self.data, self.name, self.say = data, name, say
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
-        self.loss, self.steps, self.way = options(fit), steps_on(fit, data), fit.outcome.way
+        self.loss, self.steps, self.way = (
+            options(fit),
+            steps_on(fit, data),
+            fit.outcome.way,
+        )
         model = fit.model
         states = fit.states
         if [len(x) for x in states] != [run.n_samples for run in data.trajectories]:
             estimate = force_of(fit, data)
-            states = tuple(estimate.x[estimate.grid.trajectory == i] for i in range(data.n_trajectories))
+            states = tuple(
+                estimate.x[estimate.grid.trajectory == i]
+                for i in range(data.n_trajectories)
+            )
         best = self._solved(model, states)
-        if best is None or abs(best.values[name] - fit.values[name]) > MOVED * fit.std_errors[name]:
+        if (
+            best is None
+            or abs(best.values[name] - fit.values[name]) > MOVED * fit.std_errors[name]
+        ):
             now = "no solution" if best is None else f"{best.values[name]:.6g}"
             raise SolveError(
                 f"the fit could not be repeated on these measurements: {name} is {fit.values[name]:.6g} in the fit, "
@@ -135,10 +179,14 @@ class _Line:
         self.points, self.states = {self.value: 0.0}, {self.value: best}
 
     def _solved(self, model: Model, x: Sequence[np.ndarray]) -> State | None:
-        return on_record(model, self.data, self.sigma, x, self.loss, self.steps, self.way)
+        return on_record(
+            model, self.data, self.sigma, x, self.loss, self.steps, self.way
+        )
 
     def rise(self, held: float) -> float:
-        """-2 log likelihood above the best fit with the parameter held; started from the nearest point known."""
+        """-2 log likelihood above the best fit with the parameter held; started from
+        the nearest point known.
+        """
         if held in self.points:
             return self.points[held]
         nearest = self.states[min(self.states, key=lambda known: abs(known - held))]
@@ -147,21 +195,36 @@ class _Line:
         state = self._solved(model, nearest.states)
         if state is None:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
-        self.states[held], self.points[held] = state, max(state.misfit * state.n_values - self.lowest, 0.0)
-        self.say(f"{self.name} = {held:.6g}: -2 log likelihood rises by {self.points[held]:.3g}")
+        self.states[held], self.points[held] = (
+            state,
+            max(state.misfit * state.n_values - self.lowest, 0.0),
+        )
+        self.say(
+            f"{self.name} = {held:.6g}: -2 log likelihood rises by {self.points[held]:.3g}"
+        )
         return self.points[held]
 
     def end(self, bound: float, half: float, threshold: float) -> float:
-        """Where the profile crosses the threshold towards the bound; the bound, or infinity, where it does not."""
+        """Where the profile crosses the threshold towards the bound; the bound, or
+        infinity, where it does not.
+        """
         side, reach = (-1.0 if bound < self.value else 1.0), abs(bound - self.value)
         near, far = 0.0, min(half, reach)
 
         def above(distance: float) -> float:
             # The root of the rise is nearly straight.
-            return float(np.sqrt(self.rise(self.value + side * distance) / threshold) - 1) if distance else -1.0
+            return (
+                float(np.sqrt(self.rise(self.value + side * distance) / threshold) - 1)
+                if distance
+                else -1.0
+            )
 
         while far > 0 and above(far) < 0:
             near, far = far, min(1.5 * far, reach)
             if near == reach or far > FARTHEST * half:
                 return bound if near == reach else side * np.inf
-        return self.value + side * brentq(above, near, far, xtol=CLOSE * half) if far > 0 else bound
+        return (
+            self.value + side * brentq(above, near, far, xtol=CLOSE * half)
+            if far > 0
+            else bound
+        )

@@ -14,7 +14,8 @@ from phsi_opt.errors import DataError
 class Trajectory:
     """One experiment. The arrays are read-only float64 copies; times increase strictly.
 
-    The values of x and u are checked by `Measurements`, which knows the channels' names.
+    The values of x and u are checked by `Measurements`, which knows the channels'
+    names.
     """
 
     name: str
@@ -24,9 +25,13 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
-            raise DataError(f"trajectory name {self.name!r} is not a text; give each trajectory a non-empty name.")
+            raise DataError(
+                f"trajectory name {self.name!r} is not a text; give each trajectory a non-empty name."
+            )
         for label, n_axes in (("t", 1), ("x", 2), ("u", 2)):
-            array = read_only_floats(getattr(self, label), n_axes, f"trajectory {self.name!r}: {label}")
+            array = read_only_floats(
+                getattr(self, label), n_axes, f"trajectory {self.name!r}: {label}"
+            )
             object.__setattr__(self, label, array)
         _check_lengths(self)
         _check_times(self)
@@ -51,11 +56,15 @@ def _check_lengths(run: Trajectory) -> None:
             )
     if len(run.t) < 2:
         found = counted(len(run.t), "sample", "samples")
-        raise DataError(f"trajectory {run.name!r} has {found}; expected at least 2. Leave the trajectory out.")
+        raise DataError(
+            f"trajectory {run.name!r} has {found}; expected at least 2. Leave the trajectory out."
+        )
 
 
 def _check_times(run: Trajectory) -> None:
-    check_values(run.t, lambda i: f"trajectory {run.name!r}: t[{i}]", may_be_missing=False)
+    check_values(
+        run.t, lambda i: f"trajectory {run.name!r}: t[{i}]", may_be_missing=False
+    )
     late = np.flatnonzero(np.diff(run.t) <= 0)
     if late.size:
         k = int(late[0])
@@ -65,7 +74,9 @@ def _check_times(run: Trajectory) -> None:
         )
 
 
-def check_channels(run: Trajectory, states: tuple[str, ...], inputs: tuple[str, ...]) -> None:
+def check_channels(
+    run: Trajectory, states: tuple[str, ...], inputs: tuple[str, ...]
+) -> None:
     for word, names, values in (("state", states, run.x), ("input", inputs, run.u)):
         if values.shape[1] != len(names):
             raise DataError(

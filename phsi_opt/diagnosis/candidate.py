@@ -11,9 +11,11 @@ from phsi_opt.model.effect import Effect
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect with what screening expects of it, and, if it was re-fitted, what came out.
+    """One effect with what screening expects of it, and, if it was re-fitted, what came
+    out.
 
-    ``p_value`` is adjusted for all candidates (Benjamini and Hochberg) and for the values that were scanned.
+    ``p_value`` is adjusted for all candidates (Benjamini and Hochberg) and for the
+    values that were scanned.
     """
 
     effect: Effect
@@ -30,5 +32,7 @@ class Candidate:
 
     @property
     def held_out_rmse(self) -> float:
-        """Free-run error of the re-fitted model on the data held out (on the training data where none were)."""
+        """Free-run error of the re-fitted model on the data held out (on the training
+        data where none were).
+        """
         return np.nan if self.comparison is None else self.comparison.rmse

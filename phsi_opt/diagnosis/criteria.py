@@ -2,33 +2,64 @@
 
 from dataclasses import replace
 
-from phsi_opt.optimization.ipopt import EXACT, FEASIBLE_PATH, GAUSS_NEWTON, WAYS, Settings
+from phsi_opt.optimization.ipopt import (
+    EXACT,
+    FEASIBLE_PATH,
+    GAUSS_NEWTON,
+    WAYS,
+    Settings,
+)
 
 N_REFITS = 5
 N_PAIRS = 4
-HOPELESS = 2.0  # expected residual variance over the best one's, beyond which no candidate is re-fitted
-CERTAIN = 0.8  # share of the best one's score below which a candidate is no rival, once the best leaves noise
+# expected residual variance over the best one's, beyond which no candidate is re-fitted
+HOPELESS = 2.0
+# share of the best one's score below which a candidate is no rival, once the best
+# leaves noise
+CERTAIN = 0.8
 SEEN = 0.01  # screened p-value up to which a candidate is compared with the others
-WORTH_A_FIT = 0.1  # the same up to which a candidate for a model that does not fail is re-fitted
+WORTH_A_FIT = (
+    0.1  # the same up to which a candidate for a model that does not fail is re-fitted
+)
 RATE = 0.01  # false-discovery rate over all candidates
 CLOSE = 6.0  # difference in BIC up to which two re-fitted candidates are a tie
-# Rise of -2 log likelihood up to which the sharper corner of dry friction is taken: friction is sharp, and the corners
-# that fall between samples make the likelihood rough.
+# Rise of -2 log likelihood up to which the sharper corner of dry friction is taken:
+# friction is sharp, and the corners that fall between samples make the likelihood
+# rough.
 WORSE = 4.0
-SURE = 1  # number of the first stage of sharpening that is the last one unless it is clearly better
-LONG = 4_000  # intervals beyond which a re-fit that fails is not begun again, and none begins at a sharp corner
-PIECES = 4  # windows of the longest record with which a re-fit begins that failed along the whole
-# Widths of a corner within which steps between samples are finer, and how many they are; friction that is very sharp is
-# stiff, and with steps that are too long a body that sticks trembles.
+# number of the first stage of sharpening that is the last one unless it is clearly
+# better
+SURE = 1
+# intervals beyond which a re-fit that fails is not begun again, and none begins at a
+# sharp corner
+LONG = 4_000
+# windows of the longest record with which a re-fit begins that failed along the whole
+PIECES = 4
+# Widths of a corner within which steps between samples are finer, and how many they
+# are; friction that is very sharp is stiff, and with steps that are too long a body
+# that sticks trembles.
 CORNER, AT_CORNER, AT_SHARP_CORNER = 4.0, 8, 24
 # A candidate that takes more is hardly the one.
-QUICK = Settings(1e-7, max_iterations=40, thorough=False, max_seconds=20.0, ways=(GAUSS_NEWTON, EXACT))
+QUICK = Settings(
+    1e-7,
+    max_iterations=40,
+    thorough=False,
+    max_seconds=20.0,
+    ways=(GAUSS_NEWTON, EXACT),
+)
 DRY = replace(QUICK, max_seconds=120.0, ways=WAYS)
-STRAYED = 0.1  # noise deviations between a fit's states and its free run, from which its steps are made finer
+# noise deviations between a fit's states and its free run, from which its steps are
+# made finer
+STRAYED = 0.1
 FOLLOWING = replace(DRY, thorough=True)
 SAME_WIDTH = 1.01  # factor up to which two widths of a corner are the same
-A_LITTLE = 0.1  # share of its expected size with which a further effect begins beside a sharp corner
+# share of its expected size with which a further effect begins beside a sharp corner
+A_LITTLE = 0.1
 # Beside a sharp corner IPOPT converges at once or not at all.
 ALONG = replace(DRY, ways=(FEASIBLE_PATH,))
 AT_A_CORNER = replace(DRY, max_iterations=15, ways=(GAUSS_NEWTON, FEASIBLE_PATH))
-NOTHING, NAMED, UNEXPLAINED = "nothing missing", "missing: named", "missing: unexplained"
+NOTHING, NAMED, UNEXPLAINED = (
+    "nothing missing",
+    "missing: named",
+    "missing: unexplained",
+)

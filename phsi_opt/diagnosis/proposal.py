@@ -9,7 +9,9 @@ from phsi_opt.model.effect import Effect
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """One effect, or two together, with what is left when they are added; ``words`` on the first one's size."""
+    """One effect, or two together, with what is left when they are added; ``words`` on
+    the first one's size.
+    """
 
     effects: tuple[Effect, ...]
     fit: Fit

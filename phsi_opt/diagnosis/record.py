@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What `diagnose` found: `verdict`, `reason`, `where`, `missing_force`, `candidates`, `effects`."""
+    """What `diagnose` found: `verdict`, `reason`, `where`, `missing_force`,
+    `candidates`, `effects`.
+    """
 
     fit: Fit
     data: Measurements = field(repr=False)
@@ -37,7 +39,9 @@ class Diagnosis:
     ranked: tuple[Candidate, ...] = field(repr=False)
     verdict: str
     reason: str
-    together: tuple[Effect, ...] = ()  # what the verdict names, or the nearest to it: one effect, or two together
+    together: tuple[
+        Effect, ...
+    ] = ()  # what the verdict names, or the nearest to it: one effect, or two together
     nearest: Fit | None = field(repr=False, default=None)  # the brief re-fit with them
 
     @property
@@ -49,21 +53,47 @@ class Diagnosis:
     def candidates(self) -> pd.DataFrame:
         """The candidates, best first, as a table with the columns named below.
 
-        delta_bic and held_out_rmse are those of the re-fit, NaN for candidates that screening ruled out.
+        delta_bic and held_out_rmse are those of the re-fit, NaN for candidates that
+        screening ruled out.
         """
         rows = [
-            (c.effect.name, c.effect.slot, c.effect.equation, c.coefficient, c.std_error, c.p_value, c.delta_bic,
-             c.held_out_rmse, ", ".join(c.confusable_with))
+            (
+                c.effect.name,
+                c.effect.slot,
+                c.effect.equation,
+                c.coefficient,
+                c.std_error,
+                c.p_value,
+                c.delta_bic,
+                c.held_out_rmse,
+                ", ".join(c.confusable_with),
+            )
             for c in self.ranked
-        ]  # fmt: skip
-        columns = ["effect", "slot", "equation", "coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]
+        ]
+        columns = [
+            "effect",
+            "slot",
+            "equation",
+            "coefficient",
+            "std_error",
+            "p_value",
+            "delta_bic",
+            "held_out_rmse",
+        ]
         return pd.DataFrame(rows, columns=[*columns, "confusable_with"])
 
     @cached_property
     def missing_force(self) -> pd.DataFrame:
-        """trajectory, t (middle of the interval), then force and standard deviation per equation."""
+        """trajectory, t (middle of the interval), then force and standard deviation per
+        equation.
+        """
         grid = self.estimate.grid
-        frame = pd.DataFrame({"trajectory": grid.trajectory[grid.begin], "t": grid.t[grid.begin] + grid.h / 2})
+        frame = pd.DataFrame(
+            {
+                "trajectory": grid.trajectory[grid.begin],
+                "t": grid.t[grid.begin] + grid.h / 2,
+            }
+        )
         deviation = force_deviation(self.estimate)
         for k, row in enumerate(self.estimate.prior.rows):
             name = self.fit.model.states[row]
@@ -77,12 +107,16 @@ class Diagnosis:
 
     @cached_property
     def follows(self) -> pd.DataFrame:
-        """What the missing force depends on, per equation and variable, best first (see `where.depends_on`)."""
+        """What the missing force depends on, per equation and variable, best first (see
+        `where.depends_on`).
+        """
         return depends_on(self.fit, self.estimate, self.runs)
 
     @cached_property
     def power(self) -> Power:
-        """Whether the missing force dissipates, stores or supplies energy (see `where.power`)."""
+        """Whether the missing force dissipates, stores or supplies energy (see
+        `where.power`).
+        """
         return power(self.fit, self.estimate, self.runs, self.data.units)
 
     @property
@@ -97,32 +131,55 @@ class Diagnosis:
 
     @cached_property
     def separation(self) -> Separation | None:
-        """The experiment that would tell the first two candidates of a tie apart; None where there is no tie."""
+        """The experiment that would tell the first two candidates of a tie apart; None
+        where there is no tie.
+        """
         fitted = {str(c.effect): c.fit for c in self.ranked if c.fit is not None}
         first = next(iter(self.ranked), None)
         if first is None or first.fit is None:
             return None
-        rival = next((fitted[name] for name in first.confusable_with if name in fitted), None)
+        rival = next(
+            (fitted[name] for name in first.confusable_with if name in fitted), None
+        )
         if rival is None:
             return None
         noise = self.estimate.sigma
         return separating(first.fit, rival, self.data, noise)
 
     def learned_force(
-        self, equation: str | None = None, on: Sequence[str] | None = None, seed: int = 0
+        self,
+        equation: str | None = None,
+        on: Sequence[str] | None = None,
+        seed: int = 0,
     ) -> "LearnedForce":
-        """A stop-gap where nothing fits: a network for what one equation lacks (see `stopgap.learned_force`).
+        """A stop-gap where nothing fits: a network for what one equation lacks (see
+        `stopgap.learned_force`).
 
-        Default: the equation whose missing force is strongest, and the variable that it depends on most.
+        Default: the equation whose missing force is strongest, and the variable that it
+            depends on most.
         """
         from phsi_opt.learning.learned_force import learned_force
 
         equation = equation or str(self.where["equation"].iloc[0])
         if on is None:
             best = leading(self.follows, equation)
-            known = best is not None and best["variable"] not in ("constant", "parameters")
-            on = str(best["variable"]).split(", ") if best is not None and known else self.fit.model.states
-        return learned_force(self.fit, self.data, self.estimate, equation=equation, on=list(on), seed=seed)
+            known = best is not None and best["variable"] not in (
+                "constant",
+                "parameters",
+            )
+            on = (
+                str(best["variable"]).split(", ")
+                if best is not None and known
+                else self.fit.model.states
+            )
+        return learned_force(
+            self.fit,
+            self.data,
+            self.estimate,
+            equation=equation,
+            on=list(on),
+            seed=seed,
+        )
 
     def plot(self, ax: "Axes | None" = None, trajectory: int = 0) -> "Axes":
         """The missing force along one trajectory, with its standard deviation."""
@@ -131,13 +188,17 @@ class Diagnosis:
         return plot_missing_force(self, ax, trajectory)
 
     def plot_where(self, equation: str | None = None) -> "Figure":
-        """Missing force along the time, over the states, against what it depends on, and its spectrum."""
+        """Missing force along the time, over the states, against what it depends on,
+        and its spectrum.
+        """
         from phsi_opt.force_analysis.force_plots import plot_where
 
         return plot_where(self, equation)
 
     def __str__(self) -> str:
-        shown = self.candidates.head(6).to_string(index=False, float_format=lambda v: f"{v:.4g}")
+        shown = self.candidates.head(6).to_string(
+            index=False, float_format=lambda v: f"{v:.4g}"
+        )
         where = self.where.to_string(index=False, float_format=lambda v: f"{v:.4g}")
         return f"{self.verdict}: {self.reason}\nwhere it fails\n{where}\ncandidates, best first\n{shown}"
 

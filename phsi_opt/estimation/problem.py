@@ -1,4 +1,6 @@
-"""What `identify` works on: the task as the user gave it, and the state of the work, from which the fit is made."""
+"""What `identify` works on: the task as the user gave it, and the state of the work,
+from which the fit is made.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,10 +19,17 @@ from phsi_opt.optimization.ipopt import GAUSS_NEWTON, Settings, Solution
 from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.elimination import Reduced
 from phsi_opt.transcription.grid import Grid, steps_of
-from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss, Point, complete, rate_size
+from phsi_opt.transcription.losses import (
+    MaximumLikelihood,
+    PHSILoss,
+    Point,
+    complete,
+    rate_size,
+)
 from phsi_opt.transcription.parameter_vector import Theta
 
-BEYOND = 1e-3  # standard deviations that a slack must take over before its residual counts as cut
+# standard deviations that a slack must take over before its residual counts as cut
+BEYOND = 1e-3
 Loss = PHSILoss | MaximumLikelihood
 Progress = Callable[[str], None]
 
@@ -45,7 +54,9 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where the work stands: the model (with what is left of it), the program and its solution."""
+    """Where the work stands: the model (with what is left of it), the program and its
+    solution.
+    """
 
     task: Task
     loss: Loss
@@ -68,13 +79,21 @@ class State:
 
     @property
     def values(self) -> dict[str, float]:
-        """One value per parameter of the model; its mean where every trajectory has its own."""
-        return dict(zip(self.model.free, self.unknown.means(self.theta).tolist(), strict=True))
+        """One value per parameter of the model; its mean where every trajectory has its
+        own.
+        """
+        return dict(
+            zip(self.model.free, self.unknown.means(self.theta).tolist(), strict=True)
+        )
 
     @property
     def sizes(self) -> dict[str, float]:
         """The largest absolute value of each parameter of the model."""
-        largest = np.abs(self.theta[self.unknown.table]).max(axis=1) if len(self.theta) else np.zeros(0)
+        largest = (
+            np.abs(self.theta[self.unknown.table]).max(axis=1)
+            if len(self.theta)
+            else np.zeros(0)
+        )
         return dict(zip(self.model.free, largest.tolist(), strict=True))
 
     @property
@@ -97,13 +116,17 @@ class State:
     @property
     def states(self) -> tuple[np.ndarray, ...]:
         """States at the samples, per trajectory."""
-        both = zip(self.grid.split(self.nodes), self.grid.split(self.grid.sample), strict=True)
+        both = zip(
+            self.grid.split(self.nodes), self.grid.split(self.grid.sample), strict=True
+        )
         return tuple(x[sample] for x, sample in both)
 
     @cached_property
     def reduced(self) -> Reduced:
         """The likelihood at the solution, states eliminated."""
-        return uncertainty.reduced(self.program, self.solution, self.grid, self.n_values)
+        return uncertainty.reduced(
+            self.program, self.solution, self.grid, self.n_values
+        )
 
     @property
     def misfit(self) -> float:
@@ -111,35 +134,53 @@ class State:
         value = float(np.sum(self.solution.residual**2) / 2)
         if isinstance(self.loss, PHSILoss):
             return value * rate_size(complete(self.model, self.grid))
-        outliers = [v for name, v in self.solution.values.items() if name.startswith("outlier_")]
-        return value + 2 * (self.loss.huber or 0.0) / self.n_values * float(sum(np.sum(v) for v in outliers))
+        outliers = [
+            v for name, v in self.solution.values.items() if name.startswith("outlier_")
+        ]
+        return value + 2 * (self.loss.huber or 0.0) / self.n_values * float(
+            sum(np.sum(v) for v in outliers)
+        )
 
     @property
     def deviance(self) -> float:
         """-2 log likelihood, with the noise at its estimate."""
         counts = self.grid.measured.sum(axis=0)
-        return self.misfit * self.n_values + float(np.sum(counts * np.log(2 * np.pi * self.sigma**2)))
+        return self.misfit * self.n_values + float(
+            np.sum(counts * np.log(2 * np.pi * self.sigma**2))
+        )
 
     @cached_property
     def uncertainty(self) -> uncertainty.Uncertainty:
         """Covariance of the estimates, where it is known."""
         names, solution = self.unknown.names, self.solution
         if not solution.outcome.success:
-            return uncertainty.unknown(len(names), "no standard errors: the solver did not reach an optimum")
+            return uncertainty.unknown(
+                len(names), "no standard errors: the solver did not reach an optimum"
+            )
         if any(self.l1.values()):
             return uncertainty.unknown(
-                len(names), "no standard errors: the L1 term shrinks the coefficients (prune with debias)"
+                len(names),
+                "no standard errors: the L1 term shrinks the coefficients (prune with debias)",
             )
         if isinstance(self.loss, MaximumLikelihood):
-            found = uncertainty.of_likelihood(names, self.theta, self.program, solution, self.reduced)
+            found = uncertainty.of_likelihood(
+                names, self.theta, self.program, solution, self.reduced
+            )
             return found.widened(self._huber_factor())
         used, scale = complete(self.model, self.grid), self.point.theta_scale
         return uncertainty.of_defects(
-            self.model, used, self.loss.integrator, self.theta, scale, solution.outcome.at_bounds
+            self.model,
+            used,
+            self.loss.integrator,
+            self.theta,
+            scale,
+            solution.outcome.at_bounds,
         )
 
     def _huber_factor(self) -> float:
-        """Variance of Huber's estimator over what the squares alone would have, from the residuals themselves."""
+        """Variance of Huber's estimator over what the squares alone would have, from
+        the residuals themselves.
+        """
         assert isinstance(self.loss, MaximumLikelihood)
         if self.loss.huber is None:
             return 1.0
@@ -148,16 +189,26 @@ class State:
 
     @property
     def huber_moments(self) -> tuple[float, float]:
-        """Mean square of the residuals cut at Huber's limit, and the share that is not cut."""
+        """Mean square of the residuals cut at Huber's limit, and the share that is not
+        cut.
+        """
         kept = self.solution.residual * np.sqrt(self.n_values / 2)
-        beyond = sum(v for name, v in self.solution.values.items() if name.startswith("outlier_"))
-        return float(np.mean(kept**2)), max(float(np.mean(np.asarray(beyond) < BEYOND)), 0.1)
+        beyond = sum(
+            v for name, v in self.solution.values.items() if name.startswith("outlier_")
+        )
+        return float(np.mean(kept**2)), max(
+            float(np.mean(np.asarray(beyond) < BEYOND)), 0.1
+        )
 
     def fit(self) -> Fit:
         """The result record."""
         likelihood = isinstance(self.loss, MaximumLikelihood)
         names = zip(self.model.states, self.sigma, self.grid.measured.T, strict=True)
-        own = {} if self.unknown.is_shared else {r: self.unknown.values_of(self.theta, r) for r in self.unknown.runs}
+        own = (
+            {}
+            if self.unknown.is_shared
+            else {r: self.unknown.values_of(self.theta, r) for r in self.unknown.runs}
+        )
         return Fit(
             model=self.model.with_values(self.values),
             names=self.unknown.names,
@@ -165,14 +216,21 @@ class State:
             loss=type(self.loss).__name__,
             loss_value=self.misfit,
             covariance=self.uncertainty.covariance,
-            noise={name: float(s) for name, s, seen in names if seen.any()} if likelihood else {},
+            noise={name: float(s) for name, s, seen in names if seen.any()}
+            if likelihood
+            else {},
             outcome=self.solution.outcome,
             n_values=self.n_values,
-            bic=self.deviance + len(self.unknown) * float(np.log(self.n_values)) if likelihood else np.nan,
+            bic=self.deviance + len(self.unknown) * float(np.log(self.n_values))
+            if likelihood
+            else np.nan,
             hold=self.task.data.hold,
             units=dict(self.task.data.units),
             removed=self.removed,
-            warnings=self.notes + self._selection() + self._bounds() + self.uncertainty.warnings,
+            warnings=self.notes
+            + self._selection()
+            + self._bounds()
+            + self.uncertainty.warnings,
             provenance=_provenance(self),
             states=self.states if likelihood else (),
             steps=tuple(steps_of(self.grid)) if likelihood else (),
@@ -191,10 +249,12 @@ class State:
         def sentence(name: str) -> str:
             i = self.unknown.names.index(name)
             p, value = self.unknown.entries[i].parameter, self.theta[i]
-            side, bound = ("lower", p.lower) if value - p.lower <= p.upper - value else ("upper", p.upper)
-            return (
-                f"{name} ended at its {side} bound {bound:g}: it has no standard error, and the others take it as known"
+            side, bound = (
+                ("lower", p.lower)
+                if value - p.lower <= p.upper - value
+                else ("upper", p.upper)
             )
+            return f"{name} ended at its {side} bound {bound:g}: it has no standard error, and the others take it as known"
 
         return tuple(sentence(name) for name in self.solution.outcome.at_bounds)
 

@@ -1,7 +1,9 @@
-"""A fitted model along a record: the states that explain the record best, and how certain a free run of it is.
+"""A fitted model along a record: the states that explain the record best, and how
+certain a free run of it is.
 
-The dynamics hold exactly (zero defects) and the shared parameters stay as they are; starting states, and parameters of
-a trajectory that the fit has not seen, follow from the record by maximum likelihood.
+The dynamics hold exactly (zero defects) and the shared parameters stay as they are;
+starting states, and parameters of a trajectory that the fit has not seen, follow from
+the record by maximum likelihood.
 """
 
 from collections.abc import Sequence
@@ -17,14 +19,18 @@ from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-REFINEMENTS, FINER = 2, 4  # how often steps along a record are made finer where their error shows, and how much
+REFINEMENTS, FINER = (
+    2,
+    4,
+)  # how often steps along a record are made finer where their error shows, and how much
 MOST_REFINED = 50_000  # states beyond which they are not
 
 
 def explained(
     fit: Fit, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray]
 ) -> tuple[tuple[np.ndarray, ...], dict[str, dict[str, float]]] | None:
-    """States of the model that explain the record best, from the start ``x``, and parameters per trajectory.
+    """States of the model that explain the record best, from the start ``x``, and
+    parameters per trajectory.
 
     None where no such states are found.
     """
@@ -36,7 +42,9 @@ def explained(
     for i, run in enumerate(data.trajectories):  # each with its own parameters
         own = fit.model.with_values(values[run.name])
         local = () if run.name in fit.by_trajectory else _per_trajectory(fit.model)
-        model = own.with_fixed({name: value for name, value in own.values.items() if name not in local})
+        model = own.with_fixed(
+            {name: value for name, value in own.values.items() if name not in local}
+        )
         steps = steps_on(fit, data)[i : i + 1]
         state = _solved(fit, model, data[i], sigma, [x[i]], steps)
         if state is None:
@@ -47,18 +55,38 @@ def explained(
 
 
 def _solved(
-    fit: Fit, model: Model, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray], steps: Sequence[np.ndarray]
+    fit: Fit,
+    model: Model,
+    data: Measurements,
+    sigma: np.ndarray,
+    x: Sequence[np.ndarray],
+    steps: Sequence[np.ndarray],
 ) -> State | None:
-    """`on_record` with steps so fine that an accurate run from the first state would not leave the others."""
-    state = on_record(model, data, sigma, x, options(fit), steps, fit.outcome.way, is_start=True)
+    """`on_record` with steps so fine that an accurate run from the first state would
+    not leave the others.
+    """
+    state = on_record(
+        model, data, sigma, x, options(fit), steps, fit.outcome.way, is_start=True
+    )
     for _ in range(REFINEMENTS):
         if state is None or FINER * state.nodes.size > MOST_REFINED:
             break
-        size = np.sqrt(max(state.solution.outcome.objective, 1.0))  # beside large residuals an error does not show
+        size = np.sqrt(
+            max(state.solution.outcome.objective, 1.0)
+        )  # beside large residuals an error does not show
         if finer_steps(replace(state, sigma=size * state.sigma)) is None:
             break
         steps = [FINER * n for n in steps]
-        again = on_record(model, data, sigma, state.states, options(fit), steps, state.way, is_start=True)
+        again = on_record(
+            model,
+            data,
+            sigma,
+            state.states,
+            options(fit),
+            steps,
+            state.way,
+            is_start=True,
+        )
         if again is None:
             break
         state = again
@@ -71,7 +99,9 @@ def options(fit: Fit) -> MaximumLikelihood:
 
 
 def steps_on(fit: Fit, data: Measurements) -> tuple[np.ndarray, ...]:
-    """Intervals in every gap between samples: those of the fit on its own record, else its median everywhere."""
+    """Intervals in every gap between samples: those of the fit on its own record, else
+    its median everywhere.
+    """
     if [len(n) + 1 for n in fit.steps] == [run.n_samples for run in data.trajectories]:
         return fit.steps
     median = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
@@ -79,4 +109,6 @@ def steps_on(fit: Fit, data: Measurements) -> tuple[np.ndarray, ...]:
 
 
 def _per_trajectory(model: Model) -> tuple[str, ...]:
-    return tuple(name for name, entry in model.entries.items() if entry.parameter.per_trajectory)
+    return tuple(
+        name for name, entry in model.entries.items() if entry.parameter.per_trajectory
+    )

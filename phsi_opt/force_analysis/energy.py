@@ -1,4 +1,6 @@
-"""What a missing force does with energy: takes it out, conserves it, follows an input, or depends on time."""
+"""What a missing force does with energy: takes it out, conserves it, follows an input,
+or depends on time.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,43 +35,67 @@ from phsi_opt.model.structure import positions
 
 @dataclass(frozen=True, eq=False)
 class Power:
-    """What the missing force does with energy, as `power` found; ``sentences`` has one per equation.
+    """What the missing force does with energy, as `power` found; ``sentences`` has one
+    per equation.
 
-    ``table`` has a row per equation: equation, mean_power (force times effort, averaged over the time; negative: taken
-    out), parameters, constant, dissipated, conserved, inputs, time and unexplained. These shares are parts of the
-    force's mean square on stretches of time left out, each what its cause adds to the stronger ones; they sum to one.
+    ``table`` has a row per equation: equation, mean_power (force times effort, averaged
+    over the time; negative: taken out), parameters, constant, dissipated, conserved,
+    inputs, time and unexplained. These shares are parts of the force's mean square on
+    stretches of time left out, each what its cause adds to the stronger ones; they sum
+    to one.
     """
 
     table: pd.DataFrame
     sentences: tuple[str, ...]
 
 
-CAUSES = ("constant", "dissipated", "conserved", "inputs", "time")  # of two that are alike, the first is named
+CAUSES = (
+    "constant",
+    "dissipated",
+    "conserved",
+    "inputs",
+    "time",
+)  # of two that are alike, the first is named
 SHARES = ("parameters", *CAUSES)
 
 
-def power(fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = (), units: Mapping[str, str] | None = None) -> Power:
-    """Whether the missing force w_i dissipates power w_i dH/dx_i, conserves it, or depends on inputs or the time.
+def power(
+    fit: Fit,
+    estimate: ForceEstimate,
+    runs: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
+) -> Power:
+    """Whether the missing force w_i dissipates power w_i dH/dx_i, conserves it, or
+    depends on inputs or the time.
 
-    The force is explained by functions of five kinds: a constant; odd functions of its own effort dH/dx_i (dissipated);
-    functions of the states that it exchanges energy with, the positions for a momentum (conserved: what goes in
-    comes back on the same way); functions of the inputs; functions of the time. The model's own parameters move along.
-    The kind that predicts the left-out stretches best comes first; others follow while they add a fifth.
+    The force is explained by functions of five kinds: a constant; odd functions of its
+    own effort dH/dx_i (dissipated); functions of the states that it exchanges energy
+    with, the positions for a momentum (conserved: what goes in comes back on the same
+    way); functions of the inputs; functions of the time. The model's own parameters
+    move along. The kind that predicts the left-out stretches best comes first; others
+    follow while they add a fifth.
     """
     path, rows, said = along(fit, estimate, runs), [], []
     for name in path.equations:
         causes = _Causes.of(path, name, units or {})
         shares = causes.in_turn()
-        mean_power = float(np.sum(path.of(name) * path.own(name) * path.h) / np.sum(path.h))
+        mean_power = float(
+            np.sum(path.of(name) * path.own(name) * path.h) / np.sum(path.h)
+        )
         each = [shares.get(kind, 0.0) for kind in SHARES]
         rows.append((name, mean_power, *each, 1 - sum(each)))
         said.append(causes.sentence(shares))
-    return Power(pd.DataFrame(rows, columns=["equation", "mean_power", *SHARES, "unexplained"]), tuple(said))
+    return Power(
+        pd.DataFrame(rows, columns=["equation", "mean_power", *SHARES, "unexplained"]),
+        tuple(said),
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class _Causes:
-    """Functions of every kind that may explain the force of one equation, and what each explains alone."""
+    """Functions of every kind that may explain the force of one equation, and what each
+    explains alone.
+    """
 
     path: Along
     equation: str
@@ -79,7 +105,10 @@ class _Causes:
 
     @classmethod
     def of(cls, path: Along, equation: str, units: Mapping[str, str]) -> "_Causes":
-        bases = {"constant": np.ones((len(path.t), 1)), "dissipated": _odd(path.own(equation))}
+        bases = {
+            "constant": np.ones((len(path.t), 1)),
+            "dissipated": _odd(path.own(equation)),
+        }
         if partners := _partners(path, equation):
             bases["conserved"] = _sum_of(path, partners)
         if path.inputs.shape[1]:
@@ -89,10 +118,19 @@ class _Causes:
         return cls(path, equation, units, folds(path.run), columns)
 
     def share(self, kinds: Sequence[str]) -> float:
-        """Part of the force's mean square that functions of these kinds predict together on stretches left out."""
-        w, fixed = self.path.of(self.equation), [self.columns[kind] for kind in kinds if kind != "time"]
+        """Part of the force's mean square that functions of these kinds predict
+        together on stretches left out.
+        """
+        w, fixed = (
+            self.path.of(self.equation),
+            [self.columns[kind] for kind in kinds if kind != "time"],
+        )
         timed = "time" in kinds
-        error = left_out_of_time(self.path, fixed, w, self.fold) if timed else left_out(fixed, w, self.fold)
+        error = (
+            left_out_of_time(self.path, fixed, w, self.fold)
+            if timed
+            else left_out(fixed, w, self.fold)
+        )
         return share_of(error, float(np.sum(w**2)))
 
     @cached_property
@@ -105,10 +143,15 @@ class _Causes:
     def in_turn(self) -> dict[str, float]:
         """What each kind adds to the stronger ones, while that is worth naming."""
         shares = {"parameters": self.share(("parameters",))}
-        found, least = {kind: shares["parameters"] + adds for kind, adds in self.alone.items()}, 0.0
+        found, least = (
+            {kind: shares["parameters"] + adds for kind, adds in self.alone.items()},
+            0.0,
+        )
         while True:
             known = sum(shares.values())
-            found = {kind: share for kind, share in found.items() if share > known + least}
+            found = {
+                kind: share for kind, share in found.items() if share > known + least
+            }
             if not found:
                 return shares
             kind = next(k for k in found if found[k] >= max(found.values()) - TIED / 2)
@@ -119,16 +162,30 @@ class _Causes:
         """What the force does, in words, with the share of each cause."""
         if sum(shares.values()) < CLEAR:
             return "no clear pattern"
-        named = [kind for kind, share in shares.items() if share > (ADDS if kind in CAUSES else 0.5)]
-        said = ", and ".join(f"{self._words(kind)} ({100 * shares[kind]:.0f} %)" for kind in named)
+        named = [
+            kind
+            for kind, share in shares.items()
+            if share > (ADDS if kind in CAUSES else 0.5)
+        ]
+        said = ", and ".join(
+            f"{self._words(kind)} ({100 * shares[kind]:.0f} %)" for kind in named
+        )
         return (said + self._tie(shares)) or "no clear pattern"
 
     def _tie(self, shares: Mapping[str, float]) -> str:
         first = next((kind for kind in shares if kind in CAUSES), "constant")
         if first == "constant" or shares[first] <= ADDS:
             return ""
-        alike = [k for k, adds in self.alone.items() if k not in shares and adds > self.alone[first] - TIED]
-        return f"; not told apart from one that {' or '.join(self._words(k) for k in alike)}" if alike else ""
+        alike = [
+            k
+            for k, adds in self.alone.items()
+            if k not in shares and adds > self.alone[first] - TIED
+        ]
+        return (
+            f"; not told apart from one that {' or '.join(self._words(k) for k in alike)}"
+            if alike
+            else ""
+        )
 
     def _words(self, kind: str) -> str:
         if kind == "parameters":
@@ -142,7 +199,10 @@ class _Causes:
         return self._time_words() if kind == "time" else self._loss_words()
 
     def _exchange_words(self) -> str:
-        names, momentum = _partners(self.path, self.equation), _is_momentum(self.path.fit.model, self.equation)
+        names, momentum = (
+            _partners(self.path, self.equation),
+            _is_momentum(self.path.fit.model, self.equation),
+        )
         return f"stores and returns energy (it follows {_listed(names, 'position' if momentum else 'state')})"
 
     def _loss_words(self) -> str:
@@ -150,11 +210,18 @@ class _Causes:
         if isinstance(model, FirstOrder):
             return f"follows {self.equation} itself"
         name = f"the {'velocity' if _is_momentum(model, self.equation) else 'effort'} dH_d{self.equation}"
-        c = np.linalg.lstsq(self.columns["dissipated"], self.path.of(self.equation), rcond=None)[0]
+        c = np.linalg.lstsq(
+            self.columns["dissipated"], self.path.of(self.equation), rcond=None
+        )[0]
         fitted = _odd(effort) @ c
         if _direction(fitted, effort) < -CLEAR:
             return f"takes energy out (it opposes {name})"
-        if _direction(fitted + self.path.losses[:, model.states.index(self.equation)], effort) < -CLEAR:
+        if (
+            _direction(
+                fitted + self.path.losses[:, model.states.index(self.equation)], effort
+            )
+            < -CLEAR
+        ):
             return f"changes how energy is lost (it follows {name}, by another law than the model's damping)"
         return f"feeds energy in (it pushes along {name})"
 
@@ -166,7 +233,9 @@ class _Causes:
 
 
 def period_of(path: Along, equation: str) -> float | None:
-    """Period of the wave in a force that depends on time; None where slow changes are larger."""
+    """Period of the wave in a force that depends on time; None where slow changes are
+    larger.
+    """
     w = path.of(equation)
     everywhere = np.ones(len(w), dtype=bool)
     columns = of_time(path, w, everywhere)
@@ -177,19 +246,33 @@ def period_of(path: Along, equation: str) -> float | None:
 
 
 def _direction(force: np.ndarray, effort: np.ndarray) -> float:
-    """Mean power of a force over the product of rms force and rms effort: -1 for damping, 0 for none on the whole."""
-    return float(force @ effort / max(float(np.linalg.norm(force) * np.linalg.norm(effort)), 1e-300))
+    """Mean power of a force over the product of rms force and rms effort: -1 for
+    damping, 0 for none on the whole.
+    """
+    return float(
+        force
+        @ effort
+        / max(float(np.linalg.norm(force) * np.linalg.norm(effort)), 1e-300)
+    )
 
 
 def plane_of(path: Along, equation: str) -> tuple[str, ...]:
-    """Variables of a map of the force: position and velocity of a momentum, else the best two states (or the one).
+    """Variables of a map of the force: position and velocity of a momentum, else the
+    best two states (or the one).
 
     Another pair of states takes their place where the force follows only that pair.
     """
     model, found = path.fit.model, dependence(path, equation)
-    best, own = leading(found, equation), [name for name in found["variable"] if name in model.states][:2]
+    best, own = (
+        leading(found, equation),
+        [name for name in found["variable"] if name in model.states][:2],
+    )
     if _is_momentum(model, equation):
-        (q,) = (model.states[i] for i in positions(model) if model.S[i][model.states.index(equation)])
+        (q,) = (
+            model.states[i]
+            for i in positions(model)
+            if model.S[i][model.states.index(equation)]
+        )
         own = [q, f"dH_d{equation}"]
     if best is None or "," not in best["variable"] or best["share"] < CLEAR:
         return tuple(own)
@@ -202,7 +285,9 @@ def _is_momentum(model: Model, equation: str) -> bool:
 
 
 def _partners(path: Along, equation: str) -> tuple[str, ...]:
-    """States that the equation exchanges energy with: all positions for a momentum, otherwise those in its row of S."""
+    """States that the equation exchanges energy with: all positions for a momentum,
+    otherwise those in its row of S.
+    """
     model = path.fit.model
     row = np.flatnonzero(np.array(model.S)[model.states.index(equation)])
     found = positions(model) if _is_momentum(model, equation) else row

@@ -1,7 +1,8 @@
-"""Pictures of a missing force: over time, over the states, against what it follows, and its frequencies.
+"""Pictures of a missing force: over time, over the states, against what it follows, and
+its frequencies.
 
-Each takes a diagnosis and an equation (default: the one whose missing force is surest) and says in its title what to
-see.
+Each takes a diagnosis and an equation (default: the one whose missing force is surest)
+and says in its title what to see.
 """
 
 from collections.abc import Sequence
@@ -17,8 +18,20 @@ from matplotlib.figure import Figure
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.force_analysis.dependence import CLEAR, cleaned, depends_on, variables
 from phsi_opt.force_analysis.energy import period_of, plane_of
-from phsi_opt.force_analysis.force_record import Along, along, force_unit, frequency_unit, spectrum
-from phsi_opt.force_analysis.localization import SEEN, deviation_of, located, region_of, uncertain
+from phsi_opt.force_analysis.force_record import (
+    Along,
+    along,
+    force_unit,
+    frequency_unit,
+    spectrum,
+)
+from phsi_opt.force_analysis.localization import (
+    SEEN,
+    deviation_of,
+    located,
+    region_of,
+    uncertain,
+)
 from phsi_opt.force_analysis.wording import sentences
 from phsi_opt.model.structure import positions
 
@@ -29,56 +42,96 @@ FORCE, CLOUD, LEVEL = "C0", "0.75", "0.55"
 N_CELLS, N_BARS, MOST_DOTS = 14, 16, 4000
 FEWEST = 3  # intervals in a bin that is shown
 TITLE = 62  # characters of a title's line over a single panel
-LEVEL_SHARE = 0.95  # of the draws of the estimate's error that stay below the level shown in a spectrum
+# of the draws of the estimate's error that stay below the level shown in a spectrum
+LEVEL_SHARE = 0.95
 
 
 def plot_where(diagnosis: "Diagnosis", equation: str | None = None) -> Figure:
-    """Force over time, over the states, against what it follows, and its frequencies; the sentence says what it is."""
+    """Force over time, over the states, against what it follows, and its frequencies;
+    the sentence says what it is.
+    """
     equation = _equation(diagnosis, equation)
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")
     plot_force(diagnosis, equation, ax=axes[0, 0])
     plot_map(diagnosis, equation, ax=axes[0, 1])
     plot_dependence(diagnosis, equation=equation, ax=axes[1, 0])
     plot_spectrum(diagnosis, equation, ax=axes[1, 1])
-    said = sentences(diagnosis.fit, diagnosis.estimate, diagnosis.runs, diagnosis.data.units)
+    said = sentences(
+        diagnosis.fit, diagnosis.estimate, diagnosis.runs, diagnosis.data.units
+    )
     own = next(sentence for sentence in said if sentence.startswith(f"d{equation}/dt"))
     figure.suptitle(fill(own, 120), fontsize=11)
     return figure
 
 
 def plot_force(
-    diagnosis: "Diagnosis", equation: str | None = None, trajectory: int | None = None, ax: Axes | None = None
+    diagnosis: "Diagnosis",
+    equation: str | None = None,
+    trajectory: int | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
-    """The missing force with two standard deviations along one trajectory (a number), by default the strongest.
+    """The missing force with two standard deviations along one trajectory (a number),
+    by default the strongest.
 
     Raises `ModelError` for a trajectory that is not there.
     """
-    ax, equation, path = _axes(ax, (8.0, 3.6)), _equation(diagnosis, equation), _along(diagnosis)
+    ax, equation, path = (
+        _axes(ax, (8.0, 3.6)),
+        _equation(diagnosis, equation),
+        _along(diagnosis),
+    )
     w, runs = path.of(equation), diagnosis.runs
-    run = int(_row(diagnosis, equation)["trajectory"]) if trajectory is None else trajectory
+    run = (
+        int(_row(diagnosis, equation)["trajectory"])
+        if trajectory is None
+        else trajectory
+    )
     if run not in path.run:
-        raise ModelError(f"trajectory={trajectory!r} is not one of the record; expected 0 to {path.run[-1]}.")
+        raise ModelError(
+            f"trajectory={trajectory!r} is not one of the record; expected 0 to {path.run[-1]}."
+        )
     part = path.run == run
     deviation = deviation_of(diagnosis.estimate)[part, path.equations.index(equation)]
     ax.plot(path.t[part], w[part], color=FORCE, lw=1.2, label="missing force")
     low, high = w[part] - 2 * deviation, w[part] + 2 * deviation
-    ax.fill_between(path.t[part], low, high, color=FORCE, alpha=0.2, lw=0, label="two standard deviations")
+    ax.fill_between(
+        path.t[part],
+        low,
+        high,
+        color=FORCE,
+        alpha=0.2,
+        lw=0,
+        label="two standard deviations",
+    )
     ax.axhline(0, color="0.3", lw=0.8)
     outside = np.mean(np.abs(w[part]) > 2 * deviation)
     name = runs[run] if runs else f"trajectory {run}"
-    _titled(ax, f"{name}: d{equation}/dt surely lacks a force during {100 * outside:.0f} % of the time")
-    ax.set(xlabel=_label("t", diagnosis.data.units.get("t", "")), ylabel=_force_label(diagnosis, equation))
+    _titled(
+        ax,
+        f"{name}: d{equation}/dt surely lacks a force during {100 * outside:.0f} % of the time",
+    )
+    ax.set(
+        xlabel=_label("t", diagnosis.data.units.get("t", "")),
+        ylabel=_force_label(diagnosis, equation),
+    )
     ax.margins(y=0.25)
     ax.legend(loc="upper right", frameon=False, ncols=2)
     return ax
 
 
-def plot_map(diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | None = None) -> Axes:
-    """Mean missing force over position and velocity, or over the two states that predict it best; blank: not visited.
+def plot_map(
+    diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | None = None
+) -> Axes:
+    """Mean missing force over position and velocity, or over the two states that
+    predict it best; blank: not visited.
 
     Where only one state predicts the force, or there is only one, bars over that state.
     """
-    ax, equation, path = _axes(ax, (6.0, 4.6)), _equation(diagnosis, equation), _along(diagnosis)
+    ax, equation, path = (
+        _axes(ax, (6.0, 4.6)),
+        _equation(diagnosis, equation),
+        _along(diagnosis),
+    )
     plane = plane_of(path, equation)
     region = _region(diagnosis, path, equation, plane)
     if len(plane) < 2:
@@ -88,32 +141,61 @@ def plot_map(diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | Non
     total = np.histogram2d(a, b, (edges_a, edges_b), weights=w)[0]
     mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
     limit = float(np.ma.max(np.ma.abs(mean))) if mean.count() else 1.0
-    mesh = ax.pcolormesh(edges_a, edges_b, mean.T, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    ax.figure.colorbar(mesh, ax=ax, label=_force_label(diagnosis, equation, "mean missing force"))
-    ax.set(xlabel=_variable_label(diagnosis, plane[0]), ylabel=_variable_label(diagnosis, plane[1]))
+    mesh = ax.pcolormesh(
+        edges_a, edges_b, mean.T, cmap="RdBu_r", vmin=-limit, vmax=limit
+    )
+    ax.figure.colorbar(
+        mesh, ax=ax, label=_force_label(diagnosis, equation, "mean missing force")
+    )
+    ax.set(
+        xlabel=_variable_label(diagnosis, plane[0]),
+        ylabel=_variable_label(diagnosis, plane[1]),
+    )
     _titled(ax, region)
     return ax
 
 
-def _bars(ax: Axes, diagnosis: "Diagnosis", path: Along, equation: str, name: str, region: str) -> Axes:
+def _bars(
+    ax: Axes, diagnosis: "Diagnosis", path: Along, equation: str, name: str, region: str
+) -> Axes:
     centre, mean, spread, width = _binned(path.variable(name), path.of(equation))
-    ax.bar(centre, mean, 0.9 * width, color=FORCE, yerr=spread, ecolor="0.3", label="mean and spread")
+    ax.bar(
+        centre,
+        mean,
+        0.9 * width,
+        color=FORCE,
+        yerr=spread,
+        ecolor="0.3",
+        label="mean and spread",
+    )
     ax.axhline(0, color="0.3", lw=0.8)
-    ax.set(xlabel=_variable_label(diagnosis, name), ylabel=_force_label(diagnosis, equation))
+    ax.set(
+        xlabel=_variable_label(diagnosis, name),
+        ylabel=_force_label(diagnosis, equation),
+    )
     ax.legend(frameon=False)
     _titled(ax, region)
     return ax
 
 
 def plot_dependence(
-    diagnosis: "Diagnosis", variable: str | None = None, equation: str | None = None, ax: Axes | None = None
+    diagnosis: "Diagnosis",
+    variable: str | None = None,
+    equation: str | None = None,
+    ax: Axes | None = None,
 ) -> Axes:
-    """The missing force against a variable, by default the one that predicts it best: binned mean and spread.
+    """The missing force against a variable, by default the one that predicts it best:
+    binned mean and spread.
 
-    What other values of the model's parameters would explain is taken off (see `where.cleaned`), but not against time.
-    Raises `ModelError` for a variable that the force was not compared with.
+    What other values of the model's parameters would explain is taken off (see
+    `where.cleaned`), but not against time. Raises `ModelError` for a variable that the
+    force was not compared with.
     """
-    ax, equation, path = _axes(ax, (6.0, 4.6)), _equation(diagnosis, equation), _along(diagnosis)
+    ax, equation, path = (
+        _axes(ax, (6.0, 4.6)),
+        _equation(diagnosis, equation),
+        _along(diagnosis),
+    )
     found = depends_on(diagnosis.fit, diagnosis.estimate, diagnosis.runs)
     found = found[found["equation"] == equation]
     variable = _variable(path, equation, variable, found)
@@ -121,22 +203,43 @@ def plot_dependence(
     z, label = path.variable(variable), _variable_label(diagnosis, variable)
     period = period_of(path, equation) if variable == "t" and share >= CLEAR else None
     if period is not None:
-        z, label = (z - path.t[0]) % period, f"{label}, folded to the period of {period:.3g}"
+        z, label = (
+            (z - path.t[0]) % period,
+            f"{label}, folded to the period of {period:.3g}",
+        )
     w = path.of(equation) if variable == "t" else cleaned(path, equation, variable)
     centre, mean, spread, _ = _binned(z, w)
     step = max(1, len(z) // MOST_DOTS)
     ax.plot(z[::step], w[::step], ".", ms=3, color=CLOUD, label="force")
     ax.plot(centre, mean, "o-", color=FORCE, ms=4, lw=1.4, label="mean in bins")
-    ax.fill_between(centre, mean - spread, mean + spread, color=FORCE, alpha=0.2, lw=0, label="std. deviation")
+    ax.fill_between(
+        centre,
+        mean - spread,
+        mean + spread,
+        color=FORCE,
+        alpha=0.2,
+        lw=0,
+        label="std. deviation",
+    )
     ax.axhline(0, color="0.3", lw=0.8)
     ax.set(xlabel=label, ylabel=_force_label(diagnosis, equation))
     ax.margins(y=0.25)
-    ax.legend(frameon=False, ncols=3, loc="upper center", columnspacing=1.0, handletextpad=0.4)
-    _titled(ax, _dependence_title(diagnosis, equation, variable, share, _is_constant(found)))
+    ax.legend(
+        frameon=False, ncols=3, loc="upper center", columnspacing=1.0, handletextpad=0.4
+    )
+    _titled(
+        ax, _dependence_title(diagnosis, equation, variable, share, _is_constant(found))
+    )
     return ax
 
 
-def _dependence_title(diagnosis: "Diagnosis", equation: str, variable: str, share: float, is_constant: bool) -> str:
+def _dependence_title(
+    diagnosis: "Diagnosis",
+    equation: str,
+    variable: str,
+    share: float,
+    is_constant: bool,
+) -> str:
     if _row(diagnosis, equation)["times_noise"] < SEEN:
         return f"d{equation}/dt: no missing force is sure"
     verb = "follows" if share >= CLEAR else "hardly follows"
@@ -146,32 +249,64 @@ def _dependence_title(diagnosis: "Diagnosis", equation: str, variable: str, shar
 
 def _is_constant(found: pd.DataFrame) -> bool:
     """Whether most of a force is constant: its first row of `depends_on`."""
-    return bool(found["variable"].iloc[0] == "constant" and found["share"].iloc[0] > 0.5)
+    return bool(
+        found["variable"].iloc[0] == "constant" and found["share"].iloc[0] > 0.5
+    )
 
 
-def plot_spectrum(diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | None = None) -> Axes:
-    """Amplitude of the missing force (its mean apart) by frequency, and the level that its uncertainty explains."""
-    ax, equation, path = _axes(ax, (6.0, 4.0)), _equation(diagnosis, equation), _along(diagnosis)
+def plot_spectrum(
+    diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | None = None
+) -> Axes:
+    """Amplitude of the missing force (its mean apart) by frequency, and the level that
+    its uncertainty explains.
+    """
+    ax, equation, path = (
+        _axes(ax, (6.0, 4.0)),
+        _equation(diagnosis, equation),
+        _along(diagnosis),
+    )
     w, unit = path.of(equation), frequency_unit(diagnosis.data.units)
     f, amplitude = spectrum(path.t, path.run, w - w.mean())
     draws = uncertain(diagnosis.estimate)[:, path.equations.index(equation)]
-    level = _smooth(np.quantile(spectrum(path.t, path.run, draws)[1], LEVEL_SHARE, axis=1))
+    level = _smooth(
+        np.quantile(spectrum(path.t, path.run, draws)[1], LEVEL_SHARE, axis=1)
+    )
     ax.plot(f, amplitude, color=FORCE, lw=1.4, label="missing force")
-    ax.fill_between(f, 0, level, color=LEVEL, alpha=0.35, lw=0, label="what its uncertainty explains")
+    ax.fill_between(
+        f,
+        0,
+        level,
+        color=LEVEL,
+        alpha=0.35,
+        lw=0,
+        label="what its uncertainty explains",
+    )
     above = np.flatnonzero(amplitude > level)
     shown = np.flatnonzero(amplitude > 0.02 * amplitude.max())
-    ax.set_xlim(0, f[min(shown[-1] + 1, len(f) - 1)] if len(shown) and len(f) > 1 else None)
+    ax.set_xlim(
+        0, f[min(shown[-1] + 1, len(f) - 1)] if len(shown) and len(f) > 1 else None
+    )
     ax.set_ylim(0, 1.3 * max(amplitude.max(), level.max(), 1e-300))
-    ax.set(xlabel=f"frequency ({unit})", ylabel=_force_label(diagnosis, equation, "amplitude"))
+    ax.set(
+        xlabel=f"frequency ({unit})",
+        ylabel=_force_label(diagnosis, equation, "amplitude"),
+    )
     ax.legend(frameon=False, loc="upper right")
     _titled(ax, _spectrum_title(equation, f, amplitude, above, unit, w))
     return ax
 
 
 def _spectrum_title(
-    equation: str, f: np.ndarray, amplitude: np.ndarray, above: np.ndarray, unit: str, w: np.ndarray
+    equation: str,
+    f: np.ndarray,
+    amplitude: np.ndarray,
+    above: np.ndarray,
+    unit: str,
+    w: np.ndarray,
 ) -> str:
-    constant = "mostly constant; what varies" if w.mean() ** 2 > np.mean(w**2) / 2 else ""
+    constant = (
+        "mostly constant; what varies" if w.mean() ** 2 > np.mean(w**2) / 2 else ""
+    )
     if not len(above):
         return f"d{equation}/dt: {constant or 'the missing force'} is nowhere above its uncertainty"
     peak = above[np.argmax(amplitude[above])]
@@ -183,19 +318,32 @@ def _smooth(level: np.ndarray, n: int = 9) -> np.ndarray:
     return np.convolve(np.pad(level, n // 2, "edge"), np.full(n, 1 / n), "valid")
 
 
-def _binned(z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Centre, mean and standard deviation in bins of even width with enough values, and the width."""
+def _binned(
+    z: np.ndarray, w: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Centre, mean and standard deviation in bins of even width with enough values, and
+    the width.
+    """
     edges = np.linspace(z.min(), z.max(), N_BARS + 1)
     part = np.clip(np.searchsorted(edges, z, "right") - 1, 0, N_BARS - 1)
     count = np.bincount(part, minlength=N_BARS)
     mean = np.bincount(part, w, N_BARS) / np.maximum(count, 1)
-    spread = np.sqrt(np.bincount(part, (w - mean[part]) ** 2, N_BARS) / np.maximum(count, 1))
+    spread = np.sqrt(
+        np.bincount(part, (w - mean[part]) ** 2, N_BARS) / np.maximum(count, 1)
+    )
     enough = count >= FEWEST
-    return ((edges[:-1] + edges[1:]) / 2)[enough], mean[enough], spread[enough], float(edges[1] - edges[0])
+    return (
+        ((edges[:-1] + edges[1:]) / 2)[enough],
+        mean[enough],
+        spread[enough],
+        float(edges[1] - edges[0]),
+    )
 
 
 def _equation(diagnosis: "Diagnosis", equation: str | None) -> str:
-    """The equation asked for, or that whose missing force is strongest over its uncertainty."""
+    """The equation asked for, or that whose missing force is strongest over its
+    uncertainty.
+    """
     model = diagnosis.fit.model
     forced = [model.states[row] for row in diagnosis.estimate.prior.rows]
     if equation is None:
@@ -209,8 +357,12 @@ def _equation(diagnosis: "Diagnosis", equation: str | None) -> str:
     return equation
 
 
-def _variable(path: Along, equation: str, variable: str | None, found: pd.DataFrame) -> str:
-    """The variable asked for, or the single one that predicts the force best; the time for a constant force."""
+def _variable(
+    path: Along, equation: str, variable: str | None, found: pd.DataFrame
+) -> str:
+    """The variable asked for, or the single one that predicts the force best; the time
+    for a constant force.
+    """
     listed = [name for name in variables(path, equation) if "," not in name]
     if variable is not None:
         if variable not in listed:
@@ -234,7 +386,9 @@ def _row(diagnosis: "Diagnosis", equation: str) -> pd.Series:
     return table[table["equation"] == equation].iloc[0]
 
 
-def _region(diagnosis: "Diagnosis", path: Along, equation: str, plane: Sequence[str]) -> str:
+def _region(
+    diagnosis: "Diagnosis", path: Along, equation: str, plane: Sequence[str]
+) -> str:
     if _row(diagnosis, equation)["times_noise"] < SEEN:
         return f"d{equation}/dt: no missing force is sure"
     region = region_of(path, path.of(equation), plane)
@@ -250,10 +404,16 @@ def _variable_label(diagnosis: "Diagnosis", name: str) -> str:
         return _label(name, units.get(name, ""))
     row = np.array(model.S)[:, model.efforts.index(name)]
     moved = [model.states[i] for i in positions(model) if row[i]]
-    return _label(f"velocity {name}", force_unit(moved[0], units)) if moved else f"effort {name}"
+    return (
+        _label(f"velocity {name}", force_unit(moved[0], units))
+        if moved
+        else f"effort {name}"
+    )
 
 
-def _force_label(diagnosis: "Diagnosis", equation: str, what: str = "missing force") -> str:
+def _force_label(
+    diagnosis: "Diagnosis", equation: str, what: str = "missing force"
+) -> str:
     return _label(what, force_unit(equation, diagnosis.data.units))
 
 

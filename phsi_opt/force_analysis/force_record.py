@@ -21,9 +21,10 @@ MOST_SOLVED = 3e7  # numbers held at once for the standard deviation of the forc
 class Along:
     """The missing force and what it may depend on, at the middle of every interval.
 
-    force (n_intervals, n_forced) of ``equations``; states, efforts and losses -R dH/dx of the model (n_intervals,
-    n_states); inputs (n_intervals, n_inputs); slopes (n_intervals, n_states, n_moving) of dx/dt in the parameters that
-    are free to move, each of rms one; run: number of the trajectory.
+    force (n_intervals, n_forced) of ``equations``; states, efforts and losses -R dH/dx
+    of the model (n_intervals, n_states); inputs (n_intervals, n_inputs); slopes
+    (n_intervals, n_states, n_moving) of dx/dt in the parameters that are free to move,
+    each of rms one; run: number of the trajectory.
     """
 
     fit: Fit
@@ -55,29 +56,43 @@ class Along:
         return self.force[:, self.equations.index(equation)]
 
     def seen(self, equation: str, columns: np.ndarray) -> np.ndarray:
-        """What the estimate would show of forces (n_intervals, k) on the equation: less what noise and prior hide.
+        """What the estimate would show of forces (n_intervals, k) on the equation: less
+        what noise and prior hide.
 
-        w_hat = w - C P^-1 w with the force's covariance P before and C after the measurements.
+        w_hat = w - C P^-1 w with the force's covariance P before and C after the
+        measurements.
         """
         linear, (n_intervals, n_forced) = self.estimate.linear, self.force.shape
         at = np.arange(n_intervals) * n_forced + self.equations.index(equation)
         shown = np.empty_like(columns)
-        n_parts = 1 + int(linear.n_total * columns.shape[1] / MOST_SOLVED)  # so that they fit in memory
+        n_parts = 1 + int(
+            linear.n_total * columns.shape[1] / MOST_SOLVED
+        )  # so that they fit in memory
         for part in np.array_split(np.arange(columns.shape[1]), n_parts):
-            force, right = np.zeros((linear.n_w, len(part))), np.zeros((linear.n_total, len(part)))
+            force, right = (
+                np.zeros((linear.n_w, len(part))),
+                np.zeros((linear.n_total, len(part))),
+            )
             force[at] = columns[:, part]
-            right[linear.n_x : linear.n_x + linear.n_w] = linear.L.T @ (linear.L @ force)
-            shown[:, part] = columns[:, part] - linear.factor.solve(right)[linear.n_x + at]
+            right[linear.n_x : linear.n_x + linear.n_w] = linear.L.T @ (
+                linear.L @ force
+            )
+            shown[:, part] = (
+                columns[:, part] - linear.factor.solve(right)[linear.n_x + at]
+            )
         return shown
 
     def imitated(self, equation: str) -> np.ndarray:
-        """Slopes of the equation in the parameters that act in it, as the estimate would show them."""
+        """Slopes of the equation in the parameters that act in it, as the estimate
+        would show them.
+        """
         columns = self.slopes[:, self.fit.model.states.index(equation)]
         return self.seen(equation, columns[:, np.any(columns != 0, axis=0)])
 
 
 def along(fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()) -> Along:
-    """Lay out the missing force with states, efforts and inputs; ``runs`` names the trajectories.
+    """Lay out the missing force with states, efforts and inputs; ``runs`` names the
+    trajectories.
 
     Names matter only where trajectories have parameters of their own.
     """
@@ -85,26 +100,45 @@ def along(fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()) -> Along:
     middle = (x[grid.begin] + x[grid.begin + 1]) / 2
     u, t = (grid.u0 + grid.u1) / 2, grid.t[grid.begin] + grid.h / 2
     run = grid.trajectory[grid.begin]
-    own = [fit.by_trajectory.get(name, {}) for name in runs] or [{}] * (int(run[-1]) + 1)
-    theta = np.array([[{**fit.values, **values}[name] for values in own] for name in model.free])
+    own = [fit.by_trajectory.get(name, {}) for name in runs] or [{}] * (
+        int(run[-1]) + 1
+    )
+    theta = np.array(
+        [[{**fit.values, **values}[name] for values in own] for name in model.free]
+    )
     at = (middle.T, u.T, t[None, :], theta[:, run] if len(theta) else ca.DM(0, len(t)))
     efforts = np.array(model.function(*model.efforts).map(len(t))(*at)).T
     frozen, none = model.frozen(), ca.DM(0, len(t))
-    with_loss, without = (m.rhs().map(len(t))(*at[:3], none) for m in (frozen, replace(frozen, R={})))
+    with_loss, without = (
+        m.rhs().map(len(t))(*at[:3], none) for m in (frozen, replace(frozen, R={}))
+    )
     equations = tuple(model.states[row] for row in estimate.prior.rows)
     return Along(
-        fit=fit, estimate=estimate, equations=equations, t=t, h=grid.h, run=run,
-        force=estimate.w, states=middle, efforts=efforts, losses=np.array(with_loss - without).T, inputs=u,
+        fit=fit,
+        estimate=estimate,
+        equations=equations,
+        t=t,
+        h=grid.h,
+        run=run,
+        force=estimate.w,
+        states=middle,
+        efforts=efforts,
+        losses=np.array(with_loss - without).T,
+        inputs=u,
         slopes=_slopes(model, at, len(t)),
-    )  # fmt: skip
+    )
 
 
 def _slopes(model: Model, at: tuple[Any, ...], n: int) -> np.ndarray:
-    """Slopes of dx/dt in the parameters that do not stand at a bound, of rms one, (n, n_states, n_moving)."""
+    """Slopes of dx/dt in the parameters that do not stand at a bound, of rms one, (n,
+    n_states, n_moving).
+    """
     rhs = model.rhs()
     x, u, t, theta = (ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(4))
     columns = ca.densify(ca.jacobian(rhs(x, u, t, theta), theta)[:, _moving(model)])
-    flat = np.array(ca.Function("slopes", [x, u, t, theta], [ca.vec(columns.T)]).map(n)(*at))
+    flat = np.array(
+        ca.Function("slopes", [x, u, t, theta], [ca.vec(columns.T)]).map(n)(*at)
+    )
     slopes = np.nan_to_num(flat.T.reshape(n, model.n_states, -1))
     size = np.sqrt(np.mean(slopes**2, axis=0))
     return np.asarray(slopes / np.where(size > 0, size, 1.0))
@@ -121,18 +155,24 @@ def _moving(model: Model) -> list[int]:
     return [i for i, name in enumerate(model.free) if moves(name)]
 
 
-def spectrum(t: np.ndarray, run: np.ndarray, w: np.ndarray, n_points: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (cycles per unit of time) and amplitudes of w (n,) or (n, k): a sine of amplitude A has the peak A.
+def spectrum(
+    t: np.ndarray, run: np.ndarray, w: np.ndarray, n_points: int = 4
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (cycles per unit of time) and amplitudes of w (n,) or (n, k): a sine
+    of amplitude A has the peak A.
 
-    Trajectories are resampled to even steps, tapered (Hann), and averaged in the mean square. There are ``n_points``
-    frequencies per resolved one; those below one cycle per longest trajectory are left out.
+    Trajectories are resampled to even steps, tapered (Hann), and averaged in the mean
+    square. There are ``n_points`` frequencies per resolved one; those below one cycle
+    per longest trajectory are left out.
     """
     edges = [*np.flatnonzero(np.diff(run, prepend=run[0] - 1)), len(t)]
     spans = [(a, b) for a, b in pairwise(edges) if b - a > 2]
     duration = max((float(t[b - 1] - t[a]) for a, b in spans), default=0.0)
     if duration == 0.0:
         return np.zeros(1), np.zeros((1, *w.shape[1:]))
-    step = max(min(float(np.median(np.diff(t[a:b]))) for a, b in spans), duration / LONGEST)
+    step = max(
+        min(float(np.median(np.diff(t[a:b]))) for a, b in spans), duration / LONGEST
+    )
     n_fft = next_fast_len(n_points * int(duration / step + 2), real=True)
     power = np.zeros((n_fft // 2 + 1, *w.shape[1:]))
     for a, b in spans:
@@ -146,7 +186,9 @@ def _amplitude(t: np.ndarray, w: np.ndarray, step: float, n_fft: int) -> np.ndar
     even = np.arange(t[0], t[-1] + step / 2, step)
     taper = np.hanning(len(even) + 2)[1:-1]
     columns = w.reshape(len(t), -1).T
-    sampled = np.array([np.interp(even, t, column) for column in columns]).T * taper[:, None]
+    sampled = (
+        np.array([np.interp(even, t, column) for column in columns]).T * taper[:, None]
+    )
     amplitude = 2 * np.abs(np.fft.rfft(sampled, n_fft, axis=0)) / taper.sum()
     return amplitude.reshape(-1, *w.shape[1:])
 
@@ -160,7 +202,13 @@ def frequency_unit(units: Mapping[str, str]) -> str:
 def force_unit(equation: str, units: Mapping[str, str]) -> str:
     """Unit of the missing force of an equation, '' where units are not known."""
     state, time = units.get(equation, ""), units.get("t", "")
-    return f"({state})/{time}" if state and time and " " in state else f"{state}/{time}" if state and time else ""
+    return (
+        f"({state})/{time}"
+        if state and time and " " in state
+        else f"{state}/{time}"
+        if state and time
+        else ""
+    )
 
 
 def spaced(unit: str) -> str:

@@ -1,4 +1,6 @@
-"""Where a model fails: trajectory, times, region of the states and frequency of the missing force; sentences on it."""
+"""Where a model fails: trajectory, times, region of the states and frequency of the
+missing force; sentences on it.
+"""
 
 from collections.abc import Sequence
 
@@ -10,17 +12,28 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
 from phsi_opt.force_analysis.force_record import MOST_SOLVED, Along, along, spectrum
 
-N_WINDOWS, N_BINS = 10, 8  # parts of a trajectory, and of the range of a state, in which the force's size is taken
-STRONG = 1.3  # a part stands out when the force's size in it exceeds that of the whole record by this factor
-SEEN = 1.0  # size of the force over its standard deviation below which nothing is said about it
+N_WINDOWS, N_BINS = (
+    10,
+    8,
+)  # parts of a trajectory, and of the range of a state, in which the force's size is taken
+# a part stands out when the force's size in it exceeds that of the whole record by this
+# factor
+STRONG = 1.3
+# size of the force over its standard deviation below which nothing is said about it
+SEEN = 1.0
 
 
-def located(fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()) -> pd.DataFrame:
-    """Where the missing force of every equation is strong, strongest first; a row per equation that may lack one.
+def located(
+    fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Where the missing force of every equation is strong, strongest first; a row per
+    equation that may lack one.
 
-    Columns: equation; trajectory (its name from ``runs``, else its number) and time_window where it is strongest;
-    state_region where it is strong; frequency (cycles per unit of time; 0 for a force that is mostly constant);
-    strength (rms); times_noise (strength over the typical standard deviation of the estimate: below 1 it is not sure).
+    Columns: equation; trajectory (its name from ``runs``, else its number) and
+    time_window where it is strongest; state_region where it is strong; frequency
+    (cycles per unit of time; 0 for a force that is mostly constant); strength (rms);
+    times_noise (strength over the typical standard deviation of the estimate: below 1
+    it is not sure).
     """
     path, times = along(fit, estimate, runs), _times_noise(estimate)
     rows = []
@@ -30,17 +43,36 @@ def located(fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()) -> pd.D
         run, window = _window(path, w)
         trajectory = runs[run] if len(runs) else run
         rows.append(
-            (name, trajectory, window, region_of(path, w, fit.model.states), _frequency(path, w), strength, times[k])
+            (
+                name,
+                trajectory,
+                window,
+                region_of(path, w, fit.model.states),
+                _frequency(path, w),
+                strength,
+                times[k],
+            )
         )
-    columns = ["equation", "trajectory", "time_window", "state_region", "frequency", "strength", "times_noise"]
-    return pd.DataFrame(rows, columns=columns).sort_values("strength", ascending=False, ignore_index=True)
+    columns = [
+        "equation",
+        "trajectory",
+        "time_window",
+        "state_region",
+        "frequency",
+        "strength",
+        "times_noise",
+    ]
+    return pd.DataFrame(rows, columns=columns).sort_values(
+        "strength", ascending=False, ignore_index=True
+    )
 
 
 def _times_noise(estimate: ForceEstimate) -> np.ndarray:
     """Size of the force over its typical (median) standard deviation, per equation.
 
-    Both are those of the last sizes of force and noise: while the force's size still falls towards zero, the stored
-    force is that of a larger size, and would seem certain.
+    Both are those of the last sizes of force and noise: while the force's size still
+    falls towards zero, the stored force is that of a larger size, and would seem
+    certain.
     """
     linear, typical = estimate.linear, np.median(deviation_of(estimate), axis=0)
     force = spsolve(linear.L, linear.innovations).reshape(estimate.w.shape)
@@ -48,8 +80,12 @@ def _times_noise(estimate: ForceEstimate) -> np.ndarray:
 
 
 def deviation_of(estimate: ForceEstimate) -> np.ndarray:
-    """Standard deviation of the force, (n_intervals, n_forced), at as many intervals as fit in memory, else between."""
-    return force_deviation(estimate, int(np.clip(MOST_SOLVED / estimate.linear.n_total, 16, 400)))
+    """Standard deviation of the force, (n_intervals, n_forced), at as many intervals as
+    fit in memory, else between.
+    """
+    return force_deviation(
+        estimate, int(np.clip(MOST_SOLVED / estimate.linear.n_total, 16, 400))
+    )
 
 
 def _rms(w: np.ndarray) -> float:
@@ -79,7 +115,9 @@ def _window(path: Along, w: np.ndarray) -> tuple[int, str]:
 
 
 def region_of(path: Along, w: np.ndarray, names: Sequence[str]) -> str:
-    """Ranges of the variables in which the force is strong; 'everywhere' where none stands out."""
+    """Ranges of the variables in which the force is strong; 'everywhere' where none
+    stands out.
+    """
     found = []
     for name in names:
         z = path.variable(name)
@@ -90,7 +128,10 @@ def region_of(path: Along, w: np.ndarray, names: Sequence[str]) -> str:
         part = np.clip(np.searchsorted(edges, z) - 1, 0, len(edges) - 2)
         enough = np.bincount(part, minlength=len(edges) - 1) > 0.02 * len(w)
         strong = enough & (_sizes(w, part, len(edges) - 1) > STRONG * _rms(w))
-        if 1 <= np.count_nonzero(np.diff(np.r_[False, strong].astype(int)) == 1) <= 2 and not strong.all():
+        if (
+            1 <= np.count_nonzero(np.diff(np.r_[False, strong].astype(int)) == 1) <= 2
+            and not strong.all()
+        ):
             found.append(f"{name} {_stretches(edges, strong)}")
     return ", ".join(found) or "everywhere"
 
@@ -98,12 +139,19 @@ def region_of(path: Along, w: np.ndarray, names: Sequence[str]) -> str:
 def _stretches(edges: np.ndarray, strong: np.ndarray) -> str:
     """Neighbouring strong bins joined: '-1 to -0.6 or 0.7 to 1'."""
     change = np.diff(np.r_[False, strong, False].astype(int))
-    begins, ends = edges[np.flatnonzero(change == 1)], edges[np.flatnonzero(change == -1)]
-    return " or ".join(f"{low:.3g} to {high:.3g}" for low, high in zip(begins, ends, strict=True))
+    begins, ends = (
+        edges[np.flatnonzero(change == 1)],
+        edges[np.flatnonzero(change == -1)],
+    )
+    return " or ".join(
+        f"{low:.3g} to {high:.3g}" for low, high in zip(begins, ends, strict=True)
+    )
 
 
 def _frequency(path: Along, w: np.ndarray) -> float:
-    """Frequency at which the force is strongest, in cycles per unit of time; 0 where most of it is constant."""
+    """Frequency at which the force is strongest, in cycles per unit of time; 0 where
+    most of it is constant.
+    """
     if np.mean(w) ** 2 > np.mean(w**2) / 2:
         return 0.0
     f, amplitude = spectrum(path.t, path.run, w - np.mean(w))
@@ -111,14 +159,17 @@ def _frequency(path: Along, w: np.ndarray) -> float:
 
 
 def uncertain(estimate: ForceEstimate, n_draws: int = 24, seed: int = 0) -> np.ndarray:
-    """Draws of the estimate's error, (n_intervals, n_forced, n_draws), with its correlation in time.
+    """Draws of the estimate's error, (n_intervals, n_forced, n_draws), with its
+    correlation in time.
 
-    They are solutions of the linearised problem for random noise and random innovations of the prior, whose covariance
-    is that of the force given the measurements.
+    They are solutions of the linearised problem for random noise and random innovations
+    of the prior, whose covariance is that of the force given the measurements.
     """
     linear, rng = estimate.linear, np.random.default_rng(seed)
     right = np.zeros((linear.n_total, n_draws))
-    right[: linear.n_x] = linear.seen_of.T @ rng.normal(size=(linear.seen_of.shape[0], n_draws))
+    right[: linear.n_x] = linear.seen_of.T @ rng.normal(
+        size=(linear.seen_of.shape[0], n_draws)
+    )
     w = slice(linear.n_x, linear.n_x + linear.n_w)
     right[w] = linear.L.T @ rng.normal(size=(linear.L.shape[0], n_draws))
     return np.asarray(linear.factor.solve(right)[w]).reshape(*estimate.w.shape, n_draws)

@@ -13,32 +13,68 @@ from phsi_opt.force_analysis.localization import SEEN, located
 
 
 def sentences(
-    fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = (), units: Mapping[str, str] | None = None
+    fit: Fit,
+    estimate: ForceEstimate,
+    runs: Sequence[str] = (),
+    units: Mapping[str, str] | None = None,
 ) -> list[str]:
-    """Plain sentences on where the model fails, an equation each, strongest first; ``units`` as in `Measurements`."""
+    """Plain sentences on where the model fails, an equation each, strongest first;
+    ``units`` as in `Measurements`.
+    """
     known, table = units or {}, located(fit, estimate, runs)
     energy = power(fit, estimate, runs, known)
     words = dict(zip(energy.table["equation"], energy.sentences, strict=True))
     found = depends_on(fit, estimate, runs)
-    return [_sentence(row, words[row["equation"]], found, known) for _, row in table.iterrows()]
+    return [
+        _sentence(row, words[row["equation"]], found, known)
+        for _, row in table.iterrows()
+    ]
 
 
-def _sentence(row: pd.Series, words: str, found: pd.DataFrame, units: Mapping[str, str]) -> str:
+def _sentence(
+    row: pd.Series, words: str, found: pd.DataFrame, units: Mapping[str, str]
+) -> str:
     name, times = row["equation"], row["times_noise"]
     size = f"{row['strength']:.3g}{spaced(force_unit(name, units))}"
     if times < SEEN:
         return f"d{name}/dt: no missing force is sure (rms {size}, {times:.2g} times its standard deviation)."
-    pattern = f"It {words}." if words != "no clear pattern" else "No single cause explains it."
+    pattern = (
+        f"It {words}."
+        if words != "no clear pattern"
+        else "No single cause explains it."
+    )
     if (best := leading(found, name)) is not None and best["share"] >= CLEAR:
-        pattern += f" Best predicted from {best['variable']} ({100 * best['share']:.0f} %)."
+        pattern += (
+            f" Best predicted from {best['variable']} ({100 * best['share']:.0f} %)."
+        )
     sure = f"{times:.2g} times its standard deviation"
     return f"d{name}/dt lacks a force of rms {size}, {sure}; {_place(row, units)}. {pattern}"
 
 
 def _place(row: pd.Series, units: Mapping[str, str]) -> str:
     """Trajectory, times, region and frequency of one row of `located`, in words."""
-    run = row["trajectory"] if isinstance(row["trajectory"], str) else f"trajectory {row['trajectory']}"
-    window, region, unit = row["time_window"], row["state_region"], spaced(units.get("t", ""))
-    place = "about as strong all the time" if "throughout" in window else f"strongest in {run}, t = {window}{unit}"
-    place += "" if region == "everywhere" else f"{';' if 'throughout' in window else ','} strong where {region}"
-    return place + (f"; mostly at {row['frequency']:.3g} {frequency_unit(units)}" if row["frequency"] > 0 else "")
+    run = (
+        row["trajectory"]
+        if isinstance(row["trajectory"], str)
+        else f"trajectory {row['trajectory']}"
+    )
+    window, region, unit = (
+        row["time_window"],
+        row["state_region"],
+        spaced(units.get("t", "")),
+    )
+    place = (
+        "about as strong all the time"
+        if "throughout" in window
+        else f"strongest in {run}, t = {window}{unit}"
+    )
+    place += (
+        ""
+        if region == "everywhere"
+        else f"{';' if 'throughout' in window else ','} strong where {region}"
+    )
+    return place + (
+        f"; mostly at {row['frequency']:.3g} {frequency_unit(units)}"
+        if row["frequency"] > 0
+        else ""
+    )

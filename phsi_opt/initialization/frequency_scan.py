@@ -18,15 +18,23 @@ def scans(model: Model) -> list[tuple[str, list[str], str]]:
     found: dict[str, tuple[str, list[str], str]] = {}
     for slot, equation, term in model.placed():
         for inner, parameter in term.inner.items():
-            if isinstance(parameter.guess, Scan) and parameter.value is None and term.coefficient is not None:
+            if (
+                isinstance(parameter.guess, Scan)
+                and parameter.value is None
+                and term.coefficient is not None
+            ):
                 place = place_of(slot, equation)
                 name = term.inner_name(inner, place)
-                found.setdefault(name, (name, [], parameter.guess.variable))[1].append(term.coefficient_name(place))
+                found.setdefault(name, (name, [], parameter.guess.variable))[1].append(
+                    term.coefficient_name(place)
+                )
     return list(found.values())
 
 
 def frequencies(grid: Grid, variable: np.ndarray) -> np.ndarray:
-    """Frequencies worth trying: half a period over the record up to the Nyquist frequency, half a resolution apart."""
+    """Frequencies worth trying: half a period over the record up to the Nyquist
+    frequency, half a resolution apart.
+    """
     span = float(np.ptp(variable))
     steps = np.abs(np.diff(variable)[np.diff(grid.trajectory) == 0])
     step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else span
@@ -43,9 +51,11 @@ def candidate_frequencies(
     amplitudes: list[str],
     variable: str,
 ) -> list[float]:
-    """Peaks of two scans: beside all other terms, and beside those alone that do not contain the variable.
+    """Peaks of two scans: beside all other terms, and beside those alone that do not
+    contain the variable.
 
-    Over a short record a polynomial in the time imitates a slow wave, so beside it only fast waves stand out.
+    Over a short record a polynomial in the time imitates a slow wave, so beside it only
+    fast waves stand out.
     """
     beside_all = [i for group in groups for i in group]
     along = {
@@ -56,23 +66,43 @@ def candidate_frequencies(
     inner = [i for i in beside_all if model.free[i] not in along]
     found = []
     for others in [beside_all] if inner == beside_all else [inner, beside_all]:
-        found += _best_frequencies(model, grid, theta, others, name, amplitudes, variable)[: N_STARTS - 1]
+        found += _best_frequencies(
+            model, grid, theta, others, name, amplitudes, variable
+        )[: N_STARTS - 1]
     return list(dict.fromkeys(found))
 
 
 def squared_defects(model: Model, grid: Grid, theta: np.ndarray) -> float:
-    return float(np.nansum(np.square(np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), theta)))))
+    return float(
+        np.nansum(
+            np.square(np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), theta)))
+        )
+    )
 
 
 def _best_frequencies(
-    model: Model, grid: Grid, theta: np.ndarray, beside: list[int], name: str, amplitudes: list[str], variable: str
+    model: Model,
+    grid: Grid,
+    theta: np.ndarray,
+    beside: list[int],
+    name: str,
+    amplitudes: list[str],
+    variable: str,
 ) -> list[float]:
-    """The frequencies with the deepest local minima of the squared defects, amplitudes and all linear terms free."""
+    """The frequencies with the deepest local minima of the squared defects, amplitudes
+    and all linear terms free.
+    """
     order = list(model.free)
     own = [order.index(a) for a in amplitudes]
     others = [i for i in beside if i not in own]
     start = theta.copy()
-    start[[i for i, n in enumerate(order) if model.entries[n].prunable and i not in others]] = 0.0
+    start[
+        [
+            i
+            for i, n in enumerate(order)
+            if model.entries[n].prunable and i not in others
+        ]
+    ] = 0.0
     d = np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), start)).T.ravel()
     base = np.array(defect_jacobian(model, grid, SCHEME)(grid.y.T, start))[:, others]
     keep, _ = np.linalg.qr(base) if others else (np.zeros((len(d), 0)), None)
@@ -85,7 +115,14 @@ def _best_frequencies(
     grid_omega = frequencies(grid, along)
     columns = defect_jacobian(model, grid, SCHEME, own)
     drop = np.array(
-        [_explained(d, keep, np.array(columns(grid.y.T, with_entry(start, order.index(name), w)))) for w in grid_omega]
+        [
+            _explained(
+                d,
+                keep,
+                np.array(columns(grid.y.T, with_entry(start, order.index(name), w))),
+            )
+            for w in grid_omega
+        ]
     )
     padded = np.r_[-np.inf, drop, -np.inf]
     peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))

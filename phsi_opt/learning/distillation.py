@@ -1,7 +1,9 @@
-"""A curve along a record as a sum of a few terms: forward selection by the Bayesian information criterion.
+"""A curve along a record as a sum of a few terms: forward selection by the Bayesian
+information criterion.
 
-Curve and candidates are compared by their traces in the residuals of the measurements, beside the physics: what the
-noise hides does not count, and a term that stands in for a parameter of the physics leaves no trace.
+Curve and candidates are compared by their traces in the residuals of the measurements,
+beside the physics: what the noise hides does not count, and a term that stands in for a
+parameter of the physics leaves no trace.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,25 +19,47 @@ from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.terms import Parameter, Term
 from phsi_opt.statistics import spread_together
 
-PLACES, WIDTHS = np.linspace(0.04, 0.96, 16), (0.05, 0.1, 0.2, 0.4)  # of corners and pulses: quantiles, shares of range
+PLACES, WIDTHS = (
+    np.linspace(0.04, 0.96, 16),
+    (0.05, 0.1, 0.2, 0.4),
+)  # of corners and pulses: quantiles, shares of range
 N_REFINING = 40  # values of place and width that are tried for a chosen term
-SPANNED = 1e-6  # share of a term's size beyond the physics below which the physics has the term
-PRODUCTS = ((1, 1), (2, 1), (1, 2), (3, 1), (2, 2), (1, 3))  # exponents of two variables
+# share of a term's size beyond the physics below which the physics has the term
+SPANNED = 1e-6
+PRODUCTS = (
+    (1, 1),
+    (2, 1),
+    (1, 2),
+    (3, 1),
+    (2, 2),
+    (1, 3),
+)  # exponents of two variables
 
 
 def short_form(
-    names: Sequence[str], record: Record, response: Response, curve: np.ndarray, most: int, share: float
+    names: Sequence[str],
+    record: Record,
+    response: Response,
+    curve: np.ndarray,
+    most: int,
+    share: float,
 ) -> list[Term]:
-    """At most ``most`` terms, each with its coefficient, that explain a share of a curve (n,); [] if there are none.
+    """At most ``most`` terms, each with its coefficient, that explain a share of a
+    curve (n,); [] if there are none.
 
-    A term is added while BIC = (squared traces that are left) / unit + (number of parameters) log n falls. The unit is
-    the variance of the residuals beside the curve, and they count for the independent ones they are worth.
+    A term is added while BIC = (squared traces that are left) / unit + (number of
+    parameters) log n falls. The unit is the variance of the residuals beside the curve,
+    and they count for the independent ones they are worth.
     """
     target = response.traces(curve[:, None])[:, 0]
     rest = response.residual - target
     unit = max(float(np.mean(rest**2)), 1.0) * spread_together([rest])
     price = np.log(max(len(rest) / spread_together([rest]), 2.0))  # of a parameter
-    listed = [(term, c) for term in candidates(names, record.v) if (c := _values(names, record, term)) is not None]
+    listed = [
+        (term, c)
+        for term in candidates(names, record.v)
+        if (c := _values(names, record, term)) is not None
+    ]
     traces = response.traces(np.column_stack([values for _, values in listed]))
     terms: list[Term] = []
     columns, left = np.zeros((len(target), 0)), float(target @ target)
@@ -43,11 +67,14 @@ def short_form(
     while len(terms) < most:
         spent = sum(map(_n_parameters, terms))
         scores = [
-            _misfit(columns, traces[:, i], target) / unit + price * (spent + _n_parameters(listed[i][0]))
+            _misfit(columns, traces[:, i], target) / unit
+            + price * (spent + _n_parameters(listed[i][0]))
             for i in range(len(listed))
         ]
         best = int(np.argmin(scores))
-        term, column = _refined(listed[best][0], traces[:, best], names, record, response, columns, target)
+        term, column = _refined(
+            listed[best][0], traces[:, best], names, record, response, columns, target
+        )
         now = _misfit(columns, column, target)
         if now / unit + price * (spent + _n_parameters(term)) >= bic:
             break
@@ -56,23 +83,39 @@ def short_form(
     if not terms or left > (1 - share) * whole:
         return []
     sizes = _coefficients(columns, target).tolist()
-    return [replace(term, coefficient=Parameter(size)) for term, size in zip(terms, sizes, strict=True)]
+    return [
+        replace(term, coefficient=Parameter(size))
+        for term, size in zip(terms, sizes, strict=True)
+    ]
 
 
 def candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
-    """Powers, sines, dry friction, corners and pulses of each variable, v (n, n_variables), and products of two."""
+    """Powers, sines, dry friction, corners and pulses of each variable, v (n,
+    n_variables), and products of two.
+    """
     yield Term("1")
     for name, values in zip(names, v.T, strict=True):
         powers = [f"{name}**{n}" for n in range(2, 6)]
-        for body in (name, f"{name}*abs({name})", *powers, f"sin({name})", f"cos({name})"):
+        for body in (
+            name,
+            f"{name}*abs({name})",
+            *powers,
+            f"sin({name})",
+            f"cos({name})",
+        ):
             yield Term(body)
         turnover = Parameter(TURNOVER * float(np.sqrt(np.mean(values**2))), fixed=True)
-        yield Term(f"{name}*({name}**4 + turnover**4)**(-0.25)", None, {"turnover": turnover})
+        yield Term(
+            f"{name}*({name}**4 + turnover**4)**(-0.25)", None, {"turnover": turnover}
+        )
         for at in np.quantile(values, PLACES).tolist():
             yield Term(f"max({name} - corner, 0)", None, {"corner": Parameter(at)})
             yield Term(f"max(corner - {name}, 0)", None, {"corner": Parameter(at)})
             for width in WIDTHS:
-                inner = {"centre": Parameter(at), "width": Parameter(width * float(np.ptp(values)), lower=0.0)}
+                inner = {
+                    "centre": Parameter(at),
+                    "width": Parameter(width * float(np.ptp(values)), lower=0.0),
+                }
                 yield Term(f"exp(-(({name} - centre)/width)**2)", None, inner)
     for a, b in combinations(names, 2):
         for i, j in PRODUCTS:
@@ -82,10 +125,17 @@ def candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
 
 
 def _refined(
-    term: Term, column: np.ndarray, names: Sequence[str], record: Record, response: Response, columns: np.ndarray,
+    term: Term,
+    column: np.ndarray,
+    names: Sequence[str],
+    record: Record,
+    response: Response,
+    columns: np.ndarray,
     target: np.ndarray,
-) -> tuple[Term, np.ndarray]:  # fmt: skip
-    """The term with the place and width, near those that were tried, that leave least; and its trace."""
+) -> tuple[Term, np.ndarray]:
+    """The term with the place and width, near those that were tried, that leave least;
+    and its trace.
+    """
     free = [name for name, parameter in term.inner.items() if not parameter.fixed]
     start = np.array([term.inner[name].start for name in free])
     scale = WIDTHS[0] * float(np.max(np.ptp(record.v, axis=0)))
@@ -94,9 +144,15 @@ def _refined(
     def left(step: np.ndarray) -> float:
         nonlocal best, least
         values = dict(zip(free, (start + scale * step).tolist(), strict=True))
-        if any(not term.inner[name].lower < value < term.inner[name].upper for name, value in values.items()):
+        if any(
+            not term.inner[name].lower < value < term.inner[name].upper
+            for name, value in values.items()
+        ):
             return float(target @ target)
-        inner = {name: replace(p, value=values.get(name, p.value)) for name, p in term.inner.items()}
+        inner = {
+            name: replace(p, value=values.get(name, p.value))
+            for name, p in term.inner.items()
+        }
         made = replace(term, inner=inner)
         curve = _values(names, record, made)
         if curve is None:
@@ -109,18 +165,31 @@ def _refined(
 
     if free:
         simplex = np.vstack([np.zeros(len(free)), np.eye(len(free))])
-        minimize(left, simplex[0], method="Nelder-Mead", options={"maxfev": N_REFINING, "initial_simplex": simplex})
+        minimize(
+            left,
+            simplex[0],
+            method="Nelder-Mead",
+            options={"maxfev": N_REFINING, "initial_simplex": simplex},
+        )
     return best
 
 
 def _values(names: Sequence[str], record: Record, term: Term) -> np.ndarray | None:
-    """The term along the record, (n,); None where it is not finite, or nothing that the physics has not."""
-    known = dict(zip(names, record.v.T, strict=True)) | {name: p.start for name, p in term.inner.items()}
+    """The term along the record, (n,); None where it is not finite, or nothing that the
+    physics has not.
+    """
+    known = dict(zip(names, record.v.T, strict=True)) | {
+        name: p.start for name, p in term.inner.items()
+    }
     with np.errstate(all="ignore"):
         values = np.broadcast_to(evaluate(term.body, known, NUMPY), record.w.shape)
     scaled = values / record.std
     beyond = np.linalg.norm(scaled - record.physics @ (record.physics.T @ scaled))
-    return values if np.isfinite(beyond) and beyond > SPANNED * np.linalg.norm(scaled) else None
+    return (
+        values
+        if np.isfinite(beyond) and beyond > SPANNED * np.linalg.norm(scaled)
+        else None
+    )
 
 
 def _n_parameters(term: Term) -> int:

@@ -13,18 +13,23 @@ import numpy as np
 from phsi_opt.errors import ModelError
 
 N_FOLDS = 5
-RIDGES = 10.0 ** np.arange(-9, 1)  # weights that are tried, relative to the size of a feature
+RIDGES = 10.0 ** np.arange(
+    -9, 1
+)  # weights that are tried, relative to the size of a feature
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 
 
 @dataclass(frozen=True)
 class NeuralForce:
-    """A force in ``equations`` that depends on the states ``variables`` through a network (None: on all states).
+    """A force in ``equations`` that depends on the states ``variables`` through a
+    network (None: on all states).
 
-    ``hidden`` are the sizes of its ReLU layers (thesis Section 6.4: three of 100), ``epochs`` those of the first turn;
-    later turns, which begin with a trained network, take a quarter of them. ``weight_decay`` is that of AdamW, strong
-    enough to keep noise out of the features. The epoch that is kept, and the weight of
-    the squared output weights in the last layer, are those that predict trajectories best which were left out.
+    ``hidden`` are the sizes of its ReLU layers (thesis Section 6.4: three of 100),
+    ``epochs`` those of the first turn; later turns, which begin with a trained network,
+    take a quarter of them. ``weight_decay`` is that of AdamW, strong enough to keep
+    noise out of the features. The epoch that is kept, and the weight of the squared
+    output weights in the last layer, are those that predict trajectories best which
+    were left out.
     """
 
     equations: tuple[str, ...]
@@ -39,20 +44,27 @@ class NeuralForce:
         for name in ("equations", "variables"):
             given = getattr(self, name)
             if given is not None and (isinstance(given, str) or not given):
-                raise ModelError(f"{name}={given!r} of NeuralForce must be a tuple of states, such as ('p',).")
+                raise ModelError(
+                    f"{name}={given!r} of NeuralForce must be a tuple of states, such as ('p',)."
+                )
         if not self.hidden or any(not isinstance(n, int) or n < 1 for n in self.hidden):
-            raise ModelError(f"hidden={self.hidden!r} of NeuralForce must be sizes of layers, such as (100, 100, 100).")
+            raise ModelError(
+                f"hidden={self.hidden!r} of NeuralForce must be sizes of layers, such as (100, 100, 100)."
+            )
         for name in ("epochs", "batch", "learning_rate"):
             if not getattr(self, name) > 0:
-                raise ModelError(f"{name}={getattr(self, name)!r} of NeuralForce must be a number above zero.")
+                raise ModelError(
+                    f"{name}={getattr(self, name)!r} of NeuralForce must be a number above zero."
+                )
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedForce:
-    """A trained network: force(x) for states x (n_samples, n_states) is (n_samples, n_equations).
+    """A trained network: force(x) for states x (n_samples, n_states) is (n_samples,
+    n_equations).
 
-    It knows nothing beyond what it has seen: there its variables are held at the edge of the range ``seen`` in
-    training.
+    It knows nothing beyond what it has seen: there its variables are held at the edge
+    of the range ``seen`` in training.
     """
 
     equations: tuple[str, ...]
@@ -69,7 +81,9 @@ class TrainedForce:
 
     def features(self, x: np.ndarray) -> np.ndarray:
         """Output of the last hidden layer, (n_samples, n_features)."""
-        z = (np.clip(np.atleast_2d(x)[:, self.columns], *self.seen) - self.shift) / self.spread
+        z = (
+            np.clip(np.atleast_2d(x)[:, self.columns], *self.seen) - self.shift
+        ) / self.spread
         for weights, bias in self.layers[:-1]:
             z = np.maximum(z @ weights.T + bias, 0.0)
         return z
@@ -87,44 +101,70 @@ def train(
     rate: float,
     seed: int,
 ) -> TrainedForce:
-    """AdamW on the mean squared difference between the force's average over the two stages and the target.
+    """AdamW on the mean squared difference between the force's average over the two
+    stages and the target.
 
-    ``stages`` (n_intervals, 2, n_states), ``target`` (n_intervals, n_equations). Starts at the network ``before``; the
-    epoch that predicts fold 0 of ``folds`` (n_intervals,) best, which is left out, is kept.
+    ``stages`` (n_intervals, 2, n_states), ``target`` (n_intervals, n_equations). Starts
+    at the network ``before``; the epoch that predicts fold 0 of ``folds``
+    (n_intervals,) best, which is left out, is kept.
     """
     try:
         import torch
     except ImportError:
-        raise ModelError("a neural force needs torch: pip install 'phsi_opt[neural]'.") from None
+        raise ModelError(
+            "a neural force needs torch: pip install 'phsi_opt[neural]'."
+        ) from None
 
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # more threads change the order of sums, and so the last bits
+    torch.set_num_threads(
+        1
+    )  # more threads change the order of sums, and so the last bits
     try:
         made = torch.Generator().manual_seed(seed)
         points = stages[:, :, columns]
-        shift, spread = points.mean(axis=(0, 1)), np.maximum(points.std(axis=(0, 1)), 1e-12)
+        shift, spread = (
+            points.mean(axis=(0, 1)),
+            np.maximum(points.std(axis=(0, 1)), 1e-12),
+        )
         if before is not None:
             shift, spread = before.shift, before.spread
         size = np.maximum(np.sqrt(np.mean(target**2, axis=0)), 1e-12)
         z, y = torch.tensor((points - shift) / spread), torch.tensor(target / size)
         sizes = [len(columns), *settings.hidden, len(rows)]
-        layers = _first_layers(sizes, made) if before is None else _torch_layers(before, size)
+        layers = (
+            _first_layers(sizes, made)
+            if before is None
+            else _torch_layers(before, size)
+        )
         parameters = [p for layer in layers for p in layer]
-        optimiser = torch.optim.AdamW(parameters, lr=rate, weight_decay=settings.weight_decay)
+        optimiser = torch.optim.AdamW(
+            parameters, lr=rate, weight_decay=settings.weight_decay
+        )
         fold = torch.tensor(folds)
-        used, left_out = torch.nonzero(fold != 0).ravel(), torch.nonzero(fold == 0).ravel()
+        used, left_out = (
+            torch.nonzero(fold != 0).ravel(),
+            torch.nonzero(fold == 0).ravel(),
+        )
         steps = epochs * -(-len(used) // settings.batch)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
         best, arrays = np.inf, _arrays(layers)
         for _ in range(epochs):
-            for chosen in used[torch.randperm(len(used), generator=made)].split(settings.batch):
+            for chosen in used[torch.randperm(len(used), generator=made)].split(
+                settings.batch
+            ):
                 optimiser.zero_grad()
-                loss = torch.mean((_forward(layers, z[chosen]).mean(dim=1) - y[chosen]) ** 2)
+                loss = torch.mean(
+                    (_forward(layers, z[chosen]).mean(dim=1) - y[chosen]) ** 2
+                )
                 loss.backward()
                 optimiser.step()
                 schedule.step()
             with torch.no_grad():
-                error = float(torch.mean((_forward(layers, z[left_out]).mean(dim=1) - y[left_out]) ** 2))
+                error = float(
+                    torch.mean(
+                        (_forward(layers, z[left_out]).mean(dim=1) - y[left_out]) ** 2
+                    )
+                )
             if error < best:
                 best, arrays = error, _arrays(layers)
     finally:
@@ -132,14 +172,23 @@ def train(
     weights, bias = arrays[-1]
     arrays[-1] = (weights * size[:, None], bias * size)
     seen = np.stack([points.min(axis=(0, 1)), points.max(axis=(0, 1))])
-    return TrainedForce(settings.equations, columns, rows, shift, spread, seen, tuple(arrays))
+    return TrainedForce(
+        settings.equations, columns, rows, shift, spread, seen, tuple(arrays)
+    )
 
 
-def cross_validated(whole: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray) -> np.ndarray:
-    """argmin |d + whole z|^2 + weight |z_ridged|^2, the weight chosen by its prediction of left-out folds."""
+def cross_validated(
+    whole: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray
+) -> np.ndarray:
+    """argmin |d + whole z|^2 + weight |z_ridged|^2, the weight chosen by its prediction
+    of left-out folds.
+    """
     parts = []
     for fold in range(N_FOLDS):
-        A, b = whole[folds == fold].reshape(-1, whole.shape[2]), d[folds == fold].ravel()
+        A, b = (
+            whole[folds == fold].reshape(-1, whole.shape[2]),
+            d[folds == fold].ravel(),
+        )
         parts.append((A.T @ A, A.T @ b, b @ b))
     normal, right = sum(p[0] for p in parts), sum(p[1] for p in parts)
     size = float(np.mean(np.diag(normal)[ridged]))
@@ -154,11 +203,18 @@ def cross_validated(whole: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged:
             errors.append(float(z @ N @ z + 2 * z @ r + square))
         return np.array(errors)
 
-    # The smoothest force whose prediction is not significantly worse: the largest weight within a standard error.
+    # The smoothest force whose prediction is not significantly worse: the largest
+    # weight within a standard error.
     errors = {weight: left_out(weight) for weight in RIDGES}
     best = min(RIDGES, key=lambda weight: float(errors[weight].sum()))
-    more = {weight: errors[weight] - errors[best] for weight in RIDGES if weight >= best}
-    fine = [weight for weight, d in more.items() if d.mean() <= d.std(ddof=1) / np.sqrt(N_FOLDS)]
+    more = {
+        weight: errors[weight] - errors[best] for weight in RIDGES if weight >= best
+    }
+    fine = [
+        weight
+        for weight, d in more.items()
+        if d.mean() <= d.std(ddof=1) / np.sqrt(N_FOLDS)
+    ]
     return solved(max(fine), normal, right)
 
 
@@ -172,7 +228,10 @@ def _first_layers(sizes: list[int], made: Any) -> list[tuple[Any, Any]]:
     layers = []
     for n_in, n_out in pairwise(sizes):
         bound = 1 / sqrt(n_in)
-        w, b = (bound * (2 * torch.rand(s, generator=made, dtype=torch.float64) - 1) for s in ((n_out, n_in), (n_out,)))
+        w, b = (
+            bound * (2 * torch.rand(s, generator=made, dtype=torch.float64) - 1)
+            for s in ((n_out, n_in), (n_out,))
+        )
         layers.append((w.requires_grad_(), b.requires_grad_()))
     return layers
 
@@ -180,8 +239,14 @@ def _first_layers(sizes: list[int], made: Any) -> list[tuple[Any, Any]]:
 def _torch_layers(trained: TrainedForce, size: np.ndarray) -> list[tuple[Any, Any]]:
     import torch
 
-    arrays = [*trained.layers[:-1], (trained.layers[-1][0] / size[:, None], trained.layers[-1][1] / size)]
-    return [(torch.tensor(w).requires_grad_(), torch.tensor(b).requires_grad_()) for w, b in arrays]
+    arrays = [
+        *trained.layers[:-1],
+        (trained.layers[-1][0] / size[:, None], trained.layers[-1][1] / size),
+    ]
+    return [
+        (torch.tensor(w).requires_grad_(), torch.tensor(b).requires_grad_())
+        for w, b in arrays
+    ]
 
 
 def _forward(layers: list[tuple[Any, Any]], z: Any) -> Any:

@@ -1,11 +1,14 @@
-"""A network of one tanh layer for a missing force, kept orthogonal to what the physics can produce.
+"""A network of one tanh layer for a missing force, kept orthogonal to what the physics
+can produce.
 
-N(v) = tanh(z weights' + bias) a + b with z the standardised variables. The hidden layer is trained by Adam in torch on
-the missing force, weighted by its uncertainty. N is linear in the output layer, which is found by ridge regression of
-the measurements' residuals on the traces of the hidden units (`screen`: the linearised likelihood, dynamics hard, the
-parameters of the physics moving along): the missing force is a smoothed guess, pale where it is sharp, and its
-deviation from point to point does not say how little a curve through many points may err. Only output layers whose
-force is orthogonal to the physics on the record are allowed.
+N(v) = tanh(z weights' + bias) a + b with z the standardised variables. The hidden layer
+is trained by Adam in torch on the missing force, weighted by its uncertainty. N is
+linear in the output layer, which is found by ridge regression of the measurements'
+residuals on the traces of the hidden units (`screen`: the linearised likelihood,
+dynamics hard, the parameters of the physics moving along): the missing force is a
+smoothed guess, pale where it is sharp, and its deviation from point to point does not
+say how little a curve through many points may err. Only output layers whose force is
+orthogonal to the physics on the record are allowed.
 """
 
 from dataclasses import dataclass
@@ -20,11 +23,15 @@ from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.screening.score_test import Screen
 
 N_HIDDEN = 16
-FIRST_WEIGHTS = 2.5  # bound of the first hidden weights: some units bend within the range, some are nearly straight
+# bound of the first hidden weights: some units bend within the range, some are nearly
+# straight
+FIRST_WEIGHTS = 2.5
 RATE = 0.02  # of Adam
 N_FOLDS = 5  # groups of stretches of time that are left out in turn
 STOPS = (0.0, 0.2, 0.4, 0.7, 1.0)  # shares of the epochs at which training may stop
-RIDGES = 10.0 ** np.arange(-10, 1)  # weights of the squared output weights that are tried, relative to the features
+RIDGES = 10.0 ** np.arange(
+    -10, 1
+)  # weights of the squared output weights that are tried, relative to the features
 NOTHING = 1e-8  # share of a column's size below which others explain it
 Hidden = tuple[np.ndarray, np.ndarray]  # weights (n_hidden, n_variables) and bias
 Output = tuple[np.ndarray, float]  # weights (n_hidden,) and bias
@@ -32,9 +39,11 @@ Output = tuple[np.ndarray, float]  # weights (n_hidden,) and bias
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The missing force of one equation along the record: variables v (n, n_variables), w and its deviation std (n,).
+    """The missing force of one equation along the record: variables v (n, n_variables),
+    w and its deviation std (n,).
 
-    ``physics`` (n, n_columns): orthonormal basis of the forces that the free parameters can produce, over std.
+    ``physics`` (n, n_columns): orthonormal basis of the forces that the free parameters
+    can produce, over std.
     """
 
     v: np.ndarray
@@ -44,17 +53,20 @@ class Record:
 
     @property
     def beyond_physics(self) -> np.ndarray:
-        """The missing force (n,) less what the physics can explain of it, by weighted least squares."""
+        """The missing force (n,) less what the physics can explain of it, by weighted
+        least squares.
+        """
         scaled = self.w / self.std
         return np.asarray(scaled - self.physics @ (self.physics.T @ scaled)) * self.std
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """What a force in equation ``row`` does to the residuals of the measurements, in units of the noise.
+    """What a force in equation ``row`` does to the residuals of the measurements, in
+    units of the noise.
 
-    ``residual`` (n_values,) is what the fit leaves; ``fold`` and ``value_fold`` say to which group of stretches of time
-    an interval and a measured value belong.
+    ``residual`` (n_values,) is what the fit leaves; ``fold`` and ``value_fold`` say to
+    which group of stretches of time an interval and a measured value belong.
     """
 
     screen: Screen
@@ -64,27 +76,42 @@ class Response:
     value_fold: np.ndarray
 
     @classmethod
-    def of(cls, fit: Fit, data: Measurements, estimate: ForceEstimate, row: int) -> "Response":
-        """The response of the fit, linearised at the states of the missing-force estimate."""
+    def of(
+        cls, fit: Fit, data: Measurements, estimate: ForceEstimate, row: int
+    ) -> "Response":
+        """The response of the fit, linearised at the states of the missing-force
+        estimate.
+        """
         screen, grid = Screen(fit, data, estimate), estimate.grid
-        # Two stretches per fold, so that a fold sees the beginning and the end of what decays.
+        # Two stretches per fold, so that a fold sees the beginning and the end of what
+        # decays.
         of_node = np.arange(grid.n_nodes) * 2 * N_FOLDS // grid.n_nodes % N_FOLDS
         values = np.repeat(of_node, fit.model.n_states)[screen.weight > 0]
-        return cls(screen, row, screen.residual[screen.weight > 0], of_node[grid.begin], values)
+        return cls(
+            screen, row, screen.residual[screen.weight > 0], of_node[grid.begin], values
+        )
 
     def traces(self, forces: np.ndarray) -> np.ndarray:
-        """Change (n_values, n_forces) of what is explained by forces (n_intervals, n_forces)."""
+        """Change (n_values, n_forces) of what is explained by forces (n_intervals,
+        n_forces).
+        """
         grid, n_states = self.screen.grid, self.screen.model.n_states
         D = np.zeros((grid.n_intervals, n_states, forces.shape[1]))
         D[:, self.row] = -forces
         Y = np.zeros((grid.n_nodes * n_states, forces.shape[1]))
-        return self.screen.traces(D.reshape(-1, forces.shape[1]), Y)[self.screen.weight > 0]
+        return self.screen.traces(D.reshape(-1, forces.shape[1]), Y)[
+            self.screen.weight > 0
+        ]
 
 
-def chosen(z: np.ndarray, record: Record, response: Response, epochs: int, seed: int) -> tuple[Hidden, Output, float]:
-    """Hidden layer, output layer, and the share explained, with epochs and ridge chosen on stretches left out.
+def chosen(
+    z: np.ndarray, record: Record, response: Response, epochs: int, seed: int
+) -> tuple[Hidden, Output, float]:
+    """Hidden layer, output layer, and the share explained, with epochs and ridge chosen
+    on stretches left out.
 
-    The share of each fold is that of the choice made on the other folds, so that choosing does not flatter it.
+    The share of each fold is that of the choice made on the other folds, so that
+    choosing does not flatter it.
     """
     errors, r = np.zeros((N_FOLDS, len(STOPS), len(RIDGES))), response.residual
     for k in range(N_FOLDS):
@@ -96,12 +123,19 @@ def chosen(z: np.ndarray, record: Record, response: Response, epochs: int, seed:
             for i, output in enumerate(_outputs(traces[~left], r[~left], free)):
                 errors[k, s, i] = np.sum((r[left] - traces[left] @ output) ** 2)
     total = errors.sum(axis=0)
-    others = [np.unravel_index(int(np.argmin(total - errors[k])), total.shape) for k in range(N_FOLDS)]
-    explains = 1 - sum(errors[k][at] for k, at in enumerate(others)) / max(float(r @ r), 1e-300)
+    others = [
+        np.unravel_index(int(np.argmin(total - errors[k])), total.shape)
+        for k in range(N_FOLDS)
+    ]
+    explains = 1 - sum(errors[k][at] for k, at in enumerate(others)) / max(
+        float(r @ r), 1e-300
+    )
     best = np.unravel_index(int(np.argmin(total)), total.shape)
     hidden = _trained(z, record, np.ones(len(z), dtype=bool), epochs, seed)[best[0]]
     features = features_of(z, hidden)
-    output = _outputs(response.traces(features), r, _orthogonal(features, record))[best[1]]
+    output = _outputs(response.traces(features), r, _orthogonal(features, record))[
+        best[1]
+    ]
     return hidden, (output[:-1], float(output[-1])), float(explains)
 
 
@@ -111,49 +145,82 @@ def features_of(z: np.ndarray, hidden: Hidden) -> np.ndarray:
 
 
 def _orthogonal(features: np.ndarray, record: Record) -> np.ndarray:
-    """Orthonormal directions (n_features, n_free) of output weights whose force is orthogonal to the physics."""
-    _, sizes, directions = np.linalg.svd(record.physics.T @ (features / record.std[:, None]))
-    return np.asarray(directions[np.sum(sizes > 1e-12 * np.max(sizes, initial=0.0)) :].T)
+    """Orthonormal directions (n_features, n_free) of output weights whose force is
+    orthogonal to the physics.
+    """
+    _, sizes, directions = np.linalg.svd(
+        record.physics.T @ (features / record.std[:, None])
+    )
+    return np.asarray(
+        directions[np.sum(sizes > 1e-12 * np.max(sizes, initial=0.0)) :].T
+    )
 
 
-def _outputs(traces: np.ndarray, residual: np.ndarray, free: np.ndarray) -> list[np.ndarray]:
+def _outputs(
+    traces: np.ndarray, residual: np.ndarray, free: np.ndarray
+) -> list[np.ndarray]:
     """Output weights, bias last, within the free directions: one per ridge."""
     A = traces @ free
-    ridge = free.T[:, :-1] @ free[:-1] * np.mean(traces**2) * len(traces)  # the bias is free
+    ridge = (
+        free.T[:, :-1] @ free[:-1] * np.mean(traces**2) * len(traces)
+    )  # the bias is free
     normal, right = A.T @ A, A.T @ residual
-    return [free @ np.linalg.lstsq(normal + weight * ridge, right, rcond=1e-15)[0] for weight in RIDGES]
+    return [
+        free @ np.linalg.lstsq(normal + weight * ridge, right, rcond=1e-15)[0]
+        for weight in RIDGES
+    ]
 
 
-def _trained(z: np.ndarray, record: Record, used: np.ndarray, epochs: int, seed: int) -> list[Hidden]:
-    """The hidden layer at each of the `STOPS`, by Adam on the weighted squares that the physics leaves."""
+def _trained(
+    z: np.ndarray, record: Record, used: np.ndarray, epochs: int, seed: int
+) -> list[Hidden]:
+    """The hidden layer at each of the `STOPS`, by Adam on the weighted squares that the
+    physics leaves.
+    """
     try:
         import torch
     except ImportError:
-        raise ModelError("a learned force needs torch: pip install 'phsi_opt[neural]'.") from None
+        raise ModelError(
+            "a learned force needs torch: pip install 'phsi_opt[neural]'."
+        ) from None
 
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # more threads change the order of sums, and so the last bits
+    torch.set_num_threads(
+        1
+    )  # more threads change the order of sums, and so the last bits
     try:
         made = torch.Generator().manual_seed(seed)
 
         def start(bound: float, *shape: int) -> Any:
-            drawn = bound * (2 * torch.rand(shape, generator=made, dtype=torch.float64) - 1)
+            drawn = bound * (
+                2 * torch.rand(shape, generator=made, dtype=torch.float64) - 1
+            )
             return drawn.requires_grad_()
 
-        layer = [start(FIRST_WEIGHTS, N_HIDDEN, z.shape[1]), start(FIRST_WEIGHTS, N_HIDDEN)]
+        layer = [
+            start(FIRST_WEIGHTS, N_HIDDEN, z.shape[1]),
+            start(FIRST_WEIGHTS, N_HIDDEN),
+        ]
         last = [start(0.1, N_HIDDEN), start(0.1)]
         target = (record.beyond_physics / record.std)[used]
         size = max(float(np.sqrt(np.mean(target**2))), 1e-12)
         points, y = torch.tensor(z[used]), torch.tensor(target / size)
         weight = torch.tensor(np.median(record.std) / record.std[used])
-        basis = torch.tensor(np.linalg.svd(record.physics[used], full_matrices=False)[0])
+        basis = torch.tensor(
+            np.linalg.svd(record.physics[used], full_matrices=False)[0]
+        )
         optimiser = torch.optim.Adam([*layer, *last], lr=RATE)
         stops, found = {round(share * epochs) for share in STOPS}, {}
         for epoch in range(epochs + 1):
             if epoch in stops:
-                found[epoch] = (layer[0].detach().numpy().copy(), layer[1].detach().numpy().copy())
+                found[epoch] = (
+                    layer[0].detach().numpy().copy(),
+                    layer[1].detach().numpy().copy(),
+                )
             optimiser.zero_grad()
-            force = weight * (torch.tanh(points @ layer[0].T + layer[1]) @ last[0] + last[1])
+            force = weight * (
+                torch.tanh(points @ layer[0].T + layer[1]) @ last[0] + last[1]
+            )
             torch.mean((force - basis @ (basis.T @ force) - y) ** 2).backward()
             optimiser.step()
     finally:

@@ -1,8 +1,9 @@
 """Formulas as text: one whitelist, read into CasADi, SymPy or NumPy.
 
-Text is parsed into Python's own syntax tree and walked; nothing is ever evaluated as code, so a model file is data.
-What may stand in a formula: numbers, names, ``+ - * / **``, brackets and the functions of `FUNCTIONS`. The same walk
-serves every backend, so what is solved, what is printed and what is exported cannot drift apart.
+Text is parsed into Python's own syntax tree and walked; nothing is ever evaluated as
+code, so a model file is data. What may stand in a formula: numbers, names, ``+ - * /
+**``, brackets and the functions of `FUNCTIONS`. The same walk serves every backend, so
+what is solved, what is printed and what is exported cannot drift apart.
 """
 
 import ast
@@ -19,7 +20,9 @@ import sympy as sp
 from phsi_opt.errors import ModelError, did_you_mean
 
 # name: (CasADi, SymPy, NumPy)
-FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]] = {
+FUNCTIONS: dict[
+    str, tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]
+] = {
     "sin": (ca.sin, sp.sin, np.sin),
     "cos": (ca.cos, sp.cos, np.cos),
     "tan": (ca.tan, sp.tan, np.tan),
@@ -34,7 +37,9 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., Any], Callable[...,
     "max": (ca.fmax, sp.Max, np.maximum),
 }
 CASADI, SYMPY, NUMPY = 0, 1, 2
-Backend = int | Mapping[str, Callable[..., Any]]  # one of the three, or a table of its own functions by these names
+Backend = (
+    int | Mapping[str, Callable[..., Any]]
+)  # one of the three, or a table of its own functions by these names
 CONSTANTS = {"pi": (math.pi, sp.pi, math.pi)}
 TWO_ARGUMENTS = {"min", "max"}
 OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
@@ -44,7 +49,8 @@ OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
-LONGEST = 10_000  # characters; a formula is written by a person, a longer one is a mistake or an attack
+# characters; a formula is written by a person, a longer one is a mistake or an attack
+LONGEST = 10_000
 LARGEST_EXPONENT = 64
 DEEPEST = 200  # operations and functions inside one another; the walks are recursive
 
@@ -53,17 +59,25 @@ DEEPEST = 200  # operations and functions inside one another; the walks are recu
 def parse(text: str) -> ast.expr:
     """Read a formula; raise `ModelError` that shows what is not allowed in it."""
     if not isinstance(text, str) or not text.strip():
-        raise ModelError(f"formula {text!r} is not text; expected an expression such as 'k*q**2/2'.")
+        raise ModelError(
+            f"formula {text!r} is not text; expected an expression such as 'k*q**2/2'."
+        )
     if len(text) > LONGEST:
-        raise ModelError(f"a formula of {len(text)} characters is too long (limit {LONGEST}); split it into terms.")
+        raise ModelError(
+            f"a formula of {len(text)} characters is too long (limit {LONGEST}); split it into terms."
+        )
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         _check(tree, text)
     except SyntaxError as error:
         hint = " Write a power as **." if "^" in text else ""
-        raise ModelError(f"formula {text!r} cannot be read: {error.msg} at column {error.offset}.{hint}") from None
+        raise ModelError(
+            f"formula {text!r} cannot be read: {error.msg} at column {error.offset}.{hint}"
+        ) from None
     except (RecursionError, MemoryError):
-        raise ModelError(f"formula {text[:60]!r}... is nested too deeply; split it into terms.") from None
+        raise ModelError(
+            f"formula {text[:60]!r}... is nested too deeply; split it into terms."
+        ) from None
     return tree
 
 
@@ -82,7 +96,9 @@ def _check(node: ast.AST, text: str, depth: int = 0) -> None:
             _check(argument, text, depth + 1)
     elif isinstance(node, ast.Constant):
         if not _is_finite(node.value):
-            raise ModelError(f"{_source(node, text)[:60]!r} in formula {text[:60]!r} is not a finite number.")
+            raise ModelError(
+                f"{_source(node, text)[:60]!r} in formula {text[:60]!r} is not a finite number."
+            )
     elif not isinstance(node, ast.Name):
         raise ModelError(
             f"{_source(node, text)!r} in formula {text!r} is not allowed; a formula holds numbers, names, + - * / **, "
@@ -106,10 +122,18 @@ def _source(node: ast.AST, text: str) -> str:
 def _check_operator(node: ast.BinOp, text: str) -> None:
     if type(node.op) not in OPERATORS:
         hint = " Write a power as **." if isinstance(node.op, ast.BitXor) else ""
-        raise ModelError(f"the operator in {_source(node, text)!r} of formula {text!r} is not allowed.{hint}")
-    if isinstance(node.op, ast.Pow) and abs(_number(node.right, text) or 0.0) > LARGEST_EXPONENT:
-        raise ModelError(f"the exponent in {_source(node, text)!r} is beyond {LARGEST_EXPONENT}; rescale the term.")
-    # In floats a tower of powers overflows at once; in the whole numbers of SymPy it would fill the memory.
+        raise ModelError(
+            f"the operator in {_source(node, text)!r} of formula {text!r} is not allowed.{hint}"
+        )
+    if (
+        isinstance(node.op, ast.Pow)
+        and abs(_number(node.right, text) or 0.0) > LARGEST_EXPONENT
+    ):
+        raise ModelError(
+            f"the exponent in {_source(node, text)!r} is beyond {LARGEST_EXPONENT}; rescale the term."
+        )
+    # In floats a tower of powers overflows at once; in the whole numbers of SymPy it
+    # would fill the memory.
     _number(node, text)
 
 
@@ -120,7 +144,9 @@ def _number(node: ast.expr, text: str) -> float | None:
     with np.errstate(all="ignore"):
         value = _walk(node, {}, NUMPY, text)
     if isinstance(value, complex) or not math.isfinite(value):
-        raise ModelError(f"{_source(node, text)!r} in formula {text!r} has no finite value.")
+        raise ModelError(
+            f"{_source(node, text)!r} in formula {text!r} has no finite value."
+        )
     return float(value)
 
 
@@ -133,11 +159,15 @@ def _check_call(node: ast.Call, text: str) -> None:
         )
     expected = 2 if node.func.id in TWO_ARGUMENTS else 1
     if node.keywords or len(node.args) != expected:
-        raise ModelError(f"{_source(node, text)!r} in formula {text!r}: {node.func.id} takes {expected} argument(s).")
+        raise ModelError(
+            f"{_source(node, text)!r} in formula {text!r}: {node.func.id} takes {expected} argument(s)."
+        )
 
 
 def names_of(node: ast.AST | str) -> set[str]:
-    """Names that a formula uses: states, inputs, parameters, the time (not its functions, not pi)."""
+    """Names that a formula uses: states, inputs, parameters, the time (not its
+    functions, not pi).
+    """
     return set(_names_in(node)) if isinstance(node, str) else _names_below(node)
 
 
@@ -148,28 +178,43 @@ def _names_in(text: str) -> frozenset[str]:
 
 def _names_below(tree: ast.AST) -> set[str]:
     called = {id(part.func) for part in ast.walk(tree) if isinstance(part, ast.Call)}
-    found = {part.id for part in ast.walk(tree) if isinstance(part, ast.Name) and id(part) not in called}
+    found = {
+        part.id
+        for part in ast.walk(tree)
+        if isinstance(part, ast.Name) and id(part) not in called
+    }
     return found - set(CONSTANTS)
 
 
 def evaluate(text: str, names: Mapping[str, Any], backend: Backend = CASADI) -> Any:
-    """Value of the formula with ``names`` replaced, in CasADi (default), SymPy, NumPy or with other functions."""
+    """Value of the formula with ``names`` replaced, in CasADi (default), SymPy, NumPy
+    or with other functions.
+    """
     return _walk(parse(text), names, backend, text)
 
 
 def _walk(node: ast.expr, names: Mapping[str, Any], backend: Backend, text: str) -> Any:
     if isinstance(node, ast.BinOp):
-        left, right = _walk(node.left, names, backend, text), _walk(node.right, names, backend, text)
+        left, right = (
+            _walk(node.left, names, backend, text),
+            _walk(node.right, names, backend, text),
+        )
         try:
             return OPERATORS[type(node.op)](left, right)
         except (ZeroDivisionError, OverflowError) as error:
-            raise ModelError(f"formula {text!r} has no finite value: {error}.") from None
+            raise ModelError(
+                f"formula {text!r} has no finite value: {error}."
+            ) from None
     if isinstance(node, ast.UnaryOp):
         operand = _walk(node.operand, names, backend, text)
         return -operand if isinstance(node.op, ast.USub) else operand
     if isinstance(node, ast.Call):
         assert isinstance(node.func, ast.Name)  # parse() let nothing else through
-        function = FUNCTIONS[node.func.id][backend] if isinstance(backend, int) else backend[node.func.id]
+        function = (
+            FUNCTIONS[node.func.id][backend]
+            if isinstance(backend, int)
+            else backend[node.func.id]
+        )
         return function(*(_walk(part, names, backend, text) for part in node.args))
     if isinstance(node, ast.Name):
         return _lookup(node.id, names, backend, text)
@@ -182,8 +227,13 @@ def _lookup(name: str, names: Mapping[str, Any], backend: Backend, text: str) ->
         return names[name]
     if name in CONSTANTS:
         return CONSTANTS[name][backend if isinstance(backend, int) else NUMPY]
-    hint = did_you_mean(name, names) or f" Give it a value: formula({text!r}, {name}=Parameter(...))."
-    raise ModelError(f"name {name!r} in formula {text!r} is unknown; known are {', '.join(sorted(names))}.{hint}")
+    hint = (
+        did_you_mean(name, names)
+        or f" Give it a value: formula({text!r}, {name}=Parameter(...))."
+    )
+    raise ModelError(
+        f"name {name!r} in formula {text!r} is unknown; known are {', '.join(sorted(names))}.{hint}"
+    )
 
 
 def renamed(text: str, names: Mapping[str, str]) -> str:

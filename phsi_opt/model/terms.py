@@ -1,8 +1,9 @@
 """Terms, parameters and dictionaries: what a model is made of.
 
-A term is a body (a formula as text) times a coefficient, with inner parameters such as a frequency. A dictionary is a
-sum of terms. Bodies are read by `expressions`, so values, names, LaTeX and files share one table. Where a term acts
-(H, R, F) is the model's business.
+A term is a body (a formula as text) times a coefficient, with inner parameters such as
+a frequency. A dictionary is a sum of terms. Bodies are read by `expressions`, so
+values, names, LaTeX and files share one table. Where a term acts (H, R, F) is the
+model's business.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,16 +20,20 @@ from phsi_opt.model.expressions import FUNCTIONS, names_of
 
 @dataclass(frozen=True)
 class Scan:
-    """Start by scanning: the frequency (rad per unit of ``variable``) whose sine and cosine explain the data best."""
+    """Start by scanning: the frequency (rad per unit of ``variable``) whose sine and
+    cosine explain the data best.
+    """
 
     variable: str = "t"
 
 
 @dataclass(frozen=True)
 class Share:
-    """Start at a share of the root mean square of an expression over the data, such as 5 % of the velocity.
+    """Start at a share of the root mean square of an expression over the data, such as
+    5 % of the velocity.
 
-    ``sharper``: factors by which the diagnosis makes a width smaller, one after the other, while that fits better.
+    ``sharper``: factors by which the diagnosis makes a width smaller, one after the
+    other, while that fits better.
     """
 
     of: str
@@ -36,15 +41,19 @@ class Share:
     sharper: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sharper", tuple(float(factor) for factor in self.sharper))
+        object.__setattr__(
+            self, "sharper", tuple(float(factor) for factor in self.sharper)
+        )
 
 
 @dataclass(frozen=True)
 class Tried:
-    """Start by trying several values and keeping the best: shares of the largest absolute value of an expression.
+    """Start by trying several values and keeping the best: shares of the largest
+    absolute value of an expression.
 
-    Of "t" they are shares of the duration of a record, of "dt" multiples of the time between samples. ``most``: upper
-    bound, as a share too; a rim above every level has no slope by which a solver finds back.
+    Of "t" they are shares of the duration of a record, of "dt" multiples of the time
+    between samples. ``most``: upper bound, as a share too; a rim above every level has
+    no slope by which a solver finds back.
     """
 
     of: str
@@ -60,9 +69,10 @@ class Tried:
 class Parameter:
     """A named number of the model.
 
-    ``value`` is the start, or the value itself if ``fixed``; None lets the data choose the start (by ``guess``,
-    otherwise zero). Bounds are kept by the solver. The unit is text that is printed. A parameter ``per_trajectory`` has
-    a value of its own in every trajectory, such as a load that changes between runs; others are shared by all.
+    ``value`` is the start, or the value itself if ``fixed``; None lets the data choose
+    the start (by ``guess``, otherwise zero). Bounds are kept by the solver. The unit is
+    text that is printed. A parameter ``per_trajectory`` has a value of its own in every
+    trajectory, such as a load that changes between runs; others are shared by all.
     """
 
     value: float | None = None
@@ -75,32 +85,50 @@ class Parameter:
 
     def __post_init__(self) -> None:
         for name in ("lower", "upper") + (("value",) if self.value is not None else ()):
-            object.__setattr__(self, name, _number(getattr(self, name), name, infinite=name != "value"))
+            object.__setattr__(
+                self, name, _number(getattr(self, name), name, infinite=name != "value")
+            )
         if not self.lower <= self.upper:
-            raise ModelError(f"parameter bounds are crossed: lower={self.lower:g} is above upper={self.upper:g}.")
+            raise ModelError(
+                f"parameter bounds are crossed: lower={self.lower:g} is above upper={self.upper:g}."
+            )
         if self.value is not None and not self.lower <= self.value <= self.upper:
             raise ModelError(
                 f"parameter value {self.value:g} lies outside its bounds [{self.lower:g}, {self.upper:g}]; "
                 "move the value or widen the bounds."
             )
         if self.fixed and self.per_trajectory:
-            raise ModelError("a parameter per trajectory is estimated; it cannot be fixed.")
+            raise ModelError(
+                "a parameter per trajectory is estimated; it cannot be fixed."
+            )
         if self.per_trajectory and isinstance(self.guess, Scan):
-            raise ModelError("a scanned frequency is one for all trajectories; give one per trajectory a value.")
+            raise ModelError(
+                "a scanned frequency is one for all trajectories; give one per trajectory a value."
+            )
         if self.fixed and self.value is None and self.guess is None:
-            raise ModelError("a fixed parameter needs a value: Parameter(2.5, fixed=True).")
+            raise ModelError(
+                "a fixed parameter needs a value: Parameter(2.5, fixed=True)."
+            )
 
     @property
     def start(self) -> float:
-        """Starting value: the given one, otherwise the point of the bounds that is nearest to zero."""
-        return self.value if self.value is not None else float(np.clip(0.0, self.lower, self.upper))
+        """Starting value: the given one, otherwise the point of the bounds that is
+        nearest to zero.
+        """
+        return (
+            self.value
+            if self.value is not None
+            else float(np.clip(0.0, self.lower, self.upper))
+        )
 
 
 def _number(value: Any, name: str, infinite: bool) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise ModelError(f"parameter {name}={str(value)[:60]} is not a number.") from None
+        raise ModelError(
+            f"parameter {name}={str(value)[:60]} is not a number."
+        ) from None
     if np.isnan(number) or (np.isinf(number) and not infinite):
         raise ModelError(f"parameter {name}={number} is not finite.")
     return number
@@ -108,10 +136,12 @@ def _number(value: Any, name: str, infinite: bool) -> float:
 
 @dataclass(frozen=True)
 class Term:
-    """``coefficient * body``, or the body alone (a formula) where ``coefficient`` is None.
+    """``coefficient * body``, or the body alone (a formula) where ``coefficient`` is
+    None.
 
-    ``inner`` are the parameters inside the body. Those of a formula are known to the whole model by their name; those
-    of a dictionary term belong to the place where it stands. ``name`` replaces the automatic name of the coefficient.
+    ``inner`` are the parameters inside the body. Those of a formula are known to the
+    whole model by their name; those of a dictionary term belong to the place where it
+    stands. ``name`` replaces the automatic name of the coefficient.
     """
 
     body: str
@@ -124,7 +154,9 @@ class Term:
         object.__setattr__(self, "inner", MappingProxyType(dict(self.inner)))
         for name in self.inner:
             if name not in used:
-                raise ModelError(f"parameter {name!r} does not occur in {self.body!r}; remove it or correct its name.")
+                raise ModelError(
+                    f"parameter {name!r} does not occur in {self.body!r}; remove it or correct its name."
+                )
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mappingproxy cannot be pickled
         return Term, (self.body, self.coefficient, dict(self.inner), self.name)
@@ -161,7 +193,9 @@ class Dictionary:
 
     def __add__(self, other: "Dictionary") -> "Dictionary":
         if not isinstance(other, Dictionary):
-            raise ModelError(f"{other!r} cannot be added to a dictionary; write formula(...) or polynomials(...).")
+            raise ModelError(
+                f"{other!r} cannot be added to a dictionary; write formula(...) or polynomials(...)."
+            )
         return Dictionary(self.terms + other.terms)
 
     def __len__(self) -> int:
@@ -172,10 +206,11 @@ class Dictionary:
 
 
 def formula(expression: str, **parameters: Parameter | float) -> Dictionary:
-    """A term written as text, with named parameters: ``formula("k*q**2/2", k=Parameter(1.0, lower=0))``.
+    """A term written as text, with named parameters: ``formula("k*q**2/2",
+    k=Parameter(1.0, lower=0))``.
 
-    A plain number is a known, fixed value. The text is read through a whitelist (see `expressions`). Inside F and R the
-    efforts dH/dx are known as ``dH_dq`` and so on.
+    A plain number is a known, fixed value. The text is read through a whitelist (see
+    `expressions`). Inside F and R the efforts dH/dx are known as ``dH_dq`` and so on.
     """
     made = {name: _parameter(value) for name, value in parameters.items()}
     return Dictionary((Term(expression, None, made),))
@@ -185,14 +220,22 @@ def _parameter(value: Parameter | float) -> Parameter:
     return value if isinstance(value, Parameter) else Parameter(value, fixed=True)
 
 
-def polynomials(variables: Sequence[str], degree: int, constant: bool = False) -> Dictionary:
-    """All monomials of total degree 1 to ``degree`` in the variables (and 1 if ``constant``), with coefficients."""
+def polynomials(
+    variables: Sequence[str], degree: int, constant: bool = False
+) -> Dictionary:
+    """All monomials of total degree 1 to ``degree`` in the variables (and 1 if
+    ``constant``), with coefficients.
+    """
     names = _variables(variables)
     if not isinstance(degree, int) or degree < 1:
-        raise ModelError(f"degree={degree!r} of polynomials is not a whole number of at least 1.")
+        raise ModelError(
+            f"degree={degree!r} of polynomials is not a whole number of at least 1."
+        )
     bodies = ["1"] if constant else []
     for total in range(1, degree + 1):
-        bodies += [_monomial(chosen) for chosen in combinations_with_replacement(names, total)]
+        bodies += [
+            _monomial(chosen) for chosen in combinations_with_replacement(names, total)
+        ]
     return Dictionary(tuple(Term(body, Parameter()) for body in bodies))
 
 
@@ -200,49 +243,76 @@ def _variables(variables: Iterable[str]) -> list[str]:
     names = [variables] if isinstance(variables, str) else list(variables)
     for name in names:
         if not isinstance(name, str) or not name.isidentifier() or name in FUNCTIONS:
-            raise ModelError(f"variable {name!r} is not a usable name; expected letters, digits and underscores.")
+            raise ModelError(
+                f"variable {name!r} is not a usable name; expected letters, digits and underscores."
+            )
     if not names or len(set(names)) != len(names):
-        raise ModelError(f"variables {names!r} must be at least one name, and each only once.")
+        raise ModelError(
+            f"variables {names!r} must be at least one name, and each only once."
+        )
     return names
 
 
 def _monomial(chosen: Sequence[str]) -> str:
     powers = {name: chosen.count(name) for name in dict.fromkeys(chosen)}
-    return "*".join(name if power == 1 else f"{name}**{power}" for name, power in powers.items())
+    return "*".join(
+        name if power == 1 else f"{name}**{power}" for name, power in powers.items()
+    )
 
 
-def trigonometric(variable: str = "t", n: int = 1, frequency: float | None = None) -> Dictionary:
-    """``n`` pairs a sin(omega x) + b cos(omega x) with a free frequency each: free amplitude and free phase.
+def trigonometric(
+    variable: str = "t", n: int = 1, frequency: float | None = None
+) -> Dictionary:
+    """``n`` pairs a sin(omega x) + b cos(omega x) with a free frequency each: free
+    amplitude and free phase.
 
-    amplitude = sqrt(a^2 + b^2), phase = atan2(b, a). The pair is the form in which the phase has no needle to miss. The
-    starting frequency (rad per unit of the variable) comes from a scan over the data unless ``frequency`` is given.
+    amplitude = sqrt(a^2 + b^2), phase = atan2(b, a). The pair is the form in which the
+    phase has no needle to miss. The starting frequency (rad per unit of the variable)
+    comes from a scan over the data unless ``frequency`` is given.
     """
     (name,) = _variables([variable])
     if not isinstance(n, int) or n < 1:
-        raise ModelError(f"n={n!r} of trigonometric is not a whole number of at least 1.")
+        raise ModelError(
+            f"n={n!r} of trigonometric is not a whole number of at least 1."
+        )
     terms = []
     for k in range(1, n + 1):
         omega = f"omega_{name}" if n == 1 else f"omega_{name}{k}"
         inner = {omega: Parameter(frequency, lower=0.0, unit="", guess=Scan(name))}
-        terms += [Term(f"{wave}({omega}*{name})", Parameter(), inner) for wave in ("sin", "cos")]
+        terms += [
+            Term(f"{wave}({omega}*{name})", Parameter(), inner)
+            for wave in ("sin", "cos")
+        ]
     return Dictionary(tuple(terms))
 
 
 def damping(*states: str) -> dict[str, Dictionary]:
     """Constant damping R_ii >= 0 on the named states: dx_i/dt = ... - R_ii dH/dx_i."""
-    return {name: Dictionary((Term("1", Parameter(None, lower=0.0)),)) for name in _variables(states)}
+    return {
+        name: Dictionary((Term("1", Parameter(None, lower=0.0)),))
+        for name in _variables(states)
+    }
 
 
-def with_parameters(term: Term, place: str, change: Callable[[str, Parameter], Parameter]) -> Term:
-    """The term with ``change`` applied to each of its parameters, which it gets with their names in the model."""
+def with_parameters(
+    term: Term, place: str, change: Callable[[str, Parameter], Parameter]
+) -> Term:
+    """The term with ``change`` applied to each of its parameters, which it gets with
+    their names in the model.
+    """
     coefficient = term.coefficient
     if coefficient is not None:
         coefficient = change(term.coefficient_name(place), coefficient)
-    inner = {name: change(term.inner_name(name, place), p) for name, p in term.inner.items()}
+    inner = {
+        name: change(term.inner_name(name, place), p) for name, p in term.inner.items()
+    }
     return replace(term, coefficient=coefficient, inner=inner)
 
 
 def with_value(parameter: Parameter, value: float) -> Parameter:
     """The parameter at the value, or at the bound nearest to it."""
-    # A solver may stop a rounding error outside a bound; the record must satisfy its own bounds.
-    return replace(parameter, value=float(np.clip(value, parameter.lower, parameter.upper)))
+    # A solver may stop a rounding error outside a bound; the record must satisfy its
+    # own bounds.
+    return replace(
+        parameter, value=float(np.clip(value, parameter.lower, parameter.upper))
+    )

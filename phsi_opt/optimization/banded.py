@@ -1,7 +1,9 @@
-"""Linear algebra along the time: unknowns that touch only their neighbours in time make a banded matrix.
+"""Linear algebra along the time: unknowns that touch only their neighbours in time make
+a banded matrix.
 
-The optimality system of every likelihood here is such a matrix, bordered by the few columns of the parameters. Its
-factors cost time and memory in proportion to the number of samples.
+The optimality system of every likelihood here is such a matrix, bordered by the few
+columns of the parameters. Its factors cost time and memory in proportion to the number
+of samples.
 """
 
 from typing import Any
@@ -13,7 +15,9 @@ from phsi_opt.errors import SolveError
 
 
 class Banded:
-    """LU factors (LAPACK, partial pivoting) of a square sparse matrix, banded once its unknowns stand in ``order``."""
+    """LU factors (LAPACK, partial pivoting) of a square sparse matrix, banded once its
+    unknowns stand in ``order``.
+    """
 
     def __init__(self, matrix: Any, order: np.ndarray) -> None:
         self.order, self.n = order, len(order)
@@ -25,7 +29,9 @@ class Banded:
         self.ku = int(np.max(columns - rows, initial=0))
         band = np.zeros((2 * self.kl + self.ku + 1, self.n), order="F")
         np.add.at(band, (self.kl + self.ku + rows - columns, columns), entries.data)
-        self.factors, self.pivots, info = dgbtrf(band, self.kl, self.ku, overwrite_ab=True)
+        self.factors, self.pivots, info = dgbtrf(
+            band, self.kl, self.ku, overwrite_ab=True
+        )
         if info > 0:
             raise SolveError(
                 "the optimality system is singular: a state may neither be measured nor act on one that is; measure "
@@ -35,7 +41,14 @@ class Banded:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution for one right-hand side (n,) or several (n, k)."""
         columns = right.reshape(self.n, -1)
-        found, _ = dgbtrs(self.factors, self.kl, self.ku, columns[self.order], self.pivots, overwrite_b=True)
+        found, _ = dgbtrs(
+            self.factors,
+            self.kl,
+            self.ku,
+            columns[self.order],
+            self.pivots,
+            overwrite_b=True,
+        )
         result = np.empty_like(found)
         result[self.order] = found
         return result.reshape(right.shape)

@@ -1,6 +1,7 @@
 """The one file that names IPOPT: it solves a `Program` and says in words what came out.
 
-It turns symbols into NumPy arrays; nothing symbolic leaves it but the program's own functions.
+It turns symbols into NumPy arrays; nothing symbolic leaves it but the program's own
+functions.
 """
 
 import time
@@ -41,8 +42,16 @@ MEANINGS = {
         "the iteration limit was reached before an optimum",
         "Raise max_iterations, or give starting values nearer to the solution.",
     ),
-    "Maximum_CpuTime_Exceeded": (False, "the time limit was reached", "Raise max_seconds or use fewer samples."),
-    "Maximum_WallTime_Exceeded": (False, "the time limit was reached", "Raise max_seconds or use fewer samples."),
+    "Maximum_CpuTime_Exceeded": (
+        False,
+        "the time limit was reached",
+        "Raise max_seconds or use fewer samples.",
+    ),
+    "Maximum_WallTime_Exceeded": (
+        False,
+        "the time limit was reached",
+        "Raise max_seconds or use fewer samples.",
+    ),
     "Restoration_Failed": (
         False,
         "no feasible states could be found",
@@ -53,16 +62,25 @@ MEANINGS = {
         "the model gave NaN or infinity",
         "Look for a division by zero, a logarithm or root of a negative number, or a missing bound.",
     ),
-    "Not_Enough_Degrees_Of_Freedom": (False, "there are more equations than unknowns", "Free a parameter."),
-    "User_Requested_Stop": (False, "the solve was interrupted", "Run it again to finish."),
+    "Not_Enough_Degrees_Of_Freedom": (
+        False,
+        "there are more equations than unknowns",
+        "Free a parameter.",
+    ),
+    "User_Requested_Stop": (
+        False,
+        "the solve was interrupted",
+        "Run it again to finish.",
+    ),
 }
-# Ways to solve a likelihood: by IPOPT with either Hessian, or along solutions of the model (`feasible_path`), which is
-# also the status of what was solved so.
+# Ways to solve a likelihood: by IPOPT with either Hessian, or along solutions of the
+# model (`feasible_path`), which is also the status of what was solved so.
 GAUSS_NEWTON, EXACT, FEASIBLE_PATH = "gauss-newton", "exact", "Feasible_Path"
 WAYS = (GAUSS_NEWTON, EXACT, FEASIBLE_PATH)
-# Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over the last `SETTLING` of them the
-# logarithm of the objective, times the number of residuals (a change of -2 log likelihood), stays within this, and the
-# constraints hold. Without curvature that would also be slow progress.
+# Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over
+# the last `SETTLING` of them the logarithm of the objective, times the number of
+# residuals (a change of -2 log likelihood), stays within this, and the constraints
+# hold. Without curvature that would also be slow progress.
 SETTLING, SETTLED, HOLDING = 8, 0.05, 1e-5
 
 
@@ -70,8 +88,9 @@ SETTLING, SETTLED, HOLDING = 8, 0.05, 1e-5
 class Settings:
     """How hard to try: tolerance on the scaled optimality conditions, and limits.
 
-    ``thorough`` False: no windows where the whole record fails, and no finer steps than those of the start.
-    ``ways``: those of `WAYS` that are tried for a likelihood, one where another failed.
+    ``thorough`` False: no windows where the whole record fails, and no finer steps than
+    those of the start. ``ways``: those of `WAYS` that are tried for a likelihood, one
+    where another failed.
     """
 
     tolerance: float = 1e-8
@@ -99,7 +118,11 @@ class Outcome:
     @property
     def way(self) -> str:
         """How a solution like it is to be sought first: one of `WAYS`."""
-        return FEASIBLE_PATH if self.success and self.status == FEASIBLE_PATH else GAUSS_NEWTON
+        return (
+            FEASIBLE_PATH
+            if self.success and self.status == FEASIBLE_PATH
+            else GAUSS_NEWTON
+        )
 
     def __str__(self) -> str:
         text = f"{self.sentence} ({self.status}, {self.iterations} iterations, {self.seconds:.2f} s)"
@@ -121,45 +144,80 @@ class Solution:
 
 @dataclass(frozen=True)
 class KKT:
-    """Second-order information at a point, in scaled variables: Gauss-Newton Hessian and constraint Jacobian."""
+    """Second-order information at a point, in scaled variables: Gauss-Newton Hessian
+    and constraint Jacobian.
+    """
 
     hessian: Any  # scipy.sparse CSC
     jacobian: Any
 
 
-def solve(program: Program, settings: Settings | None = None, raise_on_failure: bool = True) -> Solution:
-    """Solve with IPOPT; raises `SolveError` if it ends without an optimum and ``raise_on_failure``."""
+def solve(
+    program: Program, settings: Settings | None = None, raise_on_failure: bool = True
+) -> Solution:
+    """Solve with IPOPT; raises `SolveError` if it ends without an optimum and
+    ``raise_on_failure``.
+    """
     return Solver(program, settings).solve(raise_on_failure=raise_on_failure)
 
 
 class Solver:
-    """IPOPT made ready for one program, which may be solved again from another start or with other settings.
+    """IPOPT made ready for one program, which may be solved again from another start or
+    with other settings.
 
-    ``exact``: with the curvature of the constraints in the Hessian, where the program knows it.
+    ``exact``: with the curvature of the constraints in the Hessian, where the program
+    knows it.
     """
 
-    def __init__(self, program: Program, settings: Settings | None = None, exact: bool = False) -> None:
+    def __init__(
+        self, program: Program, settings: Settings | None = None, exact: bool = False
+    ) -> None:
         self.program = program
         self.is_exact = exact and program.exact is not None
-        hessian = program.exact() if exact and program.exact is not None else program.hessian
-        problem = {"x": program.z, "p": program.settings, "f": program.objective, "g": program.g}
-        self._ipopt = ca.nlpsol("program", "ipopt", problem, _options(program, hessian, settings or Settings()))
-        self._residual = ca.Function("residual", [program.z, program.settings], [program.residual])
+        hessian = (
+            program.exact() if exact and program.exact is not None else program.hessian
+        )
+        problem = {
+            "x": program.z,
+            "p": program.settings,
+            "f": program.objective,
+            "g": program.g,
+        }
+        self._ipopt = ca.nlpsol(
+            "program",
+            "ipopt",
+            problem,
+            _options(program, hessian, settings or Settings()),
+        )
+        self._residual = ca.Function(
+            "residual", [program.z, program.settings], [program.residual]
+        )
 
     def solve(
-        self, start: np.ndarray | None = None, set_to: np.ndarray | None = None, raise_on_failure: bool = True
+        self,
+        start: np.ndarray | None = None,
+        set_to: np.ndarray | None = None,
+        raise_on_failure: bool = True,
     ) -> Solution:
-        """Solve from ``start`` (scaled) with the settings ``set_to``; by default those of the program."""
+        """Solve from ``start`` (scaled) with the settings ``set_to``; by default those
+        of the program.
+        """
         program = self.program
         set_to = program.set_to if set_to is None else set_to
         began = time.perf_counter()
         result = self._ipopt(
-            x0=program.start if start is None else start, p=set_to,
-            lbx=program.lower, ubx=program.upper, lbg=program.g_lower, ubg=program.g_upper,
-        )  # fmt: skip
+            x0=program.start if start is None else start,
+            p=set_to,
+            lbx=program.lower,
+            ubx=program.upper,
+            lbg=program.g_lower,
+            ubg=program.g_upper,
+        )
         seconds = time.perf_counter() - began
         z = np.array(result["x"]).ravel()
-        outcome = _outcome(program, self._ipopt.stats(), z, result, seconds, self.is_exact)
+        outcome = _outcome(
+            program, self._ipopt.stats(), z, result, seconds, self.is_exact
+        )
         if outcome.status == "User_Requested_Stop":
             raise KeyboardInterrupt
         if raise_on_failure and not outcome.success:
@@ -167,9 +225,13 @@ class Solver:
         return self.solution(z, set_to, outcome)
 
     def solution(self, z: np.ndarray, set_to: np.ndarray, outcome: Outcome) -> Solution:
-        """What is known at z (scaled) with the settings ``set_to``, together with how it was found."""
+        """What is known at z (scaled) with the settings ``set_to``, together with how
+        it was found.
+        """
         residual = np.array(self._residual(z, set_to)).ravel()
-        return Solution(self.program.values(z), z, residual, outcome, self.kkt(z, set_to))
+        return Solution(
+            self.program.values(z), z, residual, outcome, self.kkt(z, set_to)
+        )
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
         """The same point seen with other settings, which leave it optimal."""
@@ -187,7 +249,9 @@ class Solver:
         return KKT(full.tocsc(), jacobian.sparse().tocsc())
 
 
-def _options(program: Program, hessian: ca.Function, settings: Settings) -> dict[str, Any]:
+def _options(
+    program: Program, hessian: ca.Function, settings: Settings
+) -> dict[str, Any]:
     return {
         "hess_lag": hessian,
         "jac_g": program.jacobian,
@@ -202,27 +266,38 @@ def _options(program: Program, hessian: ca.Function, settings: Settings) -> dict
             "acceptable_tol": 100 * settings.tolerance,
             "max_iter": settings.max_iterations,
             "max_wall_time": settings.max_seconds,
-            # The program is scaled already; a second scaling would change what the tolerance means.
+            # The program is scaled already; a second scaling would change what the
+            # tolerance means.
             "nlp_scaling_method": "none",
-            # Bounds are physics: they are not relaxed, and a start on a bound is moved only a little inside.
+            # Bounds are physics: they are not relaxed, and a start on a bound is moved
+            # only a little inside.
             "bound_relax_factor": 0.0,
             "bound_push": 1e-4,
             "bound_frac": 1e-4,
             "mu_strategy": "adaptive",
-            # Approximate minimum degree that sees dense rows (each parameter's): time in proportion to the samples.
+            # Approximate minimum degree that sees dense rows (each parameter's): time
+            # in proportion to the samples.
             "mumps_pivot_order": 6,
-            # Pivoting for size alone fills the factors of a badly scaled record until they do not fit (EMPS, 1 kHz).
+            # Pivoting for size alone fills the factors of a badly scaled record until
+            # they do not fit (EMPS, 1 kHz).
             "mumps_pivtol": 1e-9,
-            # Its permutation to a large diagonal, which it chooses by itself, fills them too: 12 s for 0.5 s (EMPS).
+            # Its permutation to a large diagonal, which it chooses by itself, fills
+            # them too: 12 s for 0.5 s (EMPS).
             "mumps_permuting_scaling": 0,
-            # Beyond this a step is given up for a restoration: larger ones diverge, while the factors fill the memory.
+            # Beyond this a step is given up for a restoration: larger ones diverge,
+            # while the factors fill the memory.
             "max_hessian_perturbation": 1e4,
         },
     }
 
 
 def _outcome(
-    program: Program, stats: dict[str, Any], z: np.ndarray, result: dict[str, Any], seconds: float, is_exact: bool
+    program: Program,
+    stats: dict[str, Any],
+    z: np.ndarray,
+    result: dict[str, Any],
+    seconds: float,
+    is_exact: bool,
 ) -> Outcome:
     status = str(stats["return_status"])
     usable, sentence, advice = MEANINGS.get(
@@ -233,21 +308,38 @@ def _outcome(
     worst = int(np.argmax(outside)) if outside.size else 0
     infeasibility = max(float(outside[worst]), 0.0) if outside.size else 0.0
     if not usable and is_exact and _is_settled(stats, program.residual.numel()):
-        usable, sentence, advice = True, "the iterates settled at a kink of the model, where no slope vanishes", ""
+        usable, sentence, advice = (
+            True,
+            "the iterates settled at a kink of the model, where no slope vanishes",
+            "",
+        )
     if not usable and infeasibility > 1e-6:
         sentence += f"; the largest violation is {infeasibility:.1e} in {program.name_of(worst, program.constraints)}"
     return Outcome(
-        usable, status, sentence, advice, int(stats["iter_count"]), seconds, float(result["f"]), infeasibility,
+        usable,
+        status,
+        sentence,
+        advice,
+        int(stats["iter_count"]),
+        seconds,
+        float(result["f"]),
+        infeasibility,
         at_bounds(program, z),
-    )  # fmt: skip
+    )
 
 
 def _is_settled(stats: dict[str, Any], n_residuals: int) -> bool:
-    last = {name: np.array(stats.get("iterations", {}).get(name, []))[-SETTLING:] for name in ("obj", "inf_pr")}
+    last = {
+        name: np.array(stats.get("iterations", {}).get(name, []))[-SETTLING:]
+        for name in ("obj", "inf_pr")
+    }
     objective, violation = last["obj"], last["inf_pr"]
     if len(objective) < SETTLING or not np.all(np.isfinite(objective)):
         return False
-    return bool(n_residuals * np.ptp(objective) <= SETTLED * np.max(np.abs(objective)) and np.max(violation) < HOLDING)
+    return bool(
+        n_residuals * np.ptp(objective) <= SETTLED * np.max(np.abs(objective))
+        and np.max(violation) < HOLDING
+    )
 
 
 def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 def write_report(study: "Study", path: Path) -> Path:
     """Write the report; raises `DataError` for a kind of file that cannot be written."""
     if path.suffix not in (".md", ".txt"):
-        raise DataError(f"a report is written as .md or .txt; {path.name!r} is neither.")
+        raise DataError(
+            f"a report is written as .md or .txt; {path.name!r} is neither."
+        )
     path.write_text(report_text(study), encoding="utf-8")
     return path
 

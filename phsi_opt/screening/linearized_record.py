@@ -5,7 +5,10 @@ from scipy.sparse import csc_matrix
 
 SCHEME = "srk4"
 BACK = 4  # steps of Newton's method to states that obey the model, at most
-OBEYED, NEARLY = 1e-4, 1e-2  # defects, as shares of those at the missing force's states: none; few enough
+OBEYED, NEARLY = (
+    1e-4,
+    1e-2,
+)  # defects, as shares of those at the missing force's states: none; few enough
 KEPT = 20_000  # rows of every trace scanned that are kept, for the pairs
 
 

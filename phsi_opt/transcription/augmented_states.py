@@ -1,4 +1,6 @@
-"""The memory of effects, states that nobody measures, along the other states of a record."""
+"""The memory of effects, states that nobody measures, along the other states of a
+record.
+"""
 
 from typing import Any
 
@@ -11,21 +13,29 @@ from phsi_opt.transcription.grid import Grid
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 
 
-def remembered(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """States (n_nodes, n_states) with the memory of the model's effects integrated along the other states ``x``.
+def remembered(
+    model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
+) -> np.ndarray:
+    """States (n_nodes, n_states) with the memory of the model's effects integrated
+    along the other states ``x``.
 
-    ``x`` holds the other states and those of older effects; ``theta`` is (n_free,) or (n_free, n_trajectories). A
-    memory begins at rest where its equation is linear in it, else at zero.
+    ``x`` holds the other states and those of older effects; ``theta`` is (n_free,) or
+    (n_free, n_trajectories). A memory begins at rest where its equation is linear in
+    it, else at zero.
     """
     return x if x.shape[1] == model.n_states else Memory(model, grid, x)(theta)[0]
 
 
-def beginnings(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Bounds of the states, (n_nodes, n_states): of the memory that a trajectory begins with, the others are infinite.
+def beginnings(
+    model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Bounds of the states, (n_nodes, n_states): of the memory that a trajectory begins
+    with, the others are infinite.
 
-    It is such as the records show later on: within the values that it takes from rest, widened by their range to both
-    sides. Free of bounds, the memory of a delay shorter than a sample takes any value for the sake of one residual.
-    Arguments as `remembered`; None where the model has no memory, or not as its last states.
+    It is such as the records show later on: within the values that it takes from rest,
+    widened by their range to both sides. Free of bounds, the memory of a delay shorter
+    than a sample takes any value for the sake of one residual. Arguments as
+    `remembered`; None where the model has no memory, or not as its last states.
     """
     n_old = model.n_states - len(model.memory)
     if n_old == model.n_states or model.states[n_old:] != model.memory:
@@ -34,12 +44,17 @@ def beginnings(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> tu
     lowest, highest = along.min(axis=0), along.max(axis=0)
     spread = np.where(highest > lowest, highest - lowest, np.inf)
     lower, upper = np.full(x.shape, -np.inf), np.full(x.shape, np.inf)
-    lower[grid.first, n_old:], upper[grid.first, n_old:] = lowest - spread, highest + spread
+    lower[grid.first, n_old:], upper[grid.first, n_old:] = (
+        lowest - spread,
+        highest + spread,
+    )
     return lower, upper
 
 
 class Memory:
-    """The memory of a model's effects along given states, as a function of the parameters (see `remembered`)."""
+    """The memory of a model's effects along given states, as a function of the
+    parameters (see `remembered`).
+    """
 
     def __init__(self, model: Model, grid: Grid, x: np.ndarray) -> None:
         self.model, self.grid, self.x = model, grid, x
@@ -52,30 +67,53 @@ class Memory:
         self.rest = _rest(model, x.shape[1])
 
     def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The states with their memory, (n_nodes, n_states), and the memory's means over the intervals."""
+        """The states with their memory, (n_nodes, n_states), and the memory's means
+        over the intervals.
+        """
         grid, x, n_old = self.grid, self.x, self.x.shape[1]
-        result, means = padded(self.model, x), np.zeros((grid.n_intervals, self.model.n_states - n_old))
+        result, means = (
+            padded(self.model, x),
+            np.zeros((grid.n_intervals, self.model.n_states - n_old)),
+        )
         columns = theta if theta.ndim == 2 else theta[:, None]
-        for run, (first, at, along) in enumerate(zip(grid.first, self.at, self.along, strict=True)):
+        for run, (first, at, along) in enumerate(
+            zip(grid.first, self.at, self.along, strict=True)
+        ):
             values = columns[:, run % columns.shape[1]]
-            z0 = np.array(self.rest(x[first], grid.u0[at[0]], grid.t[first], values)).ravel()
+            z0 = np.array(
+                self.rest(x[first], grid.u0[at[0]], grid.t[first], values)
+            ).ravel()
             z0 = z0 if np.all(np.isfinite(z0)) else np.zeros(len(z0))
-            ends = [x[grid.begin[at]].T, x[grid.begin[at] + 1].T, grid.u0[at].T, grid.u1[at].T]
+            ends = [
+                x[grid.begin[at]].T,
+                x[grid.begin[at] + 1].T,
+                grid.u0[at].T,
+                grid.u1[at].T,
+            ]
             times = [grid.t[grid.begin[at]][None, :], grid.h[at][None, :]]
-            z, mean = along(z0, *ends, *times, np.repeat(values[:, None], len(at), axis=1))
+            z, mean = along(
+                z0, *ends, *times, np.repeat(values[:, None], len(at), axis=1)
+            )
             result[first, n_old:], result[grid.begin[at] + 1, n_old:] = z0, z.full().T
             means[at] = mean.full().T
         return result, means
 
 
 def _memory_step(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> z at the end of an interval, its mean over the interval.
+    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> z at the end of an interval,
+    its mean over the interval.
 
-    Steps of the trapezoidal rule with the slope taken at their beginning: a short delay is stiff.
+    Steps of the trapezoidal rule with the slope taken at their beginning: a short delay
+        is stiff.
     """
     n_new, m, rhs = model.n_states - n_old, model.n_inputs, model.rhs()
     z, x0, x1 = ca.SX.sym("z", n_new), ca.SX.sym("x0", n_old), ca.SX.sym("x1", n_old)
-    u0, u1, t0, h = ca.SX.sym("u0", m), ca.SX.sym("u1", m), ca.SX.sym("t0"), ca.SX.sym("h")
+    u0, u1, t0, h = (
+        ca.SX.sym("u0", m),
+        ca.SX.sym("u1", m),
+        ca.SX.sym("t0"),
+        ca.SX.sym("h"),
+    )
     theta, share = ca.SX.sym("theta", len(model.free)), ca.SX.sym("share")
 
     def rate(value: Any, at: Any) -> Any:
@@ -84,7 +122,9 @@ def _memory_step(model: Model, n_old: int) -> ca.Function:
 
     step, given = h / MEMORY_STEPS, [x0, x1, u0, u1, t0, h, theta]
     both = rate(z, share) + rate(z, share + 1 / MEMORY_STEPS)
-    end = z + step / 2 * ca.solve(ca.SX.eye(n_new) - step / 2 * ca.jacobian(rate(z, share), z), both)
+    end = z + step / 2 * ca.solve(
+        ca.SX.eye(n_new) - step / 2 * ca.jacobian(rate(z, share), z), both
+    )
     one = ca.Function("part", [z, share, *given], [end])
     at, mean = z, ca.SX.zeros(n_new)
     for k in range(MEMORY_STEPS):
@@ -94,7 +134,9 @@ def _memory_step(model: Model, n_old: int) -> ca.Function:
 
 
 def _rest(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> the memory whose rates vanish, if they are linear in it; else zeros."""
+    """CasADi function (x, u, t, theta) -> the memory whose rates vanish, if they are
+    linear in it; else zeros.
+    """
     n_new, rhs = model.n_states - n_old, model.rhs()
     x, u, t = ca.SX.sym("x", n_old), ca.SX.sym("u", model.n_inputs), ca.SX.sym("t")
     theta, z = ca.SX.sym("theta", len(model.free)), ca.SX.sym("z", n_new)

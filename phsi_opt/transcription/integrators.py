@@ -1,7 +1,9 @@
-"""One-step schemes: the mean derivative Psi over a step, from which a defect (x1 - x0)/h - Psi is made.
+"""One-step schemes: the mean derivative Psi over a step, from which a defect (x1 -
+x0)/h - Psi is made.
 
-A scheme sees the right-hand side as ``g(x, c)``: the state x at the fraction c of the step (time and input at that
-fraction are filled in by the caller). Schemes may use both ends, so none of them needs an inner solve.
+A scheme sees the right-hand side as ``g(x, c)``: the state x at the fraction c of the
+step (time and input at that fraction are filled in by the caller). Schemes may use both
+ends, so none of them needs an inner solve.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,9 @@ RightHandSide = Callable[[Any, float], Any]
 
 @dataclass(frozen=True)
 class Integrator:
-    """A one-step scheme: ``psi(g, x0, x1, h)`` approximates (x1 - x0)/h to the given order."""
+    """A one-step scheme: ``psi(g, x0, x1, h)`` approximates (x1 - x0)/h to the given
+    order.
+    """
 
     name: str
     order: int
@@ -42,7 +46,8 @@ def _rk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
 def _srk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
     c1, c2 = 0.5 - sqrt(3) / 6, 0.5 + sqrt(3) / 6
     middle, reach = (x0 + x1) / 2, sqrt(3) / 6 * h
-    # The inner stage at c2 feeds the outer one at c1 and the other way round; swapped, the order drops to two.
+    # The inner stage at c2 feeds the outer one at c1 and the other way round; swapped,
+    # the order drops to two.
     at_c1 = g(middle - reach * g(c1 * x0 + c2 * x1, c2), c1)
     at_c2 = g(middle + reach * g(c2 * x0 + c1 * x1, c1), c2)
     return (at_c1 + at_c2) / 2

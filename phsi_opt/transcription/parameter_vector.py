@@ -1,4 +1,6 @@
-"""The vector of unknown parameters: shared ones once, those `per_trajectory` once for every trajectory."""
+"""The vector of unknown parameters: shared ones once, those `per_trajectory` once for
+every trajectory.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,9 +18,11 @@ class Theta:
     """Names and places of the unknown parameters of a model in several trajectories.
 
     Attributes:
-        names: of each entry: ``k``, and ``m[run 1]``, ``m[run 2]`` for a parameter per trajectory (of several).
+        names: of each entry: ``k``, and ``m[run 1]``, ``m[run 2]`` for a parameter per
+            trajectory (of several).
         owner: (n_theta,) position of each entry's parameter in ``model.free``.
-        table: (n_free, n_trajectories) place of each model parameter of each trajectory in theta.
+        table: (n_free, n_trajectories) place of each model parameter of each trajectory
+            in theta.
     """
 
     model: Model
@@ -38,7 +42,11 @@ class Theta:
             table[i] = len(names) + (np.arange(len(runs)) if local else 0)
             names += [f"{name}[{run}]" for run in runs] if local else [name]
             owner += [i] * (len(runs) if local else 1)
-        twice = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set()
+        twice = (
+            {name for name in names if names.count(name) > 1}
+            if len(set(names)) < len(names)
+            else set()
+        )
         if twice:
             raise ModelError(
                 f"the name {sorted(twice)[0]!r} stands for two parameters, one of them of a trajectory; rename the "
@@ -65,7 +73,9 @@ class Theta:
         return np.asarray(values, dtype=float)[self.owner]
 
     def by_trajectory(self, theta: Any) -> Any:
-        """The parameters of the model as columns: one for all, or (n_free, n_trajectories); symbols or numbers."""
+        """The parameters of the model as columns: one for all, or (n_free,
+        n_trajectories); symbols or numbers.
+        """
         if self.is_shared:
             return theta
         if isinstance(theta, np.ndarray):
@@ -81,7 +91,13 @@ class Theta:
         column = self.table[:, self.runs.index(run)]
         return dict(zip(self.model.free, theta[column].tolist(), strict=True))
 
-    def from_values(self, values: Mapping[str, float], default: np.ndarray) -> np.ndarray:
-        """Theta from values by name: of its own (``m[run 1]``), else of its model parameter, else the default."""
+    def from_values(
+        self, values: Mapping[str, float], default: np.ndarray
+    ) -> np.ndarray:
+        """Theta from values by name: of its own (``m[run 1]``), else of its model
+        parameter, else the default.
+        """
         pairs = zip(self.names, self.owner, default, strict=True)
-        return np.array([values.get(n, values.get(self.model.free[i], d)) for n, i, d in pairs])
+        return np.array(
+            [values.get(n, values.get(self.model.free[i], d)) for n, i, d in pairs]
+        )

@@ -17,7 +17,9 @@ from phsi_opt.transcription.parameter_vector import Theta
 
 @dataclass(frozen=True, eq=False)
 class Sensed:
-    """What the sensors show of the states, (n_nodes, n_states), and its slope in them, sparse."""
+    """What the sensors show of the states, (n_nodes, n_states), and its slope in them,
+    sparse.
+    """
 
     shown: np.ndarray
     slope: Any
@@ -27,25 +29,40 @@ class Sensed:
         """The sensors of ``model`` at the states x."""
         if not model.sensor:
             return cls(x, identity(x.size, format="csc"))
-        return cls(np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T, output_slope(model, grid, x, theta))
+        return cls(
+            np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T,
+            output_slope(model, grid, x, theta),
+        )
 
 
-def shown(model: Model, data: Measurements, states: Sequence[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What the sensors show of the states at the samples, per trajectory; ``values`` as from `matrix_of`."""
+def shown(
+    model: Model, data: Measurements, states: Sequence[np.ndarray], values: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """What the sensors show of the states at the samples, per trajectory; ``values`` as
+    from `matrix_of`.
+    """
     if not model.sensor:
         return tuple(states)
     grid: Grid = grid_of(data)
-    return grid.split(np.array(outputs(model, grid, np.concatenate(states).T, values)).T)
+    return grid.split(
+        np.array(outputs(model, grid, np.concatenate(states).T, values)).T
+    )
 
 
 def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
     """What the sensors show at the nodes, (n_states, n_nodes)."""
     columns = [x, grid.u.T, grid.t[None, :]]
-    return along_record(model.output(), replace(grid, begin=np.arange(grid.n_nodes)), columns, theta)
+    return along_record(
+        model.output(), replace(grid, begin=np.arange(grid.n_nodes)), columns, theta
+    )
 
 
-def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes of `outputs` at every node: in the states, (n_nodes, n_states, n_states), and in the parameters."""
+def output_slopes(
+    model: Model, grid: Grid, x: np.ndarray, theta: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes of `outputs` at every node: in the states, (n_nodes, n_states, n_states),
+    and in the parameters.
+    """
     one, n = model.output(), model.n_states
     arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
     shown = one(*arguments)
@@ -57,8 +74,12 @@ def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> tuple[
     return by_x, by_theta
 
 
-def output_slopes_of(unknown: Theta, grid: Grid, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
-    """Slope of `outputs` at every node in each entry of theta, (n_nodes, n_states, n_theta)."""
+def output_slopes_of(
+    unknown: Theta, grid: Grid, x: np.ndarray, theta: np.ndarray
+) -> np.ndarray:
+    """Slope of `outputs` at every node in each entry of theta, (n_nodes, n_states,
+    n_theta).
+    """
     model = unknown.model
     slopes = np.zeros((grid.n_nodes, model.n_states, len(unknown)))
     if model.sensor:
@@ -69,6 +90,10 @@ def output_slopes_of(unknown: Theta, grid: Grid, x: np.ndarray, theta: np.ndarra
 
 
 def output_slope(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
-    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block per node."""
+    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block
+    per node.
+    """
     blocks = output_slopes(model, grid, x, theta)[0]
-    return bsr_matrix((blocks, np.arange(grid.n_nodes), np.arange(grid.n_nodes + 1))).tocsc()
+    return bsr_matrix(
+        (blocks, np.arange(grid.n_nodes), np.arange(grid.n_nodes + 1))
+    ).tocsc()

@@ -1,4 +1,6 @@
-"""Where the measured data lie: the variable PHSI_OPT_DATA, else ../shared/data from the project's root."""
+"""Where the measured data lie: the variable PHSI_OPT_DATA, else ../shared/data from the
+project's root.
+"""
 
 import os
 from pathlib import Path

@@ -1,9 +1,11 @@
-"""A study of a measured set, told step by step: what the diagnosis says of each model, what is added, what remains.
+"""A study of a measured set, told step by step: what the diagnosis says of each model,
+what is added, what remains.
 
-The diagnosis gets a model and two records, nothing else. Its loop (`Study.auto`) adds what a verdict names, or proposes
-although more than noise would be left. Where it stops with "unexplained", the story goes on as an engineer would who
-follows the table: the first re-fitted candidate is added, marked as such, as long as its p-value is small and the error
-on the data held out falls.
+The diagnosis gets a model and two records, nothing else. Its loop (`Study.auto`) adds
+what a verdict names, or proposes although more than noise would be left. Where it stops
+with "unexplained", the story goes on as an engineer would who follows the table: the
+first re-fitted candidate is added, marked as such, as long as its p-value is small and
+the error on the data held out falls.
 """
 
 import time
@@ -24,16 +26,25 @@ from phsi_opt.diagnosis.criteria import NAMED, NOTHING, UNEXPLAINED
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import PhsiOptError
 
-RATE = 0.01  # p-value, adjusted for all candidates, up to which the first candidate is added where none is named
+# p-value, adjusted for all candidates, up to which the first candidate is added where
+# none is named
+RATE = 0.01
 SHOWN = 6  # candidates per diagnosis on the page
-BASE, PROPOSED, NEAREST, REMOVED = "base model", "proposed", "first candidate", "superfluous since"
+BASE, PROPOSED, NEAREST, REMOVED = (
+    "base model",
+    "proposed",
+    "first candidate",
+    "superfluous since",
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """A study with the diagnosis of each of its models, the seconds each took, and how each step was chosen.
+    """A study with the diagnosis of each of its models, the seconds each took, and how
+    each step was chosen.
 
-    ``own`` is why the loop of the package stopped, and ``n_own`` the number of steps it had taken until then.
+    ``own`` is why the loop of the package stopped, and ``n_own`` the number of steps it
+    had taken until then.
     """
 
     study: ph.Study
@@ -44,7 +55,9 @@ class Story:
     n_own: int
 
     def time_after(self, step: int) -> str:
-        """Seconds of the diagnosis of a step's model; empty for a model that was not diagnosed."""
+        """Seconds of the diagnosis of a step's model; empty for a model that was not
+        diagnosed.
+        """
         at = {id(d.fit): s for d, s in zip(self.diagnoses, self.seconds, strict=True)}
         found = at.get(id(self.study.steps[step].fit))
         return "" if found is None else f"{found:.0f}"
@@ -84,11 +97,20 @@ def told(
         if not _go_on(study, diagnoses[-1]):
             break
         how.append(NEAREST)
-    return Story(study, diagnoses, seconds, how, own or f"the limit of {max_steps} steps was reached", n_own)
+    return Story(
+        study,
+        diagnoses,
+        seconds,
+        how,
+        own or f"the limit of {max_steps} steps was reached",
+        n_own,
+    )
 
 
 def _go_on(study: ph.Study, diagnosis: Diagnosis) -> bool:
-    """Add the first re-fitted candidate of an unexplained misfit, if significant and the held-out error falls."""
+    """Add the first re-fitted candidate of an unexplained misfit, if significant and
+    the held-out error falls.
+    """
     first = next((c for c in diagnosis.ranked if c.fit is not None), None)
     if diagnosis.verdict != UNEXPLAINED or first is None:
         return False
@@ -103,32 +125,71 @@ def _go_on(study: ph.Study, diagnosis: Diagnosis) -> bool:
 
 
 def page(
-    story: Story, name: str, text: str, tests: dict[str, list[float]] | None = None, scale: float = 1.0, unit: str = ""
+    story: Story,
+    name: str,
+    text: str,
+    tests: dict[str, list[float]] | None = None,
+    scale: float = 1.0,
+    unit: str = "",
 ) -> str:
-    """The story as Markdown: ``text`` first, errors times ``scale`` in ``unit``; its pictures go to results/measured.
+    """The story as Markdown: ``text`` first, errors times ``scale`` in ``unit``; its
+    pictures go to results/measured.
 
     ``tests``: further errors per step, by name, in ``unit`` already.
     """
     study = story.study
     unit = unit or study.unit
-    head = ["step", "effect", "how chosen", f"training error ({unit})", f"held-out error ({unit})",
-            f"noise floor ({unit})", *(f"{test} ({unit})" for test in tests or {}),
-            "seconds of the diagnosis after it"]  # fmt: skip
+    head = [
+        "step",
+        "effect",
+        "how chosen",
+        f"training error ({unit})",
+        f"held-out error ({unit})",
+        f"noise floor ({unit})",
+        *(f"{test} ({unit})" for test in tests or {}),
+        "seconds of the diagnosis after it",
+    ]
     rows = [
-        (k, effect, story.how[k], *(f"{scale * e:.3g}" for e in errors),
-         *(f"{test[k]:.3g}" for test in (tests or {}).values()), story.time_after(k))
-        for k, (_, effect, *errors, _) in enumerate(study.history.itertuples(index=False))
-    ]  # fmt: skip
-    chapters = [line for k, d in enumerate(story.diagnoses) for line in _chapter(k, d, scale, unit)]
+        (
+            k,
+            effect,
+            story.how[k],
+            *(f"{scale * e:.3g}" for e in errors),
+            *(f"{test[k]:.3g}" for test in (tests or {}).values()),
+            story.time_after(k),
+        )
+        for k, (_, effect, *errors, _) in enumerate(
+            study.history.itertuples(index=False)
+        )
+    ]
+    chapters = [
+        line
+        for k, d in enumerate(story.diagnoses)
+        for line in _chapter(k, d, scale, unit)
+    ]
     pictures(story, name)
-    return "\n".join([
-        "## What the diagnosis finds without hints", "",
-        text, "", _opening(story), "", _table(head, rows), "",
-        f"![free-run error per step](measured/{name}_history.png)", "",
-        f"![missing force of the base model](measured/{name}_missing_force.png)", "",
-        *chapters,
-        "### The last model", "", "```text", str(study.fit), "```",
-    ])  # fmt: skip
+    return "\n".join(
+        [
+            "## What the diagnosis finds without hints",
+            "",
+            text,
+            "",
+            _opening(story),
+            "",
+            _table(head, rows),
+            "",
+            f"![free-run error per step](measured/{name}_history.png)",
+            "",
+            f"![missing force of the base model](measured/{name}_missing_force.png)",
+            "",
+            *chapters,
+            "### The last model",
+            "",
+            "```text",
+            str(study.fit),
+            "```",
+        ]
+    )
 
 
 def _opening(story: Story) -> str:
@@ -136,30 +197,65 @@ def _opening(story: Story) -> str:
     added = [f"{e.name} on {e.equation}" for e in story.study.effects]
     listed = ", ".join(added) if added else "nothing"
     count = f"{story.n_own} step{'' if story.n_own == 1 else 's'}"
-    alone = f"On its own the loop takes {count} and then stops: {story.own}." if n > story.n_own else ""
+    alone = (
+        f"On its own the loop takes {count} and then stops: {story.own}."
+        if n > story.n_own
+        else ""
+    )
     end = story.diagnoses[-1]
     close = f'The last verdict is "{end.verdict}".'
-    beyond = f"The first candidates of the table lead {n - story.n_own} further." if n > story.n_own else ""
-    return " ".join(part for part in (f"Added: {listed}.", alone, beyond, close) if part)
+    beyond = (
+        f"The first candidates of the table lead {n - story.n_own} further."
+        if n > story.n_own
+        else ""
+    )
+    return " ".join(
+        part for part in (f"Added: {listed}.", alone, beyond, close) if part
+    )
 
 
 def _chapter(k: int, diagnosis: Diagnosis, scale: float, unit: str) -> list[str]:
     head = "The base model" if k == 0 else f"After step {k}"
-    columns = ["effect", "equation", "coefficient", "p-value", "change of BIC", f"held-out error ({unit})",
-               "confusable with"]  # fmt: skip
+    columns = [
+        "effect",
+        "equation",
+        "coefficient",
+        "p-value",
+        "change of BIC",
+        f"held-out error ({unit})",
+        "confusable with",
+    ]
     rows = [
-        (c.effect.name, c.effect.equation, _sized(c), f"{c.p_value:.1g}",
-         *("" if np.isnan(v) else f"{v:.4g}" for v in (c.delta_bic, scale * c.held_out_rmse)),
-         ", ".join(c.confusable_with))
+        (
+            c.effect.name,
+            c.effect.equation,
+            _sized(c),
+            f"{c.p_value:.1g}",
+            *(
+                "" if np.isnan(v) else f"{v:.4g}"
+                for v in (c.delta_bic, scale * c.held_out_rmse)
+            ),
+            ", ".join(c.confusable_with),
+        )
         for c in diagnosis.ranked[:SHOWN]
-    ]  # fmt: skip
+    ]
     where = [] if diagnosis.verdict == NOTHING else diagnosis.sentences
-    return [f"### {head}", "", *(f"{s} " for s in where), "", f"Verdict: {diagnosis.verdict}. {diagnosis.reason}.", "",
-            _table(columns, rows), ""]  # fmt: skip
+    return [
+        f"### {head}",
+        "",
+        *(f"{s} " for s in where),
+        "",
+        f"Verdict: {diagnosis.verdict}. {diagnosis.reason}.",
+        "",
+        _table(columns, rows),
+        "",
+    ]
 
 
 def _sized(c: Candidate) -> str:
-    return f"{c.coefficient:.4g}" + ("" if np.isnan(c.std_error) else f" +- {c.std_error:.2g}")
+    return f"{c.coefficient:.4g}" + (
+        "" if np.isnan(c.std_error) else f" +- {c.std_error:.2g}"
+    )
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -1,8 +1,10 @@
-"""Section 6.5: how much L1 and pruning? Free-run error over grids of both, on clean data.
+"""Section 6.5: how much L1 and pruning? Free-run error over grids of both, on clean
+data.
 
-Gradient descent: lambda_H x pruning interval P, with the few epochs of the thesis. Solver: lambda_H x threshold; the
-leak of the tanks has its known form there, so that only H and R are at stake. The error is the l2 norm over all states,
-averaged over the test time and 30 unseen starts.
+Gradient descent: lambda_H x pruning interval P, with the few epochs of the thesis.
+Solver: lambda_H x threshold; the leak of the tanks has its known form there, so that
+only H and R are at stake. The error is the l2 norm over all states, averaged over the
+test time and 30 unseen starts.
 
     python problems/thesis/grids.py [--quick] [system ...]
 """
@@ -34,7 +36,16 @@ from thesis.systems import SYSTEMS, System, known_leak, tank_model, thesis_data_
 import phsi_opt as ph
 
 THRESHOLDS = (0.0, 0.05, 0.2)
-COLUMNS = ["system", "method", "lambda_H", "pruning", "error", "spurious", "missed", "seconds"]
+COLUMNS = [
+    "system",
+    "method",
+    "lambda_H",
+    "pruning",
+    "error",
+    "spurious",
+    "missed",
+    "seconds",
+]
 
 
 @dataclass(frozen=True)
@@ -54,21 +65,36 @@ GRIDS = {
 }
 
 
-def by_descent(system: System, data: ph.Measurements, weight: float, interval: int, epochs: int) -> Any:
-    """Gradient descent with one weight and one interval; pruning begins after the first interval (Algorithm 6)."""
+def by_descent(
+    system: System, data: ph.Measurements, weight: float, interval: int, epochs: int
+) -> Any:
+    """Gradient descent with one weight and one interval; pruning begins after the first
+    interval (Algorithm 6).
+    """
     l1 = {**system.descent.l1, "H": weight}
-    chosen = replace(system.descent, epochs=epochs, prune_every=interval, prune_from=interval, l1=l1)
+    chosen = replace(
+        system.descent, epochs=epochs, prune_every=interval, prune_from=interval, l1=l1
+    )
     return descent(replace(system, descent=chosen), data, "clean")
 
 
-def by_solver(system: System, data: ph.Measurements, weight: float, threshold: float) -> Any:
+def by_solver(
+    system: System, data: ph.Measurements, weight: float, threshold: float
+) -> Any:
     """The solver with one weight and one threshold, without significance."""
     model = tank_model(known_leak()) if system.name == "tanks" else system.model()
-    settings = ph.Settings(max_iterations=200)  # without any L1 the tanks' Casimir leaves a direction free
+    settings = ph.Settings(
+        max_iterations=200
+    )  # without any L1 the tanks' Casimir leaves a direction free
     return ph.identify(
-        model, data, ph.PHSILoss(), {**system.l1, "H": weight}, ph.Pruning(threshold), settings=settings,
+        model,
+        data,
+        ph.PHSILoss(),
+        {**system.l1, "H": weight},
+        ph.Pruning(threshold),
+        settings=settings,
         raise_on_failure=False,
-    )  # fmt: skip
+    )
 
 
 def main(quick: bool = False, names: list[str] | None = None) -> pd.DataFrame:
@@ -77,26 +103,65 @@ def main(quick: bool = False, names: list[str] | None = None) -> pd.DataFrame:
     for name in names or list(SYSTEMS):
         system, grid = SYSTEMS[name], GRIDS[name]
         if quick:
-            data, (t, tests) = system.data(1, 0.0, n=400 if name == "henon_heiles" else 6), system.tests(3)
+            data, (t, tests) = (
+                system.data(1, 0.0, n=400 if name == "henon_heiles" else 6),
+                system.tests(3),
+            )
             grid = Grid(grid.weights[:2], (1,), 1)
         else:
-            data = system.thesis_data("clean") if thesis_data_present() else system.data(1, 0.0)
+            data = (
+                system.thesis_data("clean")
+                if thesis_data_present()
+                else system.data(1, 0.0)
+            )
             t, tests = system.tests(30)
         points: list[tuple[str, float, str, tuple[Any, ...]]] = []
-        points += [("descent", w, f"P = {p}", (w, p, grid.epochs)) for w in grid.weights for p in grid.intervals]
-        points += [("solver", w, f"threshold {e:g}", (w, e)) for w in grid.weights for e in THRESHOLDS]
+        points += [
+            ("descent", w, f"P = {p}", (w, p, grid.epochs))
+            for w in grid.weights
+            for p in grid.intervals
+        ]
+        points += [
+            ("solver", w, f"threshold {e:g}", (w, e))
+            for w in grid.weights
+            for e in THRESHOLDS
+        ]
         for method, weight, pruning, settings in points:
             by: Callable[..., Any] = by_descent if method == "descent" else by_solver
             try:
                 fit = by(system, data, *settings)
             except ph.PhsiOptError as failed:  # such as: every term was pruned
-                print(f"... {name}, {method}, {weight:g}, {pruning}: {failed}", flush=True)
-                rows.append((name, method, weight, pruning, np.inf, 0, len(system.truth), np.nan))
+                print(
+                    f"... {name}, {method}, {weight:g}, {pruning}: {failed}", flush=True
+                )
+                rows.append(
+                    (
+                        name,
+                        method,
+                        weight,
+                        pruning,
+                        np.inf,
+                        0,
+                        len(system.truth),
+                        np.nan,
+                    )
+                )
                 continue
             s = score(system, fit)
             n_spurious = len([n for n in s.spurious if n not in ("slope", "limit")])
             error = float(free_run(fit, t, tests).mean())
-            rows.append((name, method, weight, pruning, error, n_spurious, len(s.missed), fit.seconds))
+            rows.append(
+                (
+                    name,
+                    method,
+                    weight,
+                    pruning,
+                    error,
+                    n_spurious,
+                    len(s.missed),
+                    fit.seconds,
+                )
+            )
             print("... " + ", ".join(str(v) for v in rows[-1]), flush=True)
     table = pd.DataFrame(rows, columns=COLUMNS)
     if not quick and names is None:
@@ -106,9 +171,13 @@ def main(quick: bool = False, names: list[str] | None = None) -> pd.DataFrame:
 
 
 def draw(table: pd.DataFrame) -> None:
-    """A row of two panels per system: descent and solver, a cell per point with its error."""
+    """A row of two panels per system: descent and solver, a cell per point with its
+    error.
+    """
     figure, axes = plt.subplots(len(GRIDS), 2, figsize=(8.5, 11), layout="constrained")
-    for pair, (name, rows) in zip(axes, table.groupby("system", sort=False), strict=True):
+    for pair, (name, rows) in zip(
+        axes, table.groupby("system", sort=False), strict=True
+    ):
         finite = rows["error"][np.isfinite(rows["error"])]
         low, high = np.log10(finite.min()), np.log10(finite.max())
         for ax, method in zip(pair, ("descent", "solver"), strict=True):
@@ -116,15 +185,26 @@ def draw(table: pd.DataFrame) -> None:
             cells = part.pivot(index="lambda_H", columns="pruning", values="error")
             cells = cells[list(dict.fromkeys(part["pruning"]))]
             values = np.log10(np.where(np.isfinite(cells), cells, 10**high))
-            ax.imshow(values, cmap="viridis_r", vmin=low - 0.1, vmax=high + 0.1, aspect="auto")
+            ax.imshow(
+                values, cmap="viridis_r", vmin=low - 0.1, vmax=high + 0.1, aspect="auto"
+            )
             for (i, j), v in np.ndenumerate(cells.to_numpy()):
                 dark = np.isfinite(v) and np.log10(v) > (low + high) / 2
                 text = f"{v:.1e}" if np.isfinite(v) else "no model"
-                ax.text(j, i, text, ha="center", va="center", color="white" if dark or not np.isfinite(v) else "black")
+                ax.text(
+                    j,
+                    i,
+                    text,
+                    ha="center",
+                    va="center",
+                    color="white" if dark or not np.isfinite(v) else "black",
+                )
             ax.set_xticks(range(cells.shape[1]), cells.columns)
             ax.set_yticks(range(cells.shape[0]), [f"{w:g}" for w in cells.index])
             ax.set_ylabel("lambda_H")
-            epochs = f", {GRIDS[str(name)].epochs} epochs" if method == "descent" else ""
+            epochs = (
+                f", {GRIDS[str(name)].epochs} epochs" if method == "descent" else ""
+            )
             ax.set_title(f"{SYSTEMS[str(name)].title}: {method}{epochs}", fontsize=10)
     figure.savefig(RESULTS / "thesis" / "grids.png", dpi=120)
     plt.close(figure)
@@ -144,7 +224,9 @@ def page(table: pd.DataFrame) -> str:
         "",
     ]
     for name, rows in table.groupby("system", sort=False):
-        shown = rows.drop(columns="system").to_string(index=False, float_format=lambda v: f"{v:.3g}")
+        shown = rows.drop(columns="system").to_string(
+            index=False, float_format=lambda v: f"{v:.3g}"
+        )
         lines += [f"## {SYSTEMS[str(name)].title}", "", "```text", shown, "```", ""]
         for method in ("descent", "solver"):
             part = rows[rows["method"] == method].sort_values("error")

@@ -1,14 +1,17 @@
 """Which integrator belongs inside the PHSI loss? (thesis Section 5.1 and Appendix A)
 
-Euler, midpoint, RK4 and SRK4 make the defect (x1 - x0)/h - Psi of the loss. Measured here: the order of the defect of
-the true right-hand side, the symmetry, and what models found with each are worth, at three noise levels and over five
-draws (one for the tanks).
+Euler, midpoint, RK4 and SRK4 make the defect (x1 - x0)/h - Psi of the loss. Measured
+here: the order of the defect of the true right-hand side, the symmetry, and what models
+found with each are worth, at three noise levels and over five draws (one for the
+tanks).
 
-| system       | trajectories x steps | step | noise            | free runs of the truth |
-| henon_heiles | 200 x 10             | 0.1  | 1e-5, 1e-3, 0.01 | 20, t = 0 to 1         |
-| tanks        | 60 x 50             | 0.01 | 0, 0.01, 0.05    | 10, t = 0 to 0.5       |
+| system       | trajectories x steps | step | noise            | free runs of the truth
+| | henon_heiles | 200 x 10             | 0.1  | 1e-5, 1e-3, 0.01 | 20, t = 0 to 1
+| | tanks        | 60 x 50             | 0.01 | 0, 0.01, 0.05    | 10, t = 0 to 0.5
+|
 
-The leak of the tanks has its known form here (its size free); in the thesis it is a neural network.
+The leak of the tanks has its known form here (its size free); in the thesis it is a
+neural network.
 
     python problems/thesis/integrators.py [--quick]
 """
@@ -30,13 +33,21 @@ import pandas as pd
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from provenance import RESULTS, write
-from thesis.systems import LEAK_SLOPE, SYSTEMS, System, closed_tanks, known_leak, tank_model
+from thesis.systems import (
+    LEAK_SLOPE,
+    SYSTEMS,
+    System,
+    closed_tanks,
+    known_leak,
+    tank_model,
+)
 
 import phsi_opt as ph
 from phsi_opt.transcription.integrators import INTEGRATORS
 
 SEEDS = range(5)
-# The sum of the levels is a Casimir: c (mu1 + .. + mu4)^2 in H moves nothing, so without any L1 the data leave c open.
+# The sum of the levels is a Casimir: c (mu1 + .. + mu4)^2 in H moves nothing, so
+# without any L1 the data leave c open.
 LEAST = {"H": 1e-3}
 PRUNING, LIMITS = ph.Pruning(0.05, significance=0.01), ph.Settings(max_iterations=100)
 TANK_DRAWS = 1
@@ -65,16 +76,41 @@ class Case:
 
 
 def cases(quick: bool = False) -> tuple[Case, ...]:
-    """Henon-Heiles and the tanks; ``quick`` has fewer trajectories and two noise levels."""
-    oscillator = replace(SYSTEMS["henon_heiles"], n_steps=10, n_trajectories=15 if quick else 200, test_time=1.0)
+    """Henon-Heiles and the tanks; ``quick`` has fewer trajectories and two noise
+    levels.
+    """
+    oscillator = replace(
+        SYSTEMS["henon_heiles"],
+        n_steps=10,
+        n_trajectories=15 if quick else 200,
+        test_time=1.0,
+    )
     tanks = replace(SYSTEMS["tanks"], n_steps=50, test_time=0.5)
     if quick:
-        return (Case(oscillator, oscillator.model(), dict(oscillator.truth), (1e-5, 0.01), 3),)
+        return (
+            Case(
+                oscillator, oscillator.model(), dict(oscillator.truth), (1e-5, 0.01), 3
+            ),
+        )
     leaking = {**tanks.truth, "slope": LEAK_SLOPE}
     return (
-        Case(oscillator, oscillator.model(), dict(oscillator.truth), (1e-5, 1e-3, 0.01), 20),
         Case(
-            tanks, tank_model(known_leak()), leaking, (0.0, 0.01, 0.05), 10, LEAST, PRUNING, LIMITS, range(TANK_DRAWS)
+            oscillator,
+            oscillator.model(),
+            dict(oscillator.truth),
+            (1e-5, 1e-3, 0.01),
+            20,
+        ),
+        Case(
+            tanks,
+            tank_model(known_leak()),
+            leaking,
+            (0.0, 0.01, 0.05),
+            10,
+            LEAST,
+            PRUNING,
+            LIMITS,
+            range(TANK_DRAWS),
         ),
     )
 
@@ -83,7 +119,9 @@ def cases(quick: bool = False) -> tuple[Case, ...]:
 
 
 def orders(n: int = 10) -> pd.DataFrame:
-    """Rms defect of the true right-hand side on exact data at h, h/2, h/4, h/8, and its last slope: the order."""
+    """Rms defect of the true right-hand side on exact data at h, h/2, h/4, h/8, and its
+    last slope: the order.
+    """
     closed = replace(SYSTEMS["tanks"], title="Tanks, leak shut", rhs=closed_tanks)
     rows = []
     for system in (SYSTEMS["henon_heiles"], SYSTEMS["tanks"], closed):
@@ -91,21 +129,38 @@ def orders(n: int = 10) -> pd.DataFrame:
         shortened = replace(system, n_steps=n_steps)
         exact = shortened.data(0, noise=0.0, n=n, refine=HALVINGS[-1])
         for name in INTEGRATORS:
-            size = {k: _rms_defect(system, name, exact, HALVINGS[-1] // k) for k in HALVINGS}
+            size = {
+                k: _rms_defect(system, name, exact, HALVINGS[-1] // k) for k in HALVINGS
+            }
             finest, before = size[HALVINGS[-1]], size[HALVINGS[-2]]
             columns = {f"h/{k}": size[k] for k in HALVINGS}
-            rows.append((system.title, name, system.step, *columns.values(), np.log2(before / finest)))
-    return pd.DataFrame(rows, columns=["system", "integrator", "h", *(f"h/{k}" for k in HALVINGS), "order"])
+            rows.append(
+                (
+                    system.title,
+                    name,
+                    system.step,
+                    *columns.values(),
+                    np.log2(before / finest),
+                )
+            )
+    return pd.DataFrame(
+        rows,
+        columns=["system", "integrator", "h", *(f"h/{k}" for k in HALVINGS), "order"],
+    )
 
 
-def _rms_defect(system: System, integrator: str, data: ph.Measurements, every: int) -> float:
+def _rms_defect(
+    system: System, integrator: str, data: ph.Measurements, every: int
+) -> float:
     psi = INTEGRATORS[integrator].psi
     total, count = 0.0, 0
     for run in data.trajectories:
         t, x = run.t[::every], run.x[::every]
         for i in range(len(t) - 1):
             h = t[i + 1] - t[i]
-            d = (x[i + 1] - x[i]) / h - psi(partial(_at, system, t[i], h), x[i], x[i + 1], h)
+            d = (x[i + 1] - x[i]) / h - psi(
+                partial(_at, system, t[i], h), x[i], x[i + 1], h
+            )
             total, count = total + float(d @ d), count + 1
     return float(np.sqrt(total / count))
 
@@ -115,16 +170,24 @@ def _at(system: System, t: float, h: float, x: np.ndarray, c: float) -> np.ndarr
 
 
 def symmetry(n: int = 20) -> pd.DataFrame:
-    """Largest relative change of Psi when the ends are swapped and h -> -h, on noisy data of all four systems."""
+    """Largest relative change of Psi when the ends are swapped and h -> -h, on noisy
+    data of all four systems.
+    """
     rows = []
     for name in INTEGRATORS:
         worst = 0.0
         for system in SYSTEMS.values():
             for run in system.data(0, n=n).trajectories:
                 (x0, x1), (t0, t1) = run.x[:2], run.t[:2]
-                there = INTEGRATORS[name].psi(partial(_at, system, t0, t1 - t0), x0, x1, t1 - t0)
-                back = INTEGRATORS[name].psi(partial(_at, system, t1, t0 - t1), x1, x0, t0 - t1)
-                worst = max(worst, float(np.linalg.norm(there - back) / np.linalg.norm(there)))
+                there = INTEGRATORS[name].psi(
+                    partial(_at, system, t0, t1 - t0), x0, x1, t1 - t0
+                )
+                back = INTEGRATORS[name].psi(
+                    partial(_at, system, t1, t0 - t1), x1, x0, t0 - t1
+                )
+                worst = max(
+                    worst, float(np.linalg.norm(there - back) / np.linalg.norm(there))
+                )
         rows.append((name, INTEGRATORS[name].symmetric, worst))
     return pd.DataFrame(rows, columns=["integrator", "symmetric", "largest change"])
 
@@ -133,7 +196,9 @@ def symmetry(n: int = 20) -> pd.DataFrame:
 
 
 def fits(case: Case, seeds: range) -> pd.DataFrame:
-    """A row per noise, seed and integrator: l2 of free runs, largest relative coefficient error, wrong terms, time."""
+    """A row per noise, seed and integrator: l2 of free runs, largest relative
+    coefficient error, wrong terms, time.
+    """
     t, truth = case.system.tests(case.n_tests)
     rows = []
     for noise in case.noise:
@@ -142,21 +207,60 @@ def fits(case: Case, seeds: range) -> pd.DataFrame:
             for name in INTEGRATORS:
                 loss = ph.PHSILoss(integrator=name)
                 fit = ph.identify(
-                    case.model, data, loss, case.l1, case.pruning, settings=case.settings, raise_on_failure=False
+                    case.model,
+                    data,
+                    loss,
+                    case.l1,
+                    case.pruning,
+                    settings=case.settings,
+                    raise_on_failure=False,
                 )
-                rows.append((case.system.title, noise, seed, name, *_scores(case, fit, t, truth)))
-                print("... {} noise {:g} seed {} {}: l2 {:.3g}, coefficient {:.3g}".format(*rows[-1][:6]), flush=True)
+                rows.append(
+                    (
+                        case.system.title,
+                        noise,
+                        seed,
+                        name,
+                        *_scores(case, fit, t, truth),
+                    )
+                )
+                print(
+                    "... {} noise {:g} seed {} {}: l2 {:.3g}, coefficient {:.3g}".format(
+                        *rows[-1][:6]
+                    ),
+                    flush=True,
+                )
     columns = ["l2", "coefficient", "spurious", "missed", "solved", "seconds"]
-    return pd.DataFrame(rows, columns=["system", "noise", "seed", "integrator", *columns])
+    return pd.DataFrame(
+        rows, columns=["system", "noise", "seed", "integrator", *columns]
+    )
 
 
-def _scores(case: Case, fit: ph.Fit, t: np.ndarray, truth: np.ndarray) -> tuple[Any, ...]:
+def _scores(
+    case: Case, fit: ph.Fit, t: np.ndarray, truth: np.ndarray
+) -> tuple[Any, ...]:
     found = fit.values
-    error = max(abs(found.get(name, 0.0) - true) / abs(true) for name, true in case.truth.items())
+    error = max(
+        abs(found.get(name, 0.0) - true) / abs(true)
+        for name, true in case.truth.items()
+    )
     found = {name: value for name, value in found.items() if name != "limit"}
-    spurious, missed = len(set(found) - set(case.truth)), len(set(case.truth) - set(found))
-    distance = [float(np.mean(np.linalg.norm(_free_run(fit, t, x[0]) - x, axis=1))) for x in truth]
-    return float(np.mean(distance)), error, spurious, missed, fit.outcome.success, fit.seconds
+    spurious, missed = (
+        len(set(found) - set(case.truth)),
+        len(set(case.truth) - set(found)),
+    )
+    distance = [
+        float(np.mean(np.linalg.norm(_free_run(fit, t, x[0]) - x, axis=1)))
+        for x in truth
+    ]
+    return (
+        float(np.mean(distance)),
+        error,
+        spurious,
+        missed,
+        fit.outcome.success,
+        fit.seconds,
+    )
 
 
 def _free_run(fit: ph.Fit, t: np.ndarray, x0: np.ndarray) -> np.ndarray:
@@ -180,9 +284,13 @@ def medians(found: pd.DataFrame) -> pd.DataFrame:
 
 
 def figure(found: pd.DataFrame) -> Path:
-    """Errors against noise, one panel per system and error; the dot is the median, the bar the range over the draws."""
+    """Errors against noise, one panel per system and error; the dot is the median, the
+    bar the range over the draws.
+    """
     systems = list(dict.fromkeys(found["system"]))
-    fig, axes = plt.subplots(2, len(systems), figsize=(9.0, 6.4), layout="constrained", squeeze=False)
+    fig, axes = plt.subplots(
+        2, len(systems), figsize=(9.0, 6.4), layout="constrained", squeeze=False
+    )
     labels = {
         "l2": "mean l2 error of free runs\n(units of the states)",
         "coefficient": "largest relative\ncoefficient error (-)",
@@ -193,7 +301,9 @@ def figure(found: pd.DataFrame) -> Path:
             _panel(axes[row, column], part, what)
             axes[row, column].set_ylabel(label if column == 0 else "")
         axes[0, column].set_title(title)
-        axes[1, column].set_xlabel("standard deviation of the noise (units of the states)")
+        axes[1, column].set_xlabel(
+            "standard deviation of the noise (units of the states)"
+        )
     handles, names = axes[0, 0].get_legend_handles_labels()
     fig.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
     path = RESULTS / "thesis" / "integrators.png"
@@ -206,12 +316,33 @@ def figure(found: pd.DataFrame) -> Path:
 def _panel(ax: Any, part: pd.DataFrame, what: str) -> None:
     levels = sorted(set(part["noise"]))
     for k, name in enumerate(INTEGRATORS):
-        runs = [part.loc[(part["noise"] == s) & (part["integrator"] == name), what].to_numpy() for s in levels]
+        runs = [
+            part.loc[
+                (part["noise"] == s) & (part["integrator"] == name), what
+            ].to_numpy()
+            for s in levels
+        ]
         middle = np.array([np.median(run) for run in runs])
-        spread = np.array([(m - run.min(), run.max() - m) for m, run in zip(middle, runs, strict=True)]).T
+        spread = np.array(
+            [
+                (m - run.min(), run.max() - m)
+                for m, run in zip(middle, runs, strict=True)
+            ]
+        ).T
         at = np.arange(len(levels)) + 0.16 * (k - 1.5)
-        ax.errorbar(at, middle, spread, fmt="o", ms=5, capsize=3, color=COLOURS[name], label=_order_label(name))
-    ax.set(yscale="log", xticks=range(len(levels)), xticklabels=[f"{s:g}" for s in levels])
+        ax.errorbar(
+            at,
+            middle,
+            spread,
+            fmt="o",
+            ms=5,
+            capsize=3,
+            color=COLOURS[name],
+            label=_order_label(name),
+        )
+    ax.set(
+        yscale="log", xticks=range(len(levels)), xticklabels=[f"{s:g}" for s in levels]
+    )
     ax.grid(axis="y", alpha=0.3)
 
 
@@ -224,7 +355,10 @@ def tables(quick: bool) -> Iterator[tuple[str, pd.DataFrame]]:
     """The tables by name."""
     yield "orders", orders(1 if quick else 10)
     yield "symmetry", symmetry(3 if quick else 20)
-    found = pd.concat([fits(case, range(1) if quick else case.seeds) for case in cases(quick)], ignore_index=True)
+    found = pd.concat(
+        [fits(case, range(1) if quick else case.seeds) for case in cases(quick)],
+        ignore_index=True,
+    )
     yield "fits", found
     yield "medians", medians(found)
 
@@ -235,7 +369,9 @@ def text(found: dict[str, pd.DataFrame]) -> str:
     for name, head in HEADS.items():
         shown = found[name].to_string(index=False, float_format=lambda v: f"{v:.3g}")
         parts += [f"## {head}", "", "```text", shown, "```", ""]
-    return "\n".join([*parts, "![errors by integrator and noise](integrators.png)", "", CAPTION])
+    return "\n".join(
+        [*parts, "![errors by integrator and noise](integrators.png)", "", CAPTION]
+    )
 
 
 HEADS = {
@@ -263,7 +399,9 @@ an L1 weight of 0.001 on H, which Henon-Heiles has not, because the square of th
 
 
 def main(quick: bool = False) -> dict[str, pd.DataFrame]:
-    """Tables orders, symmetry, fits, medians; written under results/thesis unless ``quick``."""
+    """Tables orders, symmetry, fits, medians; written under results/thesis unless
+    ``quick``.
+    """
     found = dict(tables(quick))
     print(text(found))
     if not quick:

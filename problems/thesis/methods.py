@@ -1,7 +1,9 @@
-"""Every method of the thesis on one system, through one interface: (system, data, kind, seed) -> a result.
+"""Every method of the thesis on one system, through one interface: (system, data, kind,
+seed) -> a result.
 
-A result has `simulate`, `equations`, `parameters`, `seconds` and `loss_value`. ``kind`` is "clean" or "noisy": the
-thesis trains with other settings on clean data. Torch and pysindy are imported where they are used.
+A result has `simulate`, `equations`, `parameters`, `seconds` and `loss_value`. ``kind``
+is "clean" or "noisy": the thesis trains with other settings on clean data. Torch and
+pysindy are imported where they are used.
 """
 
 import time
@@ -20,18 +22,30 @@ LASSO_WEIGHTS = 10.0 ** np.arange(-9, 0)  # per sample
 Method = Callable[[System, ph.Measurements, str, int], Any]
 
 
-def solver(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
-    """PHSI by the solver: L1, pruning by size and significance; tanks with a neural force of the level of tank 4."""
-    return by_solver(system, data, ph.Pruning(system.threshold, significance=SIGNIFICANCE), seed)
+def solver(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
+    """PHSI by the solver: L1, pruning by size and significance; tanks with a neural
+    force of the level of tank 4.
+    """
+    return by_solver(
+        system, data, ph.Pruning(system.threshold, significance=SIGNIFICANCE), seed
+    )
 
 
-def solver_threshold(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
+def solver_threshold(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
     """PHSI by the solver with the plain threshold of the thesis."""
     return by_solver(system, data, ph.Pruning(system.threshold), seed)
 
 
 def by_solver(
-    system: System, data: ph.Measurements, pruning: ph.Pruning | None, seed: int = 0, l1: dict[str, float] | None = None
+    system: System,
+    data: ph.Measurements,
+    pruning: ph.Pruning | None,
+    seed: int = 0,
+    l1: dict[str, float] | None = None,
 ) -> Any:
     """PHSI by the solver with given pruning and L1 (None: the system's)."""
     weights = dict(system.l1) if l1 is None else l1
@@ -40,62 +54,101 @@ def by_solver(
     from phsi_opt.learning.hybrid import hybrid
     from phsi_opt.learning.network import NeuralForce
 
-    return hybrid(system.model(), data, NeuralForce(("mu4",), ("mu4",)), weights, pruning, seed=seed)
+    return hybrid(
+        system.model(),
+        data,
+        NeuralForce(("mu4",), ("mu4",)),
+        weights,
+        pruning,
+        seed=seed,
+    )
 
 
 def likelihood(system: System, data: ph.Measurements, start: Any) -> ph.Fit:
-    """Maximum likelihood on the support that `solver` found; the network of the tanks as a dictionary of hinges."""
+    """Maximum likelihood on the support that `solver` found; the network of the tanks
+    as a dictionary of hinges.
+    """
     model = start.model
     if system.name == "tanks":
         model = replace(model, F=start.distilled(data))
     return ph.identify(model, data)
 
 
-def descent(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0, start: str = "thesis") -> Any:
-    """PHSI by gradient descent: Algorithm 6 of the thesis with the settings of `System.descent`."""
+def descent(
+    system: System,
+    data: ph.Measurements,
+    kind: str = "noisy",
+    seed: int = 0,
+    start: str = "thesis",
+) -> Any:
+    """PHSI by gradient descent: Algorithm 6 of the thesis with the settings of
+    `System.descent`.
+    """
     from phsi_opt.baselines.gradient_descent import gradient_descent
 
     settings, force = descent_settings(system, kind, start)
-    model = mass_spring_descent_model() if system.name == "mass_spring" else system.model()
+    model = (
+        mass_spring_descent_model() if system.name == "mass_spring" else system.model()
+    )
     return gradient_descent(model, data, settings, seed, force=force)
 
 
-def descent_settings(system: System, kind: str, start: str = "thesis") -> tuple[Any, Any]:
+def descent_settings(
+    system: System, kind: str, start: str = "thesis"
+) -> tuple[Any, Any]:
     """Settings of `gradient_descent` and of the joint force."""
     return (system.descent if kind == "clean" else system.descent_noisy).settings(start)
 
 
-def bsi_solver(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
+def bsi_solver(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
     """The dictionary of right-hand sides (BSI) by the solver."""
     l1 = {"F": system.l1["F"]} if "F" in system.l1 else None
     pruning = ph.Pruning(system.threshold, significance=SIGNIFICANCE)
     return ph.identify(system.first_order(), data, ph.PHSILoss(), l1, pruning)
 
 
-def bsi_descent(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
+def bsi_descent(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
     """The dictionary of right-hand sides (BSI) by gradient descent."""
     from phsi_opt.baselines.gradient_descent import gradient_descent
 
-    return gradient_descent(system.first_order(), data, descent_settings(system, kind)[0], seed)
+    return gradient_descent(
+        system.first_order(), data, descent_settings(system, kind)[0], seed
+    )
 
 
-def stlsq(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
+def stlsq(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
     """SINDy by sequentially thresholded least squares (pysindy)."""
     from phsi_opt.baselines.sindy import sindy
 
-    return sindy(system.first_order(), data, "stlsq", 0.05, 1e-10, fixed=_frequencies(system))
+    return sindy(
+        system.first_order(), data, "stlsq", 0.05, 1e-10, fixed=_frequencies(system)
+    )
 
 
-def sr3(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
+def sr3(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
     """SINDy by SR3 (pysindy)."""
     from phsi_opt.baselines.sindy import sindy
 
     threshold = {"henon_heiles": 0.5, "schrodinger": 0.5}.get(system.name, 0.05)
-    return sindy(system.first_order(), data, "sr3", threshold, fixed=_frequencies(system))
+    return sindy(
+        system.first_order(), data, "sr3", threshold, fixed=_frequencies(system)
+    )
 
 
-def lasso(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
-    """The LASSO of thesis Eq. 4.8, by CVXPY; its weight is the one that predicts a fifth of the trajectories best."""
+def lasso(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
+    """The LASSO of thesis Eq. 4.8, by CVXPY; its weight is the one that predicts a
+    fifth of the trajectories best.
+    """
     from phsi_opt.baselines.sindy import lasso as by_lasso
 
     began = time.perf_counter()
@@ -104,32 +157,54 @@ def lasso(system: System, data: ph.Measurements, kind: str = "noisy", seed: int 
 
     def left_out(weight: float) -> float:
         try:
-            return phsi_loss(by_lasso(model, train, weight * train.n_samples, fixed=fixed), test)
+            return phsi_loss(
+                by_lasso(model, train, weight * train.n_samples, fixed=fixed), test
+            )
         except ph.ModelError:  # the weight leaves no term
             return np.inf
 
-    found = by_lasso(model, data, min(LASSO_WEIGHTS, key=left_out) * data.n_samples, fixed=fixed)
+    found = by_lasso(
+        model, data, min(LASSO_WEIGHTS, key=left_out) * data.n_samples, fixed=fixed
+    )
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def ssinn(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0) -> Any:
-    """Separable Hamiltonian, symplectic steps, gradient descent; only for a system whose energy is T(p) + V(q)."""
+def ssinn(
+    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+) -> Any:
+    """Separable Hamiltonian, symplectic steps, gradient descent; only for a system
+    whose energy is T(p) + V(q).
+    """
     from phsi_opt.baselines.ssinn import ssinn as by_ssinn
 
     return by_ssinn(data, ["q1", "q2"], ["p1", "p2"], 3, seed=seed)
 
 
-def phnn(system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0, epochs: int = 60) -> Any:
+def phnn(
+    system: System,
+    data: ph.Measurements,
+    kind: str = "noisy",
+    seed: int = 0,
+    epochs: int = 60,
+) -> Any:
     """Pseudo-Hamiltonian neural network: H (and F) are networks."""
     from phsi_opt.baselines.phnn import NetworkDescent
     from phsi_opt.baselines.phnn import phnn as by_phnn
 
-    S = tank_structure() if system.name == "tanks" else ph.canonical(len(system.states) // 2)
+    S = (
+        tank_structure()
+        if system.name == "tanks"
+        else ph.canonical(len(system.states) // 2)
+    )
     damping = {"mass_spring": ["p"], "tanks": list(FLOWS)}.get(system.name, [])
-    force = {"mass_spring": (["p"], ["t"]), "tanks": (["mu4"], ["mu4"])}.get(system.name)
+    force = {"mass_spring": (["p"], ["t"]), "tanks": (["mu4"], ["mu4"])}.get(
+        system.name
+    )
     return by_phnn(data, S, NetworkDescent(epochs=epochs), damping, force, seed)
 
 
 def _frequencies(system: System) -> dict[str, float] | None:
-    """SINDy cannot learn a frequency (thesis Section 6.3), so it gets one that is wrong: 1."""
+    """SINDy cannot learn a frequency (thesis Section 6.3), so it gets one that is
+    wrong: 1.
+    """
     return {"F_p.omega_t": 1.0} if system.name == "mass_spring" else None

@@ -1,11 +1,15 @@
-"""Noisy data, many draws: solver, maximum likelihood and gradient descent on identical data; medians over the draws.
+"""Noisy data, many draws: solver, maximum likelihood and gradient descent on identical
+data; medians over the draws.
 
-python problems/thesis/noise_draws.py [--quick] [system ...]     (a row per draw is kept in results/thesis)
+python problems/thesis/noise_draws.py [--quick] [system ...]     (a row per draw is kept
+in results/thesis)
 """
 
 import os
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy is loaded: equal terms for all
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # before NumPy is loaded: equal terms for all
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import sys
@@ -27,11 +31,23 @@ import phsi_opt as ph
 
 N_DRAWS = 10
 FIRST_DRAW = 200  # draws that nothing was tuned on
-COLUMNS = ["draw", "method", "relative", "spurious", "missed", "inside", "whole", "covered", "seconds"]
+COLUMNS = [
+    "draw",
+    "method",
+    "relative",
+    "spurious",
+    "missed",
+    "inside",
+    "whole",
+    "covered",
+    "seconds",
+]
 
 
 def draw(system: System, seed: int, n: int | None = None) -> list[tuple[Any, ...]]:
-    """A row per method on one draw; beside the thesis' threshold, descent gets no second chance."""
+    """A row per method on one draw; beside the thesis' threshold, descent gets no
+    second chance.
+    """
     data = system.data(seed, n=n)
     t, tests = system.tests(10, seed=10_000 + seed)
     fitted = solver(system, data, seed=seed)
@@ -47,32 +63,70 @@ def draw(system: System, seed: int, n: int | None = None) -> list[tuple[Any, ...
             result = run()
         except ph.PhsiOptError as error:
             print(f"... {system.name}, draw {seed}, {name}: {error}", flush=True)
-            rows.append((seed, name, np.inf, np.nan, np.nan, np.inf, np.inf, np.nan, np.nan))
+            rows.append(
+                (seed, name, np.inf, np.nan, np.nan, np.inf, np.inf, np.nan, np.nan)
+            )
             continue
         s = score(system, result)
-        curve, trained = free_run(result, t, tests), t <= system.n_steps * system.step + 1e-9
-        spurious = [term for term in s.spurious if not term.startswith("F_mu4")]  # the distilled network
+        curve, trained = (
+            free_run(result, t, tests),
+            t <= system.n_steps * system.step + 1e-9,
+        )
+        spurious = [
+            term for term in s.spurious if not term.startswith("F_mu4")
+        ]  # the distilled network
         errors = {k: result.std_errors.get(k, np.nan) for k in system.truth}
-        z = [abs(result.values[k] - v) / errors[k] for k, v in system.truth.items() if np.isfinite(errors[k])]
+        z = [
+            abs(result.values[k] - v) / errors[k]
+            for k, v in system.truth.items()
+            if np.isfinite(errors[k])
+        ]
         covered = float(np.mean(np.array(z) < 1.96)) if z else np.nan
-        rows.append((seed, name, s.relative, len(spurious),
-                     len(s.missed), curve[trained].mean(), curve.mean(), covered, result.seconds))  # fmt: skip
-        print(f"... {system.name}, draw {seed}, {name}: {s.relative:.3g} {curve.mean():.3g}", flush=True)
+        rows.append(
+            (
+                seed,
+                name,
+                s.relative,
+                len(spurious),
+                len(s.missed),
+                curve[trained].mean(),
+                curve.mean(),
+                covered,
+                result.seconds,
+            )
+        )
+        print(
+            f"... {system.name}, draw {seed}, {name}: {s.relative:.3g} {curve.mean():.3g}",
+            flush=True,
+        )
     return rows
 
 
-def main(quick: bool = False, names: list[str] | None = None) -> dict[str, pd.DataFrame]:
+def main(
+    quick: bool = False, names: list[str] | None = None
+) -> dict[str, pd.DataFrame]:
     """A table per system."""
     tables = {}
     for name in names or list(SYSTEMS):
         system, n = SYSTEMS[name], None
         if quick:
-            fast, n = replace(system.descent_noisy, epochs=2), 1000 if name == "henon_heiles" else 20
+            fast, n = (
+                replace(system.descent_noisy, epochs=2),
+                1000 if name == "henon_heiles" else 20,
+            )
             system = replace(system, descent_noisy=fast)
-        rows = [row for k in range(1 if quick else N_DRAWS) for row in draw(system, FIRST_DRAW + k, n)]
+        rows = [
+            row
+            for k in range(1 if quick else N_DRAWS)
+            for row in draw(system, FIRST_DRAW + k, n)
+        ]
         tables[name] = pd.DataFrame(rows, columns=COLUMNS)
         if not quick:
-            tables[name].to_csv(RESULTS / "thesis" / f"noise_draws_{name}.csv", index=False, float_format="%.6g")
+            tables[name].to_csv(
+                RESULTS / "thesis" / f"noise_draws_{name}.csv",
+                index=False,
+                float_format="%.6g",
+            )
     if not quick:
         collect()
     return tables
@@ -80,7 +134,9 @@ def main(quick: bool = False, names: list[str] | None = None) -> dict[str, pd.Da
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Medians over the draws per method; shares of draws with exact support."""
-    by = table.assign(exact=(table["spurious"] == 0) & (table["missed"] == 0)).groupby("method", sort=False)
+    by = table.assign(exact=(table["spurious"] == 0) & (table["missed"] == 0)).groupby(
+        "method", sort=False
+    )
     columns = ["relative", "inside", "whole"]
     medians = by[columns].median()
     return medians.assign(
@@ -106,7 +162,10 @@ def collect() -> None:
         if path.exists():
             table = pd.read_csv(path)
             shown = summary(table).map(lambda v: f"{v:.3g}").to_string()
-            lines += [f"## {system.title}: noise {system.noise:g}, {table['draw'].nunique()} draws", ""]
+            lines += [
+                f"## {system.title}: noise {system.noise:g}, {table['draw'].nunique()} draws",
+                "",
+            ]
             lines += ["```text", shown, "```", "", _reading(summary(table)), ""]
     write("thesis/noise_draws.md", "\n".join(lines))
 
@@ -115,7 +174,11 @@ def _reading(s: pd.DataFrame) -> str:
     ours, theirs = s.loc["solver"], s.loc["descent"]
     verdicts = [
         f"{what} {ours[key]:.3g} against {theirs[key]:.3g} ({'not worse' if ours[key] <= theirs[key] else 'WORSE'})"
-        for key, what in (("relative", "relative error"), ("inside", "free run inside"), ("whole", "whole free run"))
+        for key, what in (
+            ("relative", "relative error"),
+            ("inside", "free run inside"),
+            ("whole", "whole free run"),
+        )
     ]
     return "Solver against gradient descent: " + ", ".join(verdicts) + "."
 

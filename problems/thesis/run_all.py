@@ -1,4 +1,5 @@
-"""Every experiment of the thesis, two at a time; the timed comparison comes last and alone.
+"""Every experiment of the thesis, two at a time; the timed comparison comes last and
+alone.
 
 python problems/thesis/run_all.py [--quick]
 """
@@ -10,7 +11,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-SCRIPTS = ("experiments", "noise_draws", "grids", "integrators", "significance", "regularization")
+SCRIPTS = (
+    "experiments",
+    "noise_draws",
+    "grids",
+    "integrators",
+    "significance",
+    "regularization",
+)
 TIMED = "compare"
 
 
@@ -18,11 +26,18 @@ def run(name: str) -> tuple[str, int, float]:
     """Run one script; its output is shown when it fails."""
     began = time.perf_counter()
     arguments = [sys.executable, str(HERE / f"{name}.py"), *sys.argv[1:]]
-    done = subprocess.run(arguments, cwd=HERE.parents[1], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        arguments, cwd=HERE.parents[1], capture_output=True, text=True, check=False
+    )
     seconds = time.perf_counter() - began
-    tail = "\n".join((done.stdout + done.stderr).splitlines()[-30:]) if done.returncode else ""
+    tail = (
+        "\n".join((done.stdout + done.stderr).splitlines()[-30:])
+        if done.returncode
+        else ""
+    )
     print(
-        f"{name}: {'failed' if done.returncode else 'done'} after {seconds / 60:.1f} min\n{tail}".rstrip(), flush=True
+        f"{name}: {'failed' if done.returncode else 'done'} after {seconds / 60:.1f} min\n{tail}".rstrip(),
+        flush=True,
     )
     return name, done.returncode, seconds
 

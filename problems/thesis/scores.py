@@ -1,4 +1,6 @@
-"""How good a result is: coefficients against the truth, free runs from unseen starts, the PHSI loss by one function."""
+"""How good a result is: coefficients against the truth, free runs from unseen starts,
+the PHSI loss by one function.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -17,8 +19,8 @@ from phsi_opt.transcription.integrators import integrator
 class Score:
     """Coefficients against the truth.
 
-    ``largest`` is the largest absolute error of any coefficient, terms that are missing or too many included,
-    ``relative`` the largest relative error of a true coefficient.
+    ``largest`` is the largest absolute error of any coefficient, terms that are missing
+    or too many included, ``relative`` the largest relative error of a true coefficient.
     """
 
     largest: float
@@ -28,12 +30,17 @@ class Score:
 
 
 def score(system: System, result: Any) -> Score:
-    """Score of a pseudo-Hamiltonian or a first-order result; the network of a hybrid is not a coefficient."""
+    """Score of a pseudo-Hamiltonian or a first-order result; the network of a hybrid is
+    not a coefficient.
+    """
     first_order = isinstance(result.model, ph.FirstOrder)
     truth = dict(system.truth_first_order if first_order else system.truth)
     found = {common_name(name): value for name, value in result.values.items()}
-    # Frequencies count where their wave is there; those of waves that are not true have no true value.
-    found = {n: v for n, v in found.items() if "omega" not in n.split("[")[0] or n in truth}
+    # Frequencies count where their wave is there; those of waves that are not true have
+    # no true value.
+    found = {
+        n: v for n, v in found.items() if "omega" not in n.split("[")[0] or n in truth
+    }
     spurious = tuple(n for n, v in found.items() if n not in truth and v != 0)
     missed = tuple(n for n in truth if found.get(n, 0.0) == 0)
     errors = {n: abs(found.get(n, 0.0) - truth.get(n, 0.0)) for n in {*found, *truth}}
@@ -42,12 +49,16 @@ def score(system: System, result: Any) -> Score:
 
 
 def common_name(name: str) -> str:
-    """The name in the truth: gradient descent has a frequency each for sine and cosine, as the thesis (Eq. 5.5)."""
+    """The name in the truth: gradient descent has a frequency each for sine and cosine,
+    as the thesis (Eq. 5.5).
+    """
     return name.replace("omega_s", "omega_t").replace("omega_c", "omega_cos")
 
 
 def test_set(system: System) -> tuple[np.ndarray, np.ndarray]:
-    """Times and true trajectories from unseen starts: those of the thesis where present, else newly drawn."""
+    """Times and true trajectories from unseen starts: those of the thesis where
+    present, else newly drawn.
+    """
     if thesis_data_present():
         with np.load(folder("thesis") / f"{system.name}.npz") as stored:
             return stored["test_t"], stored["test_x"]
@@ -55,7 +66,9 @@ def test_set(system: System) -> tuple[np.ndarray, np.ndarray]:
 
 
 def free_run(result: Any, t: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """l2 error over time (n_samples,), mean over the runs; infinite from where a simulation ends early."""
+    """l2 error over time (n_samples,), mean over the runs; infinite from where a
+    simulation ends early.
+    """
     errors = np.full((len(truth), len(t)), np.inf)
     for k, x in enumerate(truth):
         try:
@@ -66,7 +79,9 @@ def free_run(result: Any, t: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def inside_and_beyond(system: System, result: Any) -> tuple[float, float]:
-    """Mean l2 error of free runs within the training time, and over the whole test time."""
+    """Mean l2 error of free runs within the training time, and over the whole test
+    time.
+    """
     t, truth = test_set(system)
     curve = free_run(result, t, truth)
     trained = t <= system.n_steps * system.step + 1e-9
@@ -74,7 +89,9 @@ def inside_and_beyond(system: System, result: Any) -> tuple[float, float]:
 
 
 def phsi_loss(result: Any, data: ph.Measurements, scheme: str = "srk4") -> float:
-    """Mean over the intervals of the squared defect (thesis Eq. 5.6 without L1), networks included, in NumPy alone."""
+    """Mean over the intervals of the squared defect (thesis Eq. 5.6 without L1),
+    networks included, in NumPy alone.
+    """
     grid = grid_of(data)
     x0, x1, h = grid.y[grid.begin], grid.y[grid.begin + 1], grid.h[:, None]
     t0 = grid.t[grid.begin]
@@ -90,9 +107,13 @@ def rates(result: Any, x: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Right-hand side (n, n_states) of a result at states x and times t."""
     model = result.model
     theta = ca.repmat(ca.DM([model.values[name] for name in model.free]), 1, len(t))
-    dx = np.array(model.rhs().map(len(t))(x.T, np.zeros((0, len(t))), t[None, :], theta)).T
+    dx = np.array(
+        model.rhs().map(len(t))(x.T, np.zeros((0, len(t))), t[None, :], theta)
+    ).T
     force = getattr(result, "force", None)
     if force is not None:
-        names = force.equations if hasattr(force, "equations") else result.neural.equations
+        names = (
+            force.equations if hasattr(force, "equations") else result.neural.equations
+        )
         dx[:, [model.index(name) for name in names]] += force(x)
     return dx
