@@ -1,9 +1,13 @@
-"""TODO."""
+"""What residuals that are correlated in time can tell: independent values among them."""
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import fftconvolve
+
+# Keeps quotients and logarithms of what may be zero finite; far below every number that a
+# measurement or a model can mean, far above the least that float64 can hold.
+TINY = 1e-300
 
 
 def spread_together(series: Sequence[np.ndarray]) -> float:

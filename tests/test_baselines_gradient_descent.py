@@ -524,9 +524,9 @@ def test_the_force_has_a_learning_rate_of_its_own() -> None:
     )
     assert all(isinstance(fit, HybridBaseline) for fit in (start, slow, fast))
     weights = [
-        np.concatenate([w.ravel() for w, _ in fit.layers])
+        np.concatenate([w.ravel() for w, _ in fit.layers])  # type: ignore[attr-defined]
         for fit in (start, slow, fast)
-    ]  # type: ignore[attr-defined]
+    ]
     near, far = (np.abs(w - weights[0]).max() for w in weights[1:])
     assert near <= 1.01e-4 < 1e-3 < far  # one step of Adam is at most its rate
 

@@ -20,6 +20,7 @@ from phsi_opt.estimation.missing_force import ForceEstimate, force_of
 from phsi_opt.estimation.smoothing import explained
 from phsi_opt.model.model import Model
 from phsi_opt.simulation.free_run import free_run
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.alignment import matched
 from phsi_opt.transcription.augmented_states import remembered
 from phsi_opt.transcription.grid import grid_of
@@ -92,7 +93,7 @@ class Comparison:
         y = np.concatenate([run.x[:, k] for run in self.data.trajectories])
         r, y = r[np.isfinite(y)], y[np.isfinite(y)]
         rmse = float(np.sqrt(np.mean(r**2)))
-        fit = 100 * (1 - rmse / max(float(np.std(y)), 1e-300))
+        fit = 100 * (1 - rmse / max(float(np.std(y)), TINY))
         horizon = min(self._horizon(i, k) for i in range(len(self.residuals)))
         unit = self.data.units.get(name, "")
         return (

@@ -6,7 +6,7 @@ import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.statistics import independent_share, spread_together
+from phsi_opt.statistics import TINY, independent_share, spread_together
 
 ABOVE_FLOOR = (
     1.1  # free-run error over the noise floor from which a model counts as failing
@@ -68,7 +68,7 @@ def left_over(comparison: Comparison) -> float:
 
 def explained_share(old: Comparison, new: Comparison) -> float:
     """Share of the squared error above the noise floor that is gone."""
-    above = max(old.rmse**2 - old.noise_floor**2, 1e-300)
+    above = max(old.rmse**2 - old.noise_floor**2, TINY)
     return (old.rmse**2 - new.rmse**2) / above
 
 
@@ -84,7 +84,7 @@ def share_of(old: Comparison, new: Comparison) -> float:
     size = np.array(
         [np.sqrt(np.nanmean(r**2)) if np.isfinite(r).any() else np.inf for r in left.T]
     )
-    size = np.maximum(size, 1e-300)
+    size = np.maximum(size, TINY)
     changes = [
         np.nan_to_num((a - b) / size) for a, b in zip(before, after, strict=True)
     ]
@@ -130,8 +130,5 @@ def falls_or_most(old: Comparison, new: Comparison) -> bool:
 
 def _block_means(squares: np.ndarray, n_blocks: int) -> np.ndarray:
     return np.array(
-        [
-            max(float(block.mean()), 1e-300)
-            for block in np.array_split(squares, n_blocks)
-        ]
+        [max(float(block.mean()), TINY) for block in np.array_split(squares, n_blocks)]
     )

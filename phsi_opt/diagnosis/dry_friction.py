@@ -96,7 +96,7 @@ def finer_at_corner(
     zero, or near it.
     """
     formula, result = fit.model.function(of), []
-    theta = np.array([fit.model.values[name] for name in fit.model.free])
+    theta = fit.model.theta
     for run, x, n in zip(data.trajectories, fit.states, steps, strict=True):
         v = np.array(
             formula.map("v", "serial", len(x), [3], [])(

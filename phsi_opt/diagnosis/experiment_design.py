@@ -23,6 +23,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import positions
 from phsi_opt.simulation.free_run import Runs, rates
+from phsi_opt.statistics import TINY
 
 FURTHER = (
     0.25,
@@ -198,7 +199,7 @@ def _noise_of_unmeasured(
     are, on average.
     """
     share = float(
-        np.mean([noise[name] / max(spread[name], 1e-300) for name in data.measured])
+        np.mean([noise[name] / max(spread[name], TINY) for name in data.measured])
     )
     return {
         name: share * spread[name]
@@ -221,7 +222,7 @@ class _Imitation:
         )
         self.x0 = known[number][0]
         self.inputs = [data.inputs.index(name) for name in self.model.inputs]
-        self.theta = np.array([self.model.values[name] for name in self.model.free])
+        self.theta = self.model.theta
         free = [self.model.entries[name].parameter for name in self.model.free]
         endless = np.full(self.model.n_states, np.inf)
         self.lower, self.upper = (
@@ -325,7 +326,7 @@ class _Misfit:
         spread: Mapping[str, float],
     ) -> None:
         self.truth, self.other, self.noise = truth, other, noise
-        share = min(noise[name] / max(spread[name], 1e-300) for name in noise)
+        share = min(noise[name] / max(spread[name], TINY) for name in noise)
         self.tolerance = float(
             np.clip(0.3 * share, 1e-6, 1e-3)
         )  # of the coarser run: the finer one is 30 times better
@@ -438,7 +439,7 @@ def _experiments(
     mean, spread = np.mean(shown, axis=0), np.std(shown, axis=0)
     centre = dict(zip(data.states, mean.tolist(), strict=True))
     away = [
-        abs(x0[model.index(n)] - m) / max(s, 1e-300)
+        abs(x0[model.index(n)] - m) / max(s, TINY)
         for n, m, s in zip(data.states, mean, spread, strict=True)
     ]
     if max(away) > SHARE_OF_START:
@@ -526,7 +527,7 @@ def _dominant(record: Experiment, data: Measurements, shown: np.ndarray) -> floa
     power = np.zeros(len(even) // 2 + 1)
     for name in data.measured:
         y = np.interp(even, record.t, shown[:, data.states.index(name)])
-        y = (y - y.mean()) / max(float(y.std()), 1e-300)
+        y = (y - y.mean()) / max(float(y.std()), TINY)
         power += np.abs(np.fft.rfft(y * np.hanning(len(y)))) ** 2
     return float(
         np.fft.rfftfreq(len(even), even[1] - even[0])[1 + int(np.argmax(power[1:]))]

@@ -9,6 +9,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.criteria import CLOSE, SEEN
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.screening.score_test import Screen, Screened
+from phsi_opt.statistics import TINY
 
 
 def candidate_of(one: Screened, found: list[Screened], screen: Screen) -> Candidate:
@@ -77,5 +78,5 @@ def size_of(fit: Fit, names: list[str], is_wave: bool) -> tuple[float, float]:
     if not is_wave:
         return float(values[-1]), float(np.sqrt(covariance[-1, -1]))
     size = float(np.linalg.norm(values))
-    direction = values / max(size, 1e-300)
+    direction = values / max(size, TINY)
     return size, float(np.sqrt(direction @ covariance @ direction))

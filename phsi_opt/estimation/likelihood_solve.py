@@ -106,9 +106,7 @@ def on_record(
         Settings(max_iterations=60, thorough=False),
         lambda line: None,
     )
-    theta = Theta.of(model, task.runs).spread(
-        np.array([model.values[name] for name in model.free])
-    )
+    theta = Theta.of(model, task.runs).spread(model.theta)
     begin = Beginning(model, theta, tuple(x), sigma, (), tuple(steps), way)
     known = np.zeros(model.n_states, dtype=bool)
     if is_start and way == FEASIBLE_PATH:

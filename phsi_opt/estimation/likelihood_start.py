@@ -105,7 +105,7 @@ def beginning(
             return _ready(task, confirmed, grid, again.x, again.sigma, notes)
 
         shared = Theta.of(core, task.runs)
-        theta = np.array([core.values[name] for name in core.free])
+        theta = core.theta
         point = softened(
             core,
             grid,
@@ -173,7 +173,7 @@ def _from_fit(
     ]
     x = np.concatenate(start.states)[:, kept] if own else np.nan_to_num(grid.y)
     model = resolved(task.model, grid, x)
-    default = unknown.spread(np.array([model.values[name] for name in model.free]))
+    default = unknown.spread(model.theta)
     theta = unknown.from_values(start.estimates, default)
     if own:  # the memory of an effect that the fit did not have follows from its states
         states = grid.split(
@@ -241,9 +241,7 @@ def _ready(
         }
     )
     model = resolved(model, grid, x)
-    theta = Theta.of(model, task.runs).spread(
-        np.array([model.values[name] for name in model.free])
-    )
+    theta = Theta.of(model, task.runs).spread(model.theta)
     return Beginning(model, theta, grid.split(x), sigma, notes)
 
 

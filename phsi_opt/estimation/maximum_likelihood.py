@@ -24,6 +24,7 @@ from phsi_opt.estimation.likelihood_start import beginning, given_noise, moved_s
 from phsi_opt.estimation.phsi import Pruner
 from phsi_opt.estimation.problem import State, Task
 from phsi_opt.estimation.step_refinement import finer_steps
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import steps_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -146,7 +147,7 @@ def _scatter(state: State) -> tuple[float, str]:
     )
     ratio = np.where(
         seen,
-        state.sigma * rms / np.maximum(np.nan_to_num(between_samples), floor + 1e-300),
+        state.sigma * rms / np.maximum(np.nan_to_num(between_samples), floor + TINY),
         0.0,
     )
     worst = int(np.argmax(ratio))

@@ -24,6 +24,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.ipopt import Settings, Solution, Solver
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import along_time
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import ForcePrior, MissingForce, Point
@@ -301,7 +302,7 @@ class Linearised:
             seen.any(axis=0) & ~np.broadcast_to(known_noise, len(sigma))
         ):
             free = max(seen[:, k].sum() - determined_y[k], 1.0)
-            sigma[k] = np.sqrt(max(squares[:, k].sum() / free, 1e-300))
+            sigma[k] = np.sqrt(max(squares[:, k].sum() / free, TINY))
         per_force = self.innovations.reshape(len(self.prior.rows), -1)
         ratio = np.array([np.sum(r**2) for r in per_force]) / np.maximum(
             determined_w, 1e-3

@@ -14,6 +14,7 @@ from phsi_opt.initialization.relative_guesses import resolved
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import PHSILoss, complete
 from phsi_opt.transcription.parameter_vector import Theta
@@ -64,7 +65,7 @@ def _preference(state: State) -> tuple[bool, float]:
     """Which of several starts to keep: the smaller loss, a term more only where it pays
     (BIC, as a rule of thumb).
     """
-    loss, n = max(state.solution.outcome.objective, 1e-300), state.n_values
+    loss, n = max(state.solution.outcome.objective, TINY), state.n_values
     return not state.solution.outcome.success, n * np.log(loss) + len(
         state.model.free
     ) * np.log(n)

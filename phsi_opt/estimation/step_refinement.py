@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from phsi_opt.estimation.problem import State
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
 from phsi_opt.transcription.elimination import inverse
 from phsi_opt.transcription.grid import steps_of
@@ -44,8 +45,8 @@ def finer_steps(state: State) -> list[np.ndarray] | None:
     if visible < VISIBLE and not lost.any():
         return None
     size = np.linalg.norm(scaled, axis=1)
-    typical = np.sum(size**2) / max(np.sum(size), 1e-300)
-    wanted = np.ceil((1.2 * visible / VISIBLE * size / max(typical, 1e-300)) ** 0.25)
+    typical = np.sum(size**2) / max(np.sum(size), TINY)
+    wanted = np.ceil((1.2 * visible / VISIBLE * size / max(typical, TINY)) ** 0.25)
     wanted = np.where(lost, 4, np.clip(wanted, 1, 16)).astype(int)
     old = steps_of(grid)
     gap = np.repeat(np.arange(sum(map(len, old))), np.concatenate(old))

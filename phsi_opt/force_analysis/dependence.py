@@ -24,6 +24,7 @@ from scipy.stats import rankdata
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.force_analysis.force_record import Along, along, spectrum
+from phsi_opt.statistics import TINY
 
 N_FOLDS, N_STRETCHES = (
     5,
@@ -95,7 +96,7 @@ def dependence(path: Along, equation: str) -> pd.DataFrame:
                 variable,
                 share_of(error, left),
                 error,
-                (left - error) / max(total, 1e-300),
+                (left - error) / max(total, TINY),
             )
         )
     frame = pd.DataFrame(rows, columns=["variable", "share", "error", "adds"])
@@ -138,7 +139,7 @@ def _ranks(z: np.ndarray) -> np.ndarray:
     """
     rank = rankdata(z[:: max(1, len(z) // 2000)])
     rank = rank - rank.mean()
-    return np.asarray(rank / max(float(np.linalg.norm(rank)), 1e-300))
+    return np.asarray(rank / max(float(np.linalg.norm(rank)), TINY))
 
 
 def folds(run: np.ndarray) -> np.ndarray:
@@ -172,7 +173,7 @@ def left_out(columns: Sequence[np.ndarray], w: np.ndarray, fold: np.ndarray) -> 
 
 
 def _solved(gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    weight = RIDGE * np.trace(gram) / max(len(gram), 1) + 1e-300
+    weight = RIDGE * np.trace(gram) / max(len(gram), 1) + TINY
     return np.asarray(np.linalg.solve(gram + weight * np.eye(len(gram)), slope))
 
 
@@ -294,7 +295,7 @@ def _fall(t: np.ndarray, y: np.ndarray, f: np.ndarray) -> np.ndarray:
     s, c = np.sin(phase), np.cos(phase)
     ss, cc, sc = np.sum(s * s, axis=1), np.sum(c * c, axis=1), np.sum(s * c, axis=1)
     a, b = s @ y, c @ y
-    determinant = np.maximum(ss * cc - sc**2, 1e-9 * ss * cc + 1e-300)
+    determinant = np.maximum(ss * cc - sc**2, 1e-9 * ss * cc + TINY)
     return np.asarray((a**2 * cc - 2 * a * b * sc + b**2 * ss) / determinant)
 
 

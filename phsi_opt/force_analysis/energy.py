@@ -31,6 +31,7 @@ from phsi_opt.force_analysis.dependence import (
 from phsi_opt.force_analysis.force_record import Along, along, spaced
 from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.structure import positions
+from phsi_opt.statistics import TINY
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +253,7 @@ def _direction(force: np.ndarray, effort: np.ndarray) -> float:
     return float(
         force
         @ effort
-        / max(float(np.linalg.norm(force) * np.linalg.norm(effort)), 1e-300)
+        / max(float(np.linalg.norm(force) * np.linalg.norm(effort)), TINY)
     )
 
 

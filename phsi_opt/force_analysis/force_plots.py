@@ -34,6 +34,7 @@ from phsi_opt.force_analysis.localization import (
 )
 from phsi_opt.force_analysis.wording import sentences
 from phsi_opt.model.structure import positions
+from phsi_opt.statistics import TINY
 
 if TYPE_CHECKING:
     from phsi_opt.diagnosis.record import Diagnosis
@@ -286,7 +287,7 @@ def plot_spectrum(
     ax.set_xlim(
         0, f[min(shown[-1] + 1, len(f) - 1)] if len(shown) and len(f) > 1 else None
     )
-    ax.set_ylim(0, 1.3 * max(amplitude.max(), level.max(), 1e-300))
+    ax.set_ylim(0, 1.3 * max(amplitude.max(), level.max(), TINY))
     ax.set(
         xlabel=f"frequency ({unit})",
         ylabel=_force_label(diagnosis, equation, "amplitude"),

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import spsolve
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
 from phsi_opt.force_analysis.force_record import MOST_SOLVED, Along, along, spectrum
+from phsi_opt.statistics import TINY
 
 N_WINDOWS, N_BINS = (
     10,
@@ -76,7 +77,7 @@ def _times_noise(estimate: ForceEstimate) -> np.ndarray:
     """
     linear, typical = estimate.linear, np.median(deviation_of(estimate), axis=0)
     force = spsolve(linear.L, linear.innovations).reshape(estimate.w.shape)
-    return np.asarray(np.sqrt(np.mean(force**2, axis=0)) / np.maximum(typical, 1e-300))
+    return np.asarray(np.sqrt(np.mean(force**2, axis=0)) / np.maximum(typical, TINY))
 
 
 def deviation_of(estimate: ForceEstimate) -> np.ndarray:

@@ -32,7 +32,7 @@ def starting_values(model: Model, grid: Grid, l1: dict[str, float]) -> list[np.n
     (``grid.y``).
     """
     grid = complete(model, grid)
-    theta = np.array([model.values[name] for name in model.free])
+    theta = model.theta
     groups = _linear_groups(model, grid)
     waves = scans(model)
     theta = _convex_rounds(model, grid, theta, groups, l1, rounds=1)

@@ -112,7 +112,7 @@ def _along_nodes(
 
 
 def _at_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
-    theta = np.array([model.values[name] for name in model.free])
+    theta = model.theta
     mapped = model.function(expression).map("mapped", "serial", grid.n_nodes, [3], [])
     return np.array(
         mapped(padded(model, x).T, grid.u.T, grid.t[None, :], theta)

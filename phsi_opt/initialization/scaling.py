@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import defect_jacobian
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import SCHEME
@@ -42,11 +43,7 @@ def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Po
                 if spread > 0
                 else max(abs(float(np.nanmean(grid.y[:, k]))), 1e-12)
             )
-    theta = (
-        np.array([model.values[name] for name in model.free])
-        if theta is None
-        else theta
-    )
+    theta = model.theta if theta is None else theta
     scale = _unmeasured_scale(model, grid, theta, x, scale)
     return Point(theta, x, theta_scale(model, grid, theta, x, scale), scale)
 
@@ -71,7 +68,7 @@ def unsensed(model: Model, grid: Grid) -> Grid:
     """
     if not model.sensor:
         return grid
-    theta, x = np.array([model.values[name] for name in model.free]), grid.y.copy()
+    theta, x = model.theta, grid.y.copy()
     with np.errstate(all="ignore"):
         for _ in range(10):  # Newton's method for every channel alone
             missed = (
@@ -153,7 +150,7 @@ def theta_scale(
             strength, _sensor_strength(model, grid, theta, x) @ (1 / x_scale)
         )
     fallback = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
-    scale = np.where(strength > 0, 1 / np.maximum(strength, 1e-300), fallback)
+    scale = np.where(strength > 0, 1 / np.maximum(strength, TINY), fallback)
     # A parameter far from its start in units of its effect would meet the solver as a
     # huge number.
     return np.maximum(scale, 1e-3 * np.abs(theta))

@@ -377,7 +377,7 @@ class _Work:
         model = self.forced(self.unforced(fit.model))
         grid, theta = (
             self.with_force(force),
-            np.array([model.values[name] for name in model.free]),
+            model.theta,
         )
         jacobian = np.array(
             defect_jacobian(model, grid, "srk4")(grid.y.T, theta)

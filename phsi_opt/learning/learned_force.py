@@ -50,6 +50,7 @@ from phsi_opt.learning.orthogonal_network import (
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.alignment import matched
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -114,11 +115,7 @@ class LearnedForce:
                 f"x of shape {x.shape} and u of shape {u.shape} do not fit the {model.n_states} states and "
                 f"{model.n_inputs} inputs of the model; give a column for each."
             )
-        theta = (
-            np.array([model.values[name] for name in model.free])
-            .reshape(-1, 1)
-            .repeat(len(x), axis=1)
-        )
+        theta = model.theta.reshape(-1, 1).repeat(len(x), axis=1)
         return self.at(
             _along(model.function(*self.on), x, u, np.broadcast_to(t, len(x)), theta)
         )
@@ -343,7 +340,7 @@ def _record(
     slopes = _along(ca.Function("slope", symbols, [slope]), *points)
     np.put_along_axis(columns, unknown.table[:, run].T, slopes, axis=1)
     k = estimate.prior.rows.index(row)
-    std = np.maximum(force_deviation(estimate)[:, k], 1e-300)
+    std = np.maximum(force_deviation(estimate)[:, k], TINY)
     basis, sizes, _ = np.linalg.svd(columns / std[:, None], full_matrices=False)
     kept = basis[:, sizes > NOTHING * np.max(sizes, initial=0.0)]
     return Record(_along(model.function(*on), *points), estimate.w[:, k], std, kept)

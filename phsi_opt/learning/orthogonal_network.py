@@ -21,6 +21,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.screening.score_test import Screen
+from phsi_opt.statistics import TINY
 
 N_HIDDEN = 16
 # bound of the first hidden weights: some units bend within the range, some are nearly
@@ -128,7 +129,7 @@ def chosen(
         for k in range(N_FOLDS)
     ]
     explains = 1 - sum(errors[k][at] for k, at in enumerate(others)) / max(
-        float(r @ r), 1e-300
+        float(r @ r), TINY
     )
     best = np.unravel_index(int(np.argmin(total)), total.shape)
     hidden = _trained(z, record, np.ones(len(z), dtype=bool), epochs, seed)[best[0]]

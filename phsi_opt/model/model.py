@@ -221,6 +221,12 @@ class Model:
         """Present value (or start) of every parameter."""
         return {name: entry.parameter.start for name, entry in self.entries.items()}
 
+    @property
+    def theta(self) -> np.ndarray:
+        """Present values of the free parameters, (n_free,), in the order of `free`."""
+        values = self.values
+        return np.array([values[name] for name in self.free])
+
     def add(self, effect: Addition) -> "Model":
         """A new model with the effect's terms added in its slot, and its memory as
         further states at the end.

@@ -9,6 +9,7 @@ import numpy as np
 
 from phsi_opt.errors import ModelError
 from phsi_opt.screening.score_test import Screen, Screened
+from phsi_opt.statistics import TINY
 
 
 def pairs(
@@ -113,7 +114,7 @@ class _Joint:
     def of(
         cls, traces: np.ndarray, residual: np.ndarray, bounds: list[np.ndarray]
     ) -> "_Joint":
-        size = np.maximum(np.linalg.norm(traces, axis=0), 1e-300)
+        size = np.maximum(np.linalg.norm(traces, axis=0), TINY)
         gram = (traces / size).T @ (traces / size) + 1e-10 * np.eye(len(size))
         edges = np.cumsum([0, *map(len, bounds)])
         return cls(

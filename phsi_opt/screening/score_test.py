@@ -55,7 +55,7 @@ from phsi_opt.screening.linearized_record import (
     column_scale,
 )
 from phsi_opt.screening.sensitivities import Columns, Trial
-from phsi_opt.statistics import independent_share
+from phsi_opt.statistics import TINY, independent_share
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.elimination import Reduced, inverse
 from phsi_opt.transcription.parameter_vector import Theta
@@ -311,7 +311,7 @@ class Screen:
         in each state.
         """
         seen, r = self.grid.measured, residual.reshape(self.grid.y.shape)
-        size = np.sqrt(np.sum(r**2, axis=0) / np.maximum(seen.sum(axis=0), 1)) + 1e-300
+        size = np.sqrt(np.sum(r**2, axis=0) / np.maximum(seen.sum(axis=0), 1)) + TINY
         edges = self.grid.first[1:]
         return [
             np.split(values.reshape(r.shape) / size, edges)
@@ -435,7 +435,7 @@ class Screen:
         )
         coarse = tried[np.unique(np.concatenate([even, dense]).astype(int))]
         sizes = np.sum(self._wave_traces(columns, name, coarse) ** 2, axis=(0, 2))
-        size = np.exp(np.interp(tried, coarse, np.log(np.maximum(sizes, 1e-300))))
+        size = np.exp(np.interp(tried, coarse, np.log(np.maximum(sizes, TINY))))
         return [int(k) for k in _peaks(against / size)[:EXACT]]
 
     def _wave_traces(
@@ -456,7 +456,7 @@ class Screen:
         if not trial.linear:  # the effect has no coefficient: it is there as a whole
             return np.ones(1), float(2 * right[0] - information[0, 0]), information
         at_rest = [(0.0, 1.0)] * (trace.shape[1] - len(trial.linear))
-        size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        size = np.sqrt(np.maximum(np.diag(information), TINY))
         factor = np.linalg.cholesky(
             information / np.outer(size, size) + 1e-10 * np.eye(len(size))
         )
@@ -471,7 +471,7 @@ class Screen:
         z = np.linalg.solve(factor, right / size)
         c = np.linalg.solve(factor.T, z)
         if np.any(c < lower) or np.any(c > upper):
-            c = lsq_linear(factor.T, z, (lower, np.maximum(upper, lower + 1e-300))).x
+            c = lsq_linear(factor.T, z, (lower, np.maximum(upper, lower + TINY))).x
         c = c / size
         return c, float(2 * c @ right - c @ information @ c), information
 
@@ -483,7 +483,7 @@ class Screen:
         rates, spread = self.grid.rates(self.x), np.std(self.x, axis=0)
         parts = [
             np.sqrt(np.mean(columns.reshape(-1, n, columns.shape[1]) ** 2, axis=(0, 2)))
-            / np.maximum(size, 1e-300)
+            / np.maximum(size, TINY)
             for columns, size in ((D, np.sqrt(np.mean(rates**2, axis=0))), (Y, spread))
         ]
         return float(np.max(parts))
@@ -512,7 +512,7 @@ class Screen:
         # effect.
         return there > 0 and bool(
             np.sum(left**2) / there**2
-            < IMITATED * np.sum(trace**2) / max(here, 1e-300) ** 2
+            < IMITATED * np.sum(trace**2) / max(here, TINY) ** 2
         )
 
     def _judged(
@@ -557,7 +557,7 @@ class Screen:
         gain = (
             share
             * self.n_values
-            * np.log(max(self.misfit, 1e-300) / max(self.misfit - drop, 1e-300))
+            * np.log(max(self.misfit, TINY) / max(self.misfit - drop, TINY))
         )
         n_free = len(free) + trace.shape[1] - k
         p = min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), n_free)))

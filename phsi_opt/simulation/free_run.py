@@ -17,6 +17,7 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.simulation.simulate import simulate
+from phsi_opt.statistics import TINY
 
 # change of the run with twice the steps, in standard deviations of each state along the
 # run
@@ -248,7 +249,7 @@ class _Run:
         size = np.max(np.abs(x), axis=0)
         return np.maximum(
             np.maximum(np.std(x, axis=0), 1e-6 * size),
-            max(1e-12 * np.max(size), 1e-300),
+            max(1e-12 * np.max(size), TINY),
         )
 
     @property

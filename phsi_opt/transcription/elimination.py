@@ -7,6 +7,7 @@ import numpy as np
 from scipy.sparse import bmat, csc_matrix, diags, vstack
 
 from phsi_opt.optimization.banded import Banded
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 
 # information, per scaled parameter, that makes the matrix regular where the data say
@@ -61,7 +62,7 @@ class Reduced:
     ) -> None:
         H, J = csc_matrix(H), csc_matrix(J)
         curvature = H[x, x]
-        floor = REGULAR * max(float(np.max(curvature.diagonal(), initial=0.0)), 1e-300)
+        floor = REGULAR * max(float(np.max(curvature.diagonal(), initial=0.0)), TINY)
         states = bmat(
             [
                 [curvature + diags(np.full(x.stop - x.start, floor)), J[:, x].T],

@@ -23,6 +23,7 @@ from scipy.sparse import csc_matrix, diags
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Assembly, Program
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import (
     curvatures,
     defect_jacobian,
@@ -313,7 +314,7 @@ class ForcePrior:
         first = np.diff(grid.trajectory[grid.begin], prepend=-1) != 0
         decay = np.exp(-np.diff(middle, prepend=middle[0]) / self.time)
         decay[first] = 0.0
-        spread = np.sqrt(-np.expm1(2 * np.log(np.maximum(decay, 1e-300))))
+        spread = np.sqrt(-np.expm1(2 * np.log(np.maximum(decay, TINY))))
         return diags([1 / spread, -decay[1:] / spread[1:]], [0, -1], format="csc")
 
 
