@@ -23,13 +23,13 @@ install: $(VENV)/.full ## install the package with all extras and the developmen
 	@echo "phsi_opt is installed in $(VENV)."
 
 demo: $(VENV)/.core ## run the demonstration; needs, and installs where missing, the core alone
-	@$(PY) problems/demo.py
+	@$(PY) -m problems.examples.demo
 
 thesis: $(VENV)/.full ## run every experiment of the thesis (about an hour; ARGS=--quick: minutes, writes nothing)
-	@$(PY) problems/thesis/run_all.py $(ARGS)
+	@$(PY) -m problems.thesis.run_all $(ARGS)
 
 compare: $(VENV)/.full ## compare the solver with gradient descent on the systems of the thesis
-	@$(PY) problems/thesis/compare.py $(ARGS)
+	@$(PY) -m problems.thesis.compare $(ARGS)
 
 test: $(VENV)/.full ## run the tests
 	@$(PY) -m pytest $(ARGS)

@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 import pytest
 import torch
-from thesis.systems import SYSTEMS
 
 import phsi_opt as ph
 from phsi_opt.baselines.descent_settings import DTYPES
@@ -33,6 +32,7 @@ from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS
 from phsi_opt.transcription.losses import complete
+from problems.thesis.systems import SYSTEMS
 
 HENON = SYSTEMS["henon_heiles"]
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import approx_fprime
-from thesis.systems import SYSTEMS
 
 import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import JointForce
@@ -19,6 +18,7 @@ from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_steps import Steps, one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
+from problems.thesis.systems import SYSTEMS
 
 SPRING = SYSTEMS["mass_spring"]
 SMALL = NetworkDescent(

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 pytest.importorskip("pysindy", reason="needs the extra 'baselines'")
-from thesis.systems import SYSTEMS
-
 import phsi_opt as ph
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.sindy import DERIVATIVES, lasso, regressions, sindy
 from phsi_opt.model.terms import Dictionary
+from problems.thesis.systems import SYSTEMS
 
 HENON_HEILES = replace(
     SYSTEMS["henon_heiles"], n_trajectories=50, n_steps=20, step=0.02

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from thesis.systems import SYSTEMS
 
 import phsi_opt as ph
 from phsi_opt.baselines.ssinn import SymplecticDescent, _Flow, separable, ssinn
+from problems.thesis.systems import SYSTEMS
 
 HENON = SYSTEMS["henon_heiles"]
 TRUTH = {

@@ -17,7 +17,7 @@ from phsi_opt.model.effect import Effect
 def test_a_script_of_measured_data_says_where_it_looked_for_them(
     name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert import_module(f"measured.{name}").main(tmp_path / "absent") == {}
+    assert import_module(f"problems.measured.{name}").main(tmp_path / "absent") == {}
     assert (
         f"skipped: the data are not at {tmp_path / 'absent'}" in capsys.readouterr().out
     )
@@ -25,7 +25,7 @@ def test_a_script_of_measured_data_says_where_it_looked_for_them(
 
 def present(name: str, file: str = "") -> Path:
     """Where a measured set lies; skips the test where it is not there."""
-    from measured.paths import folder
+    from problems.tools.data_paths import folder
 
     path = folder(name) / file
     if not path.exists():
@@ -34,7 +34,7 @@ def present(name: str, file: str = "") -> Path:
 
 
 def test_the_silverbox_model_predicts_a_record_it_was_not_fitted_to() -> None:
-    from measured.silverbox import free_run_error, load, model
+    from problems.measured.silverbox import free_run_error, load, model
 
     path = present("silverbox", "SNLS80mV.csv")
     larger = (
@@ -49,7 +49,7 @@ def test_the_silverbox_model_predicts_a_record_it_was_not_fitted_to() -> None:
 
 
 def test_the_drive_is_identified_from_its_position_alone() -> None:
-    from measured.emps import PUBLISHED, WINDOW, load, model
+    from problems.measured.emps import PUBLISHED, WINDOW, load, model
 
     path = present("emps")
     start = {"M": 80.0, "Fv": 100.0, "Fc": 5.0, "offset": 0.0}
@@ -60,7 +60,7 @@ def test_the_drive_is_identified_from_its_position_alone() -> None:
 
 
 def test_the_ball_and_hoop_study_reaches_the_reference() -> None:
-    from measured.ball_and_hoop import load, model
+    from problems.measured.ball_and_hoop import load, model
 
     path = present("ball_and_hoop")
     # A quarter of the training record keeps the test short; the script uses all of it.
@@ -73,7 +73,7 @@ def test_the_ball_and_hoop_study_reaches_the_reference() -> None:
 
 
 def _drag() -> Effect:
-    from measured.ball_and_hoop import model
+    from problems.measured.ball_and_hoop import model
 
     return effect_named(model(), "quadratic drag", "y")
 
@@ -82,7 +82,8 @@ def test_the_windows_of_the_quarter_drone_share_their_ends_and_keep_the_mean_com
     None
 ):
     import numpy as np
-    from measured.quarter_drone import FLYING, THIN, WINDOW, load
+
+    from problems.measured.quarter_drone import FLYING, THIN, WINDOW, load
 
     path = present("quarter_drone")
     data = load(path, "steps")
@@ -100,8 +101,8 @@ def test_the_windows_of_the_quarter_drone_share_their_ends_and_keep_the_mean_com
 def test_a_story_tells_each_step_and_why_it_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import measured.story as story
-    from demo import measurements, model
+    from problems.examples.demo import measurements, model
+    from problems.measured import story
 
     monkeypatch.setattr(story, "RESULTS", tmp_path)
     train, held_out = measurements()[:2].split(0.5)

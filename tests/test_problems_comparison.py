@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from thesis.methods import solver
-from thesis.scores import inside_and_beyond, phsi_loss, rates, score
-from thesis.systems import SYSTEMS, closed_tanks, leak, tank_model
 
 import phsi_opt as ph
+from problems.thesis.methods import solver
+from problems.thesis.scores import inside_and_beyond, phsi_loss, rates, score
+from problems.thesis.systems import SYSTEMS, closed_tanks, leak, tank_model
 
 
 def at_truth(name: str) -> tuple[ph.PseudoHamiltonian, ph.FirstOrder]:
@@ -80,7 +80,7 @@ def test_clean_tanks_give_every_coefficient_to_1e_3_and_the_leak() -> None:
 
 
 def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
-    from thesis.compare import main, ratios
+    from problems.thesis.compare import main, ratios
 
     table = main(quick=True, names=["henon_heiles"])
     assert set(table["method"]) == {
@@ -95,7 +95,7 @@ def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
 
 
 def test_significance_leaves_fewer_spurious_terms_than_size() -> None:
-    from thesis.significance import main, summary
+    from problems.thesis.significance import main, summary
 
     s = summary(main(quick=True)).to_dict("index")
     both, size = s["size 0.05 and significance 0.01"], s["size 0.05 alone"]
@@ -104,7 +104,7 @@ def test_significance_leaves_fewer_spurious_terms_than_size() -> None:
 
 
 def test_one_noise_draw_has_a_row_per_method() -> None:
-    from thesis.noise_draws import main
+    from problems.thesis.noise_draws import main
 
     table = main(quick=True, names=["henon_heiles"])["henon_heiles"].set_index("method")
     assert table["missed"]["solver"] == 0 and table["relative"]["solver"] < 0.3
@@ -112,7 +112,7 @@ def test_one_noise_draw_has_a_row_per_method() -> None:
 
 
 def test_the_grids_have_a_row_per_point() -> None:
-    from thesis.grids import main
+    from problems.thesis.grids import main
 
     table = main(quick=True, names=["henon_heiles"])
     assert len(table[table["method"] == "solver"]) == 6

@@ -12,7 +12,7 @@ import phsi_opt as ph
 
 
 def test_the_bound_agrees_with_the_closed_form_of_exponential_decay() -> None:
-    from cramer_rao import TrueSystem, covariance_bound
+    from problems.benchmarks.efficiency.cramer_rao import TrueSystem, covariance_bound
 
     system = TrueSystem(("x",), ("-a*x",), {"a": 0.7}, ("a",))
     t, starts, sigma = (
@@ -36,8 +36,8 @@ def test_the_bound_agrees_with_finite_differences_of_an_integration(
 ) -> None:
     from dataclasses import replace
 
-    from cramer_rao import covariance_bound
-    from efficiency_cases import duffing
+    from problems.benchmarks.efficiency.cases import duffing
+    from problems.benchmarks.efficiency.cramer_rao import covariance_bound
 
     system, t, start, sigma = (
         duffing(),
@@ -69,8 +69,8 @@ def test_the_bound_agrees_with_finite_differences_of_an_integration(
 
 @pytest.mark.parametrize("name", ["mass_spring", "schrodinger", "tanks"])
 def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
-    from efficiency_cases import CASES
-    from thesis.systems import SYSTEMS, closed_tanks
+    from problems.benchmarks.efficiency.cases import CASES
+    from problems.thesis.systems import SYSTEMS, closed_tanks
 
     case, system = CASES[name], SYSTEMS[name]
     rhs = closed_tanks if name == "tanks" else system.rhs
@@ -85,8 +85,8 @@ def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
 def test_the_data_of_the_thesis_systems_are_drawn_as_in_the_thesis() -> None:
     from dataclasses import replace
 
-    from efficiency_cases import CASES, thesis_draw
-    from thesis.systems import SYSTEMS
+    from problems.benchmarks.efficiency.cases import CASES, thesis_draw
+    from problems.thesis.systems import SYSTEMS
 
     small = replace(SYSTEMS["mass_spring"], n_trajectories=3)
     mine = replace(CASES["mass_spring"], draw=thesis_draw(small)).sample(7).data
@@ -98,7 +98,7 @@ def test_the_data_of_the_thesis_systems_are_drawn_as_in_the_thesis() -> None:
 def test_likelihood_is_close_to_the_bound_where_one_step_is_not_and_gaps_need_the_likelihood() -> (
     None
 ):
-    from efficiency import quick
+    from problems.benchmarks.efficiency.run import quick
 
     tables = quick(["duffing_qp_0.1", "duffing_q_0.1_gaps"], 1)
     table = tables["duffing_qp_0.1"]
@@ -122,7 +122,7 @@ def test_likelihood_is_close_to_the_bound_where_one_step_is_not_and_gaps_need_th
 def test_a_failed_fit_is_counted_and_its_interval_does_not_hold_the_truth(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    import efficiency
+    from problems.benchmarks.efficiency import run as efficiency
 
     def fail(*_: object) -> None:
         raise ph.SolveError("no")
@@ -136,8 +136,8 @@ def test_a_failed_fit_is_counted_and_its_interval_does_not_hold_the_truth(
 def test_the_page_is_made_from_the_kept_rows_and_a_run_goes_on_where_it_stopped(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    import efficiency
-    import provenance
+    from problems.benchmarks.efficiency import run as efficiency
+    from problems.tools import provenance
 
     monkeypatch.setattr("sys.argv", ["efficiency"])
     for module in (efficiency, provenance):
@@ -156,7 +156,7 @@ def test_the_page_is_made_from_the_kept_rows_and_a_run_goes_on_where_it_stopped(
 
 
 def test_the_double_pendulum_of_the_data_is_that_of_the_model() -> None:
-    import chaos
+    from problems.benchmarks import chaos
 
     model = chaos.pendulum_model().with_values(chaos.PENDULUM_TRUTH)
     x = np.array([0.3, 1.1, 0.7, -0.4])
@@ -170,7 +170,7 @@ def test_the_double_pendulum_of_the_data_is_that_of_the_model() -> None:
 def test_lorenz_is_identified_beyond_the_time_of_any_prediction(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    import chaos
+    from problems.benchmarks import chaos
 
     monkeypatch.setattr(
         chaos,
@@ -184,7 +184,7 @@ def test_lorenz_is_identified_beyond_the_time_of_any_prediction(
 
 
 def test_the_cost_of_a_fit_is_measured() -> None:
-    import scaling
+    from problems.benchmarks import scaling
 
     row = scaling.measure(300, "qp")
     assert float(row["ipopt_seconds"]) < float(row["seconds"])

@@ -13,7 +13,7 @@ def _free_fall_of_one_mass(**hidden: float) -> np.ndarray:
     """q(t) of m = 2, k = 3 with one hidden effect given as name=size, from q = 1 at
     rest.
     """
-    from hidden_truth import Hidden, Machine, simulate
+    from problems.hidden_effects.truth import Hidden, Machine, simulate
 
     zero = np.zeros(1)
     machine = Machine(np.array([2.0]), np.array([3.0]), zero, zero, np.asarray(0.0))
@@ -43,7 +43,7 @@ def test_a_hidden_linear_stiffness_and_damping_move_the_mass_as_the_closed_form_
 def test_quick_and_tight_simulation_agree_with_an_input_that_is_delayed_and_lagged(
     hold: str,
 ) -> None:
-    from hidden_truth import Drive, Hidden, Machine, simulate
+    from problems.hidden_effects.truth import Drive, Hidden, Machine, simulate
 
     rng, t = np.random.default_rng(3), np.linspace(0.0, 12.0, 61)
     machine = Machine(
@@ -69,7 +69,7 @@ def test_quick_and_tight_simulation_agree_with_an_input_that_is_delayed_and_lagg
 
 
 def test_a_drive_is_held_before_its_start_and_between_its_samples() -> None:
-    from hidden_truth import Drive
+    from problems.hidden_effects.truth import Drive
 
     values = np.array([[2.0, 4.0, 1.0]])
     assert [Drive(0.5, values, "linear").at(t)[0] for t in (-1.0, 0.25, 0.5, 1.0)] == [
@@ -89,7 +89,7 @@ def test_a_drive_is_held_before_its_start_and_between_its_samples() -> None:
 def test_hysteresis_takes_energy_from_a_closed_loop_and_keeps_within_its_yield_force() -> (
     None
 ):
-    from hidden_truth import MEMORIES, Moment
+    from problems.hidden_effects.truth import MEMORIES, Moment
 
     shape, q = {"beta": 2.0, "gamma": 2.0}, np.sin(np.linspace(0.0, 6 * np.pi, 6001))
     z, forces = np.zeros(1), []
@@ -105,7 +105,7 @@ def test_hysteresis_takes_energy_from_a_closed_loop_and_keeps_within_its_yield_f
 
 
 def test_a_delayed_sensor_shows_what_the_state_was() -> None:
-    from hidden_truth import Hidden, Machine, measured, simulate
+    from problems.hidden_effects.truth import Hidden, Machine, measured, simulate
 
     t, zero = np.linspace(0.0, 5.0, 51), np.zeros(1)
     machine = Machine(np.array([1.0]), np.array([1.0]), zero, zero, np.asarray(0.0))
@@ -121,9 +121,9 @@ def test_a_delayed_sensor_shows_what_the_state_was() -> None:
 
 
 def test_healthy_tanks_are_those_of_the_thesis_and_a_leak_empties_them() -> None:
-    from hidden_cases import _tank_matrix
-    from hidden_truth import Hidden, tank_states
-    from thesis.systems import closed_tanks
+    from problems.hidden_effects.cases import _tank_matrix
+    from problems.hidden_effects.truth import Hidden, tank_states
+    from problems.thesis.systems import closed_tanks
 
     x = np.random.default_rng(0).normal(size=9)
     assert _tank_matrix() @ x == pytest.approx(closed_tanks(0.0, x), rel=1e-12)
@@ -138,7 +138,7 @@ def test_healthy_tanks_are_those_of_the_thesis_and_a_leak_empties_them() -> None
 
 @pytest.mark.parametrize("name", ["linear_stiffness_0.01", "tanks"])
 def test_a_case_depends_on_row_and_seed_alone(name: str) -> None:
-    from hidden_cases import ROWS, draw
+    from problems.hidden_effects.cases import ROWS, draw
 
     first, again, other = (draw(ROWS[name], seed) for seed in (4, 4, 5))
     for one, two in zip(
@@ -154,8 +154,8 @@ def test_a_case_depends_on_row_and_seed_alone(name: str) -> None:
 
 
 def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
-    from hidden_cases import ROWS, draw
-    from hidden_truth import RunawayError
+    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.truth import RunawayError
 
     with pytest.raises(RunawayError, match="could not be simulated"):
         _free_fall_of_one_mass(
@@ -170,8 +170,8 @@ def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
 def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_has_no_misfit() -> (
     None
 ):
-    from hidden_cases import ROWS, draw
-    from hidden_effects import DETECTED, floor, misfit
+    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.run import DETECTED, floor, misfit
 
     case = draw(ROWS["cubic_stiffness_0.03"], 4)
     (truth,) = case.truths
@@ -193,7 +193,7 @@ def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_h
 
 
 def test_the_model_of_a_case_does_not_have_the_hidden_effect() -> None:
-    from hidden_cases import ONE, draw_setting, model_of
+    from problems.hidden_effects.cases import ONE, draw_setting, model_of
 
     assert "input delay" in ONE
     for name in (
@@ -208,8 +208,8 @@ def test_the_model_of_a_case_does_not_have_the_hidden_effect() -> None:
 
 
 def test_two_effects_are_right_only_when_each_is_found_once_and_nothing_else() -> None:
-    from hidden_cases import Truth
-    from hidden_effects import matches
+    from problems.hidden_effects.cases import Truth
+    from problems.hidden_effects.run import matches
 
     truths = (Truth("gap", ("p1",)), Truth("coupling stiffness", ("p1", "p2")))
     assert matches(truths, [{"coupling stiffness on p2"}, {"gap on p1"}])
@@ -224,7 +224,7 @@ def test_two_effects_are_right_only_when_each_is_found_once_and_nothing_else() -
 
 
 def test_the_interval_covers_within_two_standard_errors_and_not_without_one() -> None:
-    from hidden_effects import covered
+    from problems.hidden_effects.run import covered
 
     assert covered(1.0, 1.19, 0.1) == 1.0
     assert covered(1.0, 1.21, 0.1) == 0.0
@@ -233,7 +233,7 @@ def test_the_interval_covers_within_two_standard_errors_and_not_without_one() ->
 
 
 def _record(**changes: object) -> dict[str, object]:
-    from hidden_effects import COLUMNS
+    from problems.hidden_effects.run import COLUMNS
 
     usual: dict[str, object] = {
         "row": "gap_0.01",
@@ -260,7 +260,7 @@ def _record(**changes: object) -> dict[str, object]:
 
 
 def test_a_tie_counts_only_if_it_is_declared_and_true() -> None:
-    from hidden_effects import DETECTED, confusions, summary_row
+    from problems.hidden_effects.run import DETECTED, confusions, summary_row
 
     wrong = {"first": "cubic stiffness", "right": False, "covered": np.nan}
     rows = pd.DataFrame(
@@ -284,7 +284,7 @@ def test_a_tie_counts_only_if_it_is_declared_and_true() -> None:
 
 
 def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -> None:
-    from hidden_effects import scored
+    from problems.hidden_effects.run import scored
 
     rows = pd.DataFrame(
         [
@@ -307,8 +307,8 @@ def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -
 def test_a_diagnosis_that_fails_is_recorded_and_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    import hidden_effects
-    from hidden_cases import ROWS
+    from problems.hidden_effects import run as hidden_effects
+    from problems.hidden_effects.cases import ROWS
 
     def broken(*arguments: object, **options: object) -> None:
         raise ph.SolveError("no way")
@@ -325,8 +325,8 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
 ) -> None:
     from pathlib import Path
 
-    import hidden_effects
-    import provenance
+    from problems.hidden_effects import run as hidden_effects
+    from problems.tools import provenance
 
     assert isinstance(tmp_path, Path)
     examined: list[tuple[str, int]] = []
@@ -357,8 +357,8 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
 
 
 def test_rows_are_chosen_by_their_beginning_and_an_unknown_one_is_refused() -> None:
-    from hidden_cases import ROWS
-    from hidden_effects import chosen_rows
+    from problems.hidden_effects.cases import ROWS
+    from problems.hidden_effects.run import chosen_rows
 
     assert chosen_rows(["input_gain"]) == [
         "input_gain_0.01",

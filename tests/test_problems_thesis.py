@@ -9,7 +9,7 @@ import pytest
 def test_defects_have_the_order_of_their_integrator_and_two_integrators_are_symmetric() -> (
     None
 ):
-    from thesis.integrators import orders, symmetry
+    from problems.thesis.integrators import orders, symmetry
 
     table = orders(2).set_index(["system", "integrator"])["order"]
     for system in ("Henon-Heiles", "Tanks, leak shut"):
@@ -30,7 +30,7 @@ def test_defects_have_the_order_of_their_integrator_and_two_integrators_are_symm
 def test_on_nearly_clean_data_the_order_of_the_integrator_is_the_accuracy_of_the_model() -> (
     None
 ):
-    from thesis.integrators import main
+    from problems.thesis.integrators import main
 
     fits = main(quick=True)["fits"]
     clean = fits[fits["noise"] == 1e-5].set_index("integrator")["l2"]
@@ -47,7 +47,7 @@ def test_on_nearly_clean_data_the_order_of_the_integrator_is_the_accuracy_of_the
 
 
 def test_what_is_regularised_gives_its_dynamics_away() -> None:
-    from thesis.regularization import main
+    from problems.thesis.regularization import main
 
     tables = main(quick=True)
     table = tables["attribution"].set_index(["lambda_H", "lambda_F"]).sort_index()
@@ -59,7 +59,7 @@ def test_what_is_regularised_gives_its_dynamics_away() -> None:
 
 
 def test_without_weights_the_start_decides_and_the_fit_says_that_it_cannot() -> None:
-    from thesis.regularization import main
+    from problems.thesis.regularization import main
 
     tables = main(quick=True)
     table = tables["attribution"]
@@ -75,8 +75,8 @@ def test_without_weights_the_start_decides_and_the_fit_says_that_it_cannot() -> 
 def test_every_method_of_the_thesis_is_scored_beside_the_solver_and_its_errors_are_small() -> (
     None
 ):
-    from thesis.experiments import main
-    from thesis.systems import SYSTEMS
+    from problems.thesis.experiments import main
+    from problems.thesis.systems import SYSTEMS
 
     tables = main(quick=True, names=["henon_heiles"])
     table: Any = tables["henon_heiles, scores"].set_index(["data", "method"])

@@ -13,12 +13,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from demo import model as spring
-from friction_spring import CSV, TIMES, table
 
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.presentation.pictures import plot_history
+from problems.examples.demo import model as spring
+from problems.examples.friction_spring import CSV, TIMES, table
 
 HISTORY = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor", "bic"]
 CANDIDATES = [
@@ -183,7 +183,7 @@ def test_comparison_of_the_true_model_shows_the_noise(complete: ph.Study) -> Non
 
 
 def _truth() -> list[np.ndarray]:
-    from friction_spring import simulated
+    from problems.examples.friction_spring import simulated
 
     return simulated(0.0)
 

@@ -5,7 +5,7 @@ fixed steps and a closed loop to test. Base model: one state, linear loss, input
 The last part of the random steps judges the candidates; the two test files are looked
 at only to report.
 
-    python problems/measured/ball_and_hoop.py [FOLDER]
+    python -m problems.measured.ball_and_hoop [FOLDER]
 """
 
 import sys
@@ -14,13 +14,10 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from measured.paths import folder
-from measured.story import page, told
-from provenance import write
-
 import phsi_opt as ph
+from problems.measured.story import page, told
+from problems.tools.data_paths import folder
+from problems.tools.provenance import write
 
 TESTS = ("fixedStepSequence", "closedLoop")
 

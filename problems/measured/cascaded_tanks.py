@@ -16,7 +16,7 @@ a level which the sensor does not show as zero. The structure was chosen on the 
 % of the fit record, the test was looked at only to report. A study then starts from the
 textbook's model alone and has to find what it lacks.
 
-    python problems/measured/cascaded_tanks.py [FILE]
+    python -m problems.measured.cascaded_tanks [FILE]
 """
 
 import sys
@@ -25,13 +25,10 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from measured.paths import folder
-from measured.story import page, told
-from provenance import write
-
 import phsi_opt as ph
+from problems.measured.story import page, told
+from problems.tools.data_paths import folder
+from problems.tools.provenance import write
 
 SAMPLING = 4.0  # s
 FULL = 10.0  # V

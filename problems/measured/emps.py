@@ -16,7 +16,7 @@ leaves the momentum exact.
 A study then starts from a mass with viscous friction alone and has to find what it
 lacks, in the windows of 1 s.
 
-    python problems/measured/emps.py [FOLDER]
+    python -m problems.measured.emps [FOLDER]
 """
 
 import sys
@@ -26,13 +26,10 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.optimize import least_squares
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from measured.paths import folder
-from measured.story import Story, page, told
-from provenance import write
-
 import phsi_opt as ph
+from problems.measured.story import Story, page, told
+from problems.tools.data_paths import folder
+from problems.tools.provenance import write
 
 THIN = 10  # samples
 WINDOW = 100  # thinned samples: 1 s

@@ -14,7 +14,7 @@ controller and free runs drift, so the records are cut into windows of `WINDOW` 
 with free starting states. They are thinned to every `THIN`-th sample, the command to
 its mean in between.
 
-    python problems/measured/quarter_drone.py [FOLDER]
+    python -m problems.measured.quarter_drone [FOLDER]
 """
 
 import sys
@@ -22,13 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from measured.paths import folder
-from measured.story import page, told
-from provenance import write
-
 import phsi_opt as ph
+from problems.measured.story import page, told
+from problems.tools.data_paths import folder
+from problems.tools.provenance import write
 
 FILES = {
     "steps": "sinal2_degraus",

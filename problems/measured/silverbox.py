@@ -13,7 +13,7 @@ by 30 % at 200 Hz. So the loader puts the input's band-limited interpolation at
 points and 1000 samples fitted, 0.94, 0.47 and 0.42 mV of another multisine were left; 2
 is taken for speed.
 
-    python problems/measured/silverbox.py [FILE]
+    python -m problems.measured.silverbox [FILE]
 """
 
 import sys
@@ -24,15 +24,12 @@ import casadi as ca
 import numpy as np
 from scipy.signal import resample_poly
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from measured.paths import folder
-from measured.story import Story, page, told
-from provenance import write
-
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import Model
+from problems.measured.story import Story, page, told
+from problems.tools.data_paths import folder
+from problems.tools.provenance import write
 
 RATE = 1e7 / 2**14  # Hz
 FINER = 2

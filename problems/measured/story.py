@@ -18,13 +18,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from provenance import RESULTS
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.criteria import NAMED, NOTHING, UNEXPLAINED
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import PhsiOptError
+from problems.tools.provenance import RESULTS
 
 # p-value, adjusted for all candidates, up to which the first candidate is added where
 # none is named

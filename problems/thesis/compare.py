@@ -6,7 +6,7 @@ of a system in one process, one after the other, with one thread. Both are start
 times: gradient descent from the thesis' starting values and twice at random; the solver
 from its convex program and twice at random values (tanks: seeds of the network).
 
-    python problems/thesis/compare.py [--quick] [--page] [system ...]     (--page: the
+    python -m problems.thesis.compare [--quick] [--page] [system ...]     (--page: the
     page alone, from kept tables)
 """
 
@@ -19,19 +19,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from provenance import RESULTS, write
-from thesis.methods import SIGNIFICANCE, by_solver, descent, likelihood
-from thesis.scores import inside_and_beyond, phsi_loss, score
-from thesis.systems import SYSTEMS, System, thesis_data_present
-
 import phsi_opt as ph
+from problems.thesis.methods import SIGNIFICANCE, by_solver, descent, likelihood
+from problems.thesis.scores import inside_and_beyond, phsi_loss, score
+from problems.thesis.systems import SYSTEMS, System, thesis_data_present
+from problems.tools.provenance import RESULTS, write
 
 COLUMNS = [
     "system",

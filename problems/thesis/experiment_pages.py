@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from thesis.systems import System, thesis_data_present
+
+from problems.thesis.systems import System, thesis_data_present
 
 Tables = dict[str, pd.DataFrame]
 HEADS = {

@@ -4,7 +4,7 @@
 Every method gets the same data: those of the thesis where they are present, else newly
 drawn ones. A page per system, results/thesis/<system>.md, and its figures beside it.
 
-    python problems/thesis/experiments.py [--quick] [system ...]
+    python -m problems.thesis.experiments [--quick] [system ...]
 """
 
 import os
@@ -17,17 +17,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from provenance import write
-from thesis import figures, methods
-from thesis.scores import common_name, free_run, rates, score
-from thesis.systems import (
+import phsi_opt as ph
+from problems.thesis import figures, methods
+from problems.thesis.scores import common_name, free_run, rates, score
+from problems.thesis.systems import (
     FLOWS,
     LEVELS,
     SYSTEMS,
@@ -36,8 +34,7 @@ from thesis.systems import (
     leak,
     thesis_data_present,
 )
-
-import phsi_opt as ph
+from problems.tools.provenance import write
 
 Results = dict[str, Any]  # by method
 SOLVER, LIKELIHOOD, THRESHOLD, DESCENT = (
@@ -456,7 +453,7 @@ def main(
     """The tables of all systems by name; pages and figures are written under
     results/thesis unless ``quick``.
     """
-    from thesis.experiment_pages import page
+    from problems.thesis.experiment_pages import page
 
     found: dict[str, pd.DataFrame] = {}
     for system in (SYSTEMS[name] for name in names or SYSTEMS):

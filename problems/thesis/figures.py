@@ -11,11 +11,11 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-from provenance import RESULTS
-from thesis.scores import common_name
-from thesis.systems import System, closed_tanks, leak
 
 import phsi_opt as ph
+from problems.thesis.scores import common_name
+from problems.thesis.systems import System, closed_tanks, leak
+from problems.tools.provenance import RESULTS
 
 COLOURS = {
     "PHSI, solver": "#0072b2",
@@ -207,7 +207,7 @@ def leaks(system: System, shown: dict[str, Any]) -> tuple[str, str]:
     """Figure 6.7: level of tank 4 inside and outside the training range, the leak, and
     the system without it.
     """
-    from thesis.experiments import leak_of, without_leak
+    from problems.thesis.experiments import leak_of, without_leak
 
     results = lines(system, shown["results"]["noisy"])
     fig, axes = plt.subplots(2, 2, figsize=(11, 7.5), layout="constrained")

@@ -6,7 +6,7 @@ Solver: lambda_H x threshold; the leak of the tanks has its known form there, so
 only H and R are at stake. The error is the l2 norm over all states, averaged over the
 test time and 30 unseen starts.
 
-    python problems/thesis/grids.py [--quick] [system ...]
+    python -m problems.thesis.grids [--quick] [system ...]
 """
 
 import os
@@ -17,7 +17,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -27,13 +26,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from provenance import RESULTS, write
-from thesis.methods import descent
-from thesis.scores import free_run, score
-from thesis.systems import SYSTEMS, System, known_leak, tank_model, thesis_data_present
-
 import phsi_opt as ph
+from problems.thesis.methods import descent
+from problems.thesis.scores import free_run, score
+from problems.thesis.systems import (
+    SYSTEMS,
+    System,
+    known_leak,
+    tank_model,
+    thesis_data_present,
+)
+from problems.tools.provenance import RESULTS, write
 
 THRESHOLDS = (0.0, 0.05, 0.2)
 COLUMNS = [

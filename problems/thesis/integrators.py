@@ -13,7 +13,7 @@ tanks).
 The leak of the tanks has its known form here (its size free); in the thesis it is a
 neural network.
 
-    python problems/thesis/integrators.py [--quick]
+    python -m problems.thesis.integrators [--quick]
 """
 
 import sys
@@ -30,10 +30,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from provenance import RESULTS, write
-from thesis.systems import (
+import phsi_opt as ph
+from phsi_opt.transcription.integrators import INTEGRATORS
+from problems.thesis.systems import (
     LEAK_SLOPE,
     SYSTEMS,
     System,
@@ -41,9 +40,7 @@ from thesis.systems import (
     known_leak,
     tank_model,
 )
-
-import phsi_opt as ph
-from phsi_opt.transcription.integrators import INTEGRATORS
+from problems.tools.provenance import RESULTS, write
 
 SEEDS = range(5)
 # The sum of the levels is a Casimir: c (mu1 + .. + mu4)^2 in H moves nothing, so

@@ -12,10 +12,15 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from thesis.scores import phsi_loss
-from thesis.systems import FLOWS, System, mass_spring_descent_model, tank_structure
 
 import phsi_opt as ph
+from problems.thesis.scores import phsi_loss
+from problems.thesis.systems import (
+    FLOWS,
+    System,
+    mass_spring_descent_model,
+    tank_structure,
+)
 
 SIGNIFICANCE = 0.01
 LASSO_WEIGHTS = 10.0 ** np.arange(-9, 0)  # per sample

@@ -1,7 +1,7 @@
 """Noisy data, many draws: solver, maximum likelihood and gradient descent on identical
 data; medians over the draws.
 
-python problems/thesis/noise_draws.py [--quick] [system ...]     (a row per draw is kept
+python -m problems.thesis.noise_draws [--quick] [system ...]     (a row per draw is kept
 in results/thesis)
 """
 
@@ -15,19 +15,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from provenance import RESULTS, write
-from thesis.methods import descent, likelihood, solver, solver_threshold
-from thesis.scores import free_run, score
-from thesis.systems import SYSTEMS, System
-
 import phsi_opt as ph
+from problems.thesis.methods import descent, likelihood, solver, solver_threshold
+from problems.thesis.scores import free_run, score
+from problems.thesis.systems import SYSTEMS, System
+from problems.tools.provenance import RESULTS, write
 
 N_DRAWS = 10
 FIRST_DRAW = 200  # draws that nothing was tuned on

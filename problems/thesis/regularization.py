@@ -8,7 +8,7 @@ lambda_F choose. Four pairs of weights, three random starts each, by the solver 
 its convex start, and from the random starts) and by gradient descent from random
 starts.
 
-    python problems/thesis/regularization.py [--quick]
+    python -m problems.thesis.regularization [--quick]
 """
 
 import sys
@@ -24,13 +24,10 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from provenance import RESULTS, write
-
 import phsi_opt as ph
 from phsi_opt.estimation.result import Identified
 from phsi_opt.model.model import Model
+from problems.tools.provenance import RESULTS, write
 
 WEIGHTS = ((0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.1))  # lambda_H, lambda_F
 STARTS = (0, 1, 2)

@@ -1,16 +1,16 @@
 """Every experiment of the thesis, two at a time; the timed comparison comes last and
 alone.
 
-python problems/thesis/run_all.py [--quick]
+python -m problems.thesis.run_all [--quick]
 """
 
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
+from problems.tools.provenance import ROOT
+
 SCRIPTS = (
     "experiments",
     "noise_draws",
@@ -25,9 +25,9 @@ TIMED = "compare"
 def run(name: str) -> tuple[str, int, float]:
     """Run one script; its output is shown when it fails."""
     began = time.perf_counter()
-    arguments = [sys.executable, str(HERE / f"{name}.py"), *sys.argv[1:]]
+    arguments = [sys.executable, "-m", f"problems.thesis.{name}", *sys.argv[1:]]
     done = subprocess.run(
-        arguments, cwd=HERE.parents[1], capture_output=True, text=True, check=False
+        arguments, cwd=ROOT, capture_output=True, text=True, check=False
     )
     seconds = time.perf_counter() - began
     tail = (

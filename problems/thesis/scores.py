@@ -7,12 +7,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from measured.paths import folder
-from thesis.systems import System, thesis_data_present
 
 import phsi_opt as ph
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
+from problems.thesis.systems import System, thesis_data_present
+from problems.tools.data_paths import folder
 
 
 @dataclass(frozen=True)

@@ -4,22 +4,19 @@ many noise draws of Henon-Heiles.
 Each draw has new starts and new noise (3000 pairs, noise 0.02, dictionary of 34 terms,
 6 of them true).
 
-    python problems/thesis/significance.py [--quick]
+    python -m problems.thesis.significance [--quick]
 """
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from provenance import write
-from thesis.methods import SIGNIFICANCE, by_solver
-from thesis.scores import score
-from thesis.systems import SYSTEMS
-
 import phsi_opt as ph
+from problems.thesis.methods import SIGNIFICANCE, by_solver
+from problems.thesis.scores import score
+from problems.thesis.systems import SYSTEMS
+from problems.tools.provenance import write
 
 N_DRAWS = 60
 THRESHOLDS = (0.05, 0.1, 0.15)

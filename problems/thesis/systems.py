@@ -19,11 +19,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from measured.paths import folder
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.model.terms import Dictionary, Term
+from problems.tools.data_paths import folder
 
 Vector = np.ndarray
 

@@ -1,17 +1,17 @@
 """The demonstration over many noise draws, with the friction and without: what is
 named, and how large is it?
 
-python problems/friction_seeds.py [N]
+python -m problems.benchmarks.friction_seeds [N]
 """
 
 import sys
 
 import pandas as pd
-from demo import model
-from friction_spring import TRUTH, table
-from provenance import write
 
 import phsi_opt as ph
+from problems.examples.demo import model
+from problems.examples.friction_spring import TRUTH, table
+from problems.tools.provenance import write
 
 
 def row(seed: int, friction: float) -> dict[str, object]:

@@ -1,7 +1,7 @@
 """Does the diagnosis find effects that were hidden in the data, and nothing where
 nothing is hidden?
 
-python problems/hidden_effects.py [--quick] [--page] [--list] [--jobs=N] [--seeds=N]
+python -m problems.hidden_effects.run [--quick] [--page] [--list] [--jobs=N] [--seeds=N]
 [row ...]
 
 A row is named in full (coulomb_friction_0.03) or by its beginning (coulomb_friction,
@@ -25,13 +25,22 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from efficiency import option
-from hidden_cases import ENERGY, LOSS, NOISE_LEVELS, ROWS, Case, Row, Truth, draw
-from provenance import RESULTS, commit, write
 from scipy.stats import binomtest
 
 import phsi_opt as ph
 from phsi_opt.model.model import Model
+from problems.benchmarks.efficiency.run import option
+from problems.hidden_effects.cases import (
+    ENERGY,
+    LOSS,
+    NOISE_LEVELS,
+    ROWS,
+    Case,
+    Row,
+    Truth,
+    draw,
+)
+from problems.tools.provenance import RESULTS, commit, write
 
 FOLDER = RESULTS / "hidden_effects"
 NOTHING, NAMED, UNEXPLAINED = (
@@ -544,7 +553,7 @@ def page() -> None:
 _INTRODUCTION = [
     "# Hidden effects",
     "",
-    "Machines with one or two masses are simulated with an effect (`problems/hidden_truth.py`, without phsi_opt) and",
+    "Machines with one or two masses are simulated with an effect (`problems/hidden_effects/truth.py`, without phsi_opt) and",
     "given to `identify` and `diagnose` with a model that lacks it. Parameters, starts, input, measured channels and",
     "the effect's size are drawn per case; the size is such that the best re-fit of the model has a free-run error of",
     "3 to 30 times the noise floor (log-uniform; at 10 % noise up to 7 times: the error stays below 0.7 of the",

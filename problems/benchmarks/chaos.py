@@ -1,6 +1,6 @@
 """Chaotic systems over many Lyapunov times: Lorenz and a double pendulum, 10 % noise.
 
-python problems/chaos.py [--quick] [--page] [--seeds=N] [experiment ...]     (rows are
+python -m problems.benchmarks.chaos [--quick] [--page] [--seeds=N] [experiment ...]     (rows are
 kept in results/chaos.csv)
 
 A trajectory computed from a guessed start leaves the measured one after a few Lyapunov
@@ -22,11 +22,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from provenance import RESULTS, write
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.model.model import Model
+from problems.tools.provenance import RESULTS, write
 
 N_SEEDS, FIRST_SEED, WITHIN = 20, 7000, 1.959964
 TABLE = RESULTS / "chaos.csv"

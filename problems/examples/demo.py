@@ -11,11 +11,11 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-from friction_spring import CSV, NOISE, TRUTH
-from provenance import RESULTS, write
 
 import phsi_opt as ph
 from phsi_opt.presentation.report import report_text
+from problems.examples.friction_spring import CSV, NOISE, TRUTH
+from problems.tools.provenance import RESULTS, write
 
 
 def measurements() -> ph.Measurements:

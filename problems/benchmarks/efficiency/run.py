@@ -1,7 +1,7 @@
 """How close do the estimates come to the Cramer-Rao bound, and do the intervals hold
 what they promise?
 
-python problems/efficiency.py [--quick] [--page] [--jobs=N] [--seeds=N] [experiment ...]
+python -m problems.benchmarks.efficiency.run [--quick] [--page] [--jobs=N] [--seeds=N] [experiment ...]
 
 Rows per seed are kept in results/efficiency/<experiment>.csv as they are computed: a
 run that was interrupted goes on where it stopped, and --page writes the page anew.
@@ -23,10 +23,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from efficiency_cases import CASES, NOISE_LEVELS, Case, Sample
-from provenance import RESULTS, write
 
 import phsi_opt as ph
+from problems.benchmarks.efficiency.cases import CASES, NOISE_LEVELS, Case, Sample
+from problems.tools.provenance import RESULTS, write
 
 FOLDER = RESULTS / "efficiency"
 METHODS: dict[str, ph.MaximumLikelihood | ph.PHSILoss] = {
@@ -233,7 +233,7 @@ def page() -> None:
     lines = ["# How close to the Cramer-Rao bound?", ""]
     lines += [
         "No unbiased estimate has a smaller standard deviation than the bound. It is computed without phsi_opt",
-        "(`problems/cramer_rao.py`), for each seed's own starts and missing samples, with the starting states unknown.",
+        "(`problems/benchmarks/efficiency/cramer_rao.py`), for each seed's own starts and missing samples, with the starting states unknown.",
         "All methods see the same data; the noise level is estimated, not given; no starting value is the truth.",
         "",
         "rmse/bound: root mean square over the seeds of error over bound. A fit that failed has no estimate and is not",

@@ -7,11 +7,22 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 
 import numpy as np
-from cramer_rao import TrueSystem, covariance_bound, pseudo_hamiltonian
-from thesis.systems import FLOWS, LEVELS, SYSTEMS, System, tank_model, tank_structure
 
 import phsi_opt as ph
 from phsi_opt.model.model import Model
+from problems.benchmarks.efficiency.cramer_rao import (
+    TrueSystem,
+    covariance_bound,
+    pseudo_hamiltonian,
+)
+from problems.thesis.systems import (
+    FLOWS,
+    LEVELS,
+    SYSTEMS,
+    System,
+    tank_model,
+    tank_structure,
+)
 
 # dq/dt = p, dp/dt = -k q - a q^3 - c p + 2 cos(1.3 t): regular, and the cubic force is
 # as large as the linear one

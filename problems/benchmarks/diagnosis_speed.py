@@ -1,6 +1,6 @@
 """How long does a diagnosis take, with the full catalogue, as the record grows?
 
-python problems/diagnosis_speed.py [n_samples ...]
+python -m problems.benchmarks.diagnosis_speed [n_samples ...]
 
 A driven spring with hidden dry friction, position alone measured at 2 % noise: one
 training record of n samples, a third of it held out beside. Times are those of this
@@ -11,9 +11,9 @@ import sys
 import time
 
 import numpy as np
-from provenance import write
 
 import phsi_opt as ph
+from problems.tools.provenance import write
 
 SIZES = (1_000, 3_000, 10_000)
 STEP, FRICTION = 0.05, 0.3

@@ -1,7 +1,7 @@
 """Time and memory of `identify` over the number of samples: the driven Duffing
 oscillator, q and p or q alone measured.
 
-python problems/scaling.py [--quick] [--page] [--largest=N] [--limit=SECONDS]
+python -m problems.benchmarks.scaling [--quick] [--page] [--largest=N] [--limit=SECONDS]
 
 Every size runs in a process of its own, so that its peak memory is its own. Rows are
 kept in results/scaling.csv; a size that is there is not run again.
@@ -18,16 +18,15 @@ import resource
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from efficiency_cases import DUFFING, DUFFING_START, duffing_model
-from provenance import RESULTS, write
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from problems.benchmarks.efficiency.cases import DUFFING, DUFFING_START, duffing_model
+from problems.tools.provenance import RESULTS, ROOT, write
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 CHANNELS = {"qp": "q and p measured", "q": "q alone measured"}
@@ -107,14 +106,20 @@ def apart(n_samples: int, channels: str, limit: float) -> dict[str, float | str]
     """
     command = [
         sys.executable,
-        str(Path(__file__).resolve()),
+        "-m",
+        "problems.benchmarks.scaling",
         f"--one={n_samples}",
         f"--channels={channels}",
     ]
     failed: dict[str, float | str] = {"channels": channels, "n_samples": n_samples}
     try:
         run = subprocess.run(
-            command, capture_output=True, text=True, timeout=limit, check=False
+            command,
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            timeout=limit,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return failed | {"outcome": f"not done after {limit:.0f} s"}

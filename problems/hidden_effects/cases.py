@@ -23,7 +23,9 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
-from hidden_truth import (
+
+import phsi_opt as ph
+from problems.hidden_effects.truth import (
     CLOGS,
     FORCES,
     LEAKS,
@@ -40,7 +42,7 @@ from hidden_truth import (
     simulate,
     tank_states,
 )
-from thesis.systems import (
+from problems.thesis.systems import (
     AREA,
     DAMPING,
     DENSITY,
@@ -50,8 +52,6 @@ from thesis.systems import (
     LEVELS,
     tank_structure,
 )
-
-import phsi_opt as ph
 
 NOISE_LEVELS = (0.01, 0.03, 0.1)
 LOUDEST, QUIETEST = 30.0, 3.0  # free-run error over noise floor

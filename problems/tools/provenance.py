@@ -1,0 +1,66 @@
+"""What every result says of itself: command, commit, machine."""
+
+import platform
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = ROOT / "results"
+
+
+def provenance() -> str:
+    """One line for the head of a result."""
+    system = f"{platform.system()} {platform.machine()}"
+    machine = f"{system}, Python {platform.python_version()}"
+    return f"command: {command()}; commit: {commit()}; machine: {machine}"
+
+
+def command() -> str:
+    """The command line of this process as one would type it in the project's root."""
+    script, *arguments = sys.argv
+    return " ".join(["python", *_program(script), *map(_relative, arguments)])
+
+
+def _program(script: str) -> list[str]:
+    """``-m`` and the dotted name of a script of the project; another script as given."""
+    path = Path(script).resolve()
+    if path.suffix != ".py" or not path.is_relative_to(ROOT):
+        return [script]
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ["-m", ".".join(parts)]
+
+
+def _relative(argument: str) -> str:
+    """Paths inside the project from its root, any other argument as it was given."""
+    path = Path(argument).resolve()
+    if path.exists() and path.is_relative_to(ROOT):
+        return str(path.relative_to(ROOT))
+    return argument
+
+
+@cache
+def commit() -> str:
+    """The commit in short, at the first call of a process, which runs on the code of
+    then; unknown without git.
+    """
+    try:
+        run = subprocess.run(
+            ["git", "rev-parse", "--short", "HEAD"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    except OSError:
+        return "unknown"
+    return run.stdout.strip() or "unknown"
+
+
+def write(name: str, text: str) -> Path:
+    """Write a text result under results/."""
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / name
+    path.write_text(f"<!-- {provenance()} -->\n\n{text.rstrip()}\n", encoding="utf-8")
+    return path
