@@ -503,7 +503,8 @@ def test_a_dead_zone_far_smaller_than_the_input_is_found() -> None:
 
 
 def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     # The forced motion passes for one without losses, so that the traces near its
     # resonance are sharply larger.
@@ -522,7 +523,8 @@ def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() ->
 def test_what_a_sensor_remembers_at_the_start_keeps_the_free_run_beside_the_fit() -> (
     None
 ):
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     case = draw(ROWS["sensor_delay"], 3)
     fit = ph.identify(case.model, case.train)
@@ -537,7 +539,8 @@ def test_what_a_sensor_remembers_at_the_start_keeps_the_free_run_beside_the_fit(
 
 
 def test_a_gap_whose_corner_falls_between_samples_gets_finer_steps() -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     case = draw(ROWS["gap_0.01"], 3)
     fit = ph.identify(case.model, case.train)
@@ -551,7 +554,8 @@ def test_a_gap_whose_corner_falls_between_samples_gets_finer_steps() -> None:
 
 
 def test_a_tie_in_bic_is_ranked_by_what_is_left_on_the_data_held_out() -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     case = draw(ROWS["gravity_torque_0.03"], 5)
     fit = ph.identify(case.model, case.train)
@@ -568,7 +572,8 @@ def test_a_tie_in_bic_is_ranked_by_what_is_left_on_the_data_held_out() -> None:
 def test_a_larger_candidate_is_not_preferred_for_what_it_bends_to_fit_on_the_data_held_out() -> (
     None
 ):
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     # A hysteresis that never yields is a spring, with a parameter more.
     case = draw(ROWS["linear_stiffness_0.1"], 2)
@@ -583,7 +588,8 @@ def test_a_larger_candidate_is_not_preferred_for_what_it_bends_to_fit_on_the_dat
 
 
 def test_a_wave_beside_a_parametric_resonance_is_found_at_its_frequency() -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     # Near twice the natural frequency the size of a trace changes twentyfold within a
     # twentieth of the frequency.
@@ -601,7 +607,8 @@ def test_a_wave_beside_a_parametric_resonance_is_found_at_its_frequency() -> Non
 
 
 def test_a_delay_shorter_than_half_a_sample_is_told_from_a_lag() -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     case = draw(ROWS["input_delay_0.01"], 7)
     fit = ph.identify(case.model, case.train)
@@ -614,7 +621,8 @@ def test_a_delay_shorter_than_half_a_sample_is_told_from_a_lag() -> None:
 
 
 def test_the_memory_that_a_record_begins_with_is_such_as_it_shows_later_on() -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     case = draw(ROWS["input_delay_0.01"], 5)
     fit = ph.identify(case.model, case.train)

@@ -121,15 +121,15 @@ def test_a_delayed_sensor_shows_what_the_state_was() -> None:
 
 
 def test_healthy_tanks_are_those_of_the_thesis_and_a_leak_empties_them() -> None:
-    from problems.hidden_effects.cases import _tank_matrix
+    from problems.hidden_effects.tanks import tank_matrix
     from problems.hidden_effects.truth import Hidden, tank_states
     from problems.thesis.systems import closed_tanks
 
     x = np.random.default_rng(0).normal(size=9)
-    assert _tank_matrix() @ x == pytest.approx(closed_tanks(0.0, x), rel=1e-12)
+    assert tank_matrix() @ x == pytest.approx(closed_tanks(0.0, x), rel=1e-12)
     starts, t = np.r_[np.zeros(5), np.ones(4)][None, :], np.linspace(0.0, 1.0, 11)
-    held = tank_states(_tank_matrix(), None, starts, t)[:, 0, 5:].sum(axis=1)
-    left = tank_states(_tank_matrix(), Hidden("linear leak", 7, 0.5), starts, t)[
+    held = tank_states(tank_matrix(), None, starts, t)[:, 0, 5:].sum(axis=1)
+    left = tank_states(tank_matrix(), Hidden("linear leak", 7, 0.5), starts, t)[
         :, 0, 5:
     ].sum(axis=1)
     assert held == pytest.approx(np.full(11, 4.0), abs=1e-6)
@@ -138,7 +138,8 @@ def test_healthy_tanks_are_those_of_the_thesis_and_a_leak_empties_them() -> None
 
 @pytest.mark.parametrize("name", ["linear_stiffness_0.01", "tanks"])
 def test_a_case_depends_on_row_and_seed_alone(name: str) -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
 
     first, again, other = (draw(ROWS[name], seed) for seed in (4, 4, 5))
     for one, two in zip(
@@ -154,7 +155,8 @@ def test_a_case_depends_on_row_and_seed_alone(name: str) -> None:
 
 
 def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
-    from problems.hidden_effects.cases import ROWS, draw
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.rows import ROWS
     from problems.hidden_effects.truth import RunawayError
 
     with pytest.raises(RunawayError, match="could not be simulated"):
@@ -170,8 +172,9 @@ def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
 def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_has_no_misfit() -> (
     None
 ):
-    from problems.hidden_effects.cases import ROWS, draw
-    from problems.hidden_effects.run import DETECTED, floor, misfit
+    from problems.hidden_effects.cases import draw
+    from problems.hidden_effects.examination import DETECTED, floor, misfit
+    from problems.hidden_effects.rows import ROWS
 
     case = draw(ROWS["cubic_stiffness_0.03"], 4)
     (truth,) = case.truths
@@ -193,7 +196,8 @@ def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_h
 
 
 def test_the_model_of_a_case_does_not_have_the_hidden_effect() -> None:
-    from problems.hidden_effects.cases import ONE, draw_setting, model_of
+    from problems.hidden_effects.machines import draw_setting, model_of
+    from problems.hidden_effects.rows import ONE
 
     assert "input delay" in ONE
     for name in (
@@ -208,8 +212,8 @@ def test_the_model_of_a_case_does_not_have_the_hidden_effect() -> None:
 
 
 def test_two_effects_are_right_only_when_each_is_found_once_and_nothing_else() -> None:
-    from problems.hidden_effects.cases import Truth
-    from problems.hidden_effects.run import matches
+    from problems.hidden_effects.examination import matches
+    from problems.hidden_effects.rows import Truth
 
     truths = (Truth("gap", ("p1",)), Truth("coupling stiffness", ("p1", "p2")))
     assert matches(truths, [{"coupling stiffness on p2"}, {"gap on p1"}])
@@ -224,7 +228,7 @@ def test_two_effects_are_right_only_when_each_is_found_once_and_nothing_else() -
 
 
 def test_the_interval_covers_within_two_standard_errors_and_not_without_one() -> None:
-    from problems.hidden_effects.run import covered
+    from problems.hidden_effects.examination import covered
 
     assert covered(1.0, 1.19, 0.1) == 1.0
     assert covered(1.0, 1.21, 0.1) == 0.0
@@ -233,7 +237,7 @@ def test_the_interval_covers_within_two_standard_errors_and_not_without_one() ->
 
 
 def _record(**changes: object) -> dict[str, object]:
-    from problems.hidden_effects.run import COLUMNS
+    from problems.hidden_effects.store import COLUMNS
 
     usual: dict[str, object] = {
         "row": "gap_0.01",
@@ -260,7 +264,8 @@ def _record(**changes: object) -> dict[str, object]:
 
 
 def test_a_tie_counts_only_if_it_is_declared_and_true() -> None:
-    from problems.hidden_effects.run import DETECTED, confusions, summary_row
+    from problems.hidden_effects.examination import DETECTED
+    from problems.hidden_effects.scores import confusions, summary_row
 
     wrong = {"first": "cubic stiffness", "right": False, "covered": np.nan}
     rows = pd.DataFrame(
@@ -284,7 +289,7 @@ def test_a_tie_counts_only_if_it_is_declared_and_true() -> None:
 
 
 def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -> None:
-    from problems.hidden_effects.run import scored
+    from problems.hidden_effects.scores import scored
 
     rows = pd.DataFrame(
         [
@@ -307,17 +312,19 @@ def test_an_effect_from_outside_that_the_catalogue_imitates_leaves_the_count() -
 def test_a_diagnosis_that_fails_is_recorded_and_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from problems.hidden_effects import run as hidden_effects
-    from problems.hidden_effects.cases import ROWS
+    from problems.hidden_effects.examination import examine
+    from problems.hidden_effects.rows import ROWS
+    from problems.hidden_effects.scores import summary_row
+    from problems.hidden_effects.store import COLUMNS
 
     def broken(*arguments: object, **options: object) -> None:
         raise ph.SolveError("no way")
 
     monkeypatch.setattr(ph, "diagnose", broken)
-    record = hidden_effects.examine(ROWS["nothing"], 1)
+    record = examine(ROWS["nothing"], 1)
     assert (record["right"], record["outcome"]) == (False, "SolveError: no way")
-    rows = pd.DataFrame([record], columns=hidden_effects.COLUMNS)
-    assert hidden_effects.summary_row("nothing", rows, 0.95)["failed"] == 1
+    rows = pd.DataFrame([record], columns=COLUMNS)
+    assert summary_row("nothing", rows, 0.95)["failed"] == 1
 
 
 def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
@@ -325,24 +332,26 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
 ) -> None:
     from pathlib import Path
 
-    from problems.hidden_effects import run as hidden_effects
+    from problems.hidden_effects import figure, run, store
+    from problems.hidden_effects.rows import ROWS
     from problems.tools import provenance
 
     assert isinstance(tmp_path, Path)
     examined: list[tuple[str, int]] = []
 
     def record(row: object, seed: int) -> dict[str, object]:
-        assert isinstance(row, type(hidden_effects.ROWS["gap_0.01"]))
+        assert isinstance(row, type(ROWS["gap_0.01"]))
         examined.append((row.name, seed))
         return _record(row=row.name, seed=seed, commit="abc1234")
 
-    monkeypatch.setattr("sys.argv", ["hidden_effects.py"])
+    monkeypatch.setattr("sys.argv", ["run.py"])
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
-    monkeypatch.setattr(hidden_effects, "RESULTS", tmp_path)
-    monkeypatch.setattr(hidden_effects, "FOLDER", tmp_path / "hidden_effects")
-    monkeypatch.setattr(hidden_effects, "examine", record)
-    hidden_effects.main(["gap_0.01"], 2, jobs=1)
-    hidden_effects.main(["gap_0.01", "nothing"], 3, jobs=1)
+    monkeypatch.setattr(figure, "RESULTS", tmp_path)
+    for module in (run, store):
+        monkeypatch.setattr(module, "FOLDER", tmp_path / "hidden_effects")
+    monkeypatch.setattr(run, "examine", record)
+    run.main(["gap_0.01"], 2, jobs=1)
+    run.main(["gap_0.01", "nothing"], 3, jobs=1)
     first, then = (
         [("gap_0.01", 0), ("gap_0.01", 1)],
         [("nothing", 0), ("nothing", 1), ("gap_0.01", 2), ("nothing", 2)],
@@ -357,7 +366,7 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
 
 
 def test_rows_are_chosen_by_their_beginning_and_an_unknown_one_is_refused() -> None:
-    from problems.hidden_effects.cases import ROWS
+    from problems.hidden_effects.rows import ROWS
     from problems.hidden_effects.run import chosen_rows
 
     assert chosen_rows(["input_gain"]) == [

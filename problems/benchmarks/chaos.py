@@ -14,7 +14,6 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.model.model import Model
+from problems.tools.command_line import chosen, flag, option
 from problems.tools.provenance import RESULTS, write
 
 N_SEEDS, FIRST_SEED, WITHIN = 20, 7000, 1.959964
@@ -367,11 +367,11 @@ def page() -> None:
 
 
 if __name__ == "__main__":
-    chosen = [name for name in sys.argv[1:] if not name.startswith("-")] or None
-    given = [int(a.split("=")[1]) for a in sys.argv if a.startswith("--seeds=")]
-    if "--page" in sys.argv:
+    experiments = chosen() or None
+    if flag("page"):
         page()
-    elif "--quick" in sys.argv:
-        print(scores(main(chosen or ["lorenz_xyz"], 1, keep=False)).to_string())
+    elif flag("quick"):
+        found = main(experiments or ["lorenz_xyz"], 1, keep=False)
+        print(scores(found).to_string())
     else:
-        main(chosen, given[0] if given else N_SEEDS)
+        main(experiments, int(option("seeds", str(N_SEEDS))))

@@ -26,6 +26,7 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from problems.benchmarks.efficiency.cases import DUFFING, DUFFING_START, duffing_model
+from problems.tools.command_line import flag, option
 from problems.tools.provenance import RESULTS, ROOT, write
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
@@ -252,19 +253,12 @@ def figure(table: pd.DataFrame) -> None:
     plt.close(fig)
 
 
-def option(name: str, default: str) -> str:
-    """The text of --name=text among the arguments."""
-    return next(
-        (a.split("=", 1)[1] for a in sys.argv if a.startswith(f"--{name}=")), default
-    )
-
-
 if __name__ == "__main__":
     if one := option("one", ""):
         print(json.dumps(measure(int(one), option("channels", "qp"))))
-    elif "--page" in sys.argv:
+    elif flag("page"):
         page()
-    elif "--quick" in sys.argv:
+    elif flag("quick"):
         main((500, 1000), keep=False)
     else:
         largest = int(float(option("largest", str(SIZES[-1]))))

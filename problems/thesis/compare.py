@@ -17,7 +17,6 @@ os.environ.setdefault(
 )  # before NumPy is loaded: equal terms for both
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -28,6 +27,7 @@ import phsi_opt as ph
 from problems.thesis.methods import SIGNIFICANCE, by_solver, descent, likelihood
 from problems.thesis.scores import inside_and_beyond, phsi_loss, score
 from problems.thesis.systems import SYSTEMS, System, thesis_data_present
+from problems.tools.command_line import chosen, flag
 from problems.tools.provenance import RESULTS, write
 
 COLUMNS = [
@@ -287,8 +287,7 @@ def page(table: pd.DataFrame) -> str:
 
 
 if __name__ == "__main__":
-    chosen = [name for name in sys.argv[1:] if not name.startswith("-")]
-    if "--page" in sys.argv:
+    if flag("page"):
         write_page()
     else:
-        main("--quick" in sys.argv, chosen or None)
+        main(flag("quick"), chosen() or None)

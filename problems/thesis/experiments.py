@@ -14,7 +14,6 @@ os.environ.setdefault(
 )  # before NumPy is loaded: equal terms for all
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import sys
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -24,7 +23,7 @@ import pandas as pd
 
 import phsi_opt as ph
 from problems.thesis import figures, methods
-from problems.thesis.scores import common_name, free_run, rates, score
+from problems.thesis.scores import common_name, free_run, leak_of, score, without_leak
 from problems.thesis.systems import (
     FLOWS,
     LEVELS,
@@ -34,6 +33,7 @@ from problems.thesis.systems import (
     leak,
     thesis_data_present,
 )
+from problems.tools.command_line import chosen, flag
 from problems.tools.provenance import write
 
 Results = dict[str, Any]  # by method
@@ -341,23 +341,6 @@ def steps(system: System) -> pd.DataFrame:
 # --- the tanks: the leak, and the system without it
 
 
-def leak_of(result: Any, levels: np.ndarray) -> np.ndarray:
-    """The leak that a hybrid or its likelihood found, at levels of tank 4."""
-    x = np.zeros((len(levels), 9))
-    x[:, 8] = levels
-    if hasattr(result, "force"):
-        return np.asarray(result.force(x))[:, 0]
-    t = np.zeros(len(levels))
-    return (rates(result, x, t) - rates(without_leak(result), x, t))[:, 8]
-
-
-def without_leak(result: Any) -> Any:
-    """The identified system with the leak shut."""
-    if hasattr(result, "without_force"):
-        return result.without_force()
-    return replace(result, model=replace(result.model, F={}))
-
-
 def tank_checks(
     system: System, label: str, noise: str, data: ph.Measurements, result: Any
 ) -> dict[str, Any]:
@@ -474,5 +457,4 @@ def main(
 
 
 if __name__ == "__main__":
-    chosen = [name for name in sys.argv[1:] if not name.startswith("-")]
-    main("--quick" in sys.argv, chosen or None)
+    main(flag("quick"), chosen() or None)

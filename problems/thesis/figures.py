@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import phsi_opt as ph
-from problems.thesis.scores import common_name
+from problems.thesis.scores import common_name, leak_of, without_leak
 from problems.thesis.systems import System, closed_tanks, leak
 from problems.tools.provenance import RESULTS
 
@@ -207,7 +207,6 @@ def leaks(system: System, shown: dict[str, Any]) -> tuple[str, str]:
     """Figure 6.7: level of tank 4 inside and outside the training range, the leak, and
     the system without it.
     """
-    from problems.thesis.experiments import leak_of, without_leak
 
     results = lines(system, shown["results"]["noisy"])
     fig, axes = plt.subplots(2, 2, figsize=(11, 7.5), layout="constrained")

@@ -14,7 +14,6 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -36,6 +35,7 @@ from problems.thesis.systems import (
     tank_model,
     thesis_data_present,
 )
+from problems.tools.command_line import chosen, flag
 from problems.tools.provenance import RESULTS, write
 
 THRESHOLDS = (0.0, 0.05, 0.2)
@@ -243,5 +243,4 @@ def page(table: pd.DataFrame) -> str:
 
 
 if __name__ == "__main__":
-    chosen = [name for name in sys.argv[1:] if not name.startswith("-")]
-    main("--quick" in sys.argv, chosen or None)
+    main(flag("quick"), chosen() or None)

@@ -16,7 +16,6 @@ neural network.
     python -m problems.thesis.integrators [--quick]
 """
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -40,6 +39,7 @@ from problems.thesis.systems import (
     known_leak,
     tank_model,
 )
+from problems.tools.command_line import flag
 from problems.tools.provenance import RESULTS, write
 
 SEEDS = range(5)
@@ -408,4 +408,4 @@ def main(quick: bool = False) -> dict[str, pd.DataFrame]:
 
 
 if __name__ == "__main__":
-    main(quick="--quick" in sys.argv)
+    main(quick=flag("quick"))

@@ -12,7 +12,6 @@ os.environ.setdefault(
 )  # before NumPy is loaded: equal terms for all
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -24,6 +23,7 @@ import phsi_opt as ph
 from problems.thesis.methods import descent, likelihood, solver, solver_threshold
 from problems.thesis.scores import free_run, score
 from problems.thesis.systems import SYSTEMS, System
+from problems.tools.command_line import chosen, flag
 from problems.tools.provenance import RESULTS, write
 
 N_DRAWS = 10
@@ -181,8 +181,7 @@ def _reading(s: pd.DataFrame) -> str:
 
 
 if __name__ == "__main__":
-    chosen = [name for name in sys.argv[1:] if not name.startswith("-")]
-    if "--page" in sys.argv:
+    if flag("page"):
         collect()
     else:
-        main("--quick" in sys.argv, chosen or None)
+        main(flag("quick"), chosen() or None)

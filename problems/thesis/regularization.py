@@ -11,7 +11,6 @@ starts.
     python -m problems.thesis.regularization [--quick]
 """
 
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from scipy.integrate import solve_ivp
 import phsi_opt as ph
 from phsi_opt.estimation.result import Identified
 from phsi_opt.model.model import Model
+from problems.tools.command_line import flag
 from problems.tools.provenance import RESULTS, write
 
 WEIGHTS = ((0.0, 0.0), (0.1, 0.0), (0.0, 0.1), (0.1, 0.1))  # lambda_H, lambda_F
@@ -342,4 +342,4 @@ def main(quick: bool = False) -> dict[str, pd.DataFrame]:
 
 
 if __name__ == "__main__":
-    main(quick="--quick" in sys.argv)
+    main(quick=flag("quick"))

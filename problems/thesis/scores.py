@@ -2,7 +2,7 @@
 the PHSI loss by one function.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -117,3 +117,20 @@ def rates(result: Any, x: np.ndarray, t: np.ndarray) -> np.ndarray:
         )
         dx[:, [model.index(name) for name in names]] += force(x)
     return dx
+
+
+def leak_of(result: Any, levels: np.ndarray) -> np.ndarray:
+    """The leak that a hybrid or its likelihood found, at levels of tank 4."""
+    x = np.zeros((len(levels), 9))
+    x[:, 8] = levels
+    if hasattr(result, "force"):
+        return np.asarray(result.force(x))[:, 0]
+    t = np.zeros(len(levels))
+    return (rates(result, x, t) - rates(without_leak(result), x, t))[:, 8]
+
+
+def without_leak(result: Any) -> Any:
+    """The identified system with the leak shut."""
+    if hasattr(result, "without_force"):
+        return result.without_force()
+    return replace(result, model=replace(result.model, F={}))

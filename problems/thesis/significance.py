@@ -7,8 +7,6 @@ Each draw has new starts and new noise (3000 pairs, noise 0.02, dictionary of 34
     python -m problems.thesis.significance [--quick]
 """
 
-import sys
-
 import numpy as np
 import pandas as pd
 
@@ -16,6 +14,7 @@ import phsi_opt as ph
 from problems.thesis.methods import SIGNIFICANCE, by_solver
 from problems.thesis.scores import score
 from problems.thesis.systems import SYSTEMS
+from problems.tools.command_line import flag
 from problems.tools.provenance import write
 
 N_DRAWS = 60
@@ -121,4 +120,4 @@ def _page(table: pd.DataFrame) -> str:
 
 
 if __name__ == "__main__":
-    main(quick="--quick" in sys.argv)
+    main(quick=flag("quick"))

@@ -15,7 +15,6 @@ os.environ.setdefault(
 )  # before NumPy is loaded: the processes are the parallelism
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import sys
 import time
 from collections.abc import Iterator
 from multiprocessing import get_context
@@ -26,6 +25,8 @@ import pandas as pd
 
 import phsi_opt as ph
 from problems.benchmarks.efficiency.cases import CASES, NOISE_LEVELS, Case, Sample
+from problems.tools import markdown
+from problems.tools.command_line import chosen, flag, option
 from problems.tools.provenance import RESULTS, write
 
 FOLDER = RESULTS / "efficiency"
@@ -245,7 +246,7 @@ def page() -> None:
         "it sees errors that hide where the estimates of two parameters are correlated.",
         "Target: rmse/bound at most 1.1, coverage 93 to 97 %.",
         "",
-        _markdown(summary),
+        markdown.table(summary),
         "",
         "![rmse over bound](efficiency.png)",
         "",
@@ -254,15 +255,6 @@ def page() -> None:
         lines += _details(CASES[name], rows)
     write("efficiency.md", "\n".join(lines))
     figure(found)
-
-
-def _markdown(frame: pd.DataFrame) -> str:
-    rows = [
-        list(frame.columns),
-        ["---"] * len(frame.columns),
-        *frame.astype(str).to_numpy().tolist(),
-    ]
-    return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 
 def _details(case: Case, rows: pd.DataFrame) -> list[str]:
@@ -358,22 +350,13 @@ def figure(found: dict[str, pd.DataFrame]) -> None:
     plt.close(fig)
 
 
-def option(name: str, default: int | None) -> int | None:
-    """The whole number of --name=N among the arguments."""
-    given = [
-        argument.split("=")[1]
-        for argument in sys.argv
-        if argument.startswith(f"--{name}=")
-    ]
-    return int(given[0]) if given else default
-
-
 if __name__ == "__main__":
-    chosen = [name for name in sys.argv[1:] if not name.startswith("-")] or None
-    if "--page" in sys.argv:
+    experiments = chosen() or None
+    if flag("page"):
         page()
-    elif "--quick" in sys.argv:
-        for case_name, case_rows in quick(chosen).items():
+    elif flag("quick"):
+        for case_name, case_rows in quick(experiments).items():
             print(f"{case_name}: {_verdict(case_rows)}")
     else:
-        main(chosen, option("seeds", None), option("jobs", 2) or 2)
+        seeds = int(option("seeds", "0")) or None
+        main(experiments, seeds, int(option("jobs", "2")))
