@@ -424,6 +424,13 @@ def test_the_same_seed_gives_the_same_bits_and_another_start_another_result() ->
     assert all(first.values[name] != other.values[name] for name in first.values)
 
 
+def test_a_model_of_time_and_of_an_input_descends() -> None:
+    """Their columns at the stages come out of NumPy column by column, not row by row."""
+    settings = Descent(learning_rate=1e-3, epochs=3, batch=4, start="normal")
+    loss = gradient_descent(everything(), record(), settings).history["loss"]
+    assert loss.iloc[-1] < loss.iloc[0]
+
+
 def test_the_starts_are_those_of_the_thesis() -> None:
     model = SYSTEMS["mass_spring"].model()
     start = dict(zip(model.entries, starting_values(model, Descent(), 0), strict=True))

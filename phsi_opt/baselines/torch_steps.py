@@ -226,7 +226,7 @@ def batches(
     """
     order = torch.randperm(n, generator=generator)
     shuffled = [
-        (table.view(n, -1).index_select(0, order).view(table.shape), rows)
+        (table.reshape(n, -1).index_select(0, order).view(table.shape), rows)
         for table, rows in arrays
     ]
     for first in range(0, n, size):
