@@ -19,11 +19,12 @@ from phsi_opt.baselines.descent_settings import DTYPES, Descent, JointForce
 from phsi_opt.baselines.network_simulation import input_of, integrated, network_values
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_dictionary import DictionaryDynamics, monomial
-from phsi_opt.baselines.torch_steps import Adam, Progress, Steps, descend, one_thread
+from phsi_opt.baselines.torch_steps import Adam, Progress, Steps, descend
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, SolveError
 from phsi_opt.model.model import Model, place_of
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.alignment import matched
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete

@@ -26,10 +26,11 @@ from phsi_opt.baselines.descent_settings import (
 )
 from phsi_opt.baselines.network_simulation import input_of, integrated, network_values
 from phsi_opt.baselines.torch_dictionary import Network, relu_network
-from phsi_opt.baselines.torch_steps import Adam, Progress, Steps, descend, one_thread
+from phsi_opt.baselines.torch_steps import Adam, Progress, Steps, descend
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import complete
 

@@ -25,11 +25,12 @@ from phsi_opt.baselines.descent_settings import (
 )
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_dictionary import Basis, combination, lowered, monomial
-from phsi_opt.baselines.torch_steps import Adam, Progress, descend, one_thread
+from phsi_opt.baselines.torch_steps import Adam, Progress, descend
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.terms import Dictionary, polynomials
+from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import complete
 

@@ -6,7 +6,6 @@ for the whole data set.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any, Protocol
@@ -18,7 +17,7 @@ from torch import Tensor
 
 from phsi_opt.errors import SolveError
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.integrators import RightHandSide, integrator
+from phsi_opt.transcription.integrators import integrator, srk4_one_way
 
 Progress = Callable[[str], None]
 BETAS, EPSILON = (0.9, 0.999), 1e-8  # of Adam
@@ -62,13 +61,6 @@ class _Call:
     features: int | None
 
 
-def _one_way(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
-    # SRK4 is the mean of this over both directions of time: both go through as rows of
-    # one batch.
-    c1, c2 = 0.5 - sqrt(3) / 6, 0.5 + sqrt(3) / 6
-    return g((x0 + x1) / 2 - sqrt(3) / 6 * h * g(c1 * x0 + c2 * x1, c2), c1)
-
-
 class Steps:
     """Defects (x1 - x0)/h - Psi of intervals, for any scheme of `phsi_opt.integrators`.
 
@@ -86,7 +78,7 @@ class Steps:
             grid.y.shape[1],
         )
         self.both_ways = scheme == "srk4"
-        self.psi = _one_way if self.both_ways else integrator(scheme).psi
+        self.psi = srk4_one_way if self.both_ways else integrator(scheme).psi
         rows = 2 if self.both_ways else 1
         end = grid.begin + 1
         x0, x1, h, t0 = (
@@ -288,16 +280,3 @@ def descend(
                 f"epoch {epoch} of {settings.epochs}: loss {mean:.4g}, {n_terms} terms"
             )
     return pd.DataFrame(history, columns=["epoch", "loss", "n_terms"])
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """One thread of torch inside: small batches are slower with more, and the order of
-    sums is always the same.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -21,7 +21,6 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -49,10 +48,14 @@ from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.alignment import matched
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.integrators import (
+    FIRST_NODE,
+    SECOND_NODE,
+    srk4_stages,
+)
 from phsi_opt.transcription.losses import PHSILoss, complete
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
-C1, C2 = 0.5 - sqrt(3) / 6, 0.5 + sqrt(3) / 6  # the stages of SRK4
 FORMAT = "phsi_opt hybrid 1"
 
 
@@ -328,8 +331,8 @@ class _Work:
         """The grid with the force as inputs whose straight line passes through its
         values at the two stages.
         """
-        slope = (force[:, 1] - force[:, 0]) / (C2 - C1)
-        begin = force[:, 0] - C1 * slope
+        slope = (force[:, 1] - force[:, 0]) / (SECOND_NODE - FIRST_NODE)
+        begin = force[:, 0] - FIRST_NODE * slope
         at_nodes = np.zeros((self.grid.n_nodes, len(self.rows)))
         at_nodes[self.grid.begin] = begin
         return replace(
@@ -359,12 +362,11 @@ class _Work:
             )
             return np.array(columns)
 
-        middle, reach = (x0 + x1) / 2, sqrt(3) / 6 * h
-        first = middle - reach * g(C1 * x0 + C2 * x1, C2)
-        second = middle + reach * g(C2 * x0 + C1 * x1, C1)
-        explained = (g(first, C1) + g(second, C2)) / 2
+        found = srk4_stages(g, x0, x1, h)
+        explained = (g(found.first, FIRST_NODE) + g(found.second, SECOND_NODE)) / 2
         left = ((x1 - x0) / h - explained).T[:, list(self.rows)]
-        return np.stack([first.T, second.T], axis=1), left + force.mean(axis=1)
+        states = np.stack([found.first.T, found.second.T], axis=1)
+        return states, left + force.mean(axis=1)
 
     def last_layer(
         self, trained: TrainedForce, fit: Fit, stages: np.ndarray, target: np.ndarray

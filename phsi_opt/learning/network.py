@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.errors import ModelError
+from phsi_opt.optimization.torch_threads import one_thread
 
 N_FOLDS = 5
 RIDGES = 10.0 ** np.arange(
@@ -115,11 +116,7 @@ def train(
             "a neural force needs torch: pip install 'phsi_opt[neural]'."
         ) from None
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(
-        1
-    )  # more threads change the order of sums, and so the last bits
-    try:
+    with one_thread():
         made = torch.Generator().manual_seed(seed)
         points = stages[:, :, columns]
         shift, spread = (
@@ -167,8 +164,6 @@ def train(
                 )
             if error < best:
                 best, arrays = error, _arrays(layers)
-    finally:
-        torch.set_num_threads(threads)
     weights, bias = arrays[-1]
     arrays[-1] = (weights * size[:, None], bias * size)
     seen = np.stack([points.min(axis=(0, 1)), points.max(axis=(0, 1))])

@@ -20,6 +20,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.screening.score_test import Screen
 from phsi_opt.statistics import TINY
 
@@ -185,11 +186,7 @@ def _trained(
             "a learned force needs torch: pip install 'phsi_opt[neural]'."
         ) from None
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(
-        1
-    )  # more threads change the order of sums, and so the last bits
-    try:
+    with one_thread():
         made = torch.Generator().manual_seed(seed)
 
         def start(bound: float, *shape: int) -> Any:
@@ -224,6 +221,4 @@ def _trained(
             )
             torch.mean((force - basis @ (basis.T @ force) - y) ** 2).backward()
             optimiser.step()
-    finally:
-        torch.set_num_threads(threads)
     return [found[round(share * epochs)] for share in STOPS]

@@ -43,14 +43,43 @@ def _rk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
     return (k1 + 2 * k2 + 2 * k3 + g(x0 + h * k3, 1.0)) / 6
 
 
+# SRK4 evaluates the right-hand side at these shares of the step, the nodes of Gauss's
+# quadrature with two points.
+FIRST_NODE = 0.5 - sqrt(3) / 6
+SECOND_NODE = 0.5 + sqrt(3) / 6
+
+
+@dataclass(frozen=True)
+class Stages:
+    """States of SRK4 at the nodes of a step, in the form of x0 and x1."""
+
+    first: Any
+    second: Any
+
+
+def srk4_stages(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Stages:
+    """States at `FIRST_NODE` and `SECOND_NODE`, at which SRK4 averages the derivative.
+
+    The inner stage at the second node feeds the outer one at the first node and the
+    other way round; swapped, the order drops to two.
+    """
+    middle = (x0 + x1) / 2
+    reach = sqrt(3) / 6 * h
+    at_second = g(FIRST_NODE * x0 + SECOND_NODE * x1, SECOND_NODE)
+    at_first = g(SECOND_NODE * x0 + FIRST_NODE * x1, FIRST_NODE)
+    return Stages(middle - reach * at_second, middle + reach * at_first)
+
+
+def srk4_one_way(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
+    """Half of SRK4: its Psi is the mean of this from x0 to x1 and from x1 to x0."""
+    inner = FIRST_NODE * x0 + SECOND_NODE * x1
+    first = (x0 + x1) / 2 - sqrt(3) / 6 * h * g(inner, SECOND_NODE)
+    return g(first, FIRST_NODE)
+
+
 def _srk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
-    c1, c2 = 0.5 - sqrt(3) / 6, 0.5 + sqrt(3) / 6
-    middle, reach = (x0 + x1) / 2, sqrt(3) / 6 * h
-    # The inner stage at c2 feeds the outer one at c1 and the other way round; swapped,
-    # the order drops to two.
-    at_c1 = g(middle - reach * g(c1 * x0 + c2 * x1, c2), c1)
-    at_c2 = g(middle + reach * g(c2 * x0 + c1 * x1, c1), c2)
-    return (at_c1 + at_c2) / 2
+    stages = srk4_stages(g, x0, x1, h)
+    return (g(stages.first, FIRST_NODE) + g(stages.second, SECOND_NODE)) / 2
 
 
 INTEGRATORS = {
