@@ -20,7 +20,7 @@ from phsi_opt.model.terms import Parameter, damping, formula, polynomials, trigo
 from phsi_opt.optimization.ipopt import Settings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.study import Study
-from phsi_opt.transcription.losses import MaximumLikelihood, MissingForce, PHSILoss
+from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 __all__ = [
     "Comparison",
@@ -31,7 +31,6 @@ __all__ = [
     "Fit",
     "MaximumLikelihood",
     "Measurements",
-    "MissingForce",
     "ModelError",
     "PHSILoss",
     "Parameter",

@@ -22,7 +22,7 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Settings
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
@@ -73,8 +73,8 @@ class Study:
         progress: Callable[[str], None] | None = None,
     ) -> None:
         self.base = model
-        self.train = matched(model, train)
-        self.held_out = None if held_out is None else matched(model, held_out)
+        self.train = aligned(model, train)
+        self.held_out = None if held_out is None else aligned(model, held_out)
         self._loss, self._say = (
             loss or MaximumLikelihood(),
             progress or (lambda line: None),

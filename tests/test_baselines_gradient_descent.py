@@ -32,7 +32,7 @@ from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS
-from phsi_opt.transcription.losses import complete
+from phsi_opt.transcription.losses import complete_intervals
 from problems.thesis.systems import SYSTEMS
 
 HENON = SYSTEMS["henon_heiles"]
@@ -114,7 +114,7 @@ def at_random(model: Model) -> Model:
 
 
 def solvers_loss(model: Model, data: ph.Measurements, scheme: str) -> float:
-    grid = complete(model, grid_of(data))
+    grid = complete_intervals(model, grid_of(data))
     theta = np.array([model.values[name] for name in model.free])
     return float(
         np.mean(
@@ -132,7 +132,9 @@ def steps_of(
     model: Model, data: ph.Measurements, scheme: str
 ) -> tuple[Steps, torch.Tensor]:
     dynamics = DictionaryDynamics(model, torch.float64)
-    steps = Steps(complete(model, grid_of(data)), scheme, dynamics, torch.float64)
+    steps = Steps(
+        complete_intervals(model, grid_of(data)), scheme, dynamics, torch.float64
+    )
     return steps, torch.tensor(
         [model.values[name] for name in dynamics.names], dtype=torch.float64
     )
@@ -187,7 +189,9 @@ def test_the_gradient_of_a_neural_force_is_that_of_finite_differences() -> None:
     model = at_random(first_order())
     force = JointForce(("q", "p"), ("q", "u", "t"), hidden=(5, 4), penalty=0.3)
     dynamics = DictionaryDynamics(model, torch.float64, force)
-    steps = Steps(complete(model, grid_of(record())), "srk4", dynamics, torch.float64)
+    steps = Steps(
+        complete_intervals(model, grid_of(record())), "srk4", dynamics, torch.float64
+    )
     assert dynamics.network is not None
     weights = dynamics.network.start(torch.Generator().manual_seed(3), torch.float64)
     theta = torch.cat(

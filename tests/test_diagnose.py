@@ -18,7 +18,7 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.pair_search import pairs
 from phsi_opt.screening.score_test import Screen, Screened
 from phsi_opt.screening.sensitivities import Columns
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 
 T = np.linspace(0.0, 14.0, 281)
 STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
@@ -66,7 +66,7 @@ def measured(
 def drag() -> tuple[ph.Fit, ph.Measurements, Screen]:
     data = measured(truth(R="0.1 + 0.25*abs(dH_dp)"), seed=0)
     fit = ph.identify(base(), data)
-    return fit, data, Screen(fit, matched(fit.model, data), force_of(fit, data))
+    return fit, data, Screen(fit, aligned(fit.model, data), force_of(fit, data))
 
 
 def test_screening_expects_what_the_re_fit_then_finds(
@@ -143,7 +143,7 @@ def pushed(extra: str, gain: str = "1") -> ph.Measurements:
 def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
     data = pushed("0.5 + 0.6*(dH_dp**4 + 0.05**4)**(-0.25)")
     fit = ph.identify(driven(ph.Parameter(1.5, lower=0.1)), data)
-    screen = Screen(fit, matched(fit.model, data), force_of(fit, data), fit.states)
+    screen = Screen(fit, aligned(fit.model, data), force_of(fit, data), fit.states)
     # Gain, mass and friction have a common factor: with the missing force beside them,
     # the gain would explain it all.
     for name, equation in (("input gain", "p"), ("sensor gain", "q")):
@@ -158,7 +158,7 @@ def test_a_delay_acts_on_an_interval_with_the_mean_of_what_arrives(
 ) -> None:
     data = pushed("0.5")
     fit = ph.identify(driven(ph.Parameter(2.0, fixed=True)), data)
-    screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
+    screen = Screen(fit, aligned(fit.model, data), force_of(fit, data))
     h, tau = T[1] - T[0], share * (T[1] - T[0])
     fine = np.linspace(T[0], T[-1], 40 * (len(T) - 1) + 1)
     u = data.trajectories[0].u[:, 0]
@@ -181,7 +181,7 @@ def test_a_delay_acts_on_an_interval_with_the_mean_of_what_arrives(
 def test_a_gain_beside_a_known_mass_is_a_candidate() -> None:
     data = pushed("0.5", gain="1.3")
     fit = ph.identify(driven(ph.Parameter(2.0, fixed=True)), data)
-    screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
+    screen = Screen(fit, aligned(fit.model, data), force_of(fit, data))
     found = screen.candidate(effect_named(fit.model, "input gain", "p"))
     assert found is not None and found.coefficient == pytest.approx(0.3, abs=0.05)
 
@@ -191,7 +191,7 @@ def test_a_sign_that_physics_forbids_is_not_proposed() -> None:
         truth(R="0.3 - 0.1*abs(dH_dp)"), seed=1
     )  # damping that falls with the speed
     fit = ph.identify(base(), data)
-    screen = Screen(fit, matched(fit.model, data), force_of(fit, data))
+    screen = Screen(fit, aligned(fit.model, data), force_of(fit, data))
     for name in ("quadratic drag", "cubic drag"):
         one = screen.candidate(effect_named(fit.model, name, "p"))
         # Zero up to rounding: the data ask for a negative drag, R >= 0 forbids it.
@@ -332,7 +332,7 @@ def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
 ) -> None:
     fit, data, _ = drag
     work = refit.Refitting.begin(
-        fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None
+        fit, aligned(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None
     )
     refitted = []
     for name in ("coulomb friction", "stribeck friction"):
@@ -510,7 +510,7 @@ def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() ->
     # resonance are sharply larger.
     case = draw(ROWS["harmonic_force_0.03"], 8)
     fit = ph.identify(case.model, case.train)
-    data = matched(fit.model, case.train)
+    data = aligned(fit.model, case.train)
     assert fit.estimates["R_p"] < 1e-3
     screen = Screen(fit, data, force_of(fit, data))
     one = screen.candidate(effect_named(fit.model, "harmonic force", "p"))
@@ -652,7 +652,7 @@ def test_a_body_that_creeps_gets_the_width_of_its_corner() -> None:
     )
     fit = ph.identify(base(), data)
     work = refit.Refitting.begin(
-        fit, matched(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None
+        fit, aligned(fit.model, data), None, ph.MaximumLikelihood(), lambda line: None
     )
     found = work.refit(
         [effect_named(fit.model, "coulomb friction", "p")], {"coulomb_friction_p": 0.25}

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.initialization.relative_guesses import at_rest, resolved
+from phsi_opt.initialization.relative_guesses import intervals_at_rest, resolve_guesses
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.augmented_states import Memory, remembered
+from phsi_opt.transcription.augmented_states import MemoryIntegration, with_memory
 from phsi_opt.transcription.grid import grid_of
 
 M, K, X, U, T = 2.0, 3.0, np.array([0.7, -1.2]), np.array([0.9]), 0.4
@@ -218,7 +218,7 @@ def test_a_delayed_input_arrives_late_and_a_lagged_one_smoothed() -> None:
     late = model.add(effect_named(model, "input delay", "p")).with_values(
         {"delay_u_p": 0.4}
     )
-    x = remembered(
+    x = with_memory(
         late, grid, np.zeros((801, 2)), np.array([late.values[n] for n in late.free])
     )
     arrived = u[:, 0] + 2 * (x[:, 2] - u[:, 0]) + 0.4**2 / 5 * x[:, 4]
@@ -228,7 +228,7 @@ def test_a_delayed_input_arrives_late_and_a_lagged_one_smoothed() -> None:
     lagged = model.add(effect_named(model, "input lag", "p")).with_values(
         {"lag_u_p": 0.4}
     )
-    z = remembered(
+    z = with_memory(
         lagged,
         grid,
         np.zeros((801, 2)),
@@ -253,7 +253,7 @@ def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
     )
     grid = grid_of(data)
     theta = np.array([late.values[n] for n in late.free])
-    means = Memory(late, grid, np.zeros((len(t), 2)))(theta)[1]
+    means = MemoryIntegration(late, grid, np.zeros((len(t), 2)))(theta).interval_means
     shown = u[:-1, 0] + 2 * (means[:, 0] - u[:-1, 0]) + 0.1**2 / 5 * means[:, 2]
     expected = u[:-1, 0] - 0.2 * np.diff(u[:-1, 0], prepend=u[0, 0])
     np.testing.assert_allclose(
@@ -270,12 +270,12 @@ def test_a_rim_is_not_sought_above_the_highest_level() -> None:
     grid = grid_of(data)
     (limit,) = (
         e.parameter
-        for n, e in resolved(larger, grid, grid.y).entries.items()
+        for n, e in resolve_guesses(larger, grid, grid.y).entries.items()
         if n.endswith("limit")
     )
     assert limit.upper == 3.0 and 0 < limit.start < 3.0
     assert (
-        resolved(larger, grid, grid.y)
+        resolve_guesses(larger, grid, grid.y)
         .with_values({"overflow_h.limit": 9.0})
         .values["overflow_h.limit"]
         == 3.0
@@ -294,7 +294,7 @@ def test_a_body_that_stays_is_at_rest_and_one_that_turns_is_not() -> None:
                 t, np.column_stack([0 * t, v]), states=["q", "p"]
             )
         )
-        assert at_rest(mass, grid, grid.y, "p", 0.03).mean() == pytest.approx(
+        assert intervals_at_rest(mass, grid, grid.y, "p", 0.03).mean() == pytest.approx(
             expected, abs=0.01
         )
 

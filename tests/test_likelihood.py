@@ -21,9 +21,9 @@ from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, Parameter, formula
 from phsi_opt.simulation.simulate import simulate
-from phsi_opt.transcription.grid import grid_of, steps_of
+from phsi_opt.transcription.force_prior import ForcePrior
+from phsi_opt.transcription.grid import grid_of, steps_per_gap
 from phsi_opt.transcription.losses import (
-    ForcePrior,
     MaximumLikelihood,
     MissingForce,
     PHSILoss,
@@ -357,7 +357,7 @@ def test_windows_cut_a_grid_at_samples_and_leave_no_short_piece() -> None:
     assert grid.sample[gone].all()
     # Windows of 1.0 in a record of 5.0; the sample at 5.0 alone is no window.
     np.testing.assert_allclose(grid.t[gone], [0.95, 1.95, 2.95, 3.95])
-    assert [int(n.max()) for n in steps_of(grid)] == [2]
+    assert [int(n.max()) for n in steps_per_gap(grid)] == [2]
     assert cut(grid, 0.1).n_intervals > grid.n_intervals - 101 // 8
 
 

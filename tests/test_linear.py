@@ -7,7 +7,7 @@ from scipy.sparse import csc_matrix, identity
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import SolveError
 from phsi_opt.optimization.banded import Banded
-from phsi_opt.transcription.elimination import Reduced, along_time
+from phsi_opt.transcription.elimination import ReducedSystem, time_order
 from phsi_opt.transcription.grid import grid_of
 
 
@@ -60,7 +60,7 @@ def test_states_are_eliminated_as_by_dense_algebra() -> None:
     J = np.hstack([rng.normal(size=(n_c, p)), A])
     root = np.hstack([rng.normal(size=(n_x, p)), np.diag(rng.uniform(0.5, 2.0, n_x))])
     H = root.T @ root
-    reduced = Reduced(
+    reduced = ReducedSystem(
         grid, n, csc_matrix(H), csc_matrix(J), slice(0, p), slice(p, p + n_x)
     )
     kkt = np.block([[H, J.T], [J, np.zeros((n_c, n_c))]])
@@ -70,9 +70,9 @@ def test_states_are_eliminated_as_by_dense_algebra() -> None:
         np.linalg.inv(reduced.information), covariance, rtol=1e-7
     )
     e = rng.normal(size=n_c)
-    theta, x = reduced.respond(e, covariance)
+    response = reduced.respond(e, covariance)
     whole = inverse @ np.r_[np.zeros(p + n_x), e]
-    np.testing.assert_allclose(np.r_[theta, x], whole[: p + n_x], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(response.joined, whole[: p + n_x], rtol=1e-7, atol=1e-9)
     starts = grid.first[:, None] * n + np.arange(n)
     following, left = (
         reduced.following,
@@ -88,7 +88,7 @@ def test_states_are_eliminated_as_by_dense_algebra() -> None:
 
 def test_unknowns_stand_in_the_order_of_their_time() -> None:
     grid = grid_of(two_runs(1))
-    order = along_time(grid, ("node", 1), ("interval", 1))
+    order = time_order(grid, ("node", 1), ("interval", 1))
     # Five nodes with four intervals in between, then four nodes with three.
     assert order[:9].tolist() == [0, 9, 1, 10, 2, 11, 3, 12, 4]
     assert order[9:].tolist() == [5, 13, 6, 14, 7, 15, 8]

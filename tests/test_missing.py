@@ -14,8 +14,10 @@ from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.structure import canonical, forced_rows, positions
 from phsi_opt.model.terms import damping, formula, polynomials
 from phsi_opt.optimization.ipopt import solve
+from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.losses import ForcePrior, MissingForce, Point
+from phsi_opt.transcription.losses import MissingForce
+from phsi_opt.transcription.point import Point
 
 K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02
 START = ([1.0, 0.0], [-0.8, 0.0], [0.6, 1.5])

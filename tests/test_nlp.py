@@ -17,7 +17,8 @@ from phsi_opt.model.terms import Dictionary, Parameter, Term, polynomials
 from phsi_opt.optimization.ipopt import Settings, _is_settled, solve
 from phsi_opt.optimization.program import Assembly
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.losses import PHSILoss, Point
+from phsi_opt.transcription.losses import PHSILoss
+from phsi_opt.transcription.point import Point
 
 POWERS = [
     (1, 0),

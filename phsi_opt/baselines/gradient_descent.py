@@ -25,9 +25,9 @@ from phsi_opt.errors import DataError, ModelError, SolveError
 from phsi_opt.model.model import Model, place_of
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.optimization.torch_threads import one_thread
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.grid import Grid, grid_of
-from phsi_opt.transcription.losses import complete
+from phsi_opt.transcription.losses import complete_intervals
 
 __all__ = ["Descent", "HybridBaseline", "JointForce", "gradient_descent"]
 POLYNOMIAL_START, FUNCTION_START, NORMAL_START = 0.2, 1.0, 0.5
@@ -65,8 +65,8 @@ def gradient_descent(
         raise ModelError(
             "the model has no free parameter, so there is nothing to identify."
         )
-    record = matched(model, data)
-    grid = complete(model, grid_of(record))
+    record = aligned(model, data)
+    grid = complete_intervals(model, grid_of(record))
     with one_thread():
         task = _Task(model, grid, settings, seed, force)
         history = task.run(progress)

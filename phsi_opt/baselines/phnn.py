@@ -32,7 +32,7 @@ from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.losses import complete
+from phsi_opt.transcription.losses import complete_intervals
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 
@@ -269,7 +269,7 @@ def phnn(
         if force is None
         else JointForce(tuple(force[0]), tuple(force[1]), settings.force_hidden)
     )
-    grid = complete(model, grid_of(data))
+    grid = complete_intervals(model, grid_of(data))
     with one_thread():
         dtype = DTYPES[settings.dtype]
         dynamics = _NetworkDynamics(model, tuple(damping), settings, neural, dtype)

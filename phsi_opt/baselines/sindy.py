@@ -25,7 +25,7 @@ from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, ModelError, SolveError, did_you_mean
 from phsi_opt.model.model import FirstOrder, Model, place_of
 from phsi_opt.model.terms import Dictionary, Parameter, Term
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 
 OPTIMIZERS = ("stlsq", "sr3")
 ZERO = 1e-6  # LASSO: a term below this share of the rates is the solver's rounding
@@ -262,7 +262,7 @@ def _prepared(
         raise ModelError(
             "the model has no free coefficient, so there is nothing to regress."
         )
-    complete = matched(held, data)
+    complete = aligned(held, data)
     for run in complete.trajectories:
         if not np.all(np.isfinite(run.x)):
             i, k = np.argwhere(~np.isfinite(run.x))[0]

@@ -32,7 +32,7 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.terms import Dictionary, polynomials
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.losses import complete
+from phsi_opt.transcription.losses import complete_intervals
 
 LOSSES = ("absolute", "squared")
 CUBE_ROOT = 2.0 ** (1 / 3)
@@ -135,7 +135,7 @@ def ssinn(
     began = time.perf_counter()
     settings = settings or SymplecticDescent()
     model = separable(data.states, positions, momenta, degree)
-    grid = complete(model, grid_of(data))
+    grid = complete_intervals(model, grid_of(data))
     with one_thread():
         dtype = DTYPES[settings.dtype]
         q, p = (

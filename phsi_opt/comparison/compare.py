@@ -21,10 +21,10 @@ from phsi_opt.estimation.smoothing import explained
 from phsi_opt.model.model import Model
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.alignment import matched
-from phsi_opt.transcription.augmented_states import remembered
+from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.sensors import shown
+from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -219,7 +219,7 @@ def compare(fit: Fit, data: Measurements) -> Comparison:
     trajectories of the same name, and estimated from the record, with its starting
     state, for others.
     """
-    data = matched(fit.model, data)
+    data = aligned(fit.model, data)
     estimate = force_of(fit, data)
     return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
 
@@ -230,7 +230,7 @@ def compared(
     """`compare` with the noise known, and states to start from that may lack the memory
     of the model's effects.
     """
-    data = matched(fit.model, data)
+    data = aligned(fit.model, data)
     sigma = np.r_[sigma, np.ones(fit.model.n_states - len(sigma))]
     # The starting states of a fit to these very measurements are its own; others are
     # estimated from the record.
@@ -240,7 +240,7 @@ def compared(
     else:
         values, grid = parameters_of(fit, data), grid_of(data)
         guess = grid.split(
-            remembered(
+            with_memory(
                 fit.model, grid, np.concatenate(guess), matrix_of(fit.model, values)
             )
         )
@@ -259,7 +259,7 @@ def compared(
         _free_run(fit.model.with_values(values[run.name]), run, x[0], data.hold)
         for run, x in zip(data.trajectories, states, strict=True)
     )
-    seen = shown(fit.model, data, simulated, matrix_of(fit.model, values))
+    seen = outputs_at_samples(fit.model, data, simulated, matrix_of(fit.model, values))
     residuals = tuple(run.x - y for run, y in zip(data.trajectories, seen, strict=True))
     return Comparison(fit, data, values, simulated, seen, residuals, sigma)
 

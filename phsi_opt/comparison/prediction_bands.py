@@ -8,11 +8,11 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit, matrix_of
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.ipopt import Solver
-from phsi_opt.transcription.elimination import Reduced
+from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.sensors import output_slopes, output_slopes_of
+from phsi_opt.transcription.sensors import output_slopes, output_slopes_in_theta
 
 LONGEST = 200_000  # values in a record up to which bands are worked out
 
@@ -46,7 +46,7 @@ def bands(
     kkt = Solver(program).kkt(program.start, sigma)
     block, x = program.variables["theta"], program.variables["x"]
     information = kkt.hessian * (int(grid.measured.sum()) / 2)
-    reduced = Reduced(
+    reduced = ReducedSystem(
         grid, fit.model.n_states, information, kkt.jacobian, block.slice, x.slice
     )
     covariance = _covariance(fit, unknown, point.theta_scale, reduced.information)
@@ -60,10 +60,12 @@ def bands(
         left * np.outer(point.x_scale, point.x_scale),
     )
     if fit.model.sensor:
-        by_x = output_slopes(fit.model, grid, nodes, unknown.by_trajectory(theta))[0]
+        by_x = output_slopes(
+            fit.model, grid, nodes, unknown.by_trajectory(theta)
+        ).in_states
         following = (
             by_x @ following
-            + output_slopes_of(unknown, grid, nodes, theta) * point.theta_scale
+            + output_slopes_in_theta(unknown, grid, nodes, theta) * point.theta_scale
         )
         left = by_x @ left @ by_x.transpose(0, 2, 1)
     variance = np.einsum(

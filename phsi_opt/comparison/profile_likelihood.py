@@ -22,7 +22,7 @@ from phsi_opt.estimation.missing_force import force_of
 from phsi_opt.estimation.problem import State
 from phsi_opt.estimation.smoothing import options, steps_on
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +101,7 @@ def profile(
     that the fit does not have as a free and shared one, or that has no standard error.
     """
     _check(fit, name, level)
-    line = _Line(fit, matched(fit.model, data), name, progress or (lambda text: None))
+    line = _Line(fit, aligned(fit.model, data), name, progress or (lambda text: None))
     value, error = line.value, fit.std_errors[name]
     quantile = float(
         f_distribution.isf(1 - level, 1, max(fit.n_values - len(fit.names), 1))

@@ -23,7 +23,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.score_test import Screen
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
@@ -47,7 +47,7 @@ def diagnose(
         progress: called with a line of text as the work goes on.
     """
     say = progress or (lambda line: None)
-    data = matched(fit.model, data)
+    data = aligned(fit.model, data)
     say("estimating the missing force")
     work = Refitting.begin(fit, data, held_out, loss or MaximumLikelihood(), say)
     listed = catalogue(fit.model) if effects is None else effects

@@ -6,7 +6,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.criteria import AT_CORNER, CORNER
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.initialization.relative_guesses import corners
+from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Share
@@ -79,7 +79,7 @@ def new_corners(model: Model, base: Model) -> dict[str, Share]:
     """Those that the base does not have."""
     return {
         name: guess
-        for name, guess in corners(model).items()
+        for name, guess in corner_widths(model).items()
         if name not in base.entries
     }
 

@@ -63,15 +63,15 @@ from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit, matrix_of
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.missing_force import ForceEstimate, force_of
-from phsi_opt.initialization.relative_guesses import resolved
+from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import FEASIBLE_PATH
 from phsi_opt.screening.pair_search import pairs
 from phsi_opt.screening.score_test import Screen, Screened
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.transcription.sensors import shown
+from phsi_opt.transcription.sensors import outputs_at_samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class Refitting:
         say: Callable[[str], None],
     ) -> "Refitting":
         estimate = force_of(fit, data)
-        judging = data if held_out is None else matched(fit.model, held_out)
+        judging = data if held_out is None else aligned(fit.model, held_out)
         judged = estimate if held_out is None else force_of(fit, judging)
         trained = compared_from_estimate(fit, data, estimate)
         base = (
@@ -143,7 +143,9 @@ class Refitting:
         model = self.fit.model
         for effect in effects:
             model = model.add(effect)
-        model = resolved(model, self.estimate.grid, self.estimate.x).with_values(values)
+        model = resolve_guesses(model, self.estimate.grid, self.estimate.x).with_values(
+            values
+        )
         # The fast part of a memory, that of a short delay, is not seen by steps as long
         # as the samples.
         finer = 2 if any(effect.memory for effect in effects) else 1
@@ -634,7 +636,7 @@ def _strays(fit: Fit, trained: Comparison) -> float:
     """Root mean square distance of the free run from the states of the fit, in standard
     deviations of the noise.
     """
-    seen = shown(
+    seen = outputs_at_samples(
         fit.model, trained.data, fit.states, matrix_of(fit.model, trained.values)
     )
     triples = zip(trained.shown, seen, trained.data.trajectories, strict=True)

@@ -27,7 +27,7 @@ from phsi_opt.optimization.ipopt import (
 )
 from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defects import defect
-from phsi_opt.transcription.elimination import Reduced, inverse
+from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -262,7 +262,7 @@ class FeasiblePath:
         kkt = self.solver.kkt(at.z, set_to)
         if not np.all(np.isfinite(kkt.jacobian.data)):
             return np.zeros_like(at.z), np.nan
-        reduced = Reduced(
+        reduced = ReducedSystem(
             self.grid, self.n_states, kkt.hessian, kkt.jacobian, self.theta, self.x
         )
         step = self._bounded(at, reduced, reduced.information)
@@ -276,7 +276,7 @@ class FeasiblePath:
         return step, promise
 
     def _bounded(
-        self, at: _Place, reduced: Reduced, information: np.ndarray
+        self, at: _Place, reduced: ReducedSystem, information: np.ndarray
     ) -> np.ndarray:
         """The step for some information on theta; parameters at a bound do not move out
         of it.
@@ -285,18 +285,20 @@ class FeasiblePath:
         no_offset = np.zeros(self.program.g.numel())
         while True:
             covariance = (
-                inverse(information * self.half, np.flatnonzero(held).tolist())
+                regularized_inverse(
+                    information * self.half, np.flatnonzero(held).tolist()
+                )
                 * self.half
             )
-            change, along = reduced.solve(
+            step = reduced.solve(
                 -at.gradient[self.x], no_offset, covariance, -at.gradient[self.theta]
             )
             close = 1e-9 * (1 + np.abs(theta))
-            out = ((change < 0) & (theta <= self.lower + close)) | (
-                (change > 0) & (theta >= self.upper - close)
+            out = ((step.theta < 0) & (theta <= self.lower + close)) | (
+                (step.theta > 0) & (theta >= self.upper - close)
             )
             if not np.any(out & ~held):
-                return np.concatenate([change, along])
+                return step.joined
             held |= out
 
     def _shortened(

@@ -16,7 +16,7 @@ from phsi_opt.estimation.problem import Loss, Progress, State, Task
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Settings
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import (
     MaximumLikelihood,
@@ -63,7 +63,7 @@ def identify(
         )
     task = Task(
         model,
-        matched(model, data),
+        aligned(model, data),
         l1_weights(l1),
         pruning,
         settings or Settings(),

@@ -23,8 +23,8 @@ from phsi_opt.optimization.ipopt import (
     Solver,
 )
 from phsi_opt.optimization.program import Program
-from phsi_opt.transcription.augmented_states import beginnings
-from phsi_opt.transcription.grid import Grid, between, grid_of
+from phsi_opt.transcription.augmented_states import memory_start_bounds
+from phsi_opt.transcription.grid import Grid, grid_of, interpolate_at_nodes
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -187,12 +187,12 @@ class LikelihoodSolve:
         grid = grid_of(task.data, steps)
         unknown = Theta.of(model, task.runs)
         nodes = np.concatenate(
-            [between(run, n) for run, n in zip(x, steps, strict=True)]
+            [interpolate_at_nodes(run, n) for run, n in zip(x, steps, strict=True)]
         )
         point = point_at(model, grid, unknown, theta, nodes)
         point = replace(
             point,
-            between=beginnings(
+            x_bounds=memory_start_bounds(
                 model, grid, nodes, np.asarray(unknown.by_trajectory(theta))
             ),
         )

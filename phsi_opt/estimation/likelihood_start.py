@@ -13,11 +13,16 @@ from phsi_opt.estimation.missing_force import smoothed, softened
 from phsi_opt.estimation.phsi import chosen, solve_defects
 from phsi_opt.estimation.problem import State, Task
 from phsi_opt.initialization.convex_start import starting_values
-from phsi_opt.initialization.relative_guesses import corners, resolved
-from phsi_opt.initialization.scaling import point_at, theta_scale, unsensed, with_states
+from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
+from phsi_opt.initialization.scaling import (
+    invert_sensors,
+    point_at,
+    theta_scale,
+    with_states,
+)
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import GAUSS_NEWTON
-from phsi_opt.transcription.augmented_states import remembered
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 from phsi_opt.transcription.parameter_vector import Theta
@@ -64,15 +69,15 @@ def beginning(
     if not grid.measured.all() and grid.n_nodes > LONG:
         return _through_a_part(task, loss, sigma, known, grid, solve_part)
     task.say("starting values")
-    core, grid = task.model.dynamics(), unsensed(task.model, grid)
+    core, grid = task.model.dynamics(), invert_sensors(task.model, grid)
     notes: tuple[str, ...] = ()
     complete_data = bool(grid.measured.all())
     x = grid.y
     if not complete_data:
-        guessed = resolved(core, grid, np.nan_to_num(grid.y))
+        guessed = resolve_guesses(core, grid, np.nan_to_num(grid.y))
         estimate = smoothed(guessed, grid, sigma, loss.integrator, known, rounds=2)
         x, sigma = estimate.x, estimate.sigma
-    core = resolved(core, grid, x)
+    core = resolve_guesses(core, grid, x)
     given = {
         name
         for name, e in task.model.entries.items()
@@ -172,12 +177,12 @@ def _from_fit(
         if name in start.model.states
     ]
     x = np.concatenate(start.states)[:, kept] if own else np.nan_to_num(grid.y)
-    model = resolved(task.model, grid, x)
+    model = resolve_guesses(task.model, grid, x)
     default = unknown.spread(model.theta)
     theta = unknown.from_values(start.estimates, default)
     if own:  # the memory of an effect that the fit did not have follows from its states
         states = grid.split(
-            remembered(model, grid, x, np.asarray(unknown.by_trajectory(theta)))
+            with_memory(model, grid, x, np.asarray(unknown.by_trajectory(theta)))
         )
     else:
         states = _at_theta(model, grid, unknown, theta, sigma, loss, known)
@@ -189,7 +194,7 @@ def _from_fit(
     related = (
         own
         and start.outcome.success
-        and set(corners(start.model)) <= set(task.model.entries)
+        and set(corner_widths(start.model)) <= set(task.model.entries)
     )
     way = start.outcome.way if related else GAUSS_NEWTON
     return Beginning(
@@ -240,7 +245,7 @@ def _ready(
             if name in task.model.entries
         }
     )
-    model = resolved(model, grid, x)
+    model = resolve_guesses(model, grid, x)
     theta = Theta.of(model, task.runs).spread(model.theta)
     return Beginning(model, theta, grid.split(x), sigma, notes)
 

@@ -25,7 +25,7 @@ from phsi_opt.estimation.phsi import Pruner
 from phsi_opt.estimation.problem import State, Task
 from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.grid import steps_of
+from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -75,7 +75,7 @@ def by_likelihood(
             ),
             notes=state.notes,
         )
-    steps = steps_of(state.grid)
+    steps = steps_per_gap(state.grid)
     state = prune(
         state,
         lambda s, m, theta, l1: solve(

@@ -18,18 +18,20 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit, matrix_of, parameters_of
-from phsi_opt.initialization.relative_guesses import corners
+from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.ipopt import Settings, Solution, Solver
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import along_time
+from phsi_opt.transcription.elimination import time_order
+from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid, grid_of
-from phsi_opt.transcription.losses import ForcePrior, MissingForce, Point
+from phsi_opt.transcription.losses import MissingForce
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.sensors import Sensed
+from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.sensors import SensorOutputs
 
 Known = bool | np.ndarray  # whether the noise is known, of all states or of each
 N_PROBES = 24
@@ -127,7 +129,7 @@ def estimate_force(
         w = solution.values["w"].reshape(grid.n_intervals, len(prior.rows))
         jacobian = csc_matrix(solution.kkt.jacobian @ diags(1 / program.scale))
         point = replace(point, x=x, w=w)
-        sensed = Sensed.at(model, grid, x, theta)
+        sensed = SensorOutputs.at(model, grid, x, theta)
         old = sigma, prior
         sigma, prior, evidence, linear = _update(
             grid, point, jacobian, sigma, prior, known_noise, sensed
@@ -191,7 +193,7 @@ def _update(
     sigma: np.ndarray,
     prior: ForcePrior,
     known_noise: Known,
-    sensed: Sensed,
+    sensed: SensorOutputs,
 ) -> "tuple[np.ndarray, ForcePrior, float, Linearised]":
     """Noise and force size of largest marginal likelihood in the problem linearised at
     the point.
@@ -243,10 +245,10 @@ class Linearised:
         jacobian: csc_matrix,
         sigma: np.ndarray,
         prior: ForcePrior,
-        sensed: Sensed | None = None,
+        sensed: SensorOutputs | None = None,
     ) -> None:
         assert point.w is not None
-        sensed = sensed or Sensed(point.x, identity(point.x.size, format="csc"))
+        sensed = sensed or SensorOutputs(point.x, identity(point.x.size, format="csc"))
         self.grid, self.point, self.sigma, self.prior = grid, point, sigma, prior
         self.n_x, self.n_w = point.x.size, point.w.size
         self.whiteners = [prior.whitener(grid, k) for k in range(len(prior.rows))]
@@ -258,24 +260,24 @@ class Linearised:
         seen = grid.measured
         self.weight = np.where(seen, 1 / np.tile(sigma, (grid.n_nodes, 1)), 0.0).ravel()
         self.seen_of = (
-            diags(self.weight) @ sensed.slope
+            diags(self.weight) @ sensed.jacobian
         )  # from a change of the states to weighted values
         hessian = block_diag(
             [self.seen_of.T @ self.seen_of, self.L.T @ self.L], format="csc"
         )
         self.n_total = hessian.shape[0] + jacobian.shape[0]
         n = point.x.shape[1]
-        along = along_time(grid, ("node", n), ("interval", n_forced), ("interval", n))
+        along = time_order(grid, ("node", n), ("interval", n_forced), ("interval", n))
         self.factor = Banded(
             bmat([[hessian, jacobian.T], [jacobian, None]], format="coo"), along
         )
-        residual = np.where(seen, grid.y - sensed.shown, 0.0).ravel()
+        residual = np.where(seen, grid.y - sensed.values, 0.0).ravel()
         gradient = np.r_[
             -self.seen_of.T @ (self.weight * residual),
             self.L.T @ (self.L @ point.w.ravel()),
         ]
         step = self.factor.solve(np.r_[-gradient, np.zeros(jacobian.shape[0])])
-        self.residual = residual - sensed.slope @ step[: self.n_x]
+        self.residual = residual - sensed.jacobian @ step[: self.n_x]
         self.innovations = self.L @ (
             point.w.ravel() + step[self.n_x : self.n_x + self.n_w]
         )
@@ -414,7 +416,7 @@ def smoothed(
     """
     point = first_point(model, grid)
     point = point if theta is None else replace(point, theta=theta)
-    widths = {name: model.values[name] for name in corners(model)}
+    widths = {name: model.values[name] for name in corner_widths(model)}
     for factor in ROUNDER if widths else (1.0,):
         rounded = (
             {}

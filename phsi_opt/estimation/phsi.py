@@ -10,13 +10,13 @@ import numpy as np
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.problem import State, Task
 from phsi_opt.initialization.convex_start import starting_values
-from phsi_opt.initialization.relative_guesses import resolved
+from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid, grid_of
-from phsi_opt.transcription.losses import PHSILoss, complete
+from phsi_opt.transcription.losses import PHSILoss, complete_intervals
 from phsi_opt.transcription.parameter_vector import Theta
 
 Pruner = Callable[
@@ -27,8 +27,8 @@ Pruner = Callable[
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None, prune: Pruner) -> State:
     """The best of the solutions from several starts, each pruned by ``prune``."""
     grid = task.layout(grid_of(task.data))
-    used = complete(task.model, grid)
-    model = resolved(task.model, used, np.nan_to_num(used.y))
+    used = complete_intervals(task.model, grid)
+    model = resolve_guesses(task.model, used, np.nan_to_num(used.y))
     thetas = (
         [from_fit(model, start)] if start else starting_values(model, used, task.l1)
     )
@@ -80,7 +80,7 @@ def solve_defects(
     l1: dict[str, float],
 ) -> State:
     """One solve from ``theta``."""
-    point = first_point(model, complete(model, grid), theta)
+    point = first_point(model, complete_intervals(model, grid), theta)
     program = loss.program(model, grid, point, l1)
     solution = solve(program, task.settings, raise_on_failure=False)
     task.say(f"PHSI loss, {len(model.free)} parameters: {solution.outcome}")

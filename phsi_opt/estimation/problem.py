@@ -17,16 +17,16 @@ from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import GAUSS_NEWTON, Settings, Solution
 from phsi_opt.optimization.program import Program
-from phsi_opt.transcription.elimination import Reduced
-from phsi_opt.transcription.grid import Grid, steps_of
+from phsi_opt.transcription.elimination import ReducedSystem
+from phsi_opt.transcription.grid import Grid, steps_per_gap
 from phsi_opt.transcription.losses import (
     MaximumLikelihood,
     PHSILoss,
-    Point,
-    complete,
-    rate_size,
+    complete_intervals,
+    mean_square_rate,
 )
 from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
 
 # standard deviations that a slack must take over before its residual counts as cut
 BEYOND = 1e-3
@@ -105,7 +105,10 @@ class State:
     def n_values(self) -> int:
         """Number of residuals."""
         if isinstance(self.loss, PHSILoss):
-            return complete(self.model, self.grid).n_intervals * self.model.n_states
+            return (
+                complete_intervals(self.model, self.grid).n_intervals
+                * self.model.n_states
+            )
         return int(self.grid.measured.sum())
 
     @property
@@ -122,7 +125,7 @@ class State:
         return tuple(x[sample] for x, sample in both)
 
     @cached_property
-    def reduced(self) -> Reduced:
+    def reduced(self) -> ReducedSystem:
         """The likelihood at the solution, states eliminated."""
         return uncertainty.reduced(
             self.program, self.solution, self.grid, self.n_values
@@ -133,7 +136,7 @@ class State:
         """The loss without its L1 terms."""
         value = float(np.sum(self.solution.residual**2) / 2)
         if isinstance(self.loss, PHSILoss):
-            return value * rate_size(complete(self.model, self.grid))
+            return value * mean_square_rate(complete_intervals(self.model, self.grid))
         outliers = [
             v for name, v in self.solution.values.items() if name.startswith("outlier_")
         ]
@@ -167,7 +170,7 @@ class State:
                 names, self.theta, self.program, solution, self.reduced
             )
             return found.widened(self._huber_factor())
-        used, scale = complete(self.model, self.grid), self.point.theta_scale
+        used, scale = complete_intervals(self.model, self.grid), self.point.theta_scale
         return uncertainty.of_defects(
             self.model,
             used,
@@ -233,7 +236,7 @@ class State:
             + self.uncertainty.warnings,
             provenance=_provenance(self),
             states=self.states if likelihood else (),
-            steps=tuple(steps_of(self.grid)) if likelihood else (),
+            steps=tuple(steps_per_gap(self.grid)) if likelihood else (),
             huber=self.loss.huber if isinstance(self.loss, MaximumLikelihood) else None,
         )
 

@@ -7,8 +7,8 @@ import numpy as np
 from phsi_opt.estimation.problem import State
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
-from phsi_opt.transcription.elimination import inverse
-from phsi_opt.transcription.grid import steps_of
+from phsi_opt.transcription.elimination import regularized_inverse
+from phsi_opt.transcription.grid import steps_per_gap
 
 MOST_STEPS = 64  # intervals between two samples
 VISIBLE = (
@@ -35,12 +35,16 @@ def finer_steps(state: State) -> list[np.ndarray] | None:
         for i, name in enumerate(unknown.names)
         if name in state.solution.outcome.at_bounds
     ]
-    covariance = inverse(state.reduced.information, held)
-    theta, x = state.reduced.respond(scaled.ravel(), covariance)
+    covariance = regularized_inverse(state.reduced.information, held)
+    shift = state.reduced.respond(scaled.ravel(), covariance)
     # In standard errors of the direction in which it is largest: many small shifts of
     # one sign add up.
-    moved = np.sqrt(max(float(theta @ state.reduced.information @ theta), 0.0))
-    shown = (x.reshape(grid.y.shape) * state.point.x_scale / state.sigma)[grid.measured]
+    moved = np.sqrt(
+        max(float(shift.theta @ state.reduced.information @ shift.theta), 0.0)
+    )
+    shown = (shift.x.reshape(grid.y.shape) * state.point.x_scale / state.sigma)[
+        grid.measured
+    ]
     visible = max(moved, float(np.sqrt(np.mean(shown**2))))
     if visible < VISIBLE and not lost.any():
         return None
@@ -48,7 +52,7 @@ def finer_steps(state: State) -> list[np.ndarray] | None:
     typical = np.sum(size**2) / max(np.sum(size), TINY)
     wanted = np.ceil((1.2 * visible / VISIBLE * size / max(typical, TINY)) ** 0.25)
     wanted = np.where(lost, 4, np.clip(wanted, 1, 16)).astype(int)
-    old = steps_of(grid)
+    old = steps_per_gap(grid)
     gap = np.repeat(np.arange(sum(map(len, old))), np.concatenate(old))
     factor = np.ones(sum(map(len, old)), dtype=int)
     np.maximum.at(factor, gap, wanted)

@@ -12,7 +12,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defects import defect_jacobian, defect_slopes, defects
-from phsi_opt.transcription.elimination import RIDGE, Reduced, inverse
+from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 
 ROUNDED = (
@@ -49,14 +49,14 @@ def unknown(n: int, why: str) -> Uncertainty:
 
 def reduced(
     program: Program, solution: Solution, grid: Grid, n_residuals: int
-) -> Reduced:
+) -> ReducedSystem:
     """The likelihood at the solution in scaled variables, with the states eliminated."""
     theta, x = program.variables["theta"], program.variables["x"]
     hessian = solution.kkt.hessian * (
         n_residuals / 2
     )  # the objective is 2/N times the likelihood's
     jacobian = solution.kkt.jacobian[program.constraints["defect"].slice]
-    return Reduced(
+    return ReducedSystem(
         grid,
         (x.stop - x.start) // grid.n_nodes,
         hessian,
@@ -71,7 +71,7 @@ def of_likelihood(
     theta: np.ndarray,
     program: Program,
     solution: Solution,
-    likelihood: Reduced,
+    likelihood: ReducedSystem,
 ) -> Uncertainty:
     """Inverse of the information that is left for theta when the states follow it: the
     reduced Hessian's inverse.
@@ -80,7 +80,7 @@ def of_likelihood(
     return _finished(
         names,
         theta,
-        inverse(likelihood.information, held),
+        regularized_inverse(likelihood.information, held),
         program.scale[block.slice],
         held,
     )
@@ -112,7 +112,8 @@ def of_defects(
     ).reshape(grid.n_intervals, n, -1)
     d = np.array(defects(model, grid, scheme, y.T, theta)).T
     held = [i for i, name in enumerate(model.free) if name in at_bounds]
-    ends = defect_slopes(model, grid, scheme, y, theta)
+    slopes = defect_slopes(model, grid, scheme, y, theta)
+    ends = (slopes.at_begin, slopes.at_end)
     gathered = np.zeros((grid.n_nodes, n, len(theta)))
     for node, slope in zip((grid.begin, grid.begin + 1), ends, strict=True):
         np.add.at(gathered, node, np.einsum("ikj,ikp->ijp", slope, jacobian))

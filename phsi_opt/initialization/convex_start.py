@@ -16,25 +16,25 @@ import numpy as np
 from phsi_opt.initialization.frequency_scan import (
     N_STARTS,
     candidate_frequencies,
-    scans,
+    frequency_scans,
     squared_defects,
     with_entry,
 )
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.integrators import SCHEME
-from phsi_opt.transcription.losses import complete, rate_size
+from phsi_opt.transcription.integrators import STARTING_SCHEME
+from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
 
 
 def starting_values(model: Model, grid: Grid, l1: dict[str, float]) -> list[np.ndarray]:
     """Starting points of theta (best first) for data whose states are all known
     (``grid.y``).
     """
-    grid = complete(model, grid)
+    grid = complete_intervals(model, grid)
     theta = model.theta
     groups = _linear_groups(model, grid)
-    waves = scans(model)
+    waves = frequency_scans(model)
     theta = _convex_rounds(model, grid, theta, groups, l1, rounds=1)
     starts = [theta]
     for name, amplitudes, variable in waves:
@@ -103,17 +103,17 @@ def _convex_rounds(
 ) -> np.ndarray:
     for _ in range(rounds):
         for group in groups:
-            theta = convex(model, grid, theta, group, l1)
+            theta = convex_coefficients(model, grid, theta, group, l1)
     return theta
 
 
-def convex(
+def convex_coefficients(
     model: Model,
     grid: Grid,
     theta: np.ndarray,
     group: list[int],
     l1: dict[str, float],
-    scheme: str = SCHEME,
+    scheme: str = STARTING_SCHEME,
 ) -> np.ndarray:
     """The PHSI loss over the coefficients ``group``, others fixed, as a convex program;
     exact where it is convex.
@@ -121,7 +121,7 @@ def convex(
     jacobian = np.array(defect_jacobian(model, grid, scheme)(grid.y.T, theta))[:, group]
     d = np.array(defects(model, grid, scheme, ca.DM(grid.y.T), theta)).T.ravel()
     usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
-    weight = np.sqrt(1 / (rate_size(grid) * grid.n_intervals))
+    weight = np.sqrt(1 / (mean_square_rate(grid) * grid.n_intervals))
     entries = [model.entries[model.free[i]] for i in group]
     scale = 1 / np.maximum(np.linalg.norm(weight * jacobian[usable], axis=0), 1e-12)
     A, b = (
@@ -132,7 +132,7 @@ def convex(
     z = cp.Variable(len(group))
     lam = np.array(
         [l1.get(e.slot, 0.0) if e.prunable else 0.0 for e in entries]
-    ) / rate_size(grid)
+    ) / mean_square_rate(grid)
     objective = cp.sum_squares(r @ z - q.T @ b) + cp.sum(
         cp.multiply(lam * scale, cp.abs(z))
     )

@@ -8,12 +8,12 @@ from phsi_opt.model.model import Model, place_of
 from phsi_opt.model.terms import Scan
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.integrators import SCHEME
+from phsi_opt.transcription.integrators import STARTING_SCHEME
 
 N_STARTS = 3  # frequencies of the scan that are tried
 
 
-def scans(model: Model) -> list[tuple[str, list[str], str]]:
+def frequency_scans(model: Model) -> list[tuple[str, list[str], str]]:
     """Frequencies to scan: name, names of the amplitudes that share it, variable."""
     found: dict[str, tuple[str, list[str], str]] = {}
     for slot, equation, term in model.placed():
@@ -31,7 +31,7 @@ def scans(model: Model) -> list[tuple[str, list[str], str]]:
     return list(found.values())
 
 
-def frequencies(grid: Grid, variable: np.ndarray) -> np.ndarray:
+def frequency_grid(grid: Grid, variable: np.ndarray) -> np.ndarray:
     """Frequencies worth trying: half a period over the record up to the Nyquist
     frequency, half a resolution apart.
     """
@@ -75,7 +75,9 @@ def candidate_frequencies(
 def squared_defects(model: Model, grid: Grid, theta: np.ndarray) -> float:
     return float(
         np.nansum(
-            np.square(np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), theta)))
+            np.square(
+                np.array(defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), theta))
+            )
         )
     )
 
@@ -103,8 +105,12 @@ def _best_frequencies(
             if model.entries[n].prunable and i not in others
         ]
     ] = 0.0
-    d = np.array(defects(model, grid, SCHEME, ca.DM(grid.y.T), start)).T.ravel()
-    base = np.array(defect_jacobian(model, grid, SCHEME)(grid.y.T, start))[:, others]
+    d = np.array(
+        defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), start)
+    ).T.ravel()
+    base = np.array(defect_jacobian(model, grid, STARTING_SCHEME)(grid.y.T, start))[
+        :, others
+    ]
     keep, _ = np.linalg.qr(base) if others else (np.zeros((len(d), 0)), None)
     d = d - keep @ (keep.T @ d)
     along = np.array(
@@ -112,8 +118,8 @@ def _best_frequencies(
             grid.y.T, grid.u.T, grid.t[None, :], ca.repmat(start, 1, grid.n_nodes)
         )
     ).ravel()
-    grid_omega = frequencies(grid, along)
-    columns = defect_jacobian(model, grid, SCHEME, own)
+    grid_omega = frequency_grid(grid, along)
+    columns = defect_jacobian(model, grid, STARTING_SCHEME, own)
     drop = np.array(
         [
             _explained(

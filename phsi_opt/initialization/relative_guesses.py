@@ -19,7 +19,7 @@ STILL, STAYING = (
 )  # widths of dry friction's corner that count as rest, and how often as long as turning takes
 
 
-def corners(model: Model) -> dict[str, Share]:
+def corner_widths(model: Model) -> dict[str, Share]:
     """Of the widths of rounded corners: of what they are a share, and by what factors
     they may be sharpened.
     """
@@ -31,7 +31,7 @@ def corners(model: Model) -> dict[str, Share]:
     }
 
 
-def resolved(model: Model, grid: Grid, x: np.ndarray) -> Model:
+def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
     """The model with every `Share` and `Tried` guess replaced by its value (the middle
     one) over the states x.
 
@@ -76,7 +76,7 @@ def _bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
     return guess.most * size * (ROOM if efforts else 1.0)
 
 
-def tried_values(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
+def values_to_try(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
     """The values to try for a parameter, over the states x."""
     return _size_of(model, grid, x, guess) * np.array(guess.shares)
 
@@ -119,7 +119,7 @@ def _at_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.nd
     ).ravel()
 
 
-def at_rest(
+def intervals_at_rest(
     model: Model, grid: Grid, x: np.ndarray, of: str, width: float
 ) -> np.ndarray:
     """Whether a body stays at rest along each interval: its speed, a formula, is within

@@ -9,9 +9,9 @@ from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import defect_jacobian
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.integrators import SCHEME
-from phsi_opt.transcription.losses import Point
+from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
@@ -21,7 +21,7 @@ def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Po
     """Measured states interpolated, others zero, with the size of every state taken
     from the data.
     """
-    grid = unsensed(model, grid)
+    grid = invert_sensors(model, grid)
     x, scale, measured = (
         np.nan_to_num(grid.y),
         np.full(model.n_states, np.nan),
@@ -62,7 +62,7 @@ def point_at(
     return Point(theta, x, unknown.spread(sizes), x_scale)
 
 
-def unsensed(model: Model, grid: Grid) -> Grid:
+def invert_sensors(model: Model, grid: Grid) -> Grid:
     """The grid with the states that the sensors, with the parameters' present values,
     show as what was measured.
     """
@@ -75,7 +75,7 @@ def unsensed(model: Model, grid: Grid) -> Grid:
                 grid.y - np.array(outputs(model, grid, np.nan_to_num(x).T, theta)).T
             )
             slope = np.einsum(
-                "aii->ai", output_slopes(model, grid, np.nan_to_num(x), theta)[0]
+                "aii->ai", output_slopes(model, grid, np.nan_to_num(x), theta).in_states
             )
             step = missed / np.where(np.abs(slope) > SHALLOW, slope, np.nan)
             x = x + np.where(np.isfinite(step), step, 0.0)
@@ -138,7 +138,7 @@ def theta_scale(
         return np.ones(0)
     rate = np.sqrt(np.mean(np.square(_smooth_rates(grid, x)), axis=0))
     rate = np.where(rate > 0, rate, x_scale)
-    jacobian = np.array(defect_jacobian(model, grid, SCHEME)(x.T, theta))
+    jacobian = np.array(defect_jacobian(model, grid, STARTING_SCHEME)(x.T, theta))
     slopes = jacobian.reshape(grid.n_intervals, -1, len(theta))
     n_finite = np.maximum(np.isfinite(slopes).sum(axis=0), 1)
     per_equation = np.sqrt(np.nansum(slopes**2, axis=0) / n_finite) / rate[:, None]

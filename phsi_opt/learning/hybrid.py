@@ -45,7 +45,7 @@ from phsi_opt.learning.network import (
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Parameter, Term
 from phsi_opt.simulation.simulate import simulate
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.integrators import (
@@ -53,7 +53,7 @@ from phsi_opt.transcription.integrators import (
     SECOND_NODE,
     srk4_stages,
 )
-from phsi_opt.transcription.losses import PHSILoss, complete
+from phsi_opt.transcription.losses import PHSILoss, complete_intervals
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
 FORMAT = "phsi_opt hybrid 1"
@@ -116,7 +116,7 @@ class Hybrid(Identified):
                 "Give NeuralForce(variables=...) one state."
             )
         column = self.force.columns[0]
-        x = np.concatenate([run.x for run in matched(self.model, data).trajectories])
+        x = np.concatenate([run.x for run in aligned(self.model, data).trajectories])
         x = x[np.isfinite(x).all(axis=1)]
         visited, name = x[:, column], self.model.states[column]
         at = np.unique(
@@ -224,7 +224,7 @@ def hybrid(
     """
     began = time.perf_counter()
     say = progress or (lambda line: None)
-    data = matched(model, data)
+    data = aligned(model, data)
     work = _Work.of(model, data, force, seed)
     current, fit, turns, last_force = (
         model,
@@ -305,7 +305,9 @@ class _Work:
         columns = tuple(
             model.index(name, "variable of NeuralForce") for name in variables
         )
-        return _Work(model, complete(model, grid_of(data)), force, rows, columns, seed)
+        return _Work(
+            model, complete_intervals(model, grid_of(data)), force, rows, columns, seed
+        )
 
     @property
     def signals(self) -> list[str]:

@@ -51,7 +51,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.alignment import matched
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -243,7 +243,7 @@ def learned_force(
     Raises `ModelError` for unknown names and `DataError` for fewer than 50 intervals.
     """
     on = _checked(fit.model, on, epochs)
-    data = matched(fit.model, data)
+    data = aligned(fit.model, data)
     estimate = estimate or force_of(fit, data)
     record = _record(fit, data, estimate, equation, on)
     shift, spread = record.v.mean(axis=0), np.maximum(record.v.std(axis=0), 1e-12)
@@ -392,7 +392,7 @@ def distil(
     """
     if not np.any(learned.output[0]):
         return []
-    fit, data = learned.physics, matched(learned.physics.model, data)
+    fit, data = learned.physics, aligned(learned.physics.model, data)
     estimate = force_of(fit, data)
     record = _record(fit, data, estimate, learned.equation, learned.on)
     response = Response.of(fit, data, estimate, fit.model.index(learned.equation))

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csc_matrix
 
-SCHEME = "srk4"
+LINEARIZATION_SCHEME = "srk4"
 BACK = 4  # steps of Newton's method to states that obey the model, at most
 OBEYED, NEARLY = (
     1e-4,

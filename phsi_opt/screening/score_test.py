@@ -41,25 +41,29 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit, matrix_of, parameters_of
 from phsi_opt.estimation.missing_force import ForceEstimate
-from phsi_opt.initialization.frequency_scan import frequencies
-from phsi_opt.initialization.relative_guesses import resolved, tried_values
+from phsi_opt.initialization.frequency_scan import frequency_grid
+from phsi_opt.initialization.relative_guesses import resolve_guesses, values_to_try
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Scan, Tried
 from phsi_opt.screening.linearized_record import (
     BACK,
     KEPT,
+    LINEARIZATION_SCHEME,
     NEARLY,
     OBEYED,
-    SCHEME,
     column_scale,
 )
 from phsi_opt.screening.sensitivities import Columns, Trial
 from phsi_opt.statistics import TINY, independent_share
 from phsi_opt.transcription.defects import defects
-from phsi_opt.transcription.elimination import Reduced, inverse
+from phsi_opt.transcription.elimination import (
+    ReducedSystem,
+    Step,
+    regularized_inverse,
+)
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.sensors import Sensed, output_slopes_of
+from phsi_opt.transcription.sensors import SensorOutputs, output_slopes_in_theta
 
 # squared trace of an effect of natural size, in units of the noise, below which it is
 # not excited
@@ -132,16 +136,20 @@ class Screen:
         theta[unknown.table] = self.values
         symbol, free = ca.MX.sym("x", x.size), ca.MX.sym("theta", len(unknown))
         states = ca.reshape(symbol, model.n_states, grid.n_nodes)
-        d = ca.vec(defects(model, grid, SCHEME, states, unknown.by_trajectory(free)))
+        d = ca.vec(
+            defects(
+                model, grid, LINEARIZATION_SCHEME, states, unknown.by_trajectory(free)
+            )
+        )
         value, A, B = ca.Function(
             "linear", [symbol, free], [d, ca.jacobian(d, symbol), ca.jacobian(d, free)]
         )(x.ravel(), theta)
         self.defects = np.array(value).ravel()
         of_runs, n_theta = np.asarray(unknown.by_trajectory(theta)), len(unknown)
-        sensed, seen = Sensed.at(model, grid, x, of_runs), grid.measured
+        sensed, seen = SensorOutputs.at(model, grid, x, of_runs), grid.measured
         self.weight = np.where(seen, 1 / estimate.sigma, 0.0).ravel()
         weighted = diags(self.weight)
-        own = output_slopes_of(unknown, grid, x, theta).reshape(x.size, n_theta)
+        own = output_slopes_in_theta(unknown, grid, x, theta).reshape(x.size, n_theta)
         self.unknown, self.theta = unknown, theta
         self.scale = column_scale(csc_matrix(B.sparse()), weighted @ csc_matrix(own))
         slopes, through_sensors = (
@@ -149,12 +157,12 @@ class Screen:
             weighted @ csc_matrix(own) @ diags(self.scale),
         )
         self.seen_of = csc_matrix(
-            hstack([through_sensors, weighted @ sensed.slope])
+            hstack([through_sensors, weighted @ sensed.jacobian])
         )  # from theta and x to residuals
-        r = np.where(seen, (grid.y - sensed.shown) / estimate.sigma, 0.0).ravel()
+        r = np.where(seen, (grid.y - sensed.values) / estimate.sigma, 0.0).ravel()
         x_places = slice(n_theta, n_theta + x.size)
         hessian = csc_matrix(self.seen_of.T @ self.seen_of)
-        self.reduced = Reduced(
+        self.reduced = ReducedSystem(
             grid,
             model.n_states,
             hessian,
@@ -162,7 +170,7 @@ class Screen:
             slice(0, n_theta),
             x_places,
         )
-        self.covariance = inverse(self.reduced.information)
+        self.covariance = regularized_inverse(self.reduced.information)
         self.n_theta, self.n_values = n_theta, int(seen.sum())
         rows = np.flatnonzero(self.weight)
         few = (
@@ -175,11 +183,11 @@ class Screen:
         self.step = step = self.reduced.solve(
             g[n_theta:], -self.defects, self.covariance, g[:n_theta]
         )
-        self.residual = r - self.seen_of @ np.concatenate(step)
-        self.obeying = x + np.asarray(step[1]).reshape(
+        self.residual = r - self.seen_of @ step.joined
+        self.obeying = x + np.asarray(step.x).reshape(
             x.shape
         )  # states that the base model can take
-        self.shown = Sensed.at(model, grid, self.obeying, of_runs).shown
+        self.shown = SensorOutputs.at(model, grid, self.obeying, of_runs).values
 
     @cached_property
     def own(self) -> "Screen | None":
@@ -195,7 +203,7 @@ class Screen:
         for _ in range(BACK):  # the run's steps are finer than those of this grid
             if np.linalg.norm(own.defects) < OBEYED * np.linalg.norm(self.defects):
                 return own
-            back = own.reduced.respond(-own.defects, np.zeros_like(own.covariance))[1]
+            back = own.reduced.respond(-own.defects, np.zeros_like(own.covariance)).x
             own = Screen(
                 fit, data, replace(estimate, x=own.x + back.reshape(own.x.shape))
             )
@@ -247,7 +255,7 @@ class Screen:
         ]
         n_tried = len(points)
         if trial.frequency is not None:
-            tried = frequencies(self.grid, self.grid.t)
+            tried = frequency_grid(self.grid, self.grid.t)
             points, n_tried = (
                 [{trial.frequency: self._best_frequency(trial, columns, tried)}],
                 len(tried),
@@ -284,11 +292,10 @@ class Screen:
         shown Y, base re-estimated.
         """
         return np.asarray(
-            self.weight[:, None] * Y
-            + self.seen_of @ np.concatenate(self._followed(D, Y))
+            self.weight[:, None] * Y + self.seen_of @ self._followed(D, Y).joined
         )
 
-    def _followed(self, D: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _followed(self, D: np.ndarray, Y: np.ndarray) -> Step:
         """How the base's parameters (scaled) and the states follow the columns D and Y."""
         g, n = -(self.seen_of.T @ (self.weight[:, None] * Y)), self.n_theta
         return self.reduced.solve(g[n:], -D, self.covariance, g[:n])
@@ -297,7 +304,9 @@ class Screen:
         """Values of the base's parameters beside an effect of coefficients c, at most
         half way to their bounds.
         """
-        found = self.theta + self.scale * (self.step[0] + self._followed(D, Y)[0] @ c)
+        found = self.theta + self.scale * (
+            self.step.theta + self._followed(D, Y).theta @ c
+        )
         bounds = np.array(
             [(e.parameter.lower, e.parameter.upper) for e in self.unknown.entries]
         ).reshape(-1, 2)
@@ -328,12 +337,12 @@ class Screen:
         ]
         x = self.x
         tried = {
-            name: tried_values(model, self.grid, x, guess)
+            name: values_to_try(model, self.grid, x, guess)
             for name in new
             if isinstance(guess := entries[name].parameter.guess, Tried)
             and entries[name].parameter.value is None
         }
-        model = resolved(model, self.grid, x)
+        model = resolve_guesses(model, self.grid, x)
         linear = [
             name
             for name in new

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from phsi_opt.initialization.relative_guesses import at_rest, corners
+from phsi_opt.initialization.relative_guesses import corner_widths, intervals_at_rest
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of
-from phsi_opt.screening.linearized_record import SCHEME
-from phsi_opt.transcription.augmented_states import Memory
+from phsi_opt.screening.linearized_record import LINEARIZATION_SCHEME
+from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import defect_function, defect_jacobian
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
@@ -46,7 +46,7 @@ class Columns:
         n_runs, n_old = screen.values.shape[1], screen.model.n_states
         self.states = screen.obeying if trial.effect.slot == "sensor" else screen.x
         self.memory = (
-            Memory(trial.model, screen.grid, self.states)
+            MemoryIntegration(trial.model, screen.grid, self.states)
             if trial.effect.memory
             else None
         )
@@ -54,11 +54,11 @@ class Columns:
         self.grid = screen.grid if self.memory is None else screen.grid.apart()
         if trial.effect.slot != "sensor" and self.chosen:
             self.slopes = defect_jacobian(
-                trial.model, self.grid, SCHEME, self.chosen, n_runs, n_old
+                trial.model, self.grid, LINEARIZATION_SCHEME, self.chosen, n_runs, n_old
             )
         elif trial.effect.slot != "sensor":
             self.function = defect_function(
-                trial.model, self.grid, SCHEME, n_runs, n_old
+                trial.model, self.grid, LINEARIZATION_SCHEME, n_runs, n_old
             )
         self.rest = self._rest()
 
@@ -71,7 +71,9 @@ class Columns:
         """
         if self.memory is None:
             return self.states, self.states
-        x, means = self.memory(theta)
+        memory = self.memory(theta)
+        x = memory.states
+        means = memory.interval_means
         along = x[
             np.column_stack(
                 [self.screen.grid.begin, self.screen.grid.begin + 1]
@@ -90,14 +92,14 @@ class Columns:
         screen, entries = self.screen, self.screen.model.entries
         new = [
             (name, guess)
-            for name, guess in corners(self.trial.model).items()
+            for name, guess in corner_widths(self.trial.model).items()
             if name not in entries
         ]
         defects = np.zeros((screen.grid.n_intervals, screen.model.n_states))
         for name, guess in (
             new[:1] if self.trial.effect.equation in position_of(screen.model) else ()
         ):
-            still = at_rest(
+            still = intervals_at_rest(
                 self.trial.model,
                 screen.grid,
                 screen.x,
@@ -129,7 +131,9 @@ class Columns:
             )[:, :n_old]
         elif self.function is None:
             if self.chosen:
-                Y = output_slopes(model, grid, x, theta)[1][:, :n_old, self.chosen]
+                Y = output_slopes(model, grid, x, theta).in_parameters[
+                    :, :n_old, self.chosen
+                ]
             else:
                 Y = (
                     np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T[

@@ -9,7 +9,7 @@ from phsi_opt.errors import DataError
 from phsi_opt.model.model import Model
 
 
-def matched(model: Model, data: Measurements) -> Measurements:
+def aligned(model: Model, data: Measurements) -> Measurements:
     """The measurements with their states and inputs in the model's order; raises
     `DataError` if they do not match.
 

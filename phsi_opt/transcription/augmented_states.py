@@ -2,6 +2,7 @@
 record.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -9,11 +10,12 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.point import StateBounds
 
 MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 
 
-def remembered(
+def with_memory(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
     """States (n_nodes, n_states) with the memory of the model's effects integrated
@@ -23,24 +25,28 @@ def remembered(
     (n_free, n_trajectories). A memory begins at rest where its equation is linear in
     it, else at zero.
     """
-    return x if x.shape[1] == model.n_states else Memory(model, grid, x)(theta)[0]
+    return (
+        x
+        if x.shape[1] == model.n_states
+        else MemoryIntegration(model, grid, x)(theta).states
+    )
 
 
-def beginnings(
+def memory_start_bounds(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
+) -> StateBounds | None:
     """Bounds of the states, (n_nodes, n_states): of the memory that a trajectory begins
     with, the others are infinite.
 
     It is such as the records show later on: within the values that it takes from rest,
     widened by their range to both sides. Free of bounds, the memory of a delay shorter
     than a sample takes any value for the sake of one residual. Arguments as
-    `remembered`; None where the model has no memory, or not as its last states.
+    `with_memory`; None where the model has no memory, or not as its last states.
     """
     n_old = model.n_states - len(model.memory)
     if n_old == model.n_states or model.states[n_old:] != model.memory:
         return None
-    along = Memory(model, grid, x[:, :n_old])(theta)[0][:, n_old:]
+    along = MemoryIntegration(model, grid, x[:, :n_old])(theta).states[:, n_old:]
     lowest, highest = along.min(axis=0), along.max(axis=0)
     spread = np.where(highest > lowest, highest - lowest, np.inf)
     lower, upper = np.full(x.shape, -np.inf), np.full(x.shape, np.inf)
@@ -48,12 +54,25 @@ def beginnings(
         lowest - spread,
         highest + spread,
     )
-    return lower, upper
+    return StateBounds(lower, upper)
 
 
-class Memory:
+@dataclass(frozen=True, eq=False)
+class MemoryRecord:
+    """The memory of a model's effects along a record.
+
+    Attributes:
+        states: (n_nodes, n_states) states with the memory as the last of them.
+        interval_means: (n_intervals, n_memory) means of the memory over the intervals.
+    """
+
+    states: np.ndarray
+    interval_means: np.ndarray
+
+
+class MemoryIntegration:
     """The memory of a model's effects along given states, as a function of the
-    parameters (see `remembered`).
+    parameters (see `with_memory`).
     """
 
     def __init__(self, model: Model, grid: Grid, x: np.ndarray) -> None:
@@ -66,7 +85,7 @@ class Memory:
             self.along.append(one.mapaccum("memory", len(at)))
         self.rest = _rest(model, x.shape[1])
 
-    def __call__(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, theta: np.ndarray) -> MemoryRecord:
         """The states with their memory, (n_nodes, n_states), and the memory's means
         over the intervals.
         """
@@ -96,7 +115,7 @@ class Memory:
             )
             result[first, n_old:], result[grid.begin[at] + 1, n_old:] = z0, z.full().T
             means[at] = mean.full().T
-        return result, means
+        return MemoryRecord(result, means)
 
 
 def _memory_step(model: Model, n_old: int) -> ca.Function:

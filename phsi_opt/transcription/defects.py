@@ -1,5 +1,6 @@
 """TODO."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -10,6 +11,19 @@ from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
 
 FINE = 8  # steps of the integration that checks one step of a scheme
+
+
+@dataclass(frozen=True, eq=False)
+class DefectSlopes:
+    """Slopes of every interval's defect in the states at its two ends.
+
+    Attributes:
+        at_begin: dd/dx0, (n_intervals, n_states, n_states).
+        at_end: dd/dx1, (n_intervals, n_states, n_states).
+    """
+
+    at_begin: np.ndarray
+    at_end: np.ndarray
 
 
 def defect(model: Model, scheme: str, n_moving: int | None = None) -> ca.Function:
@@ -61,7 +75,9 @@ def defects(
     theta is (n_free,), or (n_free, n_trajectories) where trajectories have parameters
     of their own.
     """
-    return along_record(defect(model, scheme, n_moving), grid, _columns(grid, x), theta)
+    return map_intervals(
+        defect(model, scheme, n_moving), grid, _columns(grid, x), theta
+    )
 
 
 def defect_function(
@@ -106,7 +122,7 @@ def defect_jacobian(
         ca.MX.sym("x", model.n_states, grid.n_nodes),
         ca.MX.sym("theta", len(model.free), n_columns),
     )
-    rows = along_record(per_interval, grid, _columns(grid, x), theta)
+    rows = map_intervals(per_interval, grid, _columns(grid, x), theta)
     return ca.Function(
         "jacobian",
         [x, theta],
@@ -116,7 +132,7 @@ def defect_jacobian(
 
 def defect_slopes(
     model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray
-) -> tuple[np.ndarray, ...]:
+) -> DefectSlopes:
     """dd/dx0 and dd/dx1 of every interval, each (n_intervals, n_states, n_states)."""
     one, n = defect(model, scheme), model.n_states
     arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
@@ -125,8 +141,10 @@ def defect_slopes(
     mapped = _mapped(ca.Function("slopes", arguments, slopes), grid)(
         *_columns(grid, ca.DM(x.T)), theta
     )
-    return tuple(
-        np.array(columns).T.reshape(grid.n_intervals, n, n) for columns in mapped
+    at_begin, at_end = mapped
+    shape = (grid.n_intervals, n, n)
+    return DefectSlopes(
+        np.array(at_begin).T.reshape(shape), np.array(at_end).T.reshape(shape)
     )
 
 
@@ -177,22 +195,22 @@ def defect_steps(
     ).T
 
 
-def steps_along(
+def interval_slopes(
     model: Model, grid: Grid, scheme: str, x: Any, theta: Any, with_theta: bool
 ) -> tuple[Any, np.ndarray]:
     """`defect_steps` in every interval, (n, n_intervals)."""
     one, places = defect_steps(model, scheme, with_theta)
-    return along_record(one, grid, _columns(grid, x), theta), places
+    return map_intervals(one, grid, _columns(grid, x), theta), places
 
 
-def curvatures(
+def interval_curvatures(
     model: Model, grid: Grid, scheme: str, x: Any, theta: Any, multiplier: Any
 ) -> tuple[Any, np.ndarray]:
     """`defect_curvature` in every interval, (n, n_intervals), for multipliers
     (n_states, n_intervals).
     """
     one, places = defect_curvature(model, scheme)
-    return along_record(one, grid, [*_columns(grid, x), multiplier], theta), places
+    return map_intervals(one, grid, [*_columns(grid, x), multiplier], theta), places
 
 
 def local_errors(
@@ -222,11 +240,11 @@ def local_errors(
         at = at + h / FINE * psi(g, at, at, h / FINE)
     exact = ca.Function("exact", [x0, t0, h, u0, u1, all_of], [at])
     columns = _columns(grid, ca.DM(x.T))
-    ends = along_record(exact, grid, [columns[0], *columns[2:]], theta)
+    ends = map_intervals(exact, grid, [columns[0], *columns[2:]], theta)
     return np.array(ends).T - x[grid.begin + 1]
 
 
-def along_record(one: ca.Function, grid: Grid, columns: list[Any], theta: Any) -> Any:
+def map_intervals(one: ca.Function, grid: Grid, columns: list[Any], theta: Any) -> Any:
     """The function in every interval (or node) with the parameters of its trajectory."""
     shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
     if len(shape) < 2 or shape[1] == 1:

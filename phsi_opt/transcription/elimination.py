@@ -1,6 +1,7 @@
 """TODO."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from phsi_opt.transcription.grid import Grid
 RIDGE = 1e-10
 
 
-def inverse(information: np.ndarray, held: Sequence[int] = ()) -> np.ndarray:
+def regularized_inverse(
+    information: np.ndarray, held: Sequence[int] = ()
+) -> np.ndarray:
     """Covariance of scaled parameters; a ridge holds directions without information,
     and ``held`` do not move.
     """
@@ -37,7 +40,7 @@ def inverse(information: np.ndarray, held: Sequence[int] = ()) -> np.ndarray:
 REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
 
 
-def along_time(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
+def time_order(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
     """Order of unknowns that stand in blocks of ``("node" or "interval", values per
     row)``, sorted by their time.
     """
@@ -48,7 +51,25 @@ def along_time(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
     return np.argsort(np.concatenate(places), kind="stable")
 
 
-class Reduced:
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A change of the unknowns, one column or several side by side.
+
+    Attributes:
+        theta: (n_theta, ...) change of the scaled parameters.
+        x: (n_nodes * n_states, ...) change of the scaled states.
+    """
+
+    theta: np.ndarray
+    x: np.ndarray
+
+    @property
+    def joined(self) -> np.ndarray:
+        """Parameters, then states: (n_theta + n_nodes * n_states, ...)."""
+        return np.concatenate([self.theta, self.x])
+
+
+class ReducedSystem:
     """min 1/2 z'Hz - g'z over z = (theta, x), subject to Jz = e, with the states
     eliminated.
 
@@ -71,7 +92,7 @@ class Reduced:
             format="coo",
         )
         self._band = Banded(
-            states, along_time(grid, ("node", n_states), ("interval", n_states))
+            states, time_order(grid, ("node", n_states), ("interval", n_states))
         )
         self._n_states = n_states
         self._n_x, self._border = (
@@ -84,9 +105,7 @@ class Reduced:
         information = H[theta, theta].toarray() - self._border.T @ self._followed
         self.information = (information + information.T) / 2
 
-    def respond(
-        self, e: np.ndarray, covariance: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def respond(self, e: np.ndarray, covariance: np.ndarray) -> Step:
         """Change of theta and x when the constraints are offset by ``e``;
         ``covariance`` inverts the information.
         """
@@ -98,13 +117,13 @@ class Reduced:
         e: np.ndarray,
         covariance: np.ndarray,
         g_theta: np.ndarray | float = 0.0,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> Step:
         """Theta and x for gradients g in x and g_theta, and the offset e; each one
         column or several side by side.
         """
         alone = self._band.solve(np.concatenate([g, e]))
         theta = covariance @ (g_theta - self._border.T @ alone)
-        return theta, (alone - self._followed @ theta)[: self._n_x]
+        return Step(theta, (alone - self._followed @ theta)[: self._n_x])
 
     def multipliers(
         self, g: np.ndarray, covariance: np.ndarray, g_theta: np.ndarray | float = 0.0

@@ -121,7 +121,7 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     )
 
 
-def steps_of(grid: Grid) -> list[np.ndarray]:
+def steps_per_gap(grid: Grid) -> list[np.ndarray]:
     """Number of intervals in every gap between samples, per trajectory."""
     samples = np.flatnonzero(grid.sample)
     gaps = np.diff(samples)
@@ -130,7 +130,7 @@ def steps_of(grid: Grid) -> list[np.ndarray]:
     return [gaps[inside & (runs == i)] for i in range(grid.trajectory[-1] + 1)]
 
 
-def between(x: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def interpolate_at_nodes(x: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Values (n_samples, ...) at the samples, interpolated to the nodes of a grid with
     ``steps`` intervals per gap.
     """
@@ -153,7 +153,7 @@ def _refined(
     trajectory: Trajectory, hold: str, steps: np.ndarray
 ) -> dict[str, np.ndarray]:
     left, fraction = _places(steps)
-    t = between(trajectory.t, steps)
+    t = interpolate_at_nodes(trajectory.t, steps)
     sample = fraction == 0
     y = np.full((len(t), trajectory.x.shape[1]), np.nan)
     y[sample] = trajectory.x
@@ -161,7 +161,7 @@ def _refined(
         at_node = trajectory.u[left]
         u0 = u1 = at_node[:-1]
     else:
-        at_node = between(trajectory.u, steps)
+        at_node = interpolate_at_nodes(trajectory.u, steps)
         u0, u1 = at_node[:-1], at_node[1:]
     return {
         "t": t,

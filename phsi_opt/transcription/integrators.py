@@ -103,4 +103,6 @@ def integrator(name: str) -> Integrator:
     return INTEGRATORS[name]
 
 
-SCHEME = "midpoint"  # one evaluation of the right-hand side: linear where the model is
+STARTING_SCHEME = (
+    "midpoint"  # one evaluation of the right-hand side: linear where the model is
+)

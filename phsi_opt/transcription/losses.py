@@ -18,37 +18,22 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix, diags
+from scipy.sparse import csc_matrix
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Assembly, Program
-from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import (
-    curvatures,
     defect_jacobian,
     defects,
-    steps_along,
+    interval_curvatures,
+    interval_slopes,
 )
+from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import outputs
-
-
-@dataclass(frozen=True, eq=False)
-class Point:
-    """A point to start from, with each quantity's size: theta in the order of `Theta`,
-    x (n_nodes, n_states).
-
-    ``between``: lower and upper bounds of x, each as x; None: it has none.
-    """
-
-    theta: np.ndarray
-    x: np.ndarray
-    theta_scale: np.ndarray
-    x_scale: np.ndarray
-    w: np.ndarray | None = None  # (n_intervals, n_forced)
-    between: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -68,8 +53,8 @@ class PHSILoss:
         self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float]
     ) -> Program:
         """The program in theta and the slacks; the data enter as numbers."""
-        used = complete(model, grid)
-        size = rate_size(used)
+        used = complete_intervals(model, grid)
+        size = mean_square_rate(used)
         weight = np.sqrt(2 / (size * used.n_intervals))
         exact = defect_jacobian(model, used, self.integrator)
         scale, n = ca.DM(point.theta_scale), len(model.free)
@@ -190,7 +175,9 @@ class MaximumLikelihood:
         weighted = ca.reshape(multipliers[: n * m], n, m) * ca.DM(
             grid.h[None, :] / point.x_scale[:, None]
         )
-        entries, places = curvatures(model, grid, self.integrator, x, theta, weighted)
+        entries, places = interval_curvatures(
+            model, grid, self.integrator, x, theta, weighted
+        )
         local = _local(model, grid, unknown)
         i, j = local[:, places[:, 0]].ravel(), local[:, places[:, 1]].ravel()
         i, j = np.minimum(i, j), np.maximum(i, j)
@@ -229,7 +216,7 @@ class MissingForce:
         model: Model,
         grid: Grid,
         point: Point,
-        prior: "ForcePrior",
+        prior: ForcePrior,
         sigma: np.ndarray,
         unknown: Theta | None = None,
     ) -> Program:
@@ -292,32 +279,6 @@ class MissingForce:
         return build.finish()
 
 
-@dataclass(frozen=True, eq=False)
-class ForcePrior:
-    """Ornstein-Uhlenbeck prior of the missing force: rows (equations) it acts in, size
-    per row, correlation time.
-    """
-
-    rows: tuple[int, ...]
-    size: np.ndarray
-    time: float
-
-    def whitener(self, grid: Grid, k: int) -> Any:
-        """Sparse matrix from the force in row k to its innovations: independent and
-        standard normal.
-        """
-        return self.unit_whitener(grid) / self.size[k]
-
-    def unit_whitener(self, grid: Grid) -> Any:
-        """The whitener of a force of size one."""
-        middle = grid.t[grid.begin] + grid.h / 2
-        first = np.diff(grid.trajectory[grid.begin], prepend=-1) != 0
-        decay = np.exp(-np.diff(middle, prepend=middle[0]) / self.time)
-        decay[first] = 0.0
-        spread = np.sqrt(-np.expm1(2 * np.log(np.maximum(decay, TINY))))
-        return diags([1 / spread, -decay[1:] / spread[1:]], [0, -1], format="csc")
-
-
 def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
     """L1 weight per slot: a number stands for H and F alike."""
     if l1 is None:
@@ -335,7 +296,7 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
     return weights
 
 
-def complete(model: Model, grid: Grid) -> Grid:
+def complete_intervals(model: Model, grid: Grid) -> Grid:
     """The grid with only the intervals whose two ends are completely measured; raises
     `DataError` if there are none.
     """
@@ -368,7 +329,7 @@ def complete(model: Model, grid: Grid) -> Grid:
     return grid.intervals(keep)
 
 
-def rate_size(grid: Grid) -> float:
+def mean_square_rate(grid: Grid) -> float:
     """Mean square of the rates: the objective is divided by it, so that a tolerance
     does not depend on units.
     """
@@ -407,7 +368,7 @@ def _defect_rows(
         ca.reshape(values[p:], n, -1),
         ca.DM(point.theta) if unknown is None else unknown.by_trajectory(values[:p]),
     )
-    entries, places = steps_along(model, grid, scheme, x, theta, p > 0)
+    entries, places = interval_slopes(model, grid, scheme, x, theta, p > 0)
     i = n * np.arange(m)[:, None] + places[:, 0]
     j = _local(model, grid, unknown)[:, places[:, 1]]
     size = (grid.h[:, None] / point.x_scale[places[:, 0]]) * scale[j]
@@ -438,8 +399,8 @@ def _states(build: Assembly, grid: Grid, point: Point) -> ca.MX:
     )  # noqa: E731
     lower, upper = (
         (-np.inf, np.inf)
-        if point.between is None
-        else (bound.ravel() for bound in point.between)
+        if point.x_bounds is None
+        else (point.x_bounds.lower.ravel(), point.x_bounds.upper.ravel())
     )
     scale = np.tile(point.x_scale, grid.n_nodes)
     return ca.reshape(

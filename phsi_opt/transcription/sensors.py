@@ -10,32 +10,43 @@ from scipy.sparse import bsr_matrix, identity
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.defects import along_record
+from phsi_opt.transcription.defects import map_intervals
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.parameter_vector import Theta
 
 
 @dataclass(frozen=True, eq=False)
-class Sensed:
-    """What the sensors show of the states, (n_nodes, n_states), and its slope in them,
-    sparse.
-    """
+class SensorOutputs:
+    """What the sensors show of the states, (n_nodes, n_states), and its Jacobian."""
 
-    shown: np.ndarray
-    slope: Any
+    values: np.ndarray
+    jacobian: Any
 
     @classmethod
-    def at(cls, model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> "Sensed":
+    def at(cls, model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> "SensorOutputs":
         """The sensors of ``model`` at the states x."""
         if not model.sensor:
             return cls(x, identity(x.size, format="csc"))
         return cls(
             np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T,
-            output_slope(model, grid, x, theta),
+            output_jacobian(model, grid, x, theta),
         )
 
 
-def shown(
+@dataclass(frozen=True, eq=False)
+class OutputSlopes:
+    """Slopes of what the sensors show at every node.
+
+    Attributes:
+        in_states: (n_nodes, n_states, n_states).
+        in_parameters: (n_nodes, n_states, n_free).
+    """
+
+    in_states: np.ndarray
+    in_parameters: np.ndarray
+
+
+def outputs_at_samples(
     model: Model, data: Measurements, states: Sequence[np.ndarray], values: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """What the sensors show of the states at the samples, per trajectory; ``values`` as
@@ -52,14 +63,12 @@ def shown(
 def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
     """What the sensors show at the nodes, (n_states, n_nodes)."""
     columns = [x, grid.u.T, grid.t[None, :]]
-    return along_record(
+    return map_intervals(
         model.output(), replace(grid, begin=np.arange(grid.n_nodes)), columns, theta
     )
 
 
-def output_slopes(
-    model: Model, grid: Grid, x: np.ndarray, theta: Any
-) -> tuple[np.ndarray, np.ndarray]:
+def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> OutputSlopes:
     """Slopes of `outputs` at every node: in the states, (n_nodes, n_states, n_states),
     and in the parameters.
     """
@@ -69,12 +78,14 @@ def output_slopes(
     slopes = [ca.vec(ca.densify(ca.jacobian(shown, arguments[i]).T)) for i in (0, 3)]
     nodes = replace(grid, begin=np.arange(grid.n_nodes))
     columns = [ca.DM(x.T), grid.u.T, grid.t[None, :]]
-    made = along_record(ca.Function("slopes", arguments, slopes), nodes, columns, theta)
+    made = map_intervals(
+        ca.Function("slopes", arguments, slopes), nodes, columns, theta
+    )
     by_x, by_theta = (np.array(part).T.reshape(grid.n_nodes, n, -1) for part in made)
-    return by_x, by_theta
+    return OutputSlopes(by_x, by_theta)
 
 
-def output_slopes_of(
+def output_slopes_in_theta(
     unknown: Theta, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
     """Slope of `outputs` at every node in each entry of theta, (n_nodes, n_states,
@@ -83,17 +94,17 @@ def output_slopes_of(
     model = unknown.model
     slopes = np.zeros((grid.n_nodes, model.n_states, len(unknown)))
     if model.sensor:
-        own = output_slopes(model, grid, x, unknown.by_trajectory(theta))[1]
+        own = output_slopes(model, grid, x, unknown.by_trajectory(theta)).in_parameters
         places = unknown.table[:, grid.trajectory].T[:, None, :]
         np.put_along_axis(slopes, np.broadcast_to(places, own.shape), own, axis=2)
     return slopes
 
 
-def output_slope(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
+def output_jacobian(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
     """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block
     per node.
     """
-    blocks = output_slopes(model, grid, x, theta)[0]
+    blocks = output_slopes(model, grid, x, theta).in_states
     return bsr_matrix(
         (blocks, np.arange(grid.n_nodes), np.arange(grid.n_nodes + 1))
     ).tocsc()

@@ -1,0 +1,44 @@
+"""Where a solver begins: parameters, states and the size of each.
+
+The sizes scale the variables and constraints of a program, so that the solver sees
+numbers near one whatever the units are. How they are found from the data is the
+business of `phsi_opt.initialization`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class StateBounds:
+    """Bounds of the states at the nodes; infinite where there is none.
+
+    Attributes:
+        lower: (n_nodes, n_states).
+        upper: (n_nodes, n_states).
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point to start from, with the size of each quantity.
+
+    Attributes:
+        theta: (n_theta,) parameters, in the order of `Theta`.
+        x: (n_nodes, n_states) states at the nodes.
+        theta_scale: (n_theta,) size of each parameter.
+        x_scale: (n_states,) size of each state.
+        w: (n_intervals, n_forced) missing force; None: zero.
+        x_bounds: bounds of ``x``; None: it has none.
+    """
+
+    theta: np.ndarray
+    x: np.ndarray
+    theta_scale: np.ndarray
+    x_scale: np.ndarray
+    w: np.ndarray | None = None
+    x_bounds: StateBounds | None = None
