@@ -3,6 +3,7 @@ and changes nothing.
 """
 
 import copy
+import hashlib
 import io
 import pickle
 from pathlib import Path
@@ -757,6 +758,15 @@ def test_trajectories_are_chosen_by_position_slice_or_name() -> None:
     )
 
 
+def test_a_trajectory_has_one_number_by_name_and_by_number() -> None:
+    data = record(3)
+    numbers = [data.trajectory_number(run.name) for run in data]
+    assert numbers == [0, 1, 2]
+    assert data.trajectory_number(2) == 2
+    assert data.trajectory_number(-1) == 2
+    assert type(data.trajectory_number(np.int64(1))) is int  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("key", "message"),
     [
@@ -764,15 +774,47 @@ def test_trajectories_are_chosen_by_position_slice_or_name() -> None:
             "run 9",
             r"there is no trajectory 'run 9'; expected one of \['run 1', 'run 2'\]. Did you mean 'run",
         ),
-        (2, "there is no trajectory 2; there are 2, counted from 0"),
+        (2, r"no trajectory 2; there are 2, counted from 0: \['run 1', 'run 2'\]"),
         (-3, "there is no trajectory -3"),
         (slice(5, 9), "at least one Trajectory"),
-        (1.5, "trajectory 1.5 .*position, a slice or a name"),
+        (1.5, r"trajectory 1.5 is unknown; expected a name of \['run 1', 'run 2'\]"),
     ],
 )
 def test_a_trajectory_that_does_not_exist_is_refused(key: Any, message: str) -> None:
     with pytest.raises(DataError, match=message):
         record(2)[key]
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "message"),
+    [
+        ("Run 2", r"no trajectory 'Run 2'; .*'run 2'\]. Did you mean 'run 2'\?"),
+        ("swing", r"no trajectory 'swing'; expected one of \['run 1', 'run 2'\]\.$"),
+        (2, r"no trajectory 2; there are 2, counted from 0: \['run 1', 'run 2'\]"),
+        (-3, "no trajectory -3; there are 2"),
+        (None, "trajectory None is unknown; .* or a number, counted from 0"),
+        (slice(1), "trajectory slice.* is unknown"),
+    ],
+)
+def test_a_trajectory_without_a_number_is_refused(
+    trajectory: Any, message: str
+) -> None:
+    with pytest.raises(DataError, match=message):
+        record(2).trajectory_number(trajectory)
+
+
+def test_the_digest_knows_names_and_numbers_and_nothing_else() -> None:
+    data = record()
+    expected = hashlib.sha256()
+    for run in data:
+        expected.update(run.name.encode() + run.t.tobytes())
+        expected.update(run.x.tobytes() + run.u.tobytes())
+    assert data.digest == expected.hexdigest()
+    assert data.digest is data.digest  # computed once
+    assert data.with_noise(None).digest == data.digest
+    assert pickle.loads(pickle.dumps(data)).digest == data.digest
+    assert record(seed=1).digest != data.digest
+    assert data[:2].digest != data.digest
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.stats import chi2
 
 from phsi_opt.comparison.prediction_bands import bands
-from phsi_opt.data.measurements import Measurements, data_digest
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit, matrix_of, parameters_of
@@ -234,7 +234,7 @@ def compared(
     sigma = np.r_[sigma, np.ones(fit.model.n_states - len(sigma))]
     # The starting states of a fit to these very measurements are its own; others are
     # estimated from the record.
-    if fit.states and fit.provenance.get("data_sha256") == data_digest(data):
+    if fit.states and fit.provenance.get("data_sha256") == data.digest:
         states: Sequence[np.ndarray] = fit.states
         values = parameters_of(fit, data)
     else:

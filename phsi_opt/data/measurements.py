@@ -11,6 +11,7 @@ import hashlib
 import operator
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from numbers import Real
 from typing import Any, Self
 
@@ -271,6 +272,19 @@ class Measurements:
             name for name, is_seen in zip(self.states, seen, strict=True) if is_seen
         )
 
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the trajectories' names, times, states and inputs, as hex digits.
+
+        A fit keeps it to recognise the measurements that it came from.
+        """
+        digest = hashlib.sha256()
+        for run in self.trajectories:
+            digest.update(run.name.encode())
+            for array in (run.t, run.x, run.u):
+                digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
     def __len__(self) -> int:
         return self.n_trajectories
 
@@ -283,26 +297,43 @@ class Measurements:
         """
         if isinstance(key, slice):
             return replace(self, trajectories=self.trajectories[key])
-        return replace(self, trajectories=(self.trajectories[self._position(key)],))
+        number = self.trajectory_number(key)
+        return replace(self, trajectories=(self.trajectories[number],))
 
-    def _position(self, key: int | str) -> int:
-        names = [trajectory.name for trajectory in self.trajectories]
-        if isinstance(key, str):
-            if key not in names:
-                raise DataError(
-                    f"there is no trajectory {key!r}; expected one of {names}.{did_you_mean(key, names)}"
-                )
-            return names.index(key)
-        if not hasattr(key, "__index__"):
+    def trajectory_number(self, trajectory: str | int) -> int:
+        """The number of a trajectory, counted from 0, by its name or its number.
+
+        Negative numbers count from the end, as in a list.
+
+        Args:
+            trajectory: The trajectory's name, or its number.
+
+        Returns:
+            A number from 0 to ``n_trajectories - 1``.
+
+        Raises:
+            DataError: There is no such trajectory.
+        """
+        names = [run.name for run in self.trajectories]
+        if isinstance(trajectory, str):
+            if trajectory in names:
+                return names.index(trajectory)
+            hint = did_you_mean(trajectory, names)
             raise DataError(
-                f"trajectory {key!r} is unknown; expected a position, a slice or a name."
+                f"there is no trajectory {trajectory!r}; expected one of {names}.{hint}"
             )
-        position = operator.index(key)
-        if not -len(names) <= position < len(names):
+        if not hasattr(trajectory, "__index__"):
             raise DataError(
-                f"there is no trajectory {position}; there are {len(names)}, counted from 0."
+                f"trajectory {trajectory!r} is unknown; expected a name of {names} "
+                "or a number, counted from 0."
             )
-        return position
+        number = operator.index(trajectory)
+        if not -len(names) <= number < len(names):
+            raise DataError(
+                f"there is no trajectory {number}; there are {len(names)}, "
+                f"counted from 0: {names}."
+            )
+        return number % len(names)
 
     def split(self, fraction: float = 0.7) -> tuple[Self, Self]:
         """(train, test): the first `fraction` (0 < fraction < 1) of the trajectories,
@@ -415,13 +446,3 @@ def _summary(values: np.ndarray) -> str:
     if not seen.size:
         return "not measured"
     return f"{seen.size} of {values.size} samples measured, {seen.min():g} to {seen.max():g}"
-
-
-def data_digest(data: Measurements) -> str:
-    """A fingerprint of the names and numbers of the measurements."""
-    digest = hashlib.sha256()
-    for run in data.trajectories:
-        digest.update(run.name.encode())
-        for array in (run.t, run.x, run.u):
-            digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()

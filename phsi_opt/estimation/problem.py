@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.measurements import Measurements, data_digest
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.pruning import Pruning
@@ -272,7 +272,7 @@ def _provenance(state: State) -> dict[str, Any]:
         "loss": repr(state.loss),
         "l1": dict(state.task.l1),
         "pruning": repr(state.task.pruning),
-        "data_sha256": data_digest(state.task.data),
+        "data_sha256": state.task.data.digest,
         "n_trajectories": state.task.data.n_trajectories,
         "n_samples": state.task.data.n_samples,
     }
