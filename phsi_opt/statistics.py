@@ -1,50 +1,92 @@
-"""What residuals that are correlated in time can tell: independent values among them."""
+"""What residuals that are correlated in time can tell.
+
+Residuals of a model that is not perfect vary slowly: neighbours say nearly the same.
+Tests and criteria that count samples have to count independent values instead. The two
+measures of that number stand here because several rooms need them; they know arrays
+only, no model and no measurements. ``TINY`` guards divisions everywhere.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import fftconvolve
 
-# Keeps quotients and logarithms of what may be zero finite; far below every number that a
-# measurement or a model can mean, far above the least that float64 can hold.
+# Keeps quotients and logarithms of what may be zero finite; far below every number that
+# a measurement or a model can mean, far above the least that float64 can hold.
 TINY = 1e-300
 
 
-def spread_together(series: Sequence[np.ndarray]) -> float:
-    """How much more the sum of values in the order of time varies than if they were
-    independent.
+def autocorrelation_time(series: Sequence[np.ndarray]) -> float:
+    """Integrated autocorrelation time of several series, in samples; at least 1.
 
-    One plus twice their correlations, over lags up to the first pair of neighbouring
-    lags whose sum is not positive (Geyer's initial positive sequence); (1 + rho)/(1 -
-    rho) where each value keeps a share rho of the last one. ``series`` holds one array
-    per trajectory.
+    It says how much more the sum of a series varies than the sum of as many independent
+    values of the same size::
+
+        tau = 1 + 2 (rho_1 + rho_2 + ...)
+
+    with the correlations rho_k at lag k, up to the first pair of neighbouring lags
+    whose sum is not positive (the initial positive sequence of Geyer, 1992). Where each
+    value keeps a share rho of the last one, tau = (1 + rho) / (1 - rho).
+
+    Args:
+        series: One array (n_samples,) per trajectory, in the order of time, with a mean
+            of zero.
+
+    Returns:
+        tau; 1 where the series are empty or zero, or where neighbours alternate.
     """
-    covariance = np.zeros(max((len(s) for s in series), default=0) + 2)
-    for s in series:
-        covariance[: len(s)] += fftconvolve(s, s[::-1])[len(s) - 1 :]
-    if covariance[0] <= 0:
+    covariances = _summed_autocovariances(series)
+    variance = covariances[0]
+    if variance <= 0:
         return 1.0
-    pairs = (
-        covariance[: len(covariance) // 2 * 2].reshape(-1, 2).sum(axis=1)
-        / covariance[0]
-    )
-    ends = np.flatnonzero(pairs <= 0)
-    return max(float(2 * pairs[: ends[0] if len(ends) else None].sum() - 1), 1.0)
+    n_even = len(covariances) // 2 * 2
+    neighbours = covariances[:n_even].reshape(-1, 2)
+    pairs = neighbours.sum(axis=1) / variance
+    not_positive = np.flatnonzero(pairs <= 0)
+    n_pairs = not_positive[0] if len(not_positive) else len(pairs)
+    # the first pair is 1 + rho_1: twice the sum of the pairs counts lag 0 twice
+    tau = 2 * pairs[:n_pairs].sum() - 1
+    return max(float(tau), 1.0)
 
 
-def independent_share(
+def _summed_autocovariances(series: Sequence[np.ndarray]) -> np.ndarray:
+    """Sums of products at each lag, over all series; zero at two lags more."""
+    n_lags = max(map(len, series), default=0)
+    covariances = np.zeros(n_lags + 2)
+    for values in series:
+        n_samples = len(values)
+        both_sides = fftconvolve(values, values[::-1])
+        covariances[:n_samples] += both_sides[n_samples - 1 :]
+    return covariances
+
+
+def effective_sample_share(
     changes: Sequence[np.ndarray], residuals: Sequence[np.ndarray]
 ) -> float:
-    """Independent values among the residuals, for one ``change`` of what the model
-    shows: naive over actual variance.
+    """Share of the residuals that is independent, for one change of the model.
 
-    Both (n_samples, n_channels) per trajectory, in units of the residuals' own size.
-    What a coefficient can explain by chance depends on its trace times the residual: a
-    slow error of the model does not imitate a fast trace.
+    The variance which the score, the sum of change times residual, would have if the
+    residuals were independent, over the variance that it has. What a coefficient can
+    explain by chance depends on its trace times the residual: a slow error of the model
+    does not imitate a fast trace.
+
+    Args:
+        changes: What the change adds to the model's outputs, one array (n_samples,
+            n_channels) per trajectory, in units of the residuals' own size.
+        residuals: The residuals, in the same shapes and units.
+
+    Returns:
+        A share from 0 to 1; 1 where the change does nothing.
     """
-    scores = [
-        np.sum(change * r, axis=1) for change, r in zip(changes, residuals, strict=True)
-    ]
-    naive = sum(float(np.sum(change**2)) for change in changes)
-    actual = sum(float(s @ s) for s in scores) * spread_together(scores)
-    return float(min(naive / actual, 1.0)) if actual > 0 else 1.0
+    scores = []
+    independent = 0.0
+    uncorrelated = 0.0
+    for change, residual in zip(changes, residuals, strict=True):
+        score = np.sum(change * residual, axis=1)
+        scores.append(score)
+        independent += float(np.sum(change**2))
+        uncorrelated += float(score @ score)
+    actual = uncorrelated * autocorrelation_time(scores)
+    if not actual > 0:  # nan included
+        return 1.0
+    return float(min(independent / actual, 1.0))

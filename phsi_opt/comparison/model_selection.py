@@ -6,7 +6,7 @@ import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.statistics import TINY, independent_share, spread_together
+from phsi_opt.statistics import TINY, autocorrelation_time, effective_sample_share
 
 ABOVE_FLOOR = (
     1.1  # free-run error over the noise floor from which a model counts as failing
@@ -73,7 +73,7 @@ def explained_share(old: Comparison, new: Comparison) -> float:
 
 
 def share_of(old: Comparison, new: Comparison) -> float:
-    """`independent_share` for the change from one model to a larger one, on the same
+    """`effective_sample_share` for the change from one model to a larger one, on the same
     data.
     """
     n = min(
@@ -88,7 +88,7 @@ def share_of(old: Comparison, new: Comparison) -> float:
     changes = [
         np.nan_to_num((a - b) / size) for a, b in zip(before, after, strict=True)
     ]
-    return independent_share(changes, [np.nan_to_num(r / size) for r in after])
+    return effective_sample_share(changes, [np.nan_to_num(r / size) for r in after])
 
 
 def independent_samples(comparison: Comparison) -> float:
@@ -101,7 +101,7 @@ def independent_samples(comparison: Comparison) -> float:
     measured = sum(
         int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories
     )
-    return max(measured / spread_together(columns), 3.0)
+    return max(measured / autocorrelation_time(columns), 3.0)
 
 
 def falls(old: Comparison, new: Comparison) -> bool:

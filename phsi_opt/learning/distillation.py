@@ -17,7 +17,7 @@ from phsi_opt.learning.orthogonal_network import NOTHING, Record, Response
 from phsi_opt.model.catalogue import TURNOVER
 from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.terms import Parameter, Term
-from phsi_opt.statistics import spread_together
+from phsi_opt.statistics import autocorrelation_time
 
 PLACES, WIDTHS = (
     np.linspace(0.04, 0.96, 16),
@@ -53,8 +53,8 @@ def short_form(
     """
     target = response.traces(curve[:, None])[:, 0]
     rest = response.residual - target
-    unit = max(float(np.mean(rest**2)), 1.0) * spread_together([rest])
-    price = np.log(max(len(rest) / spread_together([rest]), 2.0))  # of a parameter
+    unit = max(float(np.mean(rest**2)), 1.0) * autocorrelation_time([rest])
+    price = np.log(max(len(rest) / autocorrelation_time([rest]), 2.0))  # of a parameter
     listed = [
         (term, c)
         for term in candidates(names, record.v)

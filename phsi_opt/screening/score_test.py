@@ -55,7 +55,7 @@ from phsi_opt.screening.linearized_record import (
     column_scale,
 )
 from phsi_opt.screening.sensitivities import Columns, Trial
-from phsi_opt.statistics import TINY, independent_share
+from phsi_opt.statistics import TINY, effective_sample_share
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.elimination import (
     ReducedSystem,
@@ -562,7 +562,7 @@ class Screen:
         else:
             size, error = next(iter(point.values())), np.nan
         residual = self.residual - trace @ c
-        share = independent_share(*self._by_run(trace @ c, residual))
+        share = effective_sample_share(*self._by_run(trace @ c, residual))
         gain = (
             share
             * self.n_values

@@ -1,0 +1,66 @@
+"""Residuals correlated in time: what chance explains depends on the trace."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+from phsi_opt.statistics import autocorrelation_time, effective_sample_share
+
+N = 1000
+KEPT = 0.9  # share of the last residual that the next one keeps
+
+
+def residuals(n_draws: int) -> Iterator[np.ndarray]:
+    rng = np.random.default_rng(0)
+    for noise in rng.normal(size=(n_draws, N)):
+        yield lfilter([1.0], [1.0, -KEPT], noise)
+
+
+def test_a_sum_spreads_with_the_correlation_of_what_is_summed() -> None:
+    white = np.random.default_rng(0).normal(size=N)
+    # one lag more or less: 2/sqrt(N), a few times
+    assert autocorrelation_time([white]) == pytest.approx(1.0, abs=0.2)
+    times = [autocorrelation_time([r]) for r in residuals(40)]
+    assert np.median(times) == pytest.approx((1 + KEPT) / (1 - KEPT), rel=0.2)
+
+
+def test_trajectories_are_independent_of_each_other() -> None:
+    white = np.random.default_rng(0).normal(size=N)
+    alone = autocorrelation_time([white])
+    assert autocorrelation_time([white, np.zeros(5)]) == alone
+
+
+def test_a_value_is_never_worth_more_than_an_independent_one() -> None:
+    alternating = (-1.0) ** np.arange(N)
+    assert autocorrelation_time([alternating]) == 1.0
+    assert autocorrelation_time([]) == autocorrelation_time([np.zeros(3)]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("period", "least", "most"), [(1000.0, 0.03, 0.12), (6.0, 0.5, 1.0)]
+)
+def test_a_slow_error_of_the_model_imitates_slow_traces_and_not_fast_ones(
+    period: float, least: float, most: float
+) -> None:
+    trace = np.sin(2 * np.pi * np.arange(N) / period)
+    shares = []
+    p_values = []
+    for r in residuals(200):
+        left = r - trace * (trace @ r) / (trace @ trace)
+        size = left.std()
+        change = (r - left)[:, None] / size
+        share = effective_sample_share([change], [left[:, None] / size])
+        likelihood_ratio = N * np.log((r @ r) / (left @ left))
+        shares.append(share)
+        p_values.append(chi2.sf(likelihood_ratio * share, 1))
+    assert least < np.median(shares) <= most
+    # Nothing is hidden: one draw in twenty is below 5 %, give or take three standard
+    # errors of 200 draws, and the error of a variance that is itself estimated.
+    assert np.mean(np.array(p_values) < 0.05) < 0.13
+
+
+def test_nothing_explained_needs_no_share() -> None:
+    assert effective_sample_share([np.zeros((4, 1))], [np.ones((4, 1))]) == 1.0
