@@ -15,8 +15,9 @@ from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
 from phsi_opt.optimization.ipopt import Settings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.study import Study

@@ -27,7 +27,8 @@ from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_dictionary import Basis, DictionaryDynamics, monomial
 from phsi_opt.baselines.torch_steps import Adam, Steps
 from phsi_opt.model.model import Model
-from phsi_opt.model.terms import Dictionary, Parameter, Term
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import grid_of

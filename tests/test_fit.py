@@ -16,16 +16,9 @@ from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit import Fit, to_json
 from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter, Scan, Share
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import (
-    Parameter,
-    Scan,
-    Share,
-    damping,
-    formula,
-    polynomials,
-    trigonometric,
-)
+from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
 from phsi_opt.optimization.ipopt import Outcome
 
 OUTCOME = Outcome(

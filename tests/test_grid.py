@@ -9,8 +9,9 @@ import pytest
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.model.model import PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Parameter, damping, formula, trigonometric
+from phsi_opt.model.terms import damping, formula, trigonometric
 from phsi_opt.transcription.defects import defect, defect_jacobian, defects
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS

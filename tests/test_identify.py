@@ -14,8 +14,9 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Parameter, damping, formula, polynomials, trigonometric
+from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
 from phsi_opt.optimization.ipopt import Settings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss

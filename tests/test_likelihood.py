@@ -18,8 +18,9 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.likelihood_solve import cut
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Dictionary, Parameter, formula
+from phsi_opt.model.terms import Dictionary, formula
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import grid_of, steps_per_gap

@@ -9,7 +9,8 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation import likelihood_start
-from phsi_opt.model.terms import Dictionary, Scan, Term
+from phsi_opt.model.parameters import Scan
+from phsi_opt.model.terms import Dictionary, Term
 
 NOISE = 0.02
 

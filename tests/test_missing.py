@@ -11,7 +11,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise
 from phsi_opt.estimation.missing_force import ForceEstimate, Linearised, estimate_force
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
-from phsi_opt.model.structure import canonical, forced_rows, positions
+from phsi_opt.model.structure import canonical, forced_rows, position_rows
 from phsi_opt.model.terms import damping, formula, polynomials
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.transcription.force_prior import ForcePrior
@@ -150,7 +150,7 @@ def test_the_whitened_prior_is_an_ornstein_uhlenbeck_process() -> None:
 
 
 def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
-    assert positions(spring()) == (0,)
+    assert position_rows(spring()) == (0,)
     assert forced_rows(spring()) == (1,)
     assert forced_rows(
         FirstOrder(states=["a", "b"], F={"a": polynomials(["a", "b"], 1)})

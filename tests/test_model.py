@@ -10,10 +10,10 @@ import pytest
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import (
     Dictionary,
-    Parameter,
     damping,
     formula,
     polynomials,

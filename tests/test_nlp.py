@@ -12,8 +12,9 @@ import pytest
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Dictionary, Parameter, Term, polynomials
+from phsi_opt.model.terms import Dictionary, Term, polynomials
 from phsi_opt.optimization.ipopt import Settings, _is_settled, solve
 from phsi_opt.optimization.program import Assembly
 from phsi_opt.transcription.grid import grid_of

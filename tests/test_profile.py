@@ -11,7 +11,8 @@ from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.model.model import FirstOrder
-from phsi_opt.model.terms import Parameter, formula
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.terms import formula
 from phsi_opt.transcription.losses import PHSILoss
 
 

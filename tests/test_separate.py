@@ -16,7 +16,8 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
-from phsi_opt.model.terms import Dictionary, Parameter, Term, formula
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.terms import Dictionary, Term, formula
 from phsi_opt.simulation.free_run import free_run
 
 NOISE = 0.02

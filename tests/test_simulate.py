@@ -10,8 +10,9 @@ import pytest
 
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Parameter, damping, formula
+from phsi_opt.model.terms import damping, formula
 from phsi_opt.simulation.simulate import simulate
 
 K, M, D = 40.0, 2.5, 0.8

@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 
 from phsi_opt.errors import ModelError
+from phsi_opt.model.parameters import Parameter, Scan, with_value
 from phsi_opt.model.terms import (
     Dictionary,
-    Parameter,
-    Scan,
     Term,
     damping,
     formula,
     polynomials,
     trigonometric,
-    with_value,
 )
 
 

@@ -30,8 +30,9 @@ from phsi_opt.force_analysis.force_record import spectrum
 from phsi_opt.force_analysis.localization import located, uncertain
 from phsi_opt.force_analysis.wording import sentences
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import Parameter, formula
+from phsi_opt.model.terms import formula
 from phsi_opt.simulation.simulate import simulate
 
 M, K, D = 2.5, 40.0, 0.8

@@ -22,7 +22,8 @@ from phsi_opt.baselines.torch_dictionary import DictionaryDynamics, monomial
 from phsi_opt.baselines.torch_steps import Adam, Progress, Steps, descend
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, SolveError
-from phsi_opt.model.model import Model, place_of
+from phsi_opt.model.model import Model
+from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.alignment import aligned

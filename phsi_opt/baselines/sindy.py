@@ -23,8 +23,10 @@ from phsi_opt.baselines.result import Baseline
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, ModelError, SolveError, did_you_mean
-from phsi_opt.model.model import FirstOrder, Model, place_of
-from phsi_opt.model.terms import Dictionary, Parameter, Term
+from phsi_opt.model.model import FirstOrder, Model
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.slots import place_of
+from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.transcription.alignment import aligned
 
 OPTIMIZERS = ("stlsq", "sr3")

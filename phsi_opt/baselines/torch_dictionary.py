@@ -20,7 +20,8 @@ from torch.autograd.function import once_differentiable
 from phsi_opt.baselines.descent_settings import JointForce, is_count
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.expressions import evaluate, names_of, parse
-from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian, place_of
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Term
 
 

@@ -9,7 +9,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.model.terms import Share
+from phsi_opt.model.parameters import Share
 from phsi_opt.screening.score_test import Screened
 
 

@@ -21,7 +21,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.model import Model
-from phsi_opt.model.structure import positions
+from phsi_opt.model.structure import position_rows
 from phsi_opt.simulation.free_run import Runs, rates
 from phsi_opt.statistics import TINY
 
@@ -450,7 +450,7 @@ def _experiments(
                 stretch=times,
                 centre=centre,
             )
-    for k in positions(model) or range(len(data.states)):
+    for k in position_rows(model) or range(len(data.states)):
         name = model.states[k]
         by = SHIFT * float(spread[data.states.index(name)])
         yield replace(

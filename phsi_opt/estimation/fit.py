@@ -20,14 +20,10 @@ from scipy.stats import t as student_t
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.estimation.result import PARAMETER_COLUMNS, Identified
-from phsi_opt.model.model import (
-    BY_EQUATION,
-    FirstOrder,
-    Model,
-    PseudoHamiltonian,
-    place_of,
-)
-from phsi_opt.model.terms import Dictionary, Parameter, Scan, Share, Term, Tried
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
+from phsi_opt.model.slots import BY_EQUATION, place_of
+from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.optimization.ipopt import Outcome
 from phsi_opt.simulation.simulate import simulate
 

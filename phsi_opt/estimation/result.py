@@ -12,7 +12,8 @@ import pandas as pd
 import sympy as sp
 
 from phsi_opt.model.expressions import SYMPY
-from phsi_opt.model.model import Entry, Model
+from phsi_opt.model.model import Model
+from phsi_opt.model.slots import Entry
 from phsi_opt.simulation.simulate import simulate
 
 PARAMETER_COLUMNS = [

@@ -30,7 +30,7 @@ from phsi_opt.force_analysis.dependence import (
 )
 from phsi_opt.force_analysis.force_record import Along, along, spaced
 from phsi_opt.model.model import FirstOrder, Model
-from phsi_opt.model.structure import positions
+from phsi_opt.model.structure import position_rows
 from phsi_opt.statistics import TINY
 
 
@@ -271,7 +271,7 @@ def plane_of(path: Along, equation: str) -> tuple[str, ...]:
     if _is_momentum(model, equation):
         (q,) = (
             model.states[i]
-            for i in positions(model)
+            for i in position_rows(model)
             if model.S[i][model.states.index(equation)]
         )
         own = [q, f"dH_d{equation}"]
@@ -282,7 +282,9 @@ def plane_of(path: Along, equation: str) -> tuple[str, ...]:
 
 
 def _is_momentum(model: Model, equation: str) -> bool:
-    return any(model.S[i][model.states.index(equation)] != 0 for i in positions(model))
+    return any(
+        model.S[i][model.states.index(equation)] != 0 for i in position_rows(model)
+    )
 
 
 def _partners(path: Along, equation: str) -> tuple[str, ...]:
@@ -291,7 +293,7 @@ def _partners(path: Along, equation: str) -> tuple[str, ...]:
     """
     model = path.fit.model
     row = np.flatnonzero(np.array(model.S)[model.states.index(equation)])
-    found = positions(model) if _is_momentum(model, equation) else row
+    found = position_rows(model) if _is_momentum(model, equation) else row
     return tuple(model.states[int(j)] for j in found)
 
 

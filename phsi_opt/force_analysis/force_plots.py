@@ -33,7 +33,7 @@ from phsi_opt.force_analysis.localization import (
     uncertain,
 )
 from phsi_opt.force_analysis.wording import sentences
-from phsi_opt.model.structure import positions
+from phsi_opt.model.structure import position_rows
 from phsi_opt.statistics import TINY
 
 if TYPE_CHECKING:
@@ -404,7 +404,7 @@ def _variable_label(diagnosis: "Diagnosis", name: str) -> str:
     if name not in model.efforts:
         return _label(name, units.get(name, ""))
     row = np.array(model.S)[:, model.efforts.index(name)]
-    moved = [model.states[i] for i in positions(model) if row[i]]
+    moved = [model.states[i] for i in position_rows(model) if row[i]]
     return (
         _label(f"velocity {name}", force_unit(moved[0], units))
         if moved

@@ -4,8 +4,9 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.expressions import names_of
-from phsi_opt.model.model import Model, place_of
-from phsi_opt.model.terms import Scan
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Scan
+from phsi_opt.model.slots import place_of
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME

@@ -5,8 +5,9 @@ to try, widths of corners.
 import numpy as np
 
 from phsi_opt.model.expressions import names_of
-from phsi_opt.model.model import Model, place_of
-from phsi_opt.model.terms import Share, Tried
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Share, Tried
+from phsi_opt.model.slots import place_of
 from phsi_opt.transcription.augmented_states import padded
 from phsi_opt.transcription.grid import Grid
 

@@ -16,7 +16,8 @@ from scipy.optimize import minimize
 from phsi_opt.learning.orthogonal_network import NOTHING, Record, Response
 from phsi_opt.model.catalogue import TURNOVER
 from phsi_opt.model.expressions import NUMPY, evaluate
-from phsi_opt.model.terms import Parameter, Term
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.terms import Term
 from phsi_opt.statistics import autocorrelation_time
 
 PLACES, WIDTHS = (

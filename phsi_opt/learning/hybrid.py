@@ -43,7 +43,8 @@ from phsi_opt.learning.network import (
     train,
 )
 from phsi_opt.model.model import Model
-from phsi_opt.model.terms import Dictionary, Parameter, Term
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.defects import defect_jacobian, defects

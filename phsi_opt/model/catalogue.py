@@ -16,8 +16,14 @@ from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.effect import Effect, is_scanned
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import FirstOrder, Model
-from phsi_opt.model.structure import forced_rows, is_storage, moving_states, position_of
-from phsi_opt.model.terms import Dictionary, Parameter, Scan, Share, Term, Tried
+from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
+from phsi_opt.model.structure import (
+    flow_states,
+    forced_rows,
+    position_of_momentum,
+    storage_states,
+)
+from phsi_opt.model.terms import Dictionary, Term
 
 # Dry friction turns over within this share of the typical velocity: sharp beside the
 # motion, smooth for the solver. The fourth powers make its plateau flat, so that the
@@ -91,7 +97,7 @@ def catalogue(model: Model) -> list[Effect]:
     """The effects that apply to the model, each with the slot and equation it acts in;
     those it has are left out.
     """
-    moved_by = position_of(model)
+    moved_by = position_of_momentum(model)
     effects: list[Effect] = []
     for i in forced_rows(model):
         name = model.states[i]
@@ -106,7 +112,7 @@ def catalogue(model: Model) -> list[Effect]:
                 _parametric(model, moved_by[name], name),
             ]
             effects.append(_hysteresis(moved_by[name], name))
-    stores = [name for name in model.states if is_storage(model, name, moved_by)]
+    stores = storage_states(model)
     effects += [
         _spilled(model, source, name)
         for source in stores
@@ -179,7 +185,7 @@ def _losses(model: Model, name: str, position: str | None) -> list[Effect]:
             _term(body, f"{kind.replace(' ', '_')}_{name}", inner, lower=0.0),
         )
 
-    is_storage = position is None and name not in moving_states(model)
+    is_storage = position is None and name not in flow_states(model)
     effects = [
         loss("linear leak" if is_storage else "viscous damping", "1"),
         loss("coulomb friction", dry, {"v0": turnover}),

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.model import SLOTS
-from phsi_opt.model.terms import Dictionary, Scan, Tried
+from phsi_opt.model.parameters import Scan, Tried
+from phsi_opt.model.slots import SLOTS
+from phsi_opt.model.terms import Dictionary
 
 
 @dataclass(frozen=True)

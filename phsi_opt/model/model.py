@@ -17,16 +17,9 @@ import numpy as np
 
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.expressions import CASADI, CONSTANTS, FUNCTIONS, evaluate, names_of
-from phsi_opt.model.terms import (
-    Dictionary,
-    Parameter,
-    Term,
-    with_parameters,
-    with_value,
-)
-
-SLOTS = ("H", "R", "F", "sensor")  # where a term may act
-BY_EQUATION = SLOTS[1:]
+from phsi_opt.model.parameters import Parameter, with_value
+from phsi_opt.model.slots import BY_EQUATION, SLOTS, Entry, place_of
+from phsi_opt.model.terms import Dictionary, Term, with_parameters
 
 
 class Addition(Protocol):
@@ -42,17 +35,6 @@ class Addition(Protocol):
     def term(self) -> Dictionary: ...
     @property
     def memory(self) -> Mapping[str, Dictionary]: ...
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A parameter in its place: the row of the parameter table."""
-
-    name: str
-    parameter: Parameter
-    slot: str
-    equation: str
-    prunable: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -629,11 +611,6 @@ def _slope(expression: Any, variable: Any, backend: int) -> Any:
             ca.jacobian(expression, variable) if isinstance(expression, ca.SX) else 0.0
         )
     return expression.diff(variable) if hasattr(expression, "diff") else 0
-
-
-def place_of(slot: str, equation: str) -> str:
-    """Name of a slot of an equation: 'H', 'R_p', 'F_p'."""
-    return f"{slot}_{equation}" if equation else slot
 
 
 def _names(names: Sequence[str], what: str, empty: bool = False) -> tuple[str, ...]:

@@ -1,6 +1,10 @@
-"""TODO."""
+"""Which state is what: positions and momenta of canonical pairs, storages, flows.
 
-from collections.abc import Mapping
+The physics is read from the structure matrix S and from where the model loses energy.
+A row of S with one entry, dq/dt = dH/dp, makes q the position of the momentum p. What
+lies outside such pairs is a storage (a tank, a capacitor) or a flow (a pipe, a coil);
+where the model does not tell which, a state counts as both.
+"""
 
 import numpy as np
 
@@ -8,69 +12,92 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.model import FirstOrder, Model
 
 
-def position_of(model: Model) -> dict[str, str]:
-    """Position q of each momentum p of a canonical pair."""
-    found = {}
-    for i in positions(model):
-        (j,) = (j for j, s in enumerate(model.S[i]) if s)
-        found[model.states[j]] = model.states[i]
-    return found
-
-
-def is_storage(model: Model, name: str, moved_by: Mapping[str, str]) -> bool:
-    outside = (
-        name not in moved_by
-        and name not in moved_by.values()
-        and name not in model.memory
-    )
-    return outside and (
-        isinstance(model, FirstOrder) or name not in moving_states(model)
-    )
-
-
-def moving_states(model: Model) -> set[str]:
-    """Equations outside the canonical pairs that lose energy already: flows and speeds,
-    rather than storages.
-    """
-    return set(model.R) if not isinstance(model, FirstOrder) else set(model.states)
-
-
 def canonical(n: int) -> np.ndarray:
-    """The canonical structure matrix [[0, I], [-I, 0]] of n positions, then n momenta
-    (thesis Eq. 2.25).
+    """The canonical structure matrix [[0, I], [-I, 0]] (thesis Eq. 2.25).
+
+    Args:
+        n: number of positions, and of momenta; the states are positions, then momenta.
+
+    Returns:
+        The skew-symmetric matrix, (2 n, 2 n).
+
+    Raises:
+        ModelError: n is not a whole number of at least 1.
     """
     if not isinstance(n, int) or n < 1:
         raise ModelError(
-            f"canonical({n!r}): n is the number of positions, a whole number of at least 1."
+            f"canonical({n!r}): n is the number of positions, "
+            "a whole number of at least 1."
         )
-    zero, one = np.zeros((n, n)), np.eye(n)
+    zero = np.zeros((n, n))
+    one = np.eye(n)
     return np.block([[zero, one], [-one, zero]])
 
 
-def positions(model: Model) -> tuple[int, ...]:
-    """States that are positions of a canonical pair: their equation dq/dt = dH/dp is
-    kinematics and lacks no force.
+def position_rows(model: Model) -> tuple[int, ...]:
+    """Indices of the states that are positions of a canonical pair.
+
+    Their equation dq/dt = dH/dp is kinematics and lacks no force.
     """
     S = np.array(model.S)
-    found = []
-    for i, row in enumerate(S):
-        (partners,) = np.nonzero(row)
-        if (
-            len(partners) == 1
-            and row[partners[0]] > 0
-            and np.count_nonzero(S[partners[0]]) == 1
-        ):
-            found.append(i)
-    return tuple(found)
+    return tuple(i for i in range(len(S)) if _is_position(S, i))
+
+
+def _is_position(S: np.ndarray, row: int) -> bool:
+    """Whether the row is dq/dt = dH/dp of a p that is coupled to no other state."""
+    (partners,) = np.nonzero(S[row])
+    if len(partners) != 1:
+        return False
+    (momentum,) = partners
+    return bool(S[row, momentum] > 0 and np.count_nonzero(S[momentum]) == 1)
+
+
+def position_of_momentum(model: Model) -> dict[str, str]:
+    """Name of the position q of each momentum p of a canonical pair."""
+    pairs = {}
+    for row in position_rows(model):
+        (momentum,) = np.flatnonzero(model.S[row]).tolist()
+        pairs[model.states[momentum]] = model.states[row]
+    return pairs
 
 
 def forced_rows(model: Model) -> tuple[int, ...]:
-    """Equations in which a force may be missing: all but those of positions and of an
-    effect's memory.
+    """Indices of the equations in which a force may be missing.
+
+    These are all but the equations of positions and of an effect's memory.
     """
-    kinematic = positions(model)
-    return tuple(
-        i
-        for i, name in enumerate(model.states)
-        if i not in kinematic and name not in model.memory
-    )
+    kinematic = position_rows(model)
+    rows = []
+    for row, name in enumerate(model.states):
+        if row not in kinematic and name not in model.memory:
+            rows.append(row)
+    return tuple(rows)
+
+
+def flow_states(model: Model) -> tuple[str, ...]:
+    """States outside the canonical pairs that may be flows or speeds.
+
+    They lose energy already; in a model without energy any state may be one.
+    """
+    unpaired = _unpaired_states(model)
+    if isinstance(model, FirstOrder):
+        return unpaired
+    return tuple(name for name in unpaired if name in model.R)
+
+
+def storage_states(model: Model) -> tuple[str, ...]:
+    """States outside the canonical pairs that may be storages, such as tanks.
+
+    They do not lose energy yet; in a model without energy any state may be one.
+    """
+    unpaired = _unpaired_states(model)
+    if isinstance(model, FirstOrder):
+        return unpaired
+    return tuple(name for name in unpaired if name not in model.R)
+
+
+def _unpaired_states(model: Model) -> tuple[str, ...]:
+    """States that are neither position nor momentum nor an effect's memory."""
+    pairs = position_of_momentum(model)
+    paired = {*pairs.keys(), *pairs.values(), *model.memory}
+    return tuple(name for name in model.states if name not in paired)

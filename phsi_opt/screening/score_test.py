@@ -45,7 +45,7 @@ from phsi_opt.initialization.frequency_scan import frequency_grid
 from phsi_opt.initialization.relative_guesses import resolve_guesses, values_to_try
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.model.terms import Scan, Tried
+from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.screening.linearized_record import (
     BACK,
     KEPT,

@@ -12,7 +12,7 @@ import numpy as np
 from phsi_opt.initialization.relative_guesses import corner_widths, intervals_at_rest
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.model.structure import position_of
+from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.screening.linearized_record import LINEARIZATION_SCHEME
 from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import defect_function, defect_jacobian
@@ -97,7 +97,9 @@ class Columns:
         ]
         defects = np.zeros((screen.grid.n_intervals, screen.model.n_states))
         for name, guess in (
-            new[:1] if self.trial.effect.equation in position_of(screen.model) else ()
+            new[:1]
+            if self.trial.effect.equation in position_of_momentum(screen.model)
+            else ()
         ):
             still = intervals_at_rest(
                 self.trial.model,

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.model import Entry, Model
+from phsi_opt.model.model import Model
+from phsi_opt.model.slots import Entry
 
 
 @dataclass(frozen=True, eq=False)

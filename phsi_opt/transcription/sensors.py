@@ -23,7 +23,9 @@ class SensorOutputs:
     jacobian: Any
 
     @classmethod
-    def at(cls, model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> "SensorOutputs":
+    def at(
+        cls, model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
+    ) -> "SensorOutputs":
         """The sensors of ``model`` at the states x."""
         if not model.sensor:
             return cls(x, identity(x.size, format="csc"))

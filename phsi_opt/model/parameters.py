@@ -1,0 +1,171 @@
+"""Parameters: the numbers of a model, with bounds and a way to find their start.
+
+A parameter that has no value yet may carry a *guess*: a recipe by which its start is
+found in the data (a scan of frequencies, a share of a typical size, several values of
+which the best is kept). The recipes are only stated here; `initialization` follows them.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from phsi_opt.errors import ModelError
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Start by scanning frequencies: that whose sine and cosine explain the data best.
+
+    Args:
+        variable: what the wave runs along; the frequency is in rad per unit of it.
+    """
+
+    variable: str = "t"
+
+
+@dataclass(frozen=True)
+class Share:
+    """Start at a share of the root mean square of an expression over the data.
+
+    Args:
+        of: the expression, such as the velocity ``"dH_dp"``.
+        share: the start in units of that root mean square.
+        sharper: factors by which the diagnosis makes a width smaller, one after the
+            other, while that fits better.
+    """
+
+    of: str
+    share: float
+    sharper: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sharper", _floats(self.sharper))
+
+
+@dataclass(frozen=True)
+class Tried:
+    """Start by trying several values and keeping the best.
+
+    Args:
+        of: an expression; the values are shares of its largest absolute value in the
+            data. Of ``"t"`` they are shares of the duration of a record, of ``"dt"``
+            multiples of the time between samples.
+        shares: the values to try.
+        most: upper bound, as a share too; a rim above every level has no slope by which
+            a solver finds back.
+    """
+
+    of: str
+    shares: tuple[float, ...]
+    most: float = np.inf
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shares", _floats(self.shares))
+        object.__setattr__(self, "most", float(self.most))
+
+
+def _floats(numbers: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(float(number) for number in numbers)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named number of the model.
+
+    Args:
+        value: the start, or the value itself if ``fixed``; None lets the data choose
+            the start (by ``guess``, otherwise zero).
+        lower: least value; bounds are kept by the solver.
+        upper: largest value.
+        unit: text that is printed, such as ``"N/m"``.
+        fixed: whether the value is known and not estimated.
+        guess: how the start is found in the data.
+        per_trajectory: whether every trajectory has a value of its own, such as a load
+            that changes between runs; other parameters are shared by all.
+
+    Raises:
+        ModelError: a value that is not finite or outside the bounds, crossed bounds, or
+            choices that contradict each other.
+    """
+
+    value: float | None = None
+    lower: float = -np.inf
+    upper: float = np.inf
+    unit: str = ""
+    fixed: bool = False
+    guess: Scan | Share | Tried | None = None
+    per_trajectory: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lower", _bound(self.lower, "lower"))
+        object.__setattr__(self, "upper", _bound(self.upper, "upper"))
+        if self.value is not None:
+            object.__setattr__(self, "value", _finite(self.value, "value"))
+        self._check_bounds()
+        self._check_choices()
+
+    def _check_bounds(self) -> None:
+        if not self.lower <= self.upper:
+            raise ModelError(
+                f"parameter bounds are crossed: lower={self.lower:g} is above "
+                f"upper={self.upper:g}."
+            )
+        if self.value is not None and not self.lower <= self.value <= self.upper:
+            raise ModelError(
+                f"parameter value {self.value:g} lies outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]; move the value or widen the bounds."
+            )
+
+    def _check_choices(self) -> None:
+        if self.fixed and self.per_trajectory:
+            raise ModelError(
+                "a parameter per trajectory is estimated; it cannot be fixed."
+            )
+        if self.per_trajectory and isinstance(self.guess, Scan):
+            raise ModelError(
+                "a scanned frequency is one for all trajectories; "
+                "give one per trajectory a value."
+            )
+        if self.fixed and self.value is None and self.guess is None:
+            raise ModelError(
+                "a fixed parameter needs a value: Parameter(2.5, fixed=True)."
+            )
+
+    @property
+    def start(self) -> float:
+        """Starting value: the given one, otherwise the point nearest to zero."""
+        if self.value is not None:
+            return self.value
+        return float(np.clip(0.0, self.lower, self.upper))
+
+
+def with_value(parameter: Parameter, value: float) -> Parameter:
+    """The parameter at the value, or at the bound nearest to it."""
+    # A solver may stop a rounding error outside a bound; the record must satisfy its
+    # own bounds.
+    within = float(np.clip(value, parameter.lower, parameter.upper))
+    return replace(parameter, value=within)
+
+
+def _bound(value: Any, name: str) -> float:
+    number = _number(value, name)
+    if np.isnan(number):
+        raise ModelError(f"parameter {name}={number} is not finite.")
+    return number
+
+
+def _finite(value: Any, name: str) -> float:
+    number = _number(value, name)
+    if not np.isfinite(number):
+        raise ModelError(f"parameter {name}={number} is not finite.")
+    return number
+
+
+def _number(value: Any, name: str) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise ModelError(
+            f"parameter {name}={str(value)[:60]} is not a number."
+        ) from None
