@@ -18,7 +18,7 @@ from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
-from phsi_opt.optimization.ipopt import Settings
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.study import Study
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
@@ -39,8 +39,8 @@ __all__ = [
     "Profile",
     "Pruning",
     "PseudoHamiltonian",
-    "Settings",
     "SolveError",
+    "SolverSettings",
     "Study",
     "Trajectory",
     "canonical",

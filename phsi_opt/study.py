@@ -21,7 +21,7 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import Settings
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # A brief re-fit is an optimum on its own grid: from there a thorough one converges
 # soon, or hardly ever.
-REFINING = Settings(max_iterations=100, max_seconds=60.0)
+REFINING = SolverSettings(max_iterations=100, max_seconds=60.0)
 # rise of -2 log likelihood that is another optimum, and not what steps that are finer
 # cost
 NO_WORSE = 10.0

@@ -12,7 +12,9 @@ from phsi_opt.estimation import likelihood_solve
 from phsi_opt.estimation.feasible_path import FeasiblePath
 from phsi_opt.estimation.likelihood_solve import on_record
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.optimization.ipopt import EXACT, FEASIBLE_PATH, Settings, Solver
+from phsi_opt.optimization.ipopt import Solver
+from phsi_opt.optimization.outcome import PATH_ITERATIONS
+from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, SolverSettings
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -62,7 +64,7 @@ def path_and_solver(
     point = point_at(model, grid, unknown, theta, x)
     program = loss.program(model, grid, point, {}, np.array([NOISE, 1.0]), unknown)
     return FeasiblePath(program, model, grid, unknown, loss, 60.0), Solver(
-        program, Settings()
+        program, SolverSettings()
     )
 
 
@@ -96,7 +98,7 @@ def test_a_parameter_stays_within_its_bounds() -> None:
     assert found.values["theta"][model.free.index("f")] == pytest.approx(0.22)
 
 
-def test_the_time_limit_ends_it() -> None:
+def test_the_limit_of_time_ends_it_and_says_so() -> None:
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
     path, _ = path_and_solver(
         model,
@@ -105,9 +107,32 @@ def test_the_time_limit_ends_it() -> None:
     )
     path.max_seconds = 0.0
     with pytest.raises(
-        ph.SolveError, match="the time limit was reached along solutions of the model"
+        ph.SolveError,
+        match="the time limit of 0 s ended the steps along solutions of the model"
+        r".*Raise max_seconds",
     ):
         path.solve(path.program.start, path.program.set_to)
+    outcome = path.solve(
+        path.program.start, path.program.set_to, raise_on_failure=False
+    ).outcome
+    assert outcome.is_out_of_time and not outcome.is_out_of_iterations
+
+
+def test_the_limit_of_iterations_ends_it_and_is_not_one_of_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    path, _ = path_and_solver(
+        model,
+        measured(0.3),
+        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
+    )
+    monkeypatch.setattr("phsi_opt.estimation.feasible_path.MAX_ITERATIONS", 1)
+    outcome = path.solve(
+        path.program.start, path.program.set_to, raise_on_failure=False
+    ).outcome
+    assert not outcome.success and outcome.iterations == 1
+    assert outcome.is_out_of_iterations and not outcome.is_out_of_time
 
 
 def test_a_model_without_slopes_ends_it() -> None:
@@ -162,7 +187,7 @@ def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
     wide = ph.identify(model.with_values({"v0": 0.02}), data, loss)
     lines: list[str] = []
     start = replace(wide, model=wide.model.with_values({"v0": 0.002}))
-    brief = Settings(thorough=False)
+    brief = SolverSettings(thorough=False)
     fit = ph.identify(
         model, data, loss, start=start, settings=brief, progress=lines.append
     )
@@ -177,10 +202,14 @@ def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
 def test_where_all_fails_ipopt_says_why() -> None:
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
     with pytest.raises(
-        ph.SolveError, match=r"the time limit was reached; .*Maximum_WallTime"
+        ph.SolveError,
+        match=r"the time limit of 1e-06 s ended the solve; .*Maximum_WallTime"
+        r".*Raise max_seconds",
     ):
         ph.identify(
-            model, measured(0.3), settings=Settings(max_seconds=1e-6, thorough=False)
+            model,
+            measured(0.3),
+            settings=SolverSettings(max_seconds=1e-6, thorough=False),
         )
 
 
@@ -188,13 +217,13 @@ def test_ways_that_the_settings_leave_out_are_not_taken() -> None:
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
     data = measured(0.3)
     for way, status in ((FEASIBLE_PATH, "Feasible_Path"), (EXACT, "Solve_Succeeded")):
-        fit = ph.identify(model, data, settings=Settings(ways=(way,)))
+        fit = ph.identify(model, data, settings=SolverSettings(ways=(way,)))
         assert (fit.outcome.success, fit.outcome.status) == (True, status)
         assert abs(fit.estimates["f"] - FRICTION) < 4 * fit.std_errors["f"]
     # Huber's outliers are slack variables: nothing can be solved along the model, the
     # exact Hessian stands in.
     loss = ph.MaximumLikelihood(huber=1.345)
-    fit = ph.identify(model, data, loss, settings=Settings(ways=(FEASIBLE_PATH,)))
+    fit = ph.identify(model, data, loss, settings=SolverSettings(ways=(FEASIBLE_PATH,)))
     assert (fit.outcome.success, fit.outcome.status) == (True, "Solve_Succeeded")
 
 
@@ -233,7 +262,7 @@ def test_what_settled_at_a_kink_stays_there_when_the_noise_is_estimated_anew(
 
     monkeypatch.setattr(FeasiblePath, "solve", stuck_from_the_second_on)
     model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    only = Settings(ways=(FEASIBLE_PATH,))
+    only = SolverSettings(ways=(FEASIBLE_PATH,))
     # Two channels whose noise is not as it seems at the start, each by a factor of its
     # own.
     rng = np.random.default_rng(1)
@@ -295,5 +324,5 @@ def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(
         assert state is not None
         return state.solution.outcome.status
 
-    assert solved(is_start=True) == FEASIBLE_PATH
+    assert solved(is_start=True) == PATH_ITERATIONS
     assert solved(is_start=False) == "Solve_Succeeded"

@@ -17,7 +17,7 @@ from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
-from phsi_opt.optimization.ipopt import Settings
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
@@ -269,12 +269,12 @@ def test_a_solve_that_is_cut_short_raises_and_says_what_to_do() -> None:
     with pytest.raises(
         SolveError, match=r"iteration limit was reached.*Raise max_iterations"
     ):
-        identify(model, data, PHSILoss(), settings=Settings(max_iterations=1))
+        identify(model, data, PHSILoss(), settings=SolverSettings(max_iterations=1))
     fit = identify(
         model,
         data,
         PHSILoss(),
-        settings=Settings(max_iterations=1),
+        settings=SolverSettings(max_iterations=1),
         raise_on_failure=False,
     )
     assert not fit.outcome.success

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, Term, polynomials
-from phsi_opt.optimization.ipopt import Settings, _is_settled, solve
-from phsi_opt.optimization.program import Assembly
+from phsi_opt.optimization.ipopt import _is_settled, solve
+from phsi_opt.optimization.program import Assembly, Program
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.transcription.point import Point
@@ -88,7 +89,7 @@ def test_ipopt_with_slacks_agrees_with_cvxpy_where_the_loss_is_convex(
     grid = grid_of(Measurements.from_arrays([t], [x], states=["q", "p"]))
     point = Point(np.zeros(10), grid.y, np.ones(10), np.ones(2))
     program = PHSILoss(scheme).program(model, grid, point, {"H": lam, "F": 2 * lam})
-    solution = solve(program, Settings(tolerance=1e-11))
+    solution = solve(program, SolverSettings(tolerance=1e-11))
     at = x[:-1] if scheme == "euler" else (x[:-1] + x[1:]) / 2
     expected = convex_optimum(t, x, at, np.array(9 * [lam] + [2 * lam]))
     # The barrier leaves coefficients off by about the tolerance over the curvature
@@ -187,6 +188,37 @@ def test_the_gauss_newton_hessian_is_the_product_of_the_residual_jacobian() -> N
     # Central differences: an error of step^2 = 1e-12 and rounding of 1e-16 / step =
     # 1e-10.
     np.testing.assert_allclose(hessian, np.triu(jacobian.T @ jacobian), atol=1e-8)
+
+
+def slow_to_solve() -> Program:
+    """Rosenbrock's valley, which takes more than one iteration."""
+    build = Assembly()
+    x = build.variable("x", np.array([-1.2, 1.0]))
+    build.residual(ca.vertcat(10 * (x[1] - x[0] ** 2), 1 - x[0]))
+    return build.finish()
+
+
+def test_a_limit_of_time_is_the_users_own_and_is_named_where_it_ends_a_solve() -> None:
+    assert SolverSettings().max_seconds == np.inf
+    with pytest.raises(
+        SolveError,
+        match=r"the time limit of 1e-09 s ended the solve .*Maximum_WallTime"
+        r".*Raise max_seconds",
+    ):
+        solve(slow_to_solve(), SolverSettings(max_seconds=1e-9))
+    outcome = solve(
+        slow_to_solve(), SolverSettings(max_seconds=1e-9), raise_on_failure=False
+    ).outcome
+    assert outcome.is_out_of_time and not outcome.is_out_of_iterations
+
+
+def test_a_limit_of_iterations_is_not_one_of_time() -> None:
+    outcome = solve(
+        slow_to_solve(), SolverSettings(max_iterations=1), raise_on_failure=False
+    ).outcome
+    assert outcome.is_out_of_iterations and not outcome.is_out_of_time
+    outcome = solve(slow_to_solve()).outcome
+    assert not outcome.is_out_of_iterations and not outcome.is_out_of_time
 
 
 def test_a_solve_that_goes_to_and_fro_over_a_kink_has_settled() -> None:

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from phsi_opt.optimization.ipopt import (
+from phsi_opt.optimization.settings import (
     EXACT,
     FEASIBLE_PATH,
     GAUSS_NEWTON,
     WAYS,
-    Settings,
+    SolverSettings,
 )
 
 N_REFITS = 5
@@ -40,7 +40,7 @@ PIECES = 4
 # that sticks trembles.
 CORNER, AT_CORNER, AT_SHARP_CORNER = 4.0, 8, 24
 # A candidate that takes more is hardly the one.
-QUICK = Settings(
+QUICK = SolverSettings(
     1e-7,
     max_iterations=40,
     thorough=False,

@@ -66,7 +66,7 @@ from phsi_opt.estimation.missing_force import ForceEstimate, force_of
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import FEASIBLE_PATH
+from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.screening.pair_search import pairs
 from phsi_opt.screening.score_test import Screen, Screened
 from phsi_opt.transcription.alignment import aligned

@@ -18,14 +18,16 @@ import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import (
-    FEASIBLE_PATH,
+from phsi_opt.optimization.ipopt import Solution, Solver, at_bounds
+from phsi_opt.optimization.outcome import (
+    PATH_ITERATIONS,
+    PATH_TIME,
+    Ending,
     Outcome,
-    Solution,
-    Solver,
-    at_bounds,
+    ending_by_time,
 )
 from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
@@ -50,6 +52,19 @@ FIRST_RIDGE, GROWTH, LARGEST_RIDGE = (
 ENOUGH = 1e-4  # share of the fall that a step promises by its slope, and has to make
 FEASIBLE = 1e-7  # scaled defect up to which an interval is solved
 MAX_ITERATIONS = 30
+STEPS = "the steps along solutions of the model"
+OTHERWISE = "Start from other values, or use more steps per sample."
+NO_OPTIMUM = Ending(
+    False, "no optimum was found along solutions of the model", OTHERWISE
+)
+NO_SLOPES = Ending(
+    False, "the slopes of the model are not finite along its solution", OTHERWISE
+)
+OUT_OF_ITERATIONS = Ending(
+    False,
+    f"no optimum was found in {MAX_ITERATIONS} steps along solutions of the model",
+    OTHERWISE,
+)
 CHUNK = 200  # intervals per call of the compiled march
 
 
@@ -72,7 +87,7 @@ class FeasiblePath:
         grid: Grid,
         unknown: Theta,
         loss: MaximumLikelihood,
-        max_seconds: float,
+        max_seconds: float = np.inf,
     ) -> None:
         self.max_seconds = max_seconds
         self.program, self.grid, self.unknown, self.solver = (
@@ -118,17 +133,21 @@ class FeasiblePath:
         (scaled), or how far it went.
         """
         began, ridge, length, iteration = time.perf_counter(), 0.0, 1.0, 0
-        sentence, failed = "", "no optimum was found along solutions of the model"
+        sentence, failed, status = "", NO_OPTIMUM, FEASIBLE_PATH
         at = self.follow(start, set_to)
         recent = [np.inf] * LAST + [np.inf if at is None else at.objective]
-        while at is not None and not sentence and iteration < MAX_ITERATIONS:
+        while at is not None and not sentence:
+            if iteration >= MAX_ITERATIONS:
+                failed, status = OUT_OF_ITERATIONS, PATH_ITERATIONS
+                break
             if time.perf_counter() - began > self.max_seconds:
-                failed = "the time limit was reached along solutions of the model"
+                failed = ending_by_time(self.max_seconds, STEPS)
+                status = PATH_TIME
                 break
             iteration += 1
             step, promise = self._step(at, ridge, set_to)
             if not np.isfinite(promise):
-                failed = "the slopes of the model are not finite along its solution"
+                failed = NO_SLOPES
                 break
             if promise < PROMISED:
                 sentence = "a local optimum was found along solutions of the model"
@@ -152,14 +171,12 @@ class FeasiblePath:
         z, seconds = start if at is None else at.z, time.perf_counter() - began
         objective, _, g = self.values(z, set_to)
         worst = float(np.max(np.abs(np.array(g)), initial=0.0))
-        advice = (
-            "" if sentence else "Start from other values, or use more steps per sample."
-        )
+        ending = Ending(True, sentence) if sentence else failed
         outcome = Outcome(
-            bool(sentence),
-            FEASIBLE_PATH,
-            sentence or failed,
-            advice,
+            ending.is_usable,
+            status,
+            ending.sentence,
+            ending.advice,
             iteration,
             seconds,
             float(objective),

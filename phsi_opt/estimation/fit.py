@@ -24,7 +24,7 @@ from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter, Scan, Share, Tried
 from phsi_opt.model.slots import BY_EQUATION, place_of
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.optimization.ipopt import Outcome
+from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.simulation.simulate import simulate
 
 FORMAT = "phsi_opt fit 1"

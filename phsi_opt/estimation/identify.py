@@ -15,7 +15,7 @@ from phsi_opt.estimation.phsi import by_defects
 from phsi_opt.estimation.problem import Loss, Progress, State, Task
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import Settings
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import (
@@ -35,7 +35,7 @@ def identify(
     pruning: Pruning | None = None,
     *,
     start: Fit | None = None,
-    settings: Settings | None = None,
+    settings: SolverSettings | None = None,
     raise_on_failure: bool = True,
     progress: Progress | None = None,
 ) -> Fit:
@@ -66,7 +66,7 @@ def identify(
         aligned(model, data),
         l1_weights(l1),
         pruning,
-        settings or Settings(),
+        settings or SolverSettings(),
         progress or _silent,
     )
     state = loss_methods(loss)(task, loss, start, _pruned)
@@ -88,7 +88,7 @@ def identify_forced(
     """`identify` with further inputs that the measurements do not hold: ``layout`` adds
     them to the grid.
     """
-    task = Task(model, data, l1_weights(l1), pruning, Settings(), _silent, layout)
+    task = Task(model, data, l1_weights(l1), pruning, SolverSettings(), _silent, layout)
     state = by_defects(task, loss, start, _pruned)
     if not state.solution.outcome.success:
         raise SolveError(f"The solver failed: {state.solution.outcome}")

@@ -12,17 +12,15 @@ from phsi_opt.estimation.feasible_path import FeasiblePath
 from phsi_opt.estimation.problem import State, Task
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import (
+from phsi_opt.optimization.ipopt import HOLDING, Solution, Solver
+from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.settings import (
     EXACT,
     FEASIBLE_PATH,
     GAUSS_NEWTON,
-    HOLDING,
     WAYS,
-    Settings,
-    Solution,
-    Solver,
+    SolverSettings,
 )
-from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.augmented_states import memory_start_bounds
 from phsi_opt.transcription.grid import Grid, grid_of, interpolate_at_nodes
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -103,7 +101,7 @@ def on_record(
         data,
         {},
         None,
-        Settings(max_iterations=60, thorough=False),
+        SolverSettings(max_iterations=60, thorough=False),
         lambda line: None,
     )
     theta = Theta.of(model, task.runs).spread(model.theta)

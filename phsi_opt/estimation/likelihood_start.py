@@ -21,7 +21,7 @@ from phsi_opt.initialization.scaling import (
     with_states,
 )
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import GAUSS_NEWTON
+from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss

@@ -23,7 +23,8 @@ from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.optimization.banded import Banded
-from phsi_opt.optimization.ipopt import Settings, Solution, Solver
+from phsi_opt.optimization.ipopt import Solution, Solver
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import time_order
 from phsi_opt.transcription.force_prior import ForcePrior
@@ -104,7 +105,7 @@ def estimate_force(
     prior = prior or default_prior(model, grid, point)
     theta = point.theta
     program = MissingForce(integrator).program(model, grid, point, prior, sigma)
-    solver = Solver(program, Settings(tolerance=1e-6, max_iterations=ROUGH))
+    solver = Solver(program, SolverSettings(tolerance=1e-6, max_iterations=ROUGH))
     start, evidence = program.start, -np.inf
     for rest in reversed(range(rounds)):
         solution = solver.solve(start, np.r_[prior.size, sigma], raise_on_failure=False)
@@ -116,7 +117,7 @@ def estimate_force(
                 program.start, np.r_[prior.size, sigma], raise_on_failure=False
             )
         if _is_lost(solution) or not (rest or solution.outcome.success):
-            solver = Solver(program, Settings(tolerance=1e-6, max_iterations=200))
+            solver = Solver(program, SolverSettings(tolerance=1e-6, max_iterations=200))
             solution = solver.solve(
                 solution.z, np.r_[prior.size, sigma], raise_on_failure=False
             )
@@ -164,7 +165,7 @@ def softened(
         model, grid, point, prior, sigma, unknown
     )
     solver, start = (
-        Solver(program, Settings(tolerance=1e-4, max_iterations=60)),
+        Solver(program, SolverSettings(tolerance=1e-4, max_iterations=60)),
         program.start,
     )
     for factor in SHRINKING:

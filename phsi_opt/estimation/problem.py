@@ -15,8 +15,9 @@ from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.ipopt import GAUSS_NEWTON, Settings, Solution
+from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.settings import GAUSS_NEWTON, SolverSettings
 from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.grid import Grid, steps_per_gap
 from phsi_opt.transcription.losses import (
@@ -42,7 +43,7 @@ class Task:
     data: Measurements
     l1: dict[str, float]
     pruning: Pruning | None
-    settings: Settings
+    settings: SolverSettings
     say: Progress
     layout: Callable[[Grid], Grid] = lambda grid: grid
 

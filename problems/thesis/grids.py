@@ -86,7 +86,7 @@ def by_solver(
 ) -> Any:
     """The solver with one weight and one threshold, without significance."""
     model = tank_model(known_leak()) if system.name == "tanks" else system.model()
-    settings = ph.Settings(
+    settings = ph.SolverSettings(
         max_iterations=200
     )  # without any L1 the tanks' Casimir leaves a direction free
     return ph.identify(

@@ -46,7 +46,10 @@ SEEDS = range(5)
 # The sum of the levels is a Casimir: c (mu1 + .. + mu4)^2 in H moves nothing, so
 # without any L1 the data leave c open.
 LEAST = {"H": 1e-3}
-PRUNING, LIMITS = ph.Pruning(0.05, significance=0.01), ph.Settings(max_iterations=100)
+PRUNING, LIMITS = (
+    ph.Pruning(0.05, significance=0.01),
+    ph.SolverSettings(max_iterations=100),
+)
 TANK_DRAWS = 1
 HALVINGS = (1, 2, 4, 8)
 COLOURS = dict(zip(INTEGRATORS, ("C3", "C1", "C0", "C2"), strict=True))
@@ -63,7 +66,7 @@ class Case:
     n_tests: int
     l1: dict[str, float] = field(default_factory=dict)
     pruning: ph.Pruning = PRUNING
-    settings: ph.Settings = field(default_factory=ph.Settings)
+    settings: ph.SolverSettings = field(default_factory=ph.SolverSettings)
     seeds: range = SEEDS
 
     @property

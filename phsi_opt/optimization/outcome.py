@@ -1,0 +1,87 @@
+"""How a solve ended, in words and numbers, whichever method it was.
+
+A failure is data: its sentence says what happened and its advice what to try. Whether
+it is raised as an error is decided elsewhere.
+"""
+
+from dataclasses import dataclass
+
+from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
+
+# What ends the steps along solutions of the model before an optimum, beside IPOPT's own
+# statuses for the same.
+PATH_ITERATIONS = "Feasible_Path_Iterations_Exceeded"
+PATH_TIME = "Feasible_Path_WallTime_Exceeded"
+PATH_STATUSES = (FEASIBLE_PATH, PATH_ITERATIONS, PATH_TIME)
+ITERATION_LIMITS = ("Maximum_Iterations_Exceeded", PATH_ITERATIONS)
+TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded", PATH_TIME)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """What a status says: is the point usable, what happened, and what to do."""
+
+    is_usable: bool
+    sentence: str
+    advice: str = ""
+
+
+def ending_by_time(max_seconds: float, what: str = "the solve") -> Ending:
+    """The ending of ``what`` was cut off by the user's limit of ``max_seconds``."""
+    return Ending(
+        False,
+        f"the time limit of {max_seconds:g} s ended {what}",
+        "Raise max_seconds, or use fewer samples.",
+    )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the solver said, in words and numbers.
+
+    Args:
+        success: whether the point may be used as an optimum.
+        status: IPOPT's return status, or that of the steps along solutions.
+        sentence: what happened.
+        advice: what to do about it; empty where nothing needs to be done.
+        iterations: number of them.
+        seconds: wall time of the solve.
+        objective: its value at the point.
+        infeasibility: largest violation of a scaled constraint.
+        at_bounds: names of the parameters that ended at one of their bounds.
+    """
+
+    success: bool
+    status: str
+    sentence: str
+    advice: str
+    iterations: int
+    seconds: float
+    objective: float
+    infeasibility: float
+    at_bounds: tuple[str, ...] = ()
+
+    @property
+    def way(self) -> str:
+        """How a solution like it is to be sought first: one of `WAYS`."""
+        is_along_solutions = self.success and self.status in PATH_STATUSES
+        return FEASIBLE_PATH if is_along_solutions else GAUSS_NEWTON
+
+    @property
+    def is_out_of_iterations(self) -> bool:
+        """Whether a limit of iterations ended the solve."""
+        return self.status in ITERATION_LIMITS
+
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether the user's limit of time ended the solve."""
+        return self.status in TIME_LIMITS
+
+    def __str__(self) -> str:
+        effort = f"{self.status}, {self.iterations} iterations, {self.seconds:.2f} s"
+        text = f"{self.sentence} ({effort})"
+        if self.at_bounds:
+            text += f"; at a bound: {', '.join(self.at_bounds)}"
+        if self.advice:
+            text += f". {self.advice}"
+        return text

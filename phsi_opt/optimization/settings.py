@@ -1,0 +1,45 @@
+"""How hard a solver tries: tolerance, limits, and the methods that it may use.
+
+The limits that decide a result are numbers of iterations, which are the same on every
+machine and under every load. A limit of time is the user's own, and off by default.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# The methods for a likelihood: IPOPT with either Hessian, or steps along solutions of
+# the model (`phsi_opt.estimation.feasible_path`). `FEASIBLE_PATH` is also the status of
+# what was solved in that way.
+GAUSS_NEWTON = "gauss-newton"
+EXACT = "exact"
+FEASIBLE_PATH = "Feasible_Path"
+WAYS = (GAUSS_NEWTON, EXACT, FEASIBLE_PATH)
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """How hard to try: tolerance on the scaled optimality conditions, and limits.
+
+    Args:
+        tolerance: of the scaled optimality conditions, as IPOPT's ``tol``.
+        max_iterations: of one solve by IPOPT.
+        max_seconds: wall time of one solve, in s. Infinite by default: with a finite
+            limit the result may depend on the load of the machine.
+        show: whether IPOPT prints its iterations.
+        thorough: False: no windows where the whole record fails, and no finer steps
+            than those of the start.
+        ways: those of `WAYS` that are tried for a likelihood, one where another failed.
+    """
+
+    tolerance: float = 1e-8
+    max_iterations: int = 500
+    max_seconds: float = np.inf
+    show: bool = False
+    thorough: bool = True
+    ways: tuple[str, ...] = WAYS
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether a limit of time is set."""
+        return self.max_seconds < np.inf
