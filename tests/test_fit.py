@@ -13,7 +13,7 @@ import pytest
 import sympy as sp
 
 from phsi_opt.errors import DataError
-from phsi_opt.estimation.fit import Fit, to_json
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.expressions import NUMPY, evaluate
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter, Scan, Share
@@ -270,7 +270,7 @@ def test_a_fit_can_be_sent_to_another_process(make: Any) -> None:
 
 
 def damaged(tmp_path: Path, change: Any) -> Path:
-    content = json.loads(json.dumps(to_json(rich_fit())))
+    content = json.loads(json.dumps(rich_fit().content()))
     change(content)
     path = tmp_path / "fit.json"
     path.write_text(json.dumps(content))

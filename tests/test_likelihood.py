@@ -412,7 +412,7 @@ def test_intervals_are_wider_than_the_normal_ones_where_few_values_tell_the_nois
     t, x, u = record(12, step=0.4)
     fit = identify(duffing(), measured(t, noisy(x), u))
     interval = fit.intervals(0.95)
-    half = (interval["upper"] - interval["lower"]).to_numpy() / 2
+    half = (interval["ci_upper"] - interval["ci_lower"]).to_numpy() / 2
     errors = np.array([fit.std_errors[name] for name in interval.index])
     # Student's t with 24 - 3 degrees of freedom.
     np.testing.assert_allclose(half / errors, 2.0796, rtol=1e-4)

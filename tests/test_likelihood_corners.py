@@ -228,8 +228,8 @@ def test_a_loaded_fit_is_a_start_and_has_the_profile_of_the_fit_it_was(
         fit.values["w"], rel=1e-5
     )
     assert [n.tolist() for n in loaded.steps] == [n.tolist() for n in fit.steps]
-    assert ph.profile(loaded, data, "w").lower == pytest.approx(
-        ph.profile(fit, data, "w").lower, rel=1e-5
+    assert ph.profile(loaded, data, "w").ci_lower == pytest.approx(
+        ph.profile(fit, data, "w").ci_lower, rel=1e-5
     )
 
 

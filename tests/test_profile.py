@@ -38,10 +38,12 @@ def test_little_noise_gives_the_interval_of_the_curvature() -> None:
     fit = identify(model, data)
     found = profile(fit, data, "r")
     assert not found.is_curved
-    lower, upper = fit.intervals()["lower"]["r"], fit.intervals()["upper"]["r"]
+    intervals = fit.intervals()
+    lower = intervals["ci_lower"]["r"]
+    upper = intervals["ci_upper"]["r"]
     # Ends are found to 2 % of the half width.
-    assert found.lower == pytest.approx(lower, abs=0.02 * (upper - lower))
-    assert found.upper == pytest.approx(upper, abs=0.02 * (upper - lower))
+    assert found.ci_lower == pytest.approx(lower, abs=0.02 * (upper - lower))
+    assert found.ci_upper == pytest.approx(upper, abs=0.02 * (upper - lower))
 
 
 def test_much_noise_gives_a_longer_arm_to_the_fast_side(
@@ -50,7 +52,7 @@ def test_much_noise_gives_a_longer_arm_to_the_fast_side(
     fit, data = loose
     found = profile(fit, data, "r")
     assert found.is_curved
-    assert found.upper - found.value > 1.1 * (found.value - found.lower)
+    assert found.ci_upper - found.value > 1.1 * (found.value - found.ci_lower)
     assert "curvature alone" in str(found)
 
 
@@ -66,7 +68,7 @@ def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(
         x0 = (shape @ run.x[:, 0]) / (shape @ shape)
         return float(np.sum((run.x[:, 0] - x0 * shape) ** 2)) / fit.noise["x"] ** 2
 
-    for end in (found.lower, found.upper):
+    for end in (found.ci_lower, found.ci_upper):
         # 2 % of the half width is 4 % of the rise.
         assert misfit(end) - misfit(found.value) == pytest.approx(
             found.threshold, rel=0.06
@@ -76,7 +78,7 @@ def test_the_ends_have_the_rise_of_the_threshold_by_an_independent_fit(
 def test_an_end_is_the_bound_where_the_profile_meets_it_first() -> None:
     model, data = decay(0.15, Parameter(0.75, lower=0.7))
     fit = identify(model, data)
-    assert profile(fit, data, "r").lower == 0.7
+    assert profile(fit, data, "r").ci_lower == 0.7
 
 
 def test_a_parameter_without_a_profile_is_refused(

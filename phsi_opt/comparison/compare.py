@@ -15,9 +15,10 @@ from phsi_opt.comparison.prediction_bands import bands
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit, matrix_of, parameters_of
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, force_of
 from phsi_opt.estimation.smoothing import explained
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
 from phsi_opt.model.model import Model
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY
@@ -241,7 +242,10 @@ def compared(
         values, grid = parameters_of(fit, data), grid_of(data)
         guess = grid.split(
             with_memory(
-                fit.model, grid, np.concatenate(guess), matrix_of(fit.model, values)
+                fit.model,
+                grid,
+                np.concatenate(guess),
+                parameter_matrix(fit.model, values),
             )
         )
         # Where no states obey the model along the whole record, those of the missing
@@ -259,7 +263,9 @@ def compared(
         _free_run(fit.model.with_values(values[run.name]), run, x[0], data.hold)
         for run, x in zip(data.trajectories, states, strict=True)
     )
-    seen = outputs_at_samples(fit.model, data, simulated, matrix_of(fit.model, values))
+    seen = outputs_at_samples(
+        fit.model, data, simulated, parameter_matrix(fit.model, values)
+    )
     residuals = tuple(run.x - y for run, y in zip(data.trajectories, seen, strict=True))
     return Comparison(fit, data, values, simulated, seen, residuals, sigma)
 

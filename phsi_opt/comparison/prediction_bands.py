@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.estimation.fit import Fit, matrix_of
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.transcription.elimination import ReducedSystem
@@ -40,7 +41,7 @@ def bands(
     if not np.all(np.isfinite(nodes)) or not grid.measured.any():
         return None
     theta = np.zeros(len(unknown))
-    theta[unknown.table] = matrix_of(fit.model, values)
+    theta[unknown.table] = parameter_matrix(fit.model, values)
     point = point_at(fit.model, grid, unknown, theta, nodes)
     program = MaximumLikelihood().program(fit.model, grid, point, {}, sigma, unknown)
     kkt = Solver(program).kkt(program.start, sigma)

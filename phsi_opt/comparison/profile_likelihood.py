@@ -44,8 +44,9 @@ class Profile:
         points: (n, 2) values of the parameter and rise of -2 log likelihood above the
             best fit, sorted by value.
         threshold: rise at the ends of the interval.
-        lower, upper: ends of the interval; infinite where the profile never reaches the
-            threshold, the bound where a bound of the parameter comes first.
+        ci_lower, ci_upper: ends of the interval (limits of confidence); infinite where
+            the profile never reaches the threshold, the bound where a bound of the
+            parameter comes first.
         curvature: the interval from the standard error alone.
     """
 
@@ -54,8 +55,8 @@ class Profile:
     level: float
     points: np.ndarray
     threshold: float
-    lower: float
-    upper: float
+    ci_lower: float
+    ci_upper: float
     curvature: tuple[float, float]
 
     @property
@@ -64,7 +65,9 @@ class Profile:
         half width.
         """
         half = (self.curvature[1] - self.curvature[0]) / 2
-        shift = np.abs(np.array([self.lower, self.upper]) - np.array(self.curvature))
+        shift = np.abs(
+            np.array([self.ci_lower, self.ci_upper]) - np.array(self.curvature)
+        )
         return not np.all(shift <= DIFFERS * half)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
@@ -74,7 +77,7 @@ class Profile:
         return plot_profile(self, ax)
 
     def __str__(self) -> str:
-        text = f"{self.name} = {self.value:.6g}, {100 * self.level:.3g} % interval {self.lower:.6g} to {self.upper:.6g}"
+        text = f"{self.name} = {self.value:.6g}, {100 * self.level:.3g} % interval {self.ci_lower:.6g} to {self.ci_upper:.6g}"
         low, high = self.curvature
         return text + (
             f"; curvature alone: {low:.6g} to {high:.6g}"

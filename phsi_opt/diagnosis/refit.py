@@ -60,9 +60,10 @@ from phsi_opt.diagnosis.dry_friction import (
 from phsi_opt.diagnosis.proposal import Proposal
 from phsi_opt.diagnosis.ranking import new_names, size_of, tied
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.estimation.fit import Fit, matrix_of
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.missing_force import ForceEstimate, force_of
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
@@ -637,7 +638,7 @@ def _strays(fit: Fit, trained: Comparison) -> float:
     deviations of the noise.
     """
     seen = outputs_at_samples(
-        fit.model, trained.data, fit.states, matrix_of(fit.model, trained.values)
+        fit.model, trained.data, fit.states, parameter_matrix(fit.model, trained.values)
     )
     triples = zip(trained.shown, seen, trained.data.trajectories, strict=True)
     apart = [((run - x) / trained.noise)[np.isfinite(of.x)] for run, x, of in triples]

@@ -17,7 +17,8 @@ from scipy.sparse import block_diag, bmat, csc_matrix, diags, identity
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit, matrix_of, parameters_of
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
@@ -359,7 +360,9 @@ def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
         [(data.noise or {}).get(name, np.nan) for name in fit.model.states]
     )
     theta = (
-        matrix_of(fit.model, parameters_of(fit, data)) if fit.by_trajectory else None
+        parameter_matrix(fit.model, parameters_of(fit, data))
+        if fit.by_trajectory
+        else None
     )
     model = fit.model if fit.by_trajectory else fit.model.frozen()
     grid, start = grid_of(data), initial_noise(data, given)

@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.estimation.fit import Fit, parameters_of
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_solve import on_record
 from phsi_opt.estimation.problem import State
 from phsi_opt.estimation.step_refinement import finer_steps
+from phsi_opt.estimation.trajectory_parameters import parameters_of
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.losses import MaximumLikelihood
 

@@ -30,9 +30,9 @@ import pandas as pd
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError
-from phsi_opt.estimation.fit import Fit, read_json, to_json
-from phsi_opt.estimation.fit import from_json as fit_from_json
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_forced
+from phsi_opt.estimation.json_file import read_json
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.estimation.result import Identified
 from phsi_opt.learning.network import (
@@ -154,7 +154,7 @@ class Hybrid(Identified):
         force = self.force
         content = {
             "format": FORMAT,
-            "fit": to_json(self.fit),
+            "fit": self.fit.content(),
             "force": {
                 "equations": list(force.equations),
                 "variables": [self.model.states[i] for i in force.columns],
@@ -472,7 +472,7 @@ def _unforced(model: Model, signals: Sequence[str]) -> Model:
 
 
 def _from_json(content: dict[str, Any]) -> Hybrid:
-    fit, stored = fit_from_json(content["fit"]), content["force"]
+    fit, stored = Fit.from_content(content["fit"]), content["force"]
     equations = tuple(str(name) for name in stored["equations"])
     model = _unforced(fit.model, [_signal(name) for name in equations])
     layers = tuple(

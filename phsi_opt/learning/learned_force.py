@@ -27,16 +27,11 @@ import numpy as np
 from phsi_opt.comparison.compare import compare
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, did_you_mean
-from phsi_opt.estimation.fit import (
-    Fit,
-    from_json,
-    matrix_of,
-    parameters_of,
-    read_json,
-    to_json,
-)
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.json_file import read_json
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation, force_of
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
 from phsi_opt.learning.distillation import short_form
 from phsi_opt.learning.orthogonal_network import (
     NOTHING,
@@ -190,7 +185,7 @@ class LearnedForce:
         }
         content = {
             "format": FORMAT,
-            "physics": to_json(self.physics),
+            "physics": self.physics.content(),
             "equation": self.equation,
             "on": list(self.on),
             "shift": self.shift.tolist(),
@@ -330,7 +325,7 @@ def _record(
         x,
         (grid.u0 + grid.u1) / 2,
         grid.t[grid.begin] + grid.h / 2,
-        matrix_of(model, parameters_of(fit, data))[:, run],
+        parameter_matrix(model, parameters_of(fit, data))[:, run],
     )
     symbols = [
         ca.SX.sym("s", n) for n in (model.n_states, model.n_inputs, 1, len(model.free))
@@ -455,7 +450,7 @@ def _plot_map(learned: LearnedForce, ax: "Axes") -> None:
 
 def _from_json(content: dict[str, Any]) -> LearnedForce:
     physics, on = (
-        from_json(content["physics"]),
+        Fit.from_content(content["physics"]),
         tuple(str(name) for name in content["on"]),
     )
     arrays = {

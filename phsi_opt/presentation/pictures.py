@@ -145,7 +145,7 @@ def plot_profile(profile: "Profile", ax: Axes | None = None) -> Axes:
         ylim=(0, 2 * profile.threshold),
     )
     ax.set_title(
-        f"{profile.name}: {profile.lower:.4g} to {profile.upper:.4g}, where the profile is below the line"
+        f"{profile.name}: {profile.ci_lower:.4g} to {profile.ci_upper:.4g}, where the profile is below the line"
     )
     ax.legend(frameon=False, loc="upper center", ncols=2)
     return ax

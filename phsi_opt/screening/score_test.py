@@ -39,8 +39,9 @@ from scipy.stats import chi2
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import PhsiOptError
-from phsi_opt.estimation.fit import Fit, matrix_of, parameters_of
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
 from phsi_opt.initialization.frequency_scan import frequency_grid
 from phsi_opt.initialization.relative_guesses import resolve_guesses, values_to_try
 from phsi_opt.model.effect import Effect
@@ -129,7 +130,7 @@ class Screen:
         self.model, self.grid, self.x = model, grid, x
         self._given = fit, data, estimate, run
         unknown = Theta.of(model, tuple(run.name for run in data.trajectories))
-        self.values = matrix_of(
+        self.values = parameter_matrix(
             model, parameters_of(fit, data)
         )  # (n_free, n_trajectories)
         theta = np.zeros(len(unknown))

@@ -52,7 +52,7 @@ def outputs_at_samples(
     model: Model, data: Measurements, states: Sequence[np.ndarray], values: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """What the sensors show of the states at the samples, per trajectory; ``values`` as
-    from `matrix_of`.
+    from `parameter_matrix`.
     """
     if not model.sensor:
         return tuple(states)

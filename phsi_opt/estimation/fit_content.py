@@ -1,0 +1,135 @@
+"""A fit as numbers, text, lists and mappings, for files; and the parts of such content.
+
+The estimated states are left out: they are as long as the record, and a fit is used
+without them.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from phsi_opt.errors import DataError
+from phsi_opt.estimation.fit_record import FitRecord
+from phsi_opt.estimation.model_content import Content, model_content, model_from
+from phsi_opt.optimization.outcome import Outcome
+
+FORMAT = "phsi_opt fit 1"
+HOLDS = ("linear", "zero")
+
+
+def fit_content(fit: FitRecord) -> Content:
+    """The content of a fit, in the format `FORMAT`."""
+    return {
+        "format": FORMAT,
+        "model": model_content(fit.model),
+        "names": list(fit.names),
+        "by_trajectory": {run: dict(own) for run, own in fit.by_trajectory.items()},
+        "loss": fit.loss,
+        "loss_value": fit.loss_value,
+        "covariance": fit.covariance.tolist(),
+        "noise": dict(fit.noise),
+        "outcome": _outcome_content(fit.outcome),
+        "n_values": fit.n_values,
+        "bic": fit.bic,
+        "hold": fit.hold,
+        "huber": fit.huber,
+        "steps": [_steps_content(steps) for steps in fit.steps],
+        "n_gaps": [len(steps) for steps in fit.steps],
+        "seconds": fit.seconds,
+        "units": dict(fit.units),
+        "removed": list(fit.removed),
+        "warnings": list(fit.warnings),
+        "provenance": dict(fit.provenance),
+    }
+
+
+def _outcome_content(outcome: Outcome) -> Content:
+    return {**vars(outcome), "at_bounds": list(outcome.at_bounds)}
+
+
+def _steps_content(steps: np.ndarray) -> int | list[int]:
+    """One number where all gaps of a trajectory have as many steps, else a list."""
+    if len(steps) and np.all(steps == steps[0]):
+        return int(steps[0])
+    per_gap: list[int] = steps.tolist()
+    return per_gap
+
+
+def fit_parts(content: Content) -> dict[str, Any]:
+    """What a fit is made of, by the names of its fields, from its content.
+
+    Raises:
+        DataError: ``hold`` is unknown.
+        ModelError: The model in the content is not valid.
+        LookupError, TypeError, ValueError, AttributeError: The content is damaged.
+    """
+    model = model_from(content["model"])
+    names = _texts(content.get("names", model.free))
+    covariance = np.array(content["covariance"], dtype=float)
+    return {
+        "model": model,
+        "names": names,
+        "by_trajectory": _by_trajectory_from(content.get("by_trajectory", {})),
+        "loss": str(content["loss"]),
+        "loss_value": float(content["loss_value"]),
+        "covariance": covariance.reshape(len(names), len(names)),
+        "noise": _numbers(content["noise"]),
+        "outcome": _outcome_from(content["outcome"]),
+        "n_values": int(content["n_values"]),
+        "bic": float(content["bic"]),
+        "hold": _hold_from(content["hold"]),
+        "huber": _huber_from(content.get("huber")),
+        "steps": _steps_from(content.get("steps", []), content.get("n_gaps", [])),
+        "seconds": float(content.get("seconds", np.nan)),
+        "units": {str(name): str(unit) for name, unit in content["units"].items()},
+        "removed": _texts(content["removed"]),
+        "warnings": _texts(content["warnings"]),
+        "provenance": dict(content["provenance"]),
+    }
+
+
+def _texts(content: Sequence[Any]) -> tuple[str, ...]:
+    return tuple(str(text) for text in content)
+
+
+def _numbers(content: Content) -> dict[str, float]:
+    return {str(name): float(value) for name, value in content.items()}
+
+
+def _by_trajectory_from(content: Content) -> dict[str, dict[str, float]]:
+    return {str(run): _numbers(values) for run, values in content.items()}
+
+
+def _hold_from(hold: Any) -> str:
+    if hold not in HOLDS:
+        raise DataError(f"hold={hold!r} is unknown; expected 'linear' or 'zero'.")
+    return str(hold)
+
+
+def _huber_from(huber: Any) -> float | None:
+    return None if huber is None else float(huber)
+
+
+def _steps_from(
+    per_trajectory: Sequence[Any], n_gaps: Sequence[int]
+) -> tuple[np.ndarray, ...]:
+    steps = []
+    for number_or_list, n in zip(per_trajectory, n_gaps, strict=True):
+        per_gap = np.array(number_or_list, dtype=int)
+        steps.append(np.broadcast_to(per_gap, n).copy())
+    return tuple(steps)
+
+
+def _outcome_from(content: Content) -> Outcome:
+    return Outcome(
+        success=bool(content["success"]),
+        status=str(content["status"]),
+        sentence=str(content["sentence"]),
+        advice=str(content["advice"]),
+        iterations=int(content["iterations"]),
+        seconds=float(content["seconds"]),
+        objective=float(content["objective"]),
+        infeasibility=float(content["infeasibility"]),
+        at_bounds=_texts(content["at_bounds"]),
+    )

@@ -1,0 +1,230 @@
+"""The numbers of a fit: the record that every fit is, and its tables.
+
+A record holds what an identification found, and derives tables from it. How a fit is
+printed, stored and drawn stands in files of its own, which read this record; `Fit` puts
+them together.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student_t
+
+from phsi_opt.errors import DataError
+from phsi_opt.estimation.result import PARAMETER_COLUMNS, Identified
+from phsi_opt.model.model import Model
+from phsi_opt.model.slots import Entry
+from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.simulation.simulate import simulate
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitRecord(Identified):
+    """What an identification found, with its tables.
+
+    Attributes (beside those of `Identified`):
+        names: Names of the estimated parameters. One that every trajectory has of its
+            own appears as ``m[run 1]``, ``m[run 2]``, and stands in ``values`` and in
+            the model with its mean. Default: the free parameters of the model.
+        by_trajectory: Values of the free parameters by name, for every trajectory by
+            name; empty where all parameters are shared.
+        loss: Name of the loss, such as "MaximumLikelihood".
+        loss_value: The loss at the solution, without its L1 terms.
+        covariance: (n_names, n_names) covariance of the estimates in the order of
+            ``names``; NaN where it is not known.
+        noise: Standard deviation of the measurement noise by state, in the state's
+            unit; empty for `PHSILoss`.
+        outcome: What the solver said.
+        n_values: Number of residuals, that is of measured values used.
+        bic: Bayesian information criterion; NaN for `PHSILoss`, whose residuals are not
+            independent.
+        units: Unit by name, of states, inputs and the time ``t``.
+        warnings: Sentences to read before the numbers are used.
+        provenance: What the fit was made from: version, loss, settings, digest of the
+            data.
+        states: Estimated states at the samples, (n_samples, n_states) per trajectory;
+            empty for a loaded fit.
+        steps: Integration steps in every gap between samples, (n_samples - 1,) per
+            trajectory.
+        huber: Residuals beyond this many standard deviations counted linearly (see
+            `MaximumLikelihood`); None: all counted squared.
+    """
+
+    names: tuple[str, ...] = ()
+    by_trajectory: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    loss: str
+    loss_value: float
+    covariance: np.ndarray
+    noise: Mapping[str, float]
+    outcome: Outcome
+    n_values: int
+    bic: float = np.nan
+    units: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    states: tuple[np.ndarray, ...] = ()
+    steps: tuple[np.ndarray, ...] = ()
+    huber: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.names:
+            object.__setattr__(self, "names", self.model.free)
+
+    @cached_property
+    def estimates(self) -> dict[str, float]:
+        """Estimated value of every parameter in ``names``, by name."""
+        known = dict(self.values)
+        for trajectory, own_values in self.by_trajectory.items():
+            for name, value in own_values.items():
+                known[_own_name(name, trajectory)] = value
+        return {name: known[name] for name in self.names}
+
+    @cached_property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error by name, in the unit of the parameter.
+
+        Of all ``names`` and of all parameters of the model; NaN for one that is fixed,
+        that ended at a bound, or about which the data say nothing.
+        """
+        std_errors = dict.fromkeys(self.model.entries, np.nan)
+        found = np.sqrt(np.diag(self.covariance)).tolist()
+        std_errors.update(zip(self.names, found, strict=True))
+        return std_errors
+
+    @property
+    def correlations(self) -> pd.DataFrame:
+        """Correlations of the estimates, (n_names, n_names), by name both ways."""
+        std_errors = np.sqrt(np.diag(self.covariance))
+        correlations = self.covariance / np.outer(std_errors, std_errors)
+        return pd.DataFrame(correlations, index=self.names, columns=self.names)
+
+    def intervals(self, level: float = 0.95) -> pd.DataFrame:
+        """Confidence intervals of the estimates, from the curvature of the likelihood.
+
+        With n_values residuals and n_names estimates the limits are::
+
+            value +- t * std_error
+
+        where t is the quantile of Student's distribution with n_values - n_names
+        degrees of freedom: the noise was estimated from the same data. Where the
+        curvature misleads (a bent valley, a bound near by), `profile` gives better
+        limits.
+
+        Args:
+            level: Probability that an interval covers the true value, between 0 and 1.
+
+        Returns:
+            A row per estimate with its name as index and the columns ``value``,
+            ``ci_lower`` and ``ci_upper``, the limits of confidence. The limits are NaN
+            for a parameter without a standard error. (``lower`` and ``upper`` in
+            ``parameters`` are something else: the bounds that the solver kept.)
+
+        Raises:
+            DataError: ``level`` does not lie between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
+        n_free_residuals = max(self.n_values - len(self.names), 1)
+        quantile = student_t.isf((1 - level) / 2, n_free_residuals)
+        rows = []
+        for name, value in self.estimates.items():
+            half_width = quantile * self.std_errors[name]
+            rows.append((value, value - half_width, value + half_width))
+        columns = ["value", "ci_lower", "ci_upper"]
+        return pd.DataFrame(rows, index=list(self.estimates), columns=columns)
+
+    def model_of(self, trajectory: str | int) -> Model:
+        """The model with the parameters of one trajectory.
+
+        Args:
+            trajectory: Name of the trajectory, or its number among those of the fit,
+                counted from 0 (negative: from the end).
+
+        Returns:
+            The model with the trajectory's own values; with the means of the fit for a
+            name that the fit has not seen, and where all parameters are shared.
+
+        Raises:
+            DataError: The fit has no trajectory of that number.
+        """
+        name = self._trajectory_name(trajectory)
+        return self.model.with_values(self.by_trajectory.get(name, {}))
+
+    def _trajectory_name(self, trajectory: str | int) -> str:
+        """Name of a trajectory; that of a number is "" where parameters are shared."""
+        if isinstance(trajectory, str):
+            return trajectory
+        names = list(self.by_trajectory)
+        if not names:
+            return ""
+        if not -len(names) <= trajectory < len(names):
+            raise DataError(
+                f"there is no trajectory {trajectory}; the fit has {len(names)}, "
+                f"counted from 0: {', '.join(names)}."
+            )
+        return names[trajectory]
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Table of the parameters: a row per value, fixed parameters included.
+
+        Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
+        ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the
+        bounds that the solver kept), ``unit``, ``fixed``. A parameter that every
+        trajectory has of its own has a row per trajectory. Limits of confidence:
+        `intervals`.
+        """
+        rows = []
+        for entry in self.model.entries.values():
+            for name, value in self._values_of(entry).items():
+                rows.append(self._row(name, entry, value))
+        return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
+
+    def _values_of(self, entry: Entry) -> dict[str, float]:
+        """Values of one parameter of the model: one, or one per trajectory."""
+        if not (entry.parameter.per_trajectory and self.by_trajectory):
+            return {entry.name: self.values[entry.name]}
+        names = [_own_name(entry.name, run) for run in self.by_trajectory]
+        return {name: self.estimates[name] for name in names}
+
+    def simulate(
+        self, t: Any, x0: Any, u: Any = None, trajectory: str | int | None = None
+    ) -> np.ndarray:
+        """Simulate the fitted model from given starting states.
+
+        An integration by SciPy, independent of the transcription that the fit was made
+        with. Inputs are held between samples as the measurements declared it.
+
+        Args:
+            t: (n_samples,) times, increasing; the simulation starts at ``t[0]``.
+            x0: (n_states,) states at ``t[0]``.
+            u: (n_samples, n_inputs) inputs at the times, or a function of the time;
+                None: the model has none.
+            trajectory: Name or number of the trajectory whose own parameters are meant;
+                None: the means over the trajectories.
+
+        Returns:
+            (n_samples, n_states) states at the times.
+
+        Raises:
+            DataError: The trajectory has no parameters of its own in this fit.
+            SolveError: The simulation broke off before the last time.
+        """
+        if trajectory is None:
+            return simulate(self.model, t, x0, u, hold=self.hold)
+        if self._trajectory_name(trajectory) not in self.by_trajectory:
+            known = ", ".join(self.by_trajectory) or "none: all parameters are shared"
+            raise DataError(
+                f"trajectory {trajectory!r} has no parameters of its own in this fit; "
+                f"known are {known}."
+            )
+        return simulate(self.model_of(trajectory), t, x0, u, hold=self.hold)
+
+
+def _own_name(name: str, trajectory: str) -> str:
+    """Name of a parameter in one trajectory, such as ``m[run 1]``."""
+    return f"{name}[{trajectory}]"

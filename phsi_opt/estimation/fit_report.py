@@ -1,0 +1,130 @@
+"""A fit as text: its equations with standard errors, and what to know about them.
+
+Exact equations, without errors and in one line each, are `Identified.equations`.
+"""
+
+import re
+
+import numpy as np
+
+from phsi_opt.estimation.fit_record import FitRecord
+from phsi_opt.model.model import Model
+from phsi_opt.model.slots import place_of
+from phsi_opt.model.terms import Dictionary, Term
+
+IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
+
+
+def report(fit: FitRecord) -> str:
+    """The fit as text, for a terminal.
+
+    Returns:
+        The structure of the model, every term with its estimates as value +- standard
+        error and unit, fixed parameters, noise and removed terms, the solver's outcome
+        in words, and the warnings; a line each.
+    """
+    model = fit.model
+    states = ", ".join(model.states)
+    lines = [f"Fit of {type(model).__name__} by {fit.loss}: {states}"]
+    lines += [f"  {row}" for row in _structure(model)]
+    lines += [f"  {row}" for row in _dictionaries(fit)]
+    lines += [f"  {row}" for row in _fixed(fit)]
+    if fit.noise:
+        lines.append(f"  noise: {_noise(fit)}")
+    if fit.removed:
+        lines.append(f"  removed: {', '.join(fit.removed)}")
+    loss = f"loss {fit.loss_value:.6g} over {fit.n_values} values"
+    lines.append(f"  {loss}; solver: {fit.outcome}")
+    lines += [f"  note: {warning}" for warning in fit.warnings]
+    return "\n".join(lines)
+
+
+def _structure(model: Model) -> list[str]:
+    """An equation per state in the names of the slots, as dp/dt = - dH_dq - R_p*dH_dp."""
+    rows = []
+    for i, state in enumerate(model.states):
+        parts = _exchange(model, i)
+        if state in model.R:
+            effort = f"dH_d{state}" if model.H.terms else state
+            parts.append(f"- R_{state}*{effort}")
+        if state in model.F:
+            parts.append(f"+ F_{state}")
+        right_hand_side = " ".join(parts).removeprefix("+ ") or "0"
+        rows.append(f"d{state}/dt = {right_hand_side}")
+    return rows
+
+
+def _exchange(model: Model, i: int) -> list[str]:
+    """What the structure matrix S exchanges with equation i: a signed text per entry."""
+    parts = []
+    for j, entry in enumerate(model.S[i]):
+        if entry:
+            sign = "+" if entry > 0 else "-"
+            factor = "" if abs(entry) == 1 else f"{abs(entry):g}*"
+            parts.append(f"{sign} {factor}dH_d{model.states[j]}")
+    return parts
+
+
+def _dictionaries(fit: FitRecord) -> list[str]:
+    """Every dictionary of the model that has terms, with the estimates in it."""
+    places = dict.fromkeys((slot, equation) for slot, equation, _ in fit.model.placed())
+    rows = []
+    for slot, equation in places:
+        place = place_of(slot, equation)
+        terms = [_term(fit, t, place) for t in _dictionary(fit.model, slot, equation)]
+        rows.append(f"{place} = {' + '.join(terms)}")
+    return rows
+
+
+def _dictionary(model: Model, slot: str, equation: str) -> Dictionary:
+    if slot == "H":
+        return model.H
+    dictionary: Dictionary = getattr(model, slot)[equation]
+    return dictionary
+
+
+def _term(fit: FitRecord, term: Term, place: str) -> str:
+    """The term with every parameter replaced by its estimate in brackets."""
+
+    def estimate_of(match: re.Match[str]) -> str:
+        name = match[0]
+        if name not in term.inner:
+            return name
+        return f"({_estimate(fit, term.inner_name(name, place))})"
+
+    # In one pass: a unit that was put in may have the name of another parameter.
+    body = IDENTIFIER.sub(estimate_of, term.body)
+    if term.is_formula:
+        return body
+    coefficient = f"({_estimate(fit, term.coefficient_name(place))})"
+    return coefficient if term.body == "1" else f"{coefficient}*{body}"
+
+
+def _estimate(fit: FitRecord, name: str) -> str:
+    """Value +- standard error and unit; of a parameter per trajectory only the mean."""
+    parameter = fit.model.entries[name].parameter
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    value = f"{fit.values[name]:.6g}"
+    if parameter.per_trajectory and fit.by_trajectory:
+        return f"{value}{unit}, mean over trajectories"
+    std_error = fit.std_errors[name]
+    if np.isfinite(std_error):
+        return f"{value} +- {std_error:.2g}{unit}"
+    return f"{value}{unit}"
+
+
+def _fixed(fit: FitRecord) -> list[str]:
+    rows = []
+    for name, entry in fit.model.entries.items():
+        if entry.parameter.fixed:
+            value = f"{fit.values[name]:.6g} {entry.parameter.unit}".rstrip()
+            rows.append(f"{name} = {value} (fixed)")
+    return rows
+
+
+def _noise(fit: FitRecord) -> str:
+    parts = []
+    for state, sigma in fit.noise.items():
+        unit = fit.units.get(state, "")
+        parts.append(f"{state} {sigma:.3g} {unit}".rstrip())
+    return ", ".join(parts)

@@ -1,0 +1,58 @@
+"""Reading a JSON file of a known format, with the errors a user can act on.
+
+What the content means is the business of those who wrote it; nothing of a file is ever
+run as code.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from phsi_opt.errors import DataError, PhsiOptError
+
+Result = TypeVar("Result")
+
+# What a damaged content can raise while an object is made of it.
+DAMAGE = (LookupError, TypeError, ValueError, AttributeError, OverflowError)
+
+
+def read_json(
+    path: str | Path,
+    expected: str,
+    what: str,
+    from_content: Callable[[dict[str, Any]], Result],
+) -> Result:
+    """Read a JSON file and make an object of its content.
+
+    Args:
+        path: Of the file.
+        expected: Value that ``format`` must have in the file.
+        what: What the file should hold, for messages: "a fit".
+        from_content: Makes the object.
+
+    Raises:
+        DataError: The file cannot be read, is of another format, or is damaged.
+    """
+    content = _content(path, what)
+    if not isinstance(content, dict) or content.get("format") != expected:
+        raise DataError(
+            f"{path} is not a file of the format {expected!r}; "
+            "write one with save(path)."
+        )
+    try:
+        return from_content(content)
+    except PhsiOptError as error:
+        raise DataError(f"{path} holds a model that is not valid: {error}") from None
+    except DAMAGE as error:
+        raise DataError(
+            f"{path} is damaged: {type(error).__name__} {error}. "
+            "Write it again with save."
+        ) from None
+
+
+def _content(path: str | Path, what: str) -> Any:
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} cannot be read as {what}: {error}.") from None
