@@ -30,6 +30,8 @@ from phsi_opt.transcription.sensors import outputs_at_samples
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from phsi_opt.presentation.pictures import Channel
+
 # in standard deviations of the measurements: stands for a simulation that broke off
 LOST = 1e3
 # standard deviations of noise beyond which a single residual ends the free-run horizon
@@ -194,13 +196,47 @@ class Comparison:
             rows, columns=["trajectory", "change", "supplied", "dissipated"]
         )
 
-    def plot(self, ax: "Axes | None" = None, trajectory: int = 0) -> "Axes":
-        """Measurements and free run of one trajectory, with two standard deviations of
-        what is uncertain in the run.
-        """
-        from phsi_opt.presentation.pictures import plot_comparison
+    def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
+        """Draw measurements and free run of one trajectory.
 
-        return plot_comparison(self, ax, trajectory)
+        A band covers two standard deviations of what is uncertain in the run.
+
+        Args:
+            ax: Axes to draw on; None: a new figure.
+            trajectory: Name of the trajectory, or its number, counted from 0.
+
+        Raises:
+            DataError: There is no such trajectory.
+        """
+        from phsi_opt.presentation.pictures import plot_free_run
+
+        number = self.data.trajectory_number(trajectory)
+        run = self.data.trajectories[number]
+        title = (
+            f"Free run of {run.name}: rmse {self.rmse:.3g}, "
+            f"noise floor {self.noise_floor:.3g} (all runs)"
+        )
+        t_unit = self.data.units.get("t", "")
+        return plot_free_run(
+            run.t, self._channels(number), t_unit=t_unit, title=title, ax=ax
+        )
+
+    def _channels(self, number: int) -> "list[Channel]":
+        """What a picture shows of one trajectory."""
+        from phsi_opt.presentation.pictures import Channel
+
+        run = self.data.trajectories[number]
+        simulated = self.shown[number]
+        std = None if self.bands is None else self.bands[number]
+        channels = []
+        for k, name in enumerate(self.model.states):
+            if name in self.data.measured:
+                unit = self.data.units.get(name, "")
+                std_of_state = None if std is None else std[:, k]
+                channels.append(
+                    Channel(name, unit, run.x[:, k], simulated[:, k], std_of_state)
+                )
+        return channels
 
     def __str__(self) -> str:
         return (

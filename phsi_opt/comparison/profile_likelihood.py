@@ -74,7 +74,13 @@ class Profile:
         """The profile beside the parabola of the standard error, with the threshold."""
         from phsi_opt.presentation.pictures import plot_profile
 
-        return plot_profile(self, ax)
+        ax = plot_profile(
+            self.points, self.value, self.curvature, self.threshold, self.level, ax
+        )
+        interval = f"{self.ci_lower:.4g} to {self.ci_upper:.4g}"
+        title = f"{self.name}: {interval}, where the profile is below the line"
+        ax.set(xlabel=self.name, title=title)
+        return ax
 
     def __str__(self) -> str:
         text = f"{self.name} = {self.value:.6g}, {100 * self.level:.3g} % interval {self.ci_lower:.6g} to {self.ci_upper:.6g}"

@@ -181,11 +181,24 @@ class Diagnosis:
             seed=seed,
         )
 
-    def plot(self, ax: "Axes | None" = None, trajectory: int = 0) -> "Axes":
-        """The missing force along one trajectory, with its standard deviation."""
+    def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
+        """Draw the missing force along one trajectory, with two standard deviations.
+
+        Args:
+            ax: Axes to draw on; None: a new figure.
+            trajectory: Name of the trajectory, or its number, counted from 0.
+
+        Raises:
+            DataError: There is no such trajectory.
+        """
         from phsi_opt.presentation.pictures import plot_missing_force
 
-        return plot_missing_force(self, ax, trajectory)
+        number = self.data.trajectory_number(trajectory)
+        rows = self.missing_force["trajectory"] == number
+        states = self.fit.model.states
+        equations = [states[row] for row in self.estimate.prior.rows]
+        along_trajectory = self.missing_force[rows]
+        return plot_missing_force(along_trajectory, equations, self.data.units, ax)
 
     def plot_where(self, equation: str | None = None) -> "Figure":
         """Missing force along the time, over the states, against what it depends on,

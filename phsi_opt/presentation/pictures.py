@@ -1,211 +1,231 @@
-"""Pictures of comparisons, missing forces and histories; each takes ``ax`` and says in
-its title what to see.
+"""Pictures of free runs, missing forces, profiles, histories and estimates.
+
+Each function takes arrays or tables, never a result of the package: so every result may
+call it. Each draws on ``ax`` (None: on a new figure), returns the axes, and its title
+says what to see; where the title holds numbers of a result, the result words it.
+Pictures of where a missing force acts stand in `force_analysis`.
 """
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from textwrap import fill
-from typing import TYPE_CHECKING
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from scipy.interpolate import PchipInterpolator
 
-if TYPE_CHECKING:
-    from phsi_opt.comparison.compare import Comparison
-    from phsi_opt.comparison.profile_likelihood import Profile
-    from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
 
-MEASURED, MODEL, FLOOR = "0.55", "C0", "C2"
-PER_INCH = 10  # letters of a label
+LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
+N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
 
-def plot_comparison(
-    comparison: "Comparison", ax: Axes | None = None, trajectory: int = 0
-) -> Axes:
-    """Measurements and free run of one trajectory; the title gives the error beside the
-    noise floor.
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """What is drawn of one measured state along one trajectory.
+
+    Attributes:
+        name: Of the state; ``unit``: its unit, or "".
+        measured: (n_samples,) measured values, NaN where missing.
+        simulated: (n_samples,) what the sensor would show of the free run.
+        std: (n_samples,) standard deviation of ``simulated``; None: not known.
     """
-    ax = _axes(ax, (8.0, 3.6))
-    run, x = comparison.data.trajectories[trajectory], comparison.shown[trajectory]
-    deviation = None if comparison.bands is None else comparison.bands[trajectory]
-    seen = [
-        k
-        for k, name in enumerate(comparison.model.states)
-        if name in comparison.data.measured
-    ]
-    for n, k in enumerate(seen):
-        name = comparison.model.states[k]
-        ax.plot(
-            run.t,
-            run.x[:, k],
-            ".",
-            ms=3,
-            color=MEASURED if n == 0 else f"C{n + 3}",
-            label=f"{name} measured",
-        )
-        color = MODEL if n == 0 else f"C{n}"
-        ax.plot(run.t, x[:, k], "-", lw=1.4, color=color, label=f"{name} free run")
-        if deviation is not None:
-            low, high = x[:, k] - 2 * deviation[:, k], x[:, k] + 2 * deviation[:, k]
-            label = "run, two std. deviations" if n == 0 else None
-            ax.fill_between(
-                run.t, low, high, color=color, alpha=0.25, lw=0, label=label
-            )
-    units = {comparison.data.units.get(comparison.model.states[k], "") for k in seen}
-    ax.set(
-        xlabel=_label("t", comparison.data.units.get("t", "")),
-        title=_verdict(comparison, run.name),
-    )
-    ax.set_ylabel(
-        _label(
-            ", ".join(comparison.model.states[k] for k in seen),
-            units.pop() if len(units) == 1 else "",
-        )
-    )
-    ax.margins(y=0.2)
-    ax.legend(loc="upper right", frameon=False, ncols=2)
+
+    name: str
+    unit: str
+    measured: np.ndarray
+    simulated: np.ndarray
+    std: np.ndarray | None
+
+
+def plot_free_run(
+    t: np.ndarray,
+    channels: Sequence[Channel],
+    *,
+    t_unit: str,
+    title: str,
+    ax: Axes | None = None,
+) -> Axes:
+    """Measurements and free run of one trajectory, (n_samples,) times ``t``.
+
+    A band covers two standard deviations of the run where they are known.
+    """
+    ax = axes_of(ax, (8.0, 3.6))
+    for n, channel in enumerate(channels):
+        _draw_channel(ax, t, channel, n)
+    names = ", ".join(channel.name for channel in channels)
+    unit = _common_unit([channel.unit for channel in channels])
+    ax.set(xlabel=label("t", t_unit), title=title)
+    ax.set_ylabel(label(names, unit))
+    _finish(ax)
     return ax
+
+
+def _draw_channel(ax: Axes, t: np.ndarray, channel: Channel, n: int) -> None:
+    """Channel number n: the first in the usual colours, others in their own."""
+    is_first = n == 0
+    dots = MEASURED if is_first else f"C{n + 3}"
+    color = MODEL if is_first else f"C{n}"
+    measured = f"{channel.name} measured"
+    run = f"{channel.name} free run"
+    ax.plot(t, channel.measured, ".", ms=3, color=dots, label=measured)
+    ax.plot(t, channel.simulated, "-", lw=1.4, color=color, label=run)
+    if channel.std is not None:
+        band = "run, two std. deviations" if is_first else None
+        _band(ax, t, channel.simulated, channel.std, color=color, alpha=0.25, text=band)
 
 
 def plot_missing_force(
-    diagnosis: "Diagnosis", ax: Axes | None = None, trajectory: int = 0
+    table: pd.DataFrame,
+    equations: Sequence[str],
+    units: Mapping[str, str],
+    ax: Axes | None = None,
 ) -> Axes:
-    """The missing force with two standard deviations: where the band leaves zero, the
-    model lacks something.
+    """The missing force along one trajectory, with two standard deviations.
+
+    Where the band leaves zero, the model lacks something.
+
+    Args:
+        table: A row per interval: ``t``, and for every equation its force and standard
+            deviation in the columns named as the state, ``p``, and ``std_p``.
+        equations: States in whose equations a force was estimated.
+        units: Units by name, of the states and of ``t``.
+        ax: Axes to draw on; None: a new figure.
     """
-    ax = _axes(ax, (8.0, 3.6))
-    frame = diagnosis.missing_force
-    part = frame[frame["trajectory"] == trajectory]
-    for n, row in enumerate(diagnosis.estimate.prior.rows):
-        name = diagnosis.fit.model.states[row]
-        w, s = part[name].to_numpy(), part[f"std_{name}"].to_numpy()
-        ax.plot(part["t"], w, color=f"C{n}", lw=1.4, label=f"missing in d{name}/dt")
-        ax.fill_between(
-            part["t"],
-            w - 2 * s,
-            w + 2 * s,
-            color=f"C{n}",
-            alpha=0.2,
-            lw=0,
-            label="two standard deviations",
-        )
-    ax.axhline(0, color="0.3", lw=0.8)
-    units = diagnosis.data.units
-    states = {
-        units.get(diagnosis.fit.model.states[row], "")
-        for row in diagnosis.estimate.prior.rows
-    }
-    unit = (
-        f"{states.pop()}/{units['t']}"
-        if len(states) == 1 and "" not in states and units.get("t")
-        else ""
-    )
+    ax = axes_of(ax, (8.0, 3.6))
+    for n, state in enumerate(equations):
+        color = f"C{n}"
+        force = table[state].to_numpy()
+        std = table[f"std_{state}"].to_numpy()
+        ax.plot(table["t"], force, color=color, lw=1.4, label=f"missing in d{state}/dt")
+        text = "two standard deviations"
+        _band(ax, table["t"], force, std, color=color, alpha=0.2, text=text)
+    ax.axhline(0, color=BASELINE, lw=0.8)
+    t_unit = units.get("t", "")
+    state_unit = _common_unit([units.get(state, "") for state in equations])
+    force_unit = f"{state_unit}/{t_unit}" if state_unit and t_unit else ""
     ax.set(
-        xlabel=_label("t", units.get("t", "")),
-        ylabel=_label("missing force", unit),
+        xlabel=label("t", t_unit),
+        ylabel=label("missing force", force_unit),
         title="Where the band leaves zero, a force is missing",
     )
-    ax.margins(y=0.2)
-    ax.legend(loc="upper right", frameon=False, ncols=2)
+    _finish(ax)
     return ax
 
 
-def plot_profile(profile: "Profile", ax: Axes | None = None) -> Axes:
-    """The profile of a parameter; the interval is where it stays below the threshold."""
-    ax = _axes(ax, (6.0, 3.6))
-    value, rise = profile.points.T
+def _band(
+    ax: Axes,
+    t: np.ndarray | pd.Series,
+    middle: np.ndarray,
+    std: np.ndarray,
+    *,
+    color: str,
+    alpha: float,
+    text: str | None,
+) -> None:
+    """Two standard deviations to either side."""
+    lower = middle - 2 * std
+    upper = middle + 2 * std
+    ax.fill_between(t, lower, upper, color=color, alpha=alpha, lw=0, label=text)
+
+
+def _common_unit(units: Sequence[str]) -> str:
+    """The unit that all have, or "" where they differ."""
+    different = set(units)
+    return different.pop() if len(different) == 1 else ""
+
+
+def _finish(ax: Axes) -> None:
+    """A legend above curves that leave room for it."""
+    ax.margins(y=0.2)
+    ax.legend(loc="upper right", frameon=False, ncols=2)
+
+
+def plot_profile(
+    points: np.ndarray,
+    value: float,
+    curvature: tuple[float, float],
+    threshold: float,
+    level: float,
+    ax: Axes | None = None,
+) -> Axes:
+    """A profile likelihood; the interval is where it stays below the threshold.
+
+    Args:
+        points: (n, 2) values of the parameter, increasing, and rise of -2 log
+            likelihood.
+        value: Estimate of the parameter.
+        curvature: Limits of confidence by the standard error, whose parabola is drawn
+            for comparison.
+        threshold: Rise at the limits of confidence.
+        level: Of confidence, between 0 and 1.
+        ax: Axes to draw on; None: a new figure.
+
+    Returns:
+        The axes, to which the caller adds the parameter's name and the title.
+    """
+    ax = axes_of(ax, (6.0, 3.6))
+    held, rise = points.T
     # The signed root of the rise is nearly straight, so a smooth curve goes through few
     # points.
-    root = PchipInterpolator(value, np.sign(value - profile.value) * np.sqrt(rise))
-    inside = np.linspace(value[0], value[-1], 200)
+    signed_root = np.sign(held - value) * np.sqrt(rise)
+    root = PchipInterpolator(held, signed_root)
+    inside = np.linspace(held[0], held[-1], N_CURVE)
     ax.plot(inside, root(inside) ** 2, "-", color=MODEL, label="profile")
-    ax.plot(value, rise, "o", color=MODEL, ms=4, label="re-fits")
-    half = (profile.curvature[1] - profile.curvature[0]) / 2
-    along = np.linspace(
-        min(value[0], profile.curvature[0]), max(value[-1], profile.curvature[1]), 200
-    )
-    ax.plot(
-        along,
-        profile.threshold * ((along - profile.value) / half) ** 2,
-        "--",
-        color=MEASURED,
-        label="curvature",
-    )
-    ax.axhline(
-        profile.threshold,
-        color=FLOOR,
-        lw=1.0,
-        ls=":",
-        label=f"{100 * profile.level:.3g} %",
-    )
-    ax.set(
-        xlabel=profile.name,
-        ylabel="rise of -2 log likelihood",
-        ylim=(0, 2 * profile.threshold),
-    )
-    ax.set_title(
-        f"{profile.name}: {profile.ci_lower:.4g} to {profile.ci_upper:.4g}, where the profile is below the line"
-    )
+    ax.plot(held, rise, "o", color=MODEL, ms=4, label="re-fits")
+
+    lower, upper = curvature
+    half_width = (upper - lower) / 2
+    wide = np.linspace(min(held[0], lower), max(held[-1], upper), N_CURVE)
+    parabola = threshold * ((wide - value) / half_width) ** 2
+    ax.plot(wide, parabola, "--", color=MEASURED, label="curvature")
+    percent = f"{100 * level:.3g} %"
+    ax.axhline(threshold, color=FLOOR, lw=1.0, ls=":", label=percent)
+    ax.set(ylabel="rise of -2 log likelihood", ylim=(0, 2 * threshold))
     ax.legend(frameon=False, loc="upper center", ncols=2)
     return ax
 
 
 def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") -> Axes:
-    """Free-run error per step: training, held out, and the noise floor it can fall to."""
-    ax = _axes(ax, (7.0, 3.8))
+    """Free-run error after each step: training, held out, and the noise floor.
+
+    Args:
+        history: A row per step with the columns ``step``, ``effect``, ``train_rmse``,
+            ``held_out_rmse`` (NaN: nothing was held out) and ``noise_floor``.
+        ax: Axes to draw on; None: a new figure.
+        unit: Unit of the errors.
+    """
+    ax = axes_of(ax, (7.0, 3.8))
     steps = history["step"].to_numpy()
+    held_out = history["held_out_rmse"]
+    floor = history["noise_floor"]
     ax.plot(steps, history["train_rmse"], "o--", color=MEASURED, label="training")
-    if np.isfinite(history["held_out_rmse"]).any():
-        ax.plot(steps, history["held_out_rmse"], "o-", color=MODEL, label="held out")
-    ax.plot(
-        steps,
-        history["noise_floor"],
-        ":",
-        color=FLOOR,
-        label="noise floor",
-        marker="_",
-        ms=14,
-    )
-    width = max(
-        int(PER_INCH * ax.get_window_extent().width / ax.figure.dpi / len(steps)), 8
-    )
-    ax.set_xticks(
-        steps,
-        [
-            fill(_change(i, str(name)), width)
-            for i, name in enumerate(history["effect"])
-        ],
-    )
+    if np.isfinite(held_out).any():
+        ax.plot(steps, held_out, "o-", color=MODEL, label="held out")
+    ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=14)
+    ax.set_xticks(steps, _step_labels(ax, history["effect"]))
     ax.set(
-        ylabel=_label("free-run rmse", unit),
+        ylabel=label("free-run rmse", unit),
         title="Free-run error after each added effect",
     )
-    ax.set_ylim(
-        0,
-        1.25
-        * float(
-            np.nanmax(
-                history[["train_rmse", "held_out_rmse", "noise_floor"]].to_numpy()
-            )
-        ),
-    )
+    errors = history[["train_rmse", "held_out_rmse", "noise_floor"]].to_numpy()
+    ax.set_ylim(0, 1.25 * float(np.nanmax(errors)))
     ax.margins(x=0.2)
     ax.legend(frameon=False)
     return ax
 
 
-def _change(step: int, label: str) -> str:
-    return label if step == 0 or label.startswith("without ") else f"+ {label}"
+def _step_labels(ax: Axes, effects: pd.Series) -> list[str]:
+    """What each step changed, in lines so short that neighbours do not touch."""
+    inches = ax.get_window_extent().width / ax.figure.dpi
+    n_letters = max(int(LETTERS_PER_INCH * inches / len(effects)), 8)
+    labels = []
+    for step, effect in enumerate(effects):
+        labels.append(fill(_change(step, str(effect)), n_letters))
+    return labels
 
 
-def _axes(ax: Axes | None, size: tuple[float, float]) -> Axes:
-    return plt.subplots(figsize=size, layout="constrained")[1] if ax is None else ax
-
-
-def _label(name: str, unit: str) -> str:
-    return f"{name} ({unit})" if unit else name
-
-
-def _verdict(comparison: "Comparison", run: str) -> str:
-    return f"Free run of {run}: rmse {comparison.rmse:.3g}, noise floor {comparison.noise_floor:.3g} (all runs)"
+def _change(step: int, effect: str) -> str:
+    is_addition = step > 0 and not effect.startswith("without ")
+    return f"+ {effect}" if is_addition else effect

@@ -1,0 +1,31 @@
+"""What all pictures share: axes to draw on, labels with units, and colours.
+
+Pictures never call ``plt.show``: a caller shows or saves the figure of the axes.
+"""
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+MEASURED = "0.55"  # grey: what was measured, and what stands for comparison
+MODEL = "C0"  # blue: the model, and what was estimated
+FLOOR = "C2"  # green: a limit set by the noise
+ATTENTION = "C1"  # orange: what a reader should look at first
+BASELINE = "0.3"  # dark grey: the line at zero
+
+
+def axes_of(ax: Axes | None, size: tuple[float, float]) -> Axes:
+    """The axes, or those of a new figure.
+
+    Args:
+        ax: Axes to draw on; None: make a figure.
+        size: Width and height of a new figure in inches.
+    """
+    if ax is not None:
+        return ax
+    _, new_axes = plt.subplots(figsize=size, layout="constrained")
+    return new_axes
+
+
+def label(name: str, unit: str) -> str:
+    """The label of an axis, such as "t (s)"; the name alone where there is no unit."""
+    return f"{name} ({unit})" if unit else name
