@@ -15,17 +15,20 @@ import pytest
 import torch
 
 import phsi_opt as ph
-from phsi_opt.baselines.descent_settings import DTYPES
+from phsi_opt.baselines.descent import Adam
 from phsi_opt.baselines.gradient_descent import (
     Descent,
     HybridBaseline,
     JointForce,
     gradient_descent,
-    starting_values,
 )
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_dictionary import Basis, DictionaryDynamics, monomial
-from phsi_opt.baselines.torch_steps import Adam, Steps
+from phsi_opt.baselines.setting_checks import DTYPES
+from phsi_opt.baselines.starting_values import starting_values
+from phsi_opt.baselines.torch_defects import Steps
+from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
+from phsi_opt.baselines.torch_monomials import Basis, monomial
+from phsi_opt.baselines.torch_networks import DTYPE_OF
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
@@ -219,10 +222,9 @@ def test_the_gradient_of_a_neural_force_is_that_of_finite_differences() -> None:
 
 def test_a_batch_has_the_loss_of_its_intervals() -> None:
     steps, theta = steps_of(at_random(everything()), record(), "srk4")
-    whole = steps.defects(theta, steps.all_tables())[0]
-    part = steps.defects(
-        theta, [table[2 * rows : 5 * rows] for table, rows in steps.arrays]
-    )[0]
+    whole = steps.defects(theta, steps.all_tables())
+    batch = [table.values[2 * table.rows : 5 * table.rows] for table in steps.tables]
+    part = steps.defects(theta, batch)
     np.testing.assert_allclose(part.detach(), whole[2:5].detach(), rtol=1e-12)
 
 
@@ -654,7 +656,7 @@ def test_a_result_and_its_settings_can_be_printed_and_pickled(
         and " s\n" in text
     )
     assert pickle.loads(pickle.dumps(Descent(l1={"H": 0.1}))) == Descent(l1={"H": 0.1})
-    assert set(DTYPES) == {"float32", "float64"}
+    assert set(DTYPES) == set(DTYPE_OF) == {"float32", "float64"}
 
 
 def test_importing_the_package_does_not_import_torch() -> None:

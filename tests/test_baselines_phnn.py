@@ -15,7 +15,7 @@ import phsi_opt as ph
 from phsi_opt.baselines.gradient_descent import JointForce
 from phsi_opt.baselines.phnn import PHNN, NetworkDescent, _NetworkDynamics, phnn
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_steps import Steps
+from phsi_opt.baselines.torch_defects import Steps
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator

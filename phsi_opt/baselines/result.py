@@ -1,6 +1,4 @@
-"""What a baseline returns: the same record as every method of identification, with its
-loss and its history.
-"""
+"""What a baseline returns: the record of every method, with its loss and history."""
 
 from dataclasses import dataclass, field
 
@@ -28,10 +26,8 @@ class Baseline(Identified):
     settings: str = ""
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.method}: loss {self.loss_value:.6g}, {self.seconds:.3g} s",
-            *self.equations(),
-        ]
+        head = f"{self.method}: loss {self.loss_value:.6g}, {self.seconds:.3g} s"
+        lines = [head, *self.equations()]
         if self.removed:
             lines.append(f"removed: {', '.join(self.removed)}")
         return "\n".join(lines)

@@ -1,10 +1,10 @@
-"""SSINN: a separable Hamiltonian by a symplectic scheme and gradient descent (DiPietro,
-Xiong, Zhu 2020).
+"""SSINN: a separable Hamiltonian by a symplectic scheme and gradient descent.
 
-H = T(p) + V(q), both polynomials with coefficients to learn. An interval is integrated
-from its first sample by the fourth-order scheme of Forest and Ruth (1990), also found
-by Yoshida (1990); the loss compares where it ends with the next sample. So, unlike in
-the PHSI loss, the right-hand side is never evaluated at the second sample.
+H = T(p) + V(q), both polynomials with coefficients to learn (DiPietro, Xiong, Zhu
+2020). An interval is integrated from its first sample by the fourth-order scheme of
+Forest and Ruth (1990), also found by Yoshida (1990); the loss compares where it ends
+with the next sample. So, unlike in the PHSI loss, the right-hand side is never
+evaluated at the second sample.
 """
 
 import time
@@ -16,31 +16,37 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent_settings import (
-    DTYPES,
+from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
+from phsi_opt.baselines.result import Baseline
+from phsi_opt.baselines.setting_checks import (
     check_descent,
-    is_count,
     is_size,
     require,
+    require_choice,
+    require_count,
+    require_size,
 )
-from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_dictionary import Basis, combination, lowered, monomial
-from phsi_opt.baselines.torch_steps import Adam, Progress, descend
+from phsi_opt.baselines.torch_defects import Table
+from phsi_opt.baselines.torch_monomials import Basis, combination, lowered, monomial
+from phsi_opt.baselines.torch_networks import DTYPE_OF
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.errors import ModelError
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.terms import Dictionary, polynomials
 from phsi_opt.optimization.torch_threads import one_thread
-from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete_intervals
 
 LOSSES = ("absolute", "squared")
+
+# The scheme of Forest and Ruth (1990): shares of the step of its drifts (of q) and of
+# its kicks (of p), in turns.
 CUBE_ROOT = 2.0 ** (1 / 3)
-DRIFTS = tuple(
-    v / (2 - CUBE_ROOT)
-    for v in (0.5, 0.5 * (1 - CUBE_ROOT), 0.5 * (1 - CUBE_ROOT), 0.5)
-)
-KICKS = tuple(v / (2 - CUBE_ROOT) for v in (1.0, -CUBE_ROOT, 1.0))
+OUTER_DRIFT = 0.5 / (2 - CUBE_ROOT)
+INNER_DRIFT = 0.5 * (1 - CUBE_ROOT) / (2 - CUBE_ROOT)
+OUTER_KICK = 1.0 / (2 - CUBE_ROOT)
+INNER_KICK = -CUBE_ROOT / (2 - CUBE_ROOT)
+KICKS = (OUTER_KICK, INNER_KICK, OUTER_KICK)
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,9 @@ class SymplecticDescent:
     """How SSINN descends.
 
     Args:
-        learning_rate: of Adam. epochs: passes over the data. batch: samples per step.
+        learning_rate: of Adam.
+        epochs: passes over the data.
+        batch: samples per step.
         decay: pairs (share of the epochs, factor): after that share the learning rate
             is multiplied by the factor. The authors' schedule for Henon-Heiles, 0.1,
             0.01 and 0.001 from the third to the fifth of six epochs, is the default; ()
@@ -58,6 +66,11 @@ class SymplecticDescent:
         loss: "absolute" (the authors' choice) or "squared".
         steps: steps of the scheme per interval; two is what the authors' tolerance
             gives for a step of 0.1.
+        weight_decay: of Adam.
+        dtype: "float32" or "float64".
+
+    Raises:
+        ModelError: if a setting is not possible.
     """
 
     learning_rate: float = 1e-2
@@ -76,33 +89,25 @@ class SymplecticDescent:
 
     def __post_init__(self) -> None:
         check_descent(self)
-        require(is_size(self.l1), "l1", self.l1, "a finite number of at least 0")
-        require(
-            is_count(self.steps), "steps", self.steps, "a whole number of at least 1"
-        )
-        require(
-            self.loss in LOSSES,
-            "loss",
-            self.loss,
-            f"one of {', '.join(LOSSES)}",
-            did_you_mean(self.loss, LOSSES),
-        )
-        shares = [share for share, _ in self.decay]
-        fine = all(is_size(v) for pair in self.decay for v in pair) and all(
-            a < b for a, b in pairwise(shares)
-        )
-        require(
-            fine,
-            "decay",
-            self.decay,
-            "pairs (share of the epochs, factor) with increasing shares",
-        )
+        require_size("l1", self.l1)
+        require_count("steps", self.steps)
+        require_choice("loss", self.loss, LOSSES)
+        expected = "pairs (share of the epochs, factor) with increasing shares"
+        require(self._decays(), "decay", self.decay, expected)
+
+    def _decays(self) -> bool:
+        """Whether ``decay`` is a schedule."""
+        for share, factor in self.decay:
+            if not (is_size(share) and is_size(factor)):
+                return False
+        return all(before < after for (before, _), (after, _) in pairwise(self.decay))
 
     def rate(self, epoch: int) -> float:
         """Learning rate of an epoch, counted from one."""
         factor = 1.0
         for share, reduced in self.decay:
-            factor = reduced if epoch > share * self.epochs else factor
+            if epoch > share * self.epochs:
+                factor = reduced
         return self.learning_rate * factor
 
 
@@ -115,123 +120,150 @@ def ssinn(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Baseline:
-    """Minimise mean |q1 - q(h)| + mean |p1 - p(h)| over the coefficients of H = T(p) +
-    V(q) (thesis Section 6.1).
+    """Learn the coefficients of H = T(p) + V(q) (thesis Section 6.1)::
+
+        minimise mean |q1 - q(h)| + mean |p1 - p(h)|
 
     (q(h), p(h)) is where the fourth-order symplectic scheme ends after the interval,
-    started at the sample (q0, p0): for i = 1..4, q += c_i h dT/dp(p), then p -= d_i h
-    dV/dq(q).
+    started at the sample (q0, p0): for i = 1..4, q += c_i h dT/dp(p), then
+    p -= d_i h dV/dq(q).
 
     Args:
-        data: every state measured. positions, momenta: its states in pairs. degree: of
-            both polynomials.
-        settings: see `SymplecticDescent`. seed: of the start, uniform within
-            +-1/sqrt(terms), and of the batches.
+        data: every state measured.
+        positions: states q.
+        momenta: states p, in pairs with the positions.
+        degree: of both polynomials.
+        settings: see `SymplecticDescent`.
+        seed: of the start, uniform within +-1/sqrt(terms), and of the batches.
+        progress: called with a line of text every few epochs.
 
-    The result's model is a `PseudoHamiltonian` with coefficients such as H[q1**2].
-    Raises `DataError` and `ModelError` for states that do not pair up, `SolveError` if
-    the loss diverges.
+    Returns:
+        A `Baseline` whose model is a `PseudoHamiltonian` with coefficients such as
+        H[q1**2].
+
+    Raises:
+        DataError: if a state was not measured.
+        ModelError: for states that do not pair up.
+        SolveError: if the loss diverges.
     """
     began = time.perf_counter()
     settings = settings or SymplecticDescent()
     model = separable(data.states, positions, momenta, degree)
     grid = complete_intervals(model, grid_of(data))
     with one_thread():
-        dtype = DTYPES[settings.dtype]
-        q, p = (
-            [model.states.index(name) for name in names]
-            for names in (positions, momenta)
-        )
+        dtype = DTYPE_OF[settings.dtype]
         flow = _Flow(model, positions, momenta, settings, dtype)
-        p0 = torch.tensor(grid.y[grid.begin][:, p], dtype=dtype)
-        ends = [
-            torch.tensor(grid.y[grid.begin + k][:, i], dtype=dtype)
-            for k, i in ((0, q), (1, q), (1, p))
-        ]
-        tables = [
-            p0,
-            *ends,
-            torch.tensor(grid.h[:, None], dtype=dtype),
-            flow.kinetic.basis.features(p0),
-        ]
+        tables = flow.tables(grid)
         generator = torch.Generator().manual_seed(seed)
         n_terms = len(model.H)
-        start = (
-            2 * torch.rand(n_terms, generator=generator, dtype=torch.float64) - 1
-        ) / np.sqrt(n_terms)
-        adam = Adam(start.to(dtype).requires_grad_(), settings.weight_decay)
-        penalty = torch.full_like(adam.raw, settings.l1) if settings.l1 else None
+        start = _random_start(n_terms, generator).to(dtype)
+        adam = Adam(start.requires_grad_(), settings.weight_decay)
+        l1 = torch.full_like(adam.raw, settings.l1) if settings.l1 else None
         history = descend(
             adam,
             flow.loss,
-            [(table, 1) for table in tables],
-            grid.n_intervals,
+            Batches(
+                [Table(values, 1) for values in tables],
+                grid.n_intervals,
+                settings.batch,
+                generator,
+            ),
             settings,
-            generator,
-            rate=settings.rate,
-            l1=lambda epoch: penalty,
-            after_epoch=lambda epoch: n_terms,
-            progress=progress,
+            Hooks(
+                rate=settings.rate,
+                l1=lambda epoch: l1,
+                after_epoch=lambda epoch: n_terms,
+            ),
+            progress,
         )
-        found = model.with_values(
-            dict(zip(model.entries, adam.raw.tolist(), strict=True))
-        )
-        value = float(flow.loss(adam.raw, tables))
+        values = dict(zip(model.entries, adam.raw.tolist(), strict=True))
+        loss_value = float(flow.loss(adam.raw, tables))
     return Baseline(
-        model=found,
+        model=model.with_values(values),
         hold=data.hold,
         seconds=time.perf_counter() - began,
         method="SSINN",
-        loss_value=value,
+        loss_value=loss_value,
         history=history,
         settings=str(settings),
     )
 
 
+def _random_start(n_terms: int, generator: torch.Generator) -> Tensor:
+    draw = torch.rand(n_terms, generator=generator, dtype=torch.float64)
+    return (2 * draw - 1) / np.sqrt(n_terms)
+
+
 def separable(
     states: Sequence[str], positions: Sequence[str], momenta: Sequence[str], degree: int
 ) -> PseudoHamiltonian:
-    """H = V(q) + T(p) with dq_i/dt = dH/dp_i, dp_i/dt = -dH/dq_i; raises `ModelError`
-    if the states do not pair up.
+    """H = V(q) + T(p) with dq_i/dt = dH/dp_i, dp_i/dt = -dH/dq_i.
+
+    Args:
+        states: names, in any order.
+        positions: those of the q_i.
+        momenta: those of the p_i.
+        degree: of the polynomials V and T.
+
+    Raises:
+        ModelError: if the states do not pair up.
     """
     named = [*positions, *momenta]
     if len(positions) != len(momenta) or sorted(named) != sorted(states):
         raise ModelError(
-            f"positions={list(positions)!r} and momenta={list(momenta)!r} do not pair up the states "
-            f"({', '.join(states)}); expected every state once, and as many momenta as positions."
+            f"positions={list(positions)!r} and momenta={list(momenta)!r} "
+            f"do not pair up the states ({', '.join(states)}); "
+            "expected every state once, and as many momenta as positions."
         )
     S = np.zeros((len(states), len(states)))
-    for q, p in zip(positions, momenta, strict=True):
-        i, j = list(states).index(q), list(states).index(p)
-        S[i, j], S[j, i] = 1.0, -1.0
-    H: Dictionary = polynomials(positions, degree=degree) + polynomials(
-        momenta, degree=degree
-    )
-    return PseudoHamiltonian(states=states, S=S, H=H)
+    for position, momentum in zip(positions, momenta, strict=True):
+        i = list(states).index(position)
+        j = list(states).index(momentum)
+        S[i, j] = 1.0
+        S[j, i] = -1.0
+    potential: Dictionary = polynomials(positions, degree=degree)
+    kinetic: Dictionary = polynomials(momenta, degree=degree)
+    return PseudoHamiltonian(states=states, S=S, H=potential + kinetic)
 
 
 class _Part:
-    """Gradient of T or V: the monomials of lower degree times a matrix that is linear
-    in the coefficients.
+    """Gradient of T or V: monomials of lower degree times a matrix.
+
+    The matrix is linear in the coefficients.
     """
 
     def __init__(
         self, model: PseudoHamiltonian, variables: Sequence[str], dtype: torch.dtype
     ) -> None:
-        n, self.size = len(variables), len(variables)
-        rows = [(j, monomial(term.body, variables)) for j, term in enumerate(model.H)]
-        cells = [(j, e, k) for j, e in rows if e is not None for k in range(n) if e[k]]
-        self.basis = Basis([lowered(e, k) for _, e, k in cells], n, n, dtype)
-        self.cells = torch.tensor(
-            [self.basis.position[lowered(e, k)] * n + k for _, e, k in cells]
-        )
-        self.sources = torch.tensor([j for j, _, _ in cells])
-        self.factors = torch.tensor([float(e[k]) for _, e, k in cells], dtype=dtype)
+        n = len(variables)
+        columns = []
+        slopes = []
+        sources = []
+        factors = []
+        for j, term in enumerate(model.H):
+            exponents = monomial(term.body, variables)
+            if exponents is None:  # a term of the other part
+                continue
+            for k in range(n):
+                if exponents[k]:
+                    columns.append(k)
+                    slopes.append(lowered(exponents, k))
+                    sources.append(j)
+                    factors.append(float(exponents[k]))
+        self.n_variables = n
+        self.basis = Basis(slopes, n, n, dtype)
+        cells = []
+        for slope, k in zip(slopes, columns, strict=True):
+            cells.append(self.basis.position[slope] * n + k)
+        self.cells = torch.tensor(cells)
+        self.sources = torch.tensor(sources)
+        self.factors = torch.tensor(factors, dtype=dtype)
         self.zero = torch.zeros(len(self.basis) * n, dtype=dtype)
 
     def matrix(self, theta: Tensor) -> Tensor:
+        """(n_monomials, n_variables) at the coefficients."""
         values = theta.index_select(0, self.sources) * self.factors
-        return self.zero.index_add(0, self.cells, values).view(-1, self.size)
+        return self.zero.index_add(0, self.cells, values).view(-1, self.n_variables)
 
 
 class _Flow:
@@ -245,36 +277,55 @@ class _Flow:
         settings: SymplecticDescent,
         dtype: torch.dtype,
     ) -> None:
-        self.potential, self.kinetic = (
-            _Part(model, positions, dtype),
-            _Part(model, momenta, dtype),
-        )
-        self.n_steps, self.absolute = settings.steps, settings.loss == "absolute"
+        self.dtype = dtype
+        self.positions = [model.states.index(name) for name in positions]
+        self.momenta = [model.states.index(name) for name in momenta]
+        self.potential = _Part(model, positions, dtype)
+        self.kinetic = _Part(model, momenta, dtype)
+        self.n_steps = settings.steps
+        self.absolute = settings.loss == "absolute"
+
+    def tables(self, grid: Grid) -> list[Tensor]:
+        """What the loss needs of all intervals: p0, q0, q1, p1, h, monomials of p0."""
+        x0 = grid.y[grid.begin]
+        x1 = grid.y[grid.begin + 1]
+        p0 = torch.tensor(x0[:, self.momenta], dtype=self.dtype)
+        q0 = torch.tensor(x0[:, self.positions], dtype=self.dtype)
+        q1 = torch.tensor(x1[:, self.positions], dtype=self.dtype)
+        p1 = torch.tensor(x1[:, self.momenta], dtype=self.dtype)
+        h = torch.tensor(grid.h[:, None], dtype=self.dtype)
+        return [p0, q0, q1, p1, h, self.kinetic.basis.features(p0)]
 
     def loss(self, theta: Tensor, tables: Sequence[Tensor]) -> Tensor:
+        """Mean distance of the ends of the intervals, of q and of p.
+
+        Args:
+            theta: coefficients (n_terms,).
+            tables: the rows of `tables` that belong to the batch.
+        """
         p, q, q1, p1, h, features = tables
-        T, V, h = (
-            self.kinetic.matrix(theta),
-            self.potential.matrix(theta),
-            h / self.n_steps,
-        )
-        first: Tensor | None = features @ T  # of the data alone
-        for drift, kick in self._stages():
-            slope = (
-                combination(p, None, T, self.kinetic.basis) if first is None else first
-            )
-            q, first = q + drift * h * slope, None
+        T = self.kinetic.matrix(theta)
+        V = self.potential.matrix(theta)
+        h = h / self.n_steps
+        velocity = features @ T  # at the samples, of the data alone
+        for i, (drift, kick) in enumerate(self._stages()):
+            if i > 0:
+                velocity = combination(p, None, T, self.kinetic.basis)
+            q = q + drift * h * velocity
             if kick:
-                p = p - kick * h * combination(q, None, V, self.potential.basis)
+                force = combination(q, None, V, self.potential.basis)
+                p = p - kick * h * force
         if self.absolute:
             return (q1 - q).abs().mean() + (p1 - p).abs().mean()
         return (q1 - q).square().mean() + (p1 - p).square().mean()
 
     def _stages(self) -> Iterator[tuple[float, float]]:
-        """Drifts and kicks of all steps; the last drift of a step and the first of the
-        next are one.
+        """Drifts and kicks of all steps.
+
+        The last drift of a step and the first of the next are one.
         """
         for step in range(self.n_steps):
-            begin = DRIFTS[0] if step == 0 else DRIFTS[0] + DRIFTS[3]
-            yield from zip((begin, DRIFTS[1], DRIFTS[2]), KICKS, strict=True)
-        yield DRIFTS[3], 0.0
+            begin = OUTER_DRIFT if step == 0 else OUTER_DRIFT + OUTER_DRIFT
+            drifts = (begin, INNER_DRIFT, INNER_DRIFT)
+            yield from zip(drifts, KICKS, strict=True)
+        yield OUTER_DRIFT, 0.0

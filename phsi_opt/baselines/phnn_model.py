@@ -1,0 +1,200 @@
+"""The trained pseudo-Hamiltonian network: its energy, its force, its simulation.
+
+It needs no torch: the networks are lists of matrices. Their training is in `phnn`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from phsi_opt.baselines.descent_settings import JointForce
+from phsi_opt.baselines.network_simulation import (
+    Layers,
+    force_variables,
+    input_of,
+    integrated,
+    known_columns,
+    network_values,
+    state_rows,
+)
+from phsi_opt.estimation.result import PARAMETER_COLUMNS
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PHNN:
+    """dx/dt = (S - R) grad H(x) + F with trained networks H and F.
+
+    Attributes:
+        states: names.
+        inputs: names.
+        S: (n_states, n_states), skew-symmetric.
+        damping: R_ii by state.
+        energy_layers: (weight (n_in, n_out), bias) of every layer of H.
+        force_layers: the same of F; () without force.
+        neural: where the force acts and what it depends on; None without force.
+        hold: of the inputs between samples, as the measurements declared it.
+        seconds: wall time of the training.
+        loss_value: (1/m) sum |(x1 - x0)/h - Psi|^2 over all data, without penalty.
+        history: a row per epoch with epoch, loss and n_terms (the number of weights).
+        settings: the settings that were used, as text.
+        method: name of the method.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    S: np.ndarray
+    damping: dict[str, float]
+    energy_layers: Layers
+    force_layers: Layers = ()
+    neural: JointForce | None = None
+    hold: str = "linear"
+    seconds: float = float("nan")
+    loss_value: float = float("nan")
+    history: pd.DataFrame = field(default_factory=pd.DataFrame)
+    settings: str = ""
+    method: str = "PHNN"
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """Table of the damping, with the columns of `Identified.parameters`.
+
+        The weights are not listed.
+        """
+        rows = []
+        for name, value in self.damping.items():
+            bounds = (-np.inf, np.inf)
+            rows.append((f"R_{name}", "R", name, value, np.nan, *bounds, "", False))
+        return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
+
+    def energy(self, x: Any) -> np.ndarray:
+        """H(x) - H(0), (n,), at states x (n, n_states).
+
+        An energy is known up to a constant.
+        """
+        x = state_rows(x, len(self.states))
+        origin = np.zeros_like(x[:1])
+        result: np.ndarray = (self._output(x) - self._output(origin))[:, 0]
+        return result
+
+    def _output(self, x: np.ndarray) -> np.ndarray:
+        """H up to the last bias, (n, 1)."""
+        weight, _ = self.energy_layers[-1]
+        last = hidden_values(self.energy_layers, x)[-1]
+        return np.asarray(last @ weight)
+
+    def efforts(self, x: Any) -> np.ndarray:
+        """grad H, (n, n_states), at states x (n, n_states)."""
+        x = state_rows(x, len(self.states))
+        hidden = hidden_values(self.energy_layers, x)
+        result: np.ndarray = input_gradient(self.energy_layers, hidden)
+        return result
+
+    def force(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
+        """F, (n, n_states); zero without force.
+
+        Args:
+            x: states (n, n_states).
+            t: times (n,), if the force depends on them.
+            u: inputs (n, n_inputs), if the force depends on them.
+
+        Raises:
+            DataError: if x has another shape, or t or u is needed.
+        """
+        x = state_rows(x, len(self.states))
+        result = np.zeros((len(x), len(self.states)))
+        if self.neural is None:
+            return result
+        states = dict(zip(self.states, x.T, strict=True))
+        known = known_columns(states, t, self.inputs, u)
+        v = force_variables(self.neural.variables, known, len(x))
+        rows = [self.states.index(name) for name in self.neural.equations]
+        result[:, rows] = network_values(self.force_layers, v)
+        return result
+
+    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
+        """States (n_samples, n_states) from x0 at t[0], by SciPy.
+
+        Args:
+            t: increasing times (n_samples,).
+            x0: states (n_states,) at t[0].
+            u: inputs (n_samples, n_inputs) at t; None without inputs.
+
+        Raises:
+            DataError: if t, x0 or u does not suit.
+            SolveError: if the solution ends before the last time.
+        """
+        times = np.asarray(t, dtype=float)
+        inputs_at = input_of(times, u, len(self.inputs), self.hold)
+        damping = [self.damping.get(name, 0.0) for name in self.states]
+        structure = self.S - np.diag(damping)
+
+        def rhs(time: float, x: np.ndarray) -> np.ndarray:
+            row = x[None, :]
+            inputs = inputs_at(time)[None, :]
+            inside = self.efforts(row) @ structure.T
+            dx: np.ndarray = (inside + self.force(row, time, inputs))[0]
+            return dx
+
+        return integrated(rhs, t, x0, self.states)
+
+    def equations(self) -> list[str]:
+        """The right-hand sides as text; H and F are networks and have no formula."""
+        lines = [self._equation(i) for i in range(len(self.states))]
+        widths = " x ".join(str(len(bias)) for _, bias in self.energy_layers[:-1])
+        names = ", ".join(self.states)
+        return [*lines, f"H({names}) is a network of {widths} units with tanh"]
+
+    def _equation(self, i: int) -> str:
+        name = self.states[i]
+        parts = []
+        for size, other in zip(np.asarray(self.S)[i], self.states, strict=True):
+            if size:
+                parts.append(f"{size:+.6g}*dH_d{other}")
+        if name in self.damping:
+            parts.append(f"{-self.damping[name]:+.6g}*dH_d{name}")
+        if self.neural is not None and name in self.neural.equations:
+            parts.append(f"+network_{name}({', '.join(self.neural.variables)})")
+        return f"d{name}/dt = {' '.join(parts) or '0'}"
+
+    def __str__(self) -> str:
+        head = f"{self.method}: loss {self.loss_value:.6g}, {self.seconds:.3g} s"
+        return "\n".join([head, *self.equations()])
+
+
+def hidden_values(layers: Sequence[tuple[Any, Any]], v: Any) -> list[Any]:
+    """Values of the hidden layers with tanh, of torch or NumPy alike.
+
+    Args:
+        layers: (weight (n_in, n_out), bias) of every layer.
+        v: inputs (n_rows, n_inputs).
+
+    Returns:
+        (n_rows, n_units) of every hidden layer.
+    """
+    values = []
+    for weight, bias in layers[:-1]:
+        v = v @ weight + bias
+        v = np.tanh(v) if isinstance(v, np.ndarray) else v.tanh()
+        values.append(v)
+    return values
+
+
+def input_gradient(layers: Sequence[tuple[Any, Any]], hidden: Sequence[Any]) -> Any:
+    """Gradient of a network with tanh by its inputs, (n_rows, n_inputs).
+
+    It is written out, so that torch derives only once.
+
+    Args:
+        layers: (weight (n_in, n_out), bias) of every layer; one output.
+        hidden: `hidden_values` at the inputs.
+    """
+    output_weight, _ = layers[-1]
+    slope = output_weight.T * (1 - hidden[-1] ** 2)
+    # Backwards from the last hidden layer but one; the first layer has no tanh before.
+    for (weight, _), value in zip(layers[-2:0:-1], hidden[-2::-1], strict=True):
+        slope = (slope @ weight.T) * (1 - value**2)
+    first_weight, _ = layers[0]
+    return slope @ first_weight.T
