@@ -151,7 +151,7 @@ def henon_data(noise: float = 0.0, n: int = 400) -> ph.Measurements:
 FAST = Descent(learning_rate=1e-2, epochs=40, prune_every=10)
 
 
-# ---- the loss --------------------------------------------------------------------------------------------------------
+# the loss
 
 
 @pytest.mark.parametrize("scheme", INTEGRATORS)
@@ -263,7 +263,7 @@ def test_a_basis_holds_each_monomial_once_and_in_its_place() -> None:
         )
 
 
-# ---- the descent -----------------------------------------------------------------------------------------------------
+# the descent
 
 
 def test_adam_takes_the_steps_of_torchs_adam() -> None:
@@ -480,7 +480,7 @@ def test_the_threads_of_torch_are_restored() -> None:
         torch.set_num_threads(before)
 
 
-# ---- the neural force ------------------------------------------------------------------------------------------------
+# the neural force
 
 
 @pytest.fixture(scope="module")
@@ -560,7 +560,7 @@ def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -
     assert type(hybrid.without_force()) is Baseline
 
 
-# ---- refusals and records --------------------------------------------------------------------------------------------
+# refusals and records
 
 
 @pytest.mark.parametrize(
@@ -660,5 +660,17 @@ def test_a_result_and_its_settings_can_be_printed_and_pickled(
 
 
 def test_importing_the_package_does_not_import_torch() -> None:
-    code = "import sys, phsi_opt, phsi_opt.baselines, phsi_opt.baselines.result; sys.exit('torch' in sys.modules)"
+    code = (
+        "import sys, phsi_opt, phsi_opt.baselines, phsi_opt.baselines.result; "
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_settings_are_made_without_torch() -> None:
+    code = (
+        "import sys, phsi_opt.baselines.descent_settings, "
+        "phsi_opt.baselines.phnn_model, phsi_opt.baselines.joint_force_result; "
+        "sys.exit('torch' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
