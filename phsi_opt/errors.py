@@ -19,7 +19,7 @@ class DataError(PhsiOptError, ValueError):
 
 
 class ModelError(PhsiOptError, ValueError):
-    """A model, a term or an effect contradicts itself or does not fit the measurements."""
+    """A model, a term or an effect contradicts itself or the measurements."""
 
 
 class SolveError(PhsiOptError, RuntimeError):
@@ -27,9 +27,19 @@ class SolveError(PhsiOptError, RuntimeError):
 
 
 def did_you_mean(name: object, options: Iterable[object]) -> str:
-    """`" Did you mean 'x'?"` for the option closest to `name` (ignoring case), `""`
-    when none is close.
+    """The end of a message about an unknown name: a hint at the closest option.
+
+    Args:
+        name: What was asked for.
+        options: What exists; case is ignored in the comparison.
+
+    Returns:
+        ``" Did you mean 'x'?"``, or ``""`` when no option is close.
     """
-    by_lower = {str(option).lower(): str(option) for option in options}
-    matches = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
-    return f" Did you mean {by_lower[matches[0]]!r}?" if matches else ""
+    by_lower_case = {str(option).lower(): str(option) for option in options}
+    asked_for = str(name).lower()
+    matches = difflib.get_close_matches(asked_for, by_lower_case, n=1)
+    if not matches:
+        return ""
+    closest = by_lower_case[matches[0]]
+    return f" Did you mean {closest!r}?"

@@ -1,4 +1,11 @@
-"""TODO."""
+"""The checks that all measurements pass, wherever they come from.
+
+Every check raises `DataError`, which names the offender, its value, what is expected
+and how to repair it. A function called ``checked_...`` returns what it checked, in the
+form in which `Measurements` keeps it. Nothing is repaired, interpolated or scaled here.
+Only the caller knows which file, cell or sample a value came from, so it hands over the
+words for that place.
+"""
 
 import keyword
 from collections import Counter
@@ -11,144 +18,59 @@ import numpy as np
 
 from phsi_opt.errors import DataError, did_you_mean
 
+# what inputs do between samples: interpolate, or keep the sample's value until the next
 HOLDS = ("linear", "zero")
-RESERVED_NAMES = (
-    "t",
-    "trajectory",
-)  # the time in formulas; the first column of to_dataframe
+# the time in formulas; the first column of `Measurements.to_dataframe`
+RESERVED_NAMES = ("t", "trajectory")
 RESERVED_PREFIX = "dH_d"  # formulas write dH_dp for the velocity dH/dp
-LARGEST = (
-    1e100  # squares of larger values leave the range of float64 in sums of squares
-)
+# sums of squares of larger values come near the end of the range of float64, 1.8e308
+LARGEST_VALUE = 1e100
 
 
-def read_only_floats(values: Any, n_axes: int, where: str) -> np.ndarray:
-    """A read-only float64 copy; masked entries become NaN, which says that they were
-    not measured.
+def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
+    """A read-only float64 copy of an array.
+
+    Args:
+        values: Real numbers, (n_samples,) or (n_samples, n_channels). Masked entries
+            become NaN, which says that they were not measured.
+        n_axes: The number of axes that the array must have, 1 or 2.
+        title: What messages call the array.
+
+    Returns:
+        The copy, in the same shape.
+
+    Raises:
+        DataError: The values are no regular array, not real, or in another shape.
     """
     try:
         array = np.ma.asanyarray(values)
     except ValueError as error:
         raise DataError(
-            f"{where} is not a regular array ({error}); every row must have the same length."
+            f"{title} is not a regular array ({error}); "
+            "every row must have the same length."
         ) from error
     if array.dtype.kind not in "biuf":
         raise DataError(
-            f"{where} has the type {array.dtype}; expected real numbers, NaN where nothing was measured."
+            f"{title} has the type {array.dtype}; "
+            "expected real numbers, NaN where nothing was measured."
         )
     if array.ndim != n_axes:
         expected = "(n_samples,)" if n_axes == 1 else "(n_samples, n_channels)"
         raise DataError(
-            f"{where} has the shape {array.shape}; expected {expected}. Reshape the array."
+            f"{title} has the shape {array.shape}; expected {expected}. "
+            "Reshape the array."
         )
-    floats: np.ndarray = np.array(array.astype(np.float64).filled(np.nan))
+    filled = array.astype(np.float64).filled(np.nan)
+    floats: np.ndarray = np.array(filled)
     floats.flags.writeable = False
     return floats
 
 
-def check_values(
-    values: np.ndarray, where: Callable[[int], str], may_be_missing: bool
-) -> None:
-    """Refuse infinite and huge values, and NaN unless a sample may be missing; `where`
-    names the i-th value.
+def with_channel_axis(values: Any) -> Any:
+    """(n_samples,) as (n_samples, 1); everything else as it is.
+
+    What is no array passes: `read_only_floats` refuses it, where its name is known.
     """
-    bad = np.abs(values) > LARGEST
-    if not may_be_missing:
-        bad |= np.isnan(values)
-    if not bad.any():
-        return
-    i = int(np.argmax(bad))
-    if np.isnan(values[i]):
-        problem = "is nan; times and inputs must be known at every sample. Drop the sample or fill the gap."
-    elif np.isinf(values[i]):
-        problem = f"is {values[i]}; expected a finite value. Correct it; a state that was not measured is NaN."
-    else:
-        problem = f"is {values[i]}; expected at most {LARGEST:g} in size. Correct it or choose a larger unit."
-    raise DataError(f"{where(i)} {problem}")
-
-
-def checked_names(names: Any, what: str) -> tuple[str, ...]:
-    if isinstance(names, str) or not isinstance(names, Sequence):
-        raise DataError(
-            f"{what}={names!r} is not a list of names; expected e.g. {what}=['a', 'b']."
-        )
-    if what == "states" and not names:
-        raise DataError("states=[] names no state; expected at least one.")
-    for name in names:
-        if (
-            not isinstance(name, str)
-            or not name.isidentifier()
-            or keyword.iskeyword(name)
-        ):
-            raise DataError(
-                f"{what}: {name!r} cannot be used in a formula; expected letters, digits, _ as in 'q_1'."
-            )
-        if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIX):
-            raise DataError(
-                f"{what}: the name {name!r} is reserved (the time 't', the column 'trajectory', the derivatives "
-                f"'{RESERVED_PREFIX}...'); choose another name and map it to the column."
-            )
-    return tuple(names)
-
-
-def check_unique(names: Sequence[str], what: str) -> None:
-    twice = [(name, n_uses) for name, n_uses in Counter(names).items() if n_uses > 1]
-    if twice:
-        name, n_uses = twice[0]
-        raise DataError(
-            f"the {what} {name!r} is used {n_uses} times; each must be used once. Rename one."
-        )
-
-
-def checked_units(units: Any, names: tuple[str, ...]) -> Mapping[str, str]:
-    _check_keys(units, names, "units")
-    for name, unit in units.items():
-        if not isinstance(unit, str):
-            raise DataError(
-                f"units: {name!r} has the unit {unit!r}; expected text such as 'm', or '' when unknown."
-            )
-    return MappingProxyType({name: units.get(name, "") for name in names})
-
-
-def checked_noise(noise: Any, states: tuple[str, ...]) -> Mapping[str, float] | None:
-    if noise is None:
-        return None
-    _check_keys(noise, states, "noise")
-    for name, sigma in noise.items():
-        if not isinstance(sigma, Real) or not 0 < float(sigma) < np.inf:
-            raise DataError(
-                f"noise: {name!r} has the standard deviation {sigma!r}; expected a positive number in the "
-                "state's unit. Leave it out when it is unknown."
-            )
-    return MappingProxyType({name: float(sigma) for name, sigma in noise.items()})
-
-
-def _check_keys(mapping: Any, names: tuple[str, ...], what: str) -> None:
-    if not isinstance(mapping, Mapping):
-        raise DataError(
-            f"{what}={mapping!r} is not a mapping; expected e.g. {{{names[-1]!r}: ...}}."
-        )
-    for name in mapping:
-        if name not in names:
-            hint = did_you_mean(name, names)
-            raise DataError(
-                f"{what} names the unknown {name!r}; expected names of {list(names)}.{hint}"
-            )
-
-
-def as_tuple(values: Any) -> Any:
-    """Lists and other sequences as tuples; texts and what is no sequence stay as they
-    are, to be refused by name.
-    """
-    return (
-        tuple(values)
-        if isinstance(values, Sequence) and not isinstance(values, str)
-        else values
-    )
-
-
-def as_columns(values: Any) -> Any:
-    """(n,) as (n, 1); everything else as it is, to be checked where its name is known."""
     try:
         array = np.ma.asanyarray(values)
     except ValueError:
@@ -156,20 +78,179 @@ def as_columns(values: Any) -> Any:
     return array[:, np.newaxis] if array.ndim == 1 else array
 
 
-def numbered(prefix: str, n: int) -> list[str]:
-    return [f"{prefix}{i}" for i in range(1, n + 1)]
+def check_values(
+    values: np.ndarray, place_of: Callable[[int], str], may_be_missing: bool
+) -> None:
+    """Refuse infinite and huge values, and NaN where no sample may be missing.
+
+    Args:
+        values: One channel, (n_samples,).
+        place_of: The words for the place of the i-th value.
+        may_be_missing: Whether NaN is allowed.
+
+    Raises:
+        DataError: A value cannot be used; the first one is named.
+    """
+    is_bad = np.abs(values) > LARGEST_VALUE
+    if not may_be_missing:
+        is_bad |= np.isnan(values)
+    if not is_bad.any():
+        return
+    i = int(np.argmax(is_bad))
+    raise DataError(f"{place_of(i)} {_what_is_wrong(values[i])}")
 
 
-def check_same_length(sizes: Mapping[str, Any], expected: str) -> None:
-    lengths = {
-        name: len(value) if hasattr(value, "__len__") else None
-        for name, value in sizes.items()
-    }
+def _what_is_wrong(value: float) -> str:
+    if np.isnan(value):
+        return (
+            "is nan; times and inputs must be known at every sample. "
+            "Drop the sample or fill the gap."
+        )
+    if np.isinf(value):
+        return (
+            f"is {value}; expected a finite value. "
+            "Correct it; a state that was not measured is NaN."
+        )
+    return (
+        f"is {value}; expected at most {LARGEST_VALUE:g} in size. "
+        "Correct it or choose a larger unit."
+    )
+
+
+def check_same_length(sequences: Mapping[str, Any], expected: str) -> None:
+    """Refuse sequences of different lengths.
+
+    Args:
+        sequences: What must have one length, by the name that messages use.
+        expected: The rule in words, such as "one entry per trajectory".
+
+    Raises:
+        DataError: The lengths differ, or one of the values has no length.
+    """
+    lengths = {}
+    for name, values in sequences.items():
+        lengths[name] = len(values) if hasattr(values, "__len__") else None
     if len(set(lengths.values())) > 1:
         raise DataError(
-            f"the lengths differ: {lengths}; expected {expected}. Check that the lists belong together."
+            f"the lengths differ: {lengths}; expected {expected}. "
+            "Check that the lists belong together."
         )
 
 
-def counted(n: int, one: str, many: str) -> str:
-    return f"{n} {one if n == 1 else many}"
+def check_unique(names: Sequence[str], what: str) -> None:
+    """Refuse a name that is used more than once.
+
+    Args:
+        names: The names.
+        what: What messages call one of them, such as "trajectory name".
+
+    Raises:
+        DataError: A name is used twice or more; the first one is named.
+    """
+    for name, n_uses in Counter(names).items():
+        if n_uses > 1:
+            raise DataError(
+                f"the {what} {name!r} is used {n_uses} times; "
+                "each must be used once. Rename one."
+            )
+
+
+def checked_names(names: Any, what: str) -> tuple[str, ...]:
+    """Names of channels that formulas can use.
+
+    Args:
+        names: A list or tuple of names.
+        what: "states" or "inputs"; there must be at least one state.
+
+    Returns:
+        The names as a tuple.
+
+    Raises:
+        DataError: This is no list of names, or a name is no identifier or is reserved.
+    """
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise DataError(
+            f"{what}={names!r} is not a list of names; expected e.g. {what}=['a', 'b']."
+        )
+    if what == "states" and not names:
+        raise DataError("states=[] names no state; expected at least one.")
+    for name in names:
+        _check_name(name, what)
+    return tuple(names)
+
+
+def _check_name(name: Any, what: str) -> None:
+    is_identifier = isinstance(name, str) and name.isidentifier()
+    if not is_identifier or keyword.iskeyword(name):
+        raise DataError(
+            f"{what}: {name!r} cannot be used in a formula; "
+            "expected letters, digits, _ as in 'q_1'."
+        )
+    if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIX):
+        raise DataError(
+            f"{what}: the name {name!r} is reserved (the time 't', "
+            f"the column 'trajectory', the derivatives '{RESERVED_PREFIX}...'); "
+            "choose another name and map it to the column."
+        )
+
+
+def checked_units(units: Any, names: tuple[str, ...]) -> Mapping[str, str]:
+    """The unit of every name, "" where none is given, as a read-only mapping.
+
+    Raises:
+        DataError: ``units`` is no mapping from these names to texts.
+    """
+    _check_keys(units, names, "units")
+    for name, unit in units.items():
+        if not isinstance(unit, str):
+            raise DataError(
+                f"units: {name!r} has the unit {unit!r}; "
+                "expected text such as 'm', or '' when unknown."
+            )
+    return MappingProxyType({name: units.get(name, "") for name in names})
+
+
+def checked_noise(noise: Any, states: tuple[str, ...]) -> Mapping[str, float] | None:
+    """Standard deviations of the noise by state, as a read-only mapping; None stays.
+
+    Raises:
+        DataError: ``noise`` is no mapping from these states to positive numbers.
+    """
+    if noise is None:
+        return None
+    _check_keys(noise, states, "noise")
+    for name, sigma in noise.items():
+        if not isinstance(sigma, Real) or not 0 < float(sigma) < np.inf:
+            raise DataError(
+                f"noise: {name!r} has the standard deviation {sigma!r}; "
+                "expected a positive number in the state's unit. "
+                "Leave it out when it is unknown."
+            )
+    return MappingProxyType({name: float(sigma) for name, sigma in noise.items()})
+
+
+def _check_keys(mapping: Any, names: tuple[str, ...], what: str) -> None:
+    if not isinstance(mapping, Mapping):
+        raise DataError(
+            f"{what}={mapping!r} is not a mapping; "
+            f"expected e.g. {{{names[-1]!r}: ...}}."
+        )
+    for name in mapping:
+        if name not in names:
+            hint = did_you_mean(name, names)
+            raise DataError(
+                f"{what} names the unknown {name!r}; "
+                f"expected names of {list(names)}.{hint}"
+            )
+
+
+def checked_hold(hold: Any) -> str:
+    """What inputs do between samples, one of `HOLDS`.
+
+    Raises:
+        DataError: It is none of them.
+    """
+    if hold not in HOLDS:
+        hint = did_you_mean(hold, HOLDS)
+        raise DataError(f"hold={hold!r} is unknown; expected 'linear' or 'zero'.{hint}")
+    return str(hold)

@@ -3,57 +3,65 @@
 Every later step relies on what is checked here: times increase, inputs are known at
 every sample, states are finite or NaN (not measured), names can be used in formulas.
 Values are reported when they are wrong, never repaired, interpolated, scaled or
-filtered. Reading files and data frames is here too, because a message about a bad value
-has to name the line and the column it came from.
+filtered. How tables are read is told in `tables`, which column is what in `layout`, how
+integration steps join in `pairs`.
 """
 
 import hashlib
-import operator
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from numbers import Real
 from typing import Any, Self
 
 import numpy as np
 import pandas as pd
 
+from phsi_opt.data.arrays import trajectories_in_arrays
 from phsi_opt.data.checks import (
-    HOLDS,
-    as_columns,
-    as_tuple,
-    check_same_length,
     check_unique,
+    checked_hold,
     checked_names,
     checked_noise,
     checked_units,
-    counted,
-    numbered,
 )
-from phsi_opt.data.pairs import check_pair_times, pair_arrays, pair_inputs, same_rows
-from phsi_opt.data.tables import (
-    ColumnMap,
-    Layout,
-    Source,
-    Table,
-    column_map,
-    csv_tables,
-    sources,
-    trajectories,
+from phsi_opt.data.layout import ColumnMap, Layout, table_layout, trajectories_in
+from phsi_opt.data.pairs import check_pairs, input_ends, pair_ends, runs_of_pairs
+from phsi_opt.data.selection import (
+    checked_fraction,
+    number_of_trajectory,
+    size_of_first_part,
 )
-from phsi_opt.data.trajectory import Trajectory, check_channels
-from phsi_opt.errors import DataError, did_you_mean
+from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
+from phsi_opt.data.text_files import Source, text_files
+from phsi_opt.data.trajectory import (
+    Trajectory,
+    check_channels,
+    checked_trajectories,
+    part_of,
+)
+from phsi_opt.data.wording import extent_of, in_brackets, number_of, numbered_names
+from phsi_opt.errors import DataError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements:
     """Several trajectories of the same channels, with names, units and noise levels.
 
-    `units` holds every state, input and "t" ("" when unknown). `hold` says what inputs
-    do between samples: "linear" interpolation, or "zero" (the sample's value is kept
-    until the next sample). `noise` holds standard deviations of the measurement noise
-    by state, in the state's unit; None, or a state left out: unknown. Raises
-    `DataError`.
+    Made by `from_csv`, `from_dataframe`, `from_arrays` or `from_pairs`.
+
+    Attributes:
+        trajectories: At least one `Trajectory`, each under a name of its own.
+        states: The names of the states, one for each column of x.
+        inputs: The names of the inputs, one for each column of u.
+        units: The unit of every state and input and of the time "t", "" when unknown.
+        hold: What inputs do between samples: "linear" interpolation, or "zero" (the
+            sample's value is kept until the next sample).
+        noise: Standard deviations of the measurement noise by state, in the state's
+            unit; None, or a state left out: unknown.
+
+    Raises:
+        DataError: A name, a value, a unit or a noise level cannot be used.
     """
 
     trajectories: tuple[Trajectory, ...]
@@ -64,28 +72,22 @@ class Measurements:
     noise: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
-        trajectories = _checked_trajectories(self.trajectories)
-        states, inputs = (
-            checked_names(self.states, "states"),
-            checked_names(self.inputs, "inputs"),
-        )
+        trajectories = checked_trajectories(self.trajectories)
+        states = checked_names(self.states, "states")
+        inputs = checked_names(self.inputs, "inputs")
         check_unique(states + inputs, "name")
-        if self.hold not in HOLDS:
-            hint = did_you_mean(self.hold, HOLDS)
-            raise DataError(
-                f"hold={self.hold!r} is unknown; expected 'linear' or 'zero'.{hint}"
-            )
         checked = {
             "trajectories": trajectories,
             "states": states,
             "inputs": inputs,
+            "hold": checked_hold(self.hold),
             "units": checked_units(self.units, ("t", *states, *inputs)),
             "noise": checked_noise(self.noise, states),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        for trajectory in trajectories:
-            check_channels(trajectory, states, inputs)
+        for run in trajectories:
+            check_channels(run, states, inputs)
 
     @classmethod
     def from_csv(
@@ -100,29 +102,30 @@ class Measurements:
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
-        """Read text tables with a header line: UTF-8, decimal points, separated by
-        comma, semicolon or tab.
+        """Read text tables with a header line.
 
-        `source` is a path, an open text file, or several of them: then each file is a
-        trajectory of its own. `time` and `trajectory` name columns; each value in the
-        column `trajectory` is one trajectory, whose lines need not be contiguous but
-        keep their order. `states` and `inputs` map names to columns (or list columns
-        whose names they share); a state mapped to None was not measured. Empty cells,
-        nan and NA are missing samples. Raises `DataError` with file, column and line
-        number (the header is line 1 when it is the file's first).
+        The text is UTF-8 with decimal points, separated by comma, semicolon or tab.
+        Empty cells, nan and NA are missing samples.
+
+        Args:
+            source: A path, an open text file, or several of them: then each file is a
+                trajectory of its own.
+            time: The column of the times.
+            states: Maps names to columns (or lists columns whose names they share); a
+                state mapped to None was not measured.
+            inputs: The same for the inputs, which must be measured.
+            trajectory: The column that names each line's trajectory. The lines of one
+                trajectory need not be contiguous but keep their order.
+            hold, units, noise: As the attributes of `Measurements`.
+
+        Raises:
+            DataError: Something cannot be used; with file, column and line number (the
+                header is line 1 when it is the file's first).
         """
-        layout = Layout(
-            time, column_map(states, "states"), column_map(inputs, "inputs"), trajectory
-        )
-        runs = trajectories(csv_tables(sources(source), layout), layout)
-        return cls(
-            runs,
-            tuple(layout.states),
-            tuple(layout.inputs),
-            {} if units is None else units,
-            hold,
-            noise,
-        )
+        layout = table_layout(time, states, inputs, trajectory)
+        columns = layout.columns()
+        tables = [table_of_csv(file, columns) for file in text_files(source)]
+        return cls._from_tables(tables, layout, units, hold, noise)
 
     @classmethod
     def from_dataframe(
@@ -137,24 +140,31 @@ class Measurements:
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
-        """As `from_csv`, from a data frame, which is not changed; messages name the row
-        by its label in the index.
+        """Read a data frame, which is not changed; otherwise as `from_csv`.
+
+        Raises:
+            DataError: Something cannot be used; with the row's label in the index.
         """
-        if not isinstance(frame, pd.DataFrame):
-            raise DataError(
-                f"frame is a {type(frame).__name__}; expected a pandas.DataFrame (files: from_csv)."
-            )
-        layout = Layout(
-            time, column_map(states, "states"), column_map(inputs, "inputs"), trajectory
-        )
-        runs = trajectories([Table("data frame", "row", frame, "run 1")], layout)
+        table = table_of_frame(frame)
+        layout = table_layout(time, states, inputs, trajectory)
+        return cls._from_tables([table], layout, units, hold, noise)
+
+    @classmethod
+    def _from_tables(
+        cls,
+        tables: Sequence[Table],
+        layout: Layout,
+        units: Mapping[str, str] | None,
+        hold: str,
+        noise: Mapping[str, float] | None,
+    ) -> Self:
         return cls(
-            runs,
-            tuple(layout.states),
-            tuple(layout.inputs),
-            {} if units is None else units,
-            hold,
-            noise,
+            trajectories_in(tables, layout),
+            states=tuple(layout.states),
+            inputs=tuple(layout.inputs),
+            units={} if units is None else units,
+            hold=hold,
+            noise=noise,
         )
 
     @classmethod
@@ -171,32 +181,32 @@ class Measurements:
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
-        """One trajectory from t (n_samples,), x (n_samples, n_states), u (n_samples,
-        n_inputs), or lists of those.
+        """One trajectory from three arrays, or several from lists of arrays.
 
-        A single state or input may be (n_samples,). Inputs are called u1, u2, ... and
-        trajectories "run 1", "run 2", ... unless `inputs` and `names` say otherwise.
+        Args:
+            t: Times, (n_samples,).
+            x: States, (n_samples, n_states), or (n_samples,) for a single state; NaN
+                where not measured.
+            u: Inputs, (n_samples, n_inputs), or (n_samples,) for a single input.
+            states: The names of the states.
+            inputs: The names of the inputs, u1, u2, ... where none are given.
+            names: The names of the trajectories, "run 1", "run 2", ... where none are
+                given.
+            hold, units, noise: As the attributes of `Measurements`.
+
+        Raises:
+            DataError: Something cannot be used.
         """
-        several = isinstance(t, list | tuple) and len(t) > 0 and np.ndim(t[0]) > 0
-        ts, xs, us = (t, x, u) if several else ([t], [x], None if u is None else [u])
-        us = [np.empty((np.size(t_run), 0)) for t_run in ts] if us is None else us
-        names = numbered("run ", len(ts)) if names is None else names
-        check_same_length(
-            {"t": ts, "x": xs, "u": us, "names": names}, "one entry per trajectory"
-        )
-        rows = zip(names, ts, xs, us, strict=True)
-        runs = tuple(
-            Trajectory(name, t_run, as_columns(x_run), as_columns(u_run))
-            for name, t_run, x_run, u_run in rows
-        )
-        inputs = numbered("u", runs[0].u.shape[1]) if inputs is None else inputs
+        trajectories = trajectories_in_arrays(t, x, u, names)
+        if inputs is None:
+            inputs = numbered_names("u", trajectories[0].u.shape[1])
         return cls(
-            runs,
-            as_tuple(states),
-            as_tuple(inputs),
-            {} if units is None else units,
-            hold,
-            noise,
+            trajectories,
+            states=checked_names(states, "states"),
+            inputs=checked_names(inputs, "inputs"),
+            units={} if units is None else units,
+            hold=hold,
+            noise=noise,
         )
 
     @classmethod
@@ -215,62 +225,73 @@ class Measurements:
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
-        """From integration steps: x_start, x_end (n_pairs, n_states), t_start, t_end
-        (n_pairs,), u (n_pairs, n_inputs).
+        """From integration steps, each given by its start and its end.
 
         A pair which starts exactly where the pair before it ended (same time, same
         state, same input) continues its trajectory; any other pair starts a new one.
         With hold="zero" the input at the end of a pair acts on nothing: it is not
-        compared, and `u_end` may be left out. States are called x1, x2, ... unless
-        `states` says otherwise.
+        compared, and ``u_end`` may be left out.
+
+        Args:
+            x_start: States at the starts, (n_pairs, n_states); a single state may be
+                (n_pairs,).
+            x_end: States at the ends, the same shape.
+            t_start: Times of the starts, (n_pairs,).
+            t_end: Times of the ends, (n_pairs,).
+            states: The names of the states, x1, x2, ... where none are given.
+            u_start: Inputs at the starts, (n_pairs, n_inputs).
+            u_end: Inputs at the ends, the same shape.
+            inputs: The names of the inputs, u1, u2, ... where none are given.
+            hold, units, noise: As the attributes of `Measurements`.
+
+        Raises:
+            DataError: Something cannot be used.
         """
-        x0, x1 = pair_arrays(x_start, x_end, 2, "x")
-        t0, t1 = pair_arrays(t_start, t_end, 1, "t")
-        u0, u1 = pair_inputs(u_start, u_end, len(t0), hold)
-        check_same_length(
-            {"x_start": x0, "t_start": t0, "u_start": u0}, "one row per pair"
-        )
-        check_pair_times(t0, t1)
-        follows = (t0[1:] == t1[:-1]) & same_rows(x0[1:], x1[:-1])
-        if hold != "zero":
-            follows &= same_rows(u0[1:], u1[:-1])
-        runs = np.split(np.arange(len(t0)), np.flatnonzero(~follows) + 1)
-        t, x, u = (
-            [np.concatenate([a[rows], b[rows[-1:]]]) for rows in runs]
-            for a, b in ((t0, t1), (x0, x1), (u0, u1))
-        )
-        states = numbered("x", x0.shape[1]) if states is None else states
+        x = pair_ends(x_start, x_end, "x", n_axes=2)
+        t = pair_ends(t_start, t_end, "t", n_axes=1)
+        u = input_ends(u_start, u_end, len(t.start), hold)
+        check_pairs(t, x, u)
+        runs = runs_of_pairs(t, x, u, hold)
+        if states is None:
+            states = numbered_names("x", x.start.shape[1])
         return cls.from_arrays(
-            t, x, u, states=states, inputs=inputs, hold=hold, units=units, noise=noise
+            t.joined(runs),
+            x.joined(runs),
+            u.joined(runs),
+            states=states,
+            inputs=inputs,
+            hold=hold,
+            units=units,
+            noise=noise,
         )
 
     @property
     def n_states(self) -> int:
+        """The number of states, measured or not."""
         return len(self.states)
 
     @property
     def n_inputs(self) -> int:
+        """The number of inputs."""
         return len(self.inputs)
 
     @property
     def n_trajectories(self) -> int:
+        """The number of trajectories."""
         return len(self.trajectories)
 
     @property
     def n_samples(self) -> int:
         """Samples of all trajectories together."""
-        return sum(trajectory.n_samples for trajectory in self.trajectories)
+        return sum(run.n_samples for run in self.trajectories)
 
     @property
     def measured(self) -> tuple[str, ...]:
         """The states with at least one finite value."""
-        seen = np.any(
-            [np.isfinite(trajectory.x).any(axis=0) for trajectory in self.trajectories],
-            axis=0,
-        )
-        return tuple(
-            name for name, is_seen in zip(self.states, seen, strict=True) if is_seen
-        )
+        is_measured = np.zeros(self.n_states, dtype=bool)
+        for run in self.trajectories:
+            is_measured |= np.isfinite(run.x).any(axis=0)
+        return tuple(itertools.compress(self.states, is_measured))
 
     @cached_property
     def digest(self) -> str:
@@ -286,15 +307,15 @@ class Measurements:
         return digest.hexdigest()
 
     def __len__(self) -> int:
+        """The number of trajectories."""
         return self.n_trajectories
 
     def __iter__(self) -> Iterator[Trajectory]:
+        """The trajectories in order."""
         return iter(self.trajectories)
 
     def __getitem__(self, key: int | slice | str) -> Self:
-        """The measurements of one trajectory (by position or name) or of several (by
-        slice).
-        """
+        """The measurements of one trajectory (by number or name) or of a slice."""
         if isinstance(key, slice):
             return replace(self, trajectories=self.trajectories[key])
         number = self.trajectory_number(key)
@@ -315,134 +336,101 @@ class Measurements:
             DataError: There is no such trajectory.
         """
         names = [run.name for run in self.trajectories]
-        if isinstance(trajectory, str):
-            if trajectory in names:
-                return names.index(trajectory)
-            hint = did_you_mean(trajectory, names)
-            raise DataError(
-                f"there is no trajectory {trajectory!r}; expected one of {names}.{hint}"
-            )
-        if not hasattr(trajectory, "__index__"):
-            raise DataError(
-                f"trajectory {trajectory!r} is unknown; expected a name of {names} "
-                "or a number, counted from 0."
-            )
-        number = operator.index(trajectory)
-        if not -len(names) <= number < len(names):
-            raise DataError(
-                f"there is no trajectory {number}; there are {len(names)}, "
-                f"counted from 0: {names}."
-            )
-        return number % len(names)
+        return number_of_trajectory(names, trajectory)
 
     def split(self, fraction: float = 0.7) -> tuple[Self, Self]:
-        """(train, test): the first `fraction` (0 < fraction < 1) of the trajectories,
-        and the others.
+        """Training and test data: the first trajectories, and the others.
 
         A single trajectory is cut in time instead: its first round(fraction *
         n_samples) samples, and the samples after them. Nothing is drawn at random: the
         order of the file decides. Each part has at least one trajectory, or two
         samples, and no sample is in both.
+
+        Args:
+            fraction: The share of the training data, between 0 and 1.
+
+        Returns:
+            The training data and the test data.
+
+        Raises:
+            DataError: The fraction is not between 0 and 1, or a single trajectory has
+                fewer than 4 samples.
         """
-        if not isinstance(fraction, Real) or not 0 < float(fraction) < 1:
-            raise DataError(
-                f"fraction={fraction!r} is not between 0 and 1; give the training data's share, e.g. 0.7."
-            )
-        if self.n_trajectories > 1:
-            cut = _share(float(fraction), self.n_trajectories, 1)
-            return self[:cut], self[cut:]
-        run = self.trajectories[0]
+        share = checked_fraction(fraction)
+        if self.n_trajectories == 1:
+            return self._split_in_time(share)
+        n_train = size_of_first_part(self.n_trajectories, share, at_least=1)
+        return self[:n_train], self[n_train:]
+
+    def _split_in_time(self, share: float) -> tuple[Self, Self]:
+        (run,) = self.trajectories
         if run.n_samples < 4:
             raise DataError(
-                f"trajectory {run.name!r} has {run.n_samples} samples; a split in time needs at least 4."
+                f"trajectory {run.name!r} has {run.n_samples} samples; "
+                "a split in time needs at least 4."
             )
-        cut = _share(float(fraction), run.n_samples, 2)
-        parts = [
-            Trajectory(run.name, run.t[rows], run.x[rows], run.u[rows])
-            for rows in (slice(cut), slice(cut, None))
-        ]
-        return replace(self, trajectories=(parts[0],)), replace(
-            self, trajectories=(parts[1],)
-        )
+        n_train = size_of_first_part(run.n_samples, share, at_least=2)
+        train = part_of(run, slice(n_train))
+        test = part_of(run, slice(n_train, None))
+        return replace(self, trajectories=(train,)), replace(self, trajectories=(test,))
 
     def with_noise(self, noise: Mapping[str, float] | None) -> Self:
-        """The same measurements with other standard deviations of the noise."""
+        """The same measurements with other standard deviations of the noise.
+
+        Args:
+            noise: Standard deviations by state, in the state's unit; None: unknown.
+
+        Raises:
+            DataError: A name is no state, or a value is not positive.
+        """
         return replace(self, noise=noise)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row per sample, with the columns trajectory, t, the states and the
-        inputs.
+        """All samples as a table.
+
+        Returns:
+            One row per sample, with the columns trajectory, t, the states and the
+            inputs.
         """
-        names = np.repeat(
-            [trajectory.name for trajectory in self],
-            [trajectory.n_samples for trajectory in self],
-        )
-        values = np.concatenate(
-            [np.column_stack([run.t, run.x, run.u]) for run in self]
-        )
-        frame = pd.DataFrame(values, columns=["t", *self.states, *self.inputs])
-        frame.insert(0, "trajectory", names.tolist())
+        names: list[str] = []
+        rows = []
+        for run in self.trajectories:
+            names.extend([run.name] * run.n_samples)
+            rows.append(np.column_stack([run.t, run.x, run.u]))
+        columns = ["t", *self.states, *self.inputs]
+        frame = pd.DataFrame(np.concatenate(rows), columns=columns)
+        frame.insert(0, "trajectory", names)
         return frame
 
     def __repr__(self) -> str:
-        first, last = min(run.t[0] for run in self), max(run.t[-1] for run in self)
-        counts = f"{counted(self.n_trajectories, 'trajectory', 'trajectories')}, {self.n_samples} samples"
-        lines = [
-            f"Measurements: {counts}, t = {first:g} to {last:g}{_unit(self.units['t'])}"
-        ]
-        for word, names, label in (
-            ("state", self.states, "x"),
-            ("input", self.inputs, "u"),
-        ):
-            values = np.concatenate([getattr(run, label) for run in self])
-            for name, column in zip(names, values.T, strict=True):
-                noise = (
-                    f", noise {self.noise[name]:g}"
-                    if self.noise and name in self.noise
-                    else ""
-                )
-                lines.append(
-                    f"  {word} {name}{_unit(self.units[name])}: {_summary(column)}{noise}"
-                )
+        """Number of trajectories and samples, span of time, and a line per channel."""
+        samples = self.to_dataframe()
+        runs = number_of(self.n_trajectories, "trajectory", "trajectories")
+        span = f"t = {samples['t'].min():g} to {samples['t'].max():g}"
+        unit = in_brackets(self.units["t"])
+        lines = [f"Measurements: {runs}, {self.n_samples} samples, {span}{unit}"]
+        for name in self.states:
+            lines.append(f"  state {self._channel_line(name, samples)}")
+        for name in self.inputs:
+            lines.append(f"  input {self._channel_line(name, samples)}")
         return "\n".join(lines)
 
-    def __reduce__(self) -> tuple[Any, ...]:  # a mappingproxy cannot be pickled
-        noise = None if self.noise is None else dict(self.noise)
-        return type(self), (
+    def _channel_line(self, name: str, samples: pd.DataFrame) -> str:
+        unit = in_brackets(self.units[name])
+        extent = extent_of(samples[name].to_numpy())
+        line = f"{name}{unit}: {extent}"
+        if self.noise and name in self.noise:
+            line += f", noise {self.noise[name]:g}"
+        return line
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Through the constructor, because a mappingproxy cannot be pickled."""
+        arguments = (
             self.trajectories,
             self.states,
             self.inputs,
             dict(self.units),
             self.hold,
-            noise,
+            None if self.noise is None else dict(self.noise),
         )
-
-
-def _checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
-    runs = as_tuple(trajectories)
-    if not isinstance(runs, tuple) or not runs:
-        raise DataError(
-            f"trajectories={trajectories!r}; expected a list or tuple of at least one Trajectory."
-        )
-    for i, run in enumerate(runs):
-        if not isinstance(run, Trajectory):
-            raise DataError(
-                f"trajectories[{i}] is a {type(run).__name__}; expected a Trajectory (see from_arrays)."
-            )
-    check_unique([run.name for run in runs], "trajectory name")
-    return runs
-
-
-def _share(fraction: float, n: int, at_least: int) -> int:
-    return min(max(round(fraction * n), at_least), n - at_least)
-
-
-def _unit(unit: str) -> str:
-    return f" [{unit}]" if unit else ""
-
-
-def _summary(values: np.ndarray) -> str:
-    seen = values[np.isfinite(values)]
-    if not seen.size:
-        return "not measured"
-    return f"{seen.size} of {values.size} samples measured, {seen.min():g} to {seen.max():g}"
+        return type(self), arguments

@@ -2,7 +2,7 @@
 
 Each sample is predicted by the cubic through its four neighbours; what is left is noise
 (and curvature that the sampling does not resolve, which is why this is only a first
-guess: `missing` estimates the noise with a model).
+guess: `missing_force` estimates the noise with a model).
 """
 
 import numpy as np
@@ -10,91 +10,148 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
 
-
-def difference_noise(data: Measurements) -> np.ndarray:
-    """Standard deviation of the noise per state, (n_states,); NaN where a state has too
-    few samples.
-    """
-    return np.array(
-        [
-            _channel([(r.t, r.x[:, k]) for r in data.trajectories])
-            for k in range(data.n_states)
-        ]
-    )
-
-
-def _channel(runs: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    errors = [
-        _standardised(t[np.isfinite(y)], y[np.isfinite(y)])
-        for t, y in runs
-        if np.isfinite(y).sum() >= 5
-    ]
-    if not errors:
-        return np.nan
-    # The median is not moved by the few samples at a jump of the force; 0.6745 turns it
-    # into a standard deviation.
-    return float(np.median(np.abs(np.concatenate(errors))) / 0.6745)
-
-
-def _standardised(t: np.ndarray, y: np.ndarray) -> np.ndarray:
-    offsets = (-2, -1, 1, 2)
-    middle = np.arange(2, len(t) - 2)
-    weights = [
-        np.prod(
-            [
-                (t[middle] - t[middle + j]) / (t[middle + i] - t[middle + j])
-                for j in offsets
-                if j != i
-            ],
-            axis=0,
-        )
-        for i in offsets
-    ]
-    predicted = sum(w * y[middle + i] for w, i in zip(weights, offsets, strict=True))
-    spread = np.sqrt(1 + sum(w**2 for w in weights))
-    return (y[middle] - predicted) / spread
-
+NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the middle
+N_STENCIL = 5  # samples of a channel and a trajectory below which it tells no noise
+MEDIAN_OF_NORMAL = 0.6745  # median of |z| for a standard normal z
 
 # least noise that is assumed, as a share of the spread of a channel: weights stay
 # within double precision
-CLEANEST = 1e-5
+LEAST_NOISE_SHARE = 1e-5
+# share of a channel's spread with which the estimation starts where no trajectory has
+# enough samples for `difference_noise`
+UNKNOWN_NOISE_SHARE = 0.1
+# share of a channel's size below which its spread is nothing but rounding
+ROUNDING_SHARE = 1e-12
+LEAST_SIZE = 1e-12  # taken for the size of a channel that is zero throughout, its unit
+UNMEASURED_NOISE = 1.0  # stands for the noise of a state that nobody measured
+
+
+def difference_noise(data: Measurements) -> np.ndarray:
+    """Standard deviation of the noise per state, from differences of neighbours.
+
+    The residual of a sample against the cubic through its four neighbours, divided by
+    the standard deviation that noise of unit size would give it::
+
+        r_i = (y_i - sum_j w_j y_(i+j)) / sqrt(1 + sum_j w_j^2),    j = -2, -1, 1, 2
+        sigma = median |r_i| / 0.6745
+
+    Returns:
+        (n_states,) in the states' units; NaN where every trajectory has fewer than 5
+        samples of a state.
+    """
+    noise = np.full(data.n_states, np.nan)
+    for k in range(data.n_states):
+        residuals = []
+        for run in data.trajectories:
+            values = run.x[:, k]
+            is_measured = np.isfinite(values)
+            if is_measured.sum() >= N_STENCIL:
+                t = run.t[is_measured]
+                residuals.append(_cubic_residuals(t, values[is_measured]))
+        if residuals:
+            noise[k] = _robust_deviation(np.concatenate(residuals))
+    return noise
+
+
+def _robust_deviation(residuals: np.ndarray) -> float:
+    """Standard deviation of normal residuals, through their median.
+
+    The median is not moved by the few samples at a jump of the force.
+    """
+    return float(np.median(np.abs(residuals)) / MEDIAN_OF_NORMAL)
+
+
+def _cubic_residuals(t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Residuals of all samples but the outer two, as large as the noise.
+
+    Args:
+        t: Times (n_samples,), at least 5.
+        y: Values (n_samples,) without gaps.
+
+    Returns:
+        (n_samples - 4,)
+    """
+    middle = np.arange(2, len(t) - 2)
+    predicted = np.zeros(len(middle))
+    variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
+    for offset in NEIGHBOURS:
+        weight = _lagrange_weight(t, middle, offset)
+        predicted += weight * y[middle + offset]
+        variance += weight**2
+    return (y[middle] - predicted) / np.sqrt(1 + variance)
+
+
+def _lagrange_weight(t: np.ndarray, middle: np.ndarray, offset: int) -> np.ndarray:
+    """Weight of one neighbour in the cubic's value at each sample in the middle."""
+    weight = np.ones(len(middle))
+    for other in NEIGHBOURS:
+        if other != offset:
+            distance = t[middle] - t[middle + other]
+            weight *= distance / (t[middle + offset] - t[middle + other])
+    return weight
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
-    """Noise per state to start from: the given one, else from differences of the data;
-    1 where nothing was measured.
+    """Noise per state to start from: the given one, else from differences of the data.
+
+    Args:
+        data: The measurements.
+        given: Standard deviations (n_states,), NaN where unknown.
+
+    Returns:
+        (n_states,), at least `least_noise`; 1 where nothing was measured.
+
+    Raises:
+        DataError: No measured value ever changes.
     """
-    guess = difference_noise(data) if given is None else given
     y = np.concatenate([run.x for run in data.trajectories])
-    seen = [name in data.measured for name in data.states]
-    if not any(
-        np.nanmax(y[:, k]) > np.nanmin(y[:, k]) for k in range(len(seen)) if seen[k]
-    ):
+    _check_that_something_moves(data, y)
+    is_measured = np.isfinite(y).any(axis=0)
+    spread = _spread(y)
+    spread = np.where(spread > 0, spread, _size(y))
+    noise = difference_noise(data) if given is None else given
+    noise = np.where(np.isfinite(noise), noise, UNKNOWN_NOISE_SHARE * spread)
+    noise = np.maximum(noise, least_noise(y))
+    return np.where(is_measured, noise, UNMEASURED_NOISE)
+
+
+def _check_that_something_moves(data: Measurements, y: np.ndarray) -> None:
+    measured = y[:, np.isfinite(y).any(axis=0)]
+    highest = np.nanmax(measured, axis=0)
+    lowest = np.nanmin(measured, axis=0)
+    if not (highest > lowest).any():
         raise DataError(
-            f"every measured value of {', '.join(data.measured)} is the same ({np.nanmax(y):g}): nothing moves, so "
-            "nothing can be identified. Check the columns, or measure while the system moves."
+            f"every measured value of {', '.join(data.measured)} is the same "
+            f"({highest.max():g}): nothing moves, so nothing can be identified. "
+            "Check the columns, or measure while the system moves."
         )
-    spread = np.array(
-        [np.nanstd(y[:, k]) if seen[k] else 1.0 for k in range(len(seen))]
-    )
-    spread = np.where(
-        spread > 0, spread, np.maximum(np.abs(np.nan_to_num(y)).max(axis=0), 1e-12)
-    )
-    guess = np.where(np.isfinite(guess), guess, 0.1 * spread)
-    return np.where(
-        [name in data.measured for name in data.states],
-        np.maximum(guess, least_noise(y)),
-        1.0,
-    )
 
 
 def least_noise(y: np.ndarray) -> np.ndarray:
-    """Least noise that is assumed per channel of y (n_samples, n_states): without any,
-    weights would be infinite.
+    """Least noise that is assumed per channel: without any, weights would be infinite.
+
+    Args:
+        y: Measured values (n_samples, n_states), NaN where not measured.
+
+    Returns:
+        (n_states,): `LEAST_NOISE_SHARE` of the spread, or of the size where a channel
+        does not move.
     """
-    seen = np.isfinite(y).any(axis=0)
-    spread = np.array(
-        [np.nanstd(y[:, k]) if seen[k] else 1.0 for k in range(y.shape[1])]
-    )
-    size = np.maximum(np.abs(np.nan_to_num(y)).max(axis=0), 1e-12)
-    return CLEANEST * np.where(spread > 1e-12 * size, spread, size)
+    spread = _spread(y)
+    size = _size(y)
+    moves = spread > ROUNDING_SHARE * size
+    return LEAST_NOISE_SHARE * np.where(moves, spread, size)
+
+
+def _spread(y: np.ndarray) -> np.ndarray:
+    """Standard deviation per channel, (n_states,); 1 where nothing was measured."""
+    spread = np.ones(y.shape[1])
+    for k in np.flatnonzero(np.isfinite(y).any(axis=0)):
+        spread[k] = np.nanstd(y[:, k])
+    return spread
+
+
+def _size(y: np.ndarray) -> np.ndarray:
+    """Largest absolute value per channel, (n_states,), not zero."""
+    magnitudes = np.abs(np.nan_to_num(y))
+    return np.maximum(magnitudes.max(axis=0), LEAST_SIZE)

@@ -1,12 +1,17 @@
-"""TODO."""
+"""One experiment: times, states and inputs, checked where they enter.
 
-import functools
-from dataclasses import dataclass
+A trajectory knows neither the names nor the units of its channels: all trajectories of
+a `Measurements` share those. `check_channels` is the check that needs the names.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.checks import check_values, counted, read_only_floats
+from phsi_opt.data.checks import check_unique, check_values, read_only_floats
+from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
 
 
@@ -16,82 +21,152 @@ class Trajectory:
 
     The values of x and u are checked by `Measurements`, which knows the channels'
     names.
+
+    Attributes:
+        name: A text that is not empty, unique within the measurements.
+        t: Times, (n_samples,), at least 2.
+        x: States, (n_samples, n_states), NaN where not measured.
+        u: Inputs, (n_samples, n_inputs).
+
+    Raises:
+        DataError: The name is no text, an array is not real or has another shape, or
+            the times do not increase.
     """
 
     name: str
-    t: np.ndarray  # (n_samples,)
-    x: np.ndarray  # (n_samples, n_states), NaN where not measured
-    u: np.ndarray  # (n_samples, n_inputs)
+    t: np.ndarray
+    x: np.ndarray
+    u: np.ndarray
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise DataError(
-                f"trajectory name {self.name!r} is not a text; give each trajectory a non-empty name."
+                f"trajectory name {self.name!r} is not a text; "
+                "give each trajectory a non-empty name."
             )
         for label, n_axes in (("t", 1), ("x", 2), ("u", 2)):
-            array = read_only_floats(
-                getattr(self, label), n_axes, f"trajectory {self.name!r}: {label}"
-            )
+            title = f"trajectory {self.name!r}: {label}"
+            array = read_only_floats(getattr(self, label), n_axes, title)
             object.__setattr__(self, label, array)
         _check_lengths(self)
         _check_times(self)
 
     @property
     def n_samples(self) -> int:
+        """The number of samples."""
         return len(self.t)
 
     def __repr__(self) -> str:
-        return f"Trajectory({self.name!r}, {self.n_samples} samples, t = {self.t[0]:g} to {self.t[-1]:g})"
+        """Name, number of samples and the span of time."""
+        span = f"t = {self.t[0]:g} to {self.t[-1]:g}"
+        return f"Trajectory({self.name!r}, {self.n_samples} samples, {span})"
 
-    def __reduce__(self) -> tuple[Any, ...]:  # unpickled arrays would be writeable
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Through the constructor, because unpickled arrays would be writeable."""
         return type(self), (self.name, self.t, self.x, self.u)
 
 
-def _check_lengths(run: Trajectory) -> None:
-    for label, array in (("x", run.x), ("u", run.u)):
-        if len(array) != len(run.t):
+def part_of(run: Trajectory, rows: slice) -> Trajectory:
+    """The trajectory of some of the samples, under the same name.
+
+    Raises:
+        DataError: Fewer than 2 samples are left.
+    """
+    return replace(run, t=run.t[rows], x=run.x[rows], u=run.u[rows])
+
+
+def checked_trajectories(trajectories: Any) -> tuple[Trajectory, ...]:
+    """At least one trajectory, each under a name of its own, as a tuple.
+
+    Raises:
+        DataError: This is no such list or tuple.
+    """
+    is_sequence = isinstance(trajectories, Sequence)
+    if not is_sequence or isinstance(trajectories, str) or not trajectories:
+        raise DataError(
+            f"trajectories={trajectories!r}; "
+            "expected a list or tuple of at least one Trajectory."
+        )
+    for i, run in enumerate(trajectories):
+        if not isinstance(run, Trajectory):
             raise DataError(
-                f"trajectory {run.name!r}: {label} has {len(array)} rows and t has {len(run.t)}; "
-                "expected one row per time. Check that the arrays belong together and are not transposed."
+                f"trajectories[{i}] is a {type(run).__name__}; "
+                "expected a Trajectory (see from_arrays)."
             )
-    if len(run.t) < 2:
-        found = counted(len(run.t), "sample", "samples")
-        raise DataError(
-            f"trajectory {run.name!r} has {found}; expected at least 2. Leave the trajectory out."
-        )
-
-
-def _check_times(run: Trajectory) -> None:
-    check_values(
-        run.t, lambda i: f"trajectory {run.name!r}: t[{i}]", may_be_missing=False
-    )
-    late = np.flatnonzero(np.diff(run.t) <= 0)
-    if late.size:
-        k = int(late[0])
-        raise DataError(
-            f"trajectory {run.name!r}: t[{k + 1}]={float(run.t[k + 1])} is not after t[{k}]={float(run.t[k])}; "
-            "times must increase strictly. Sort the samples or drop the duplicate."
-        )
+    check_unique([run.name for run in trajectories], "trajectory name")
+    return tuple(trajectories)
 
 
 def check_channels(
     run: Trajectory, states: tuple[str, ...], inputs: tuple[str, ...]
 ) -> None:
-    for word, names, values in (("state", states, run.x), ("input", inputs, run.u)):
-        if values.shape[1] != len(names):
-            raise DataError(
-                f"trajectory {run.name!r} has {counted(values.shape[1], f'{word} column', f'{word} columns')}; "
-                f"expected {len(names)}, one for each of {list(names)}. Name every column of the array."
-            )
-        for name, column in zip(names, values.T, strict=True):
-            where = functools.partial(sample_word, run, f"{word} {name!r}")
-            check_values(column, where, may_be_missing=word == "state")
+    """Check the columns of a trajectory against the names of the channels.
+
+    Raises:
+        DataError: A column has no name or a name no column, a value is infinite or
+            huge, an input is missing, or no state was measured at all.
+    """
+    _check_columns(run, "state", states, run.x)
+    _check_columns(run, "input", inputs, run.u)
     if not np.isfinite(run.x).any():
         raise DataError(
-            f"trajectory {run.name!r} has no measured value in any of the states {list(states)}; "
-            "expected at least one measured state. Map a state to its column or leave the trajectory out."
+            f"trajectory {run.name!r} has no measured value in any of the states "
+            f"{list(states)}; expected at least one measured state. "
+            "Map a state to its column or leave the trajectory out."
         )
 
 
-def sample_word(run: Trajectory, channel: str, i: int) -> str:
-    return f"trajectory {run.name!r}: {channel} at sample {i} (t={run.t[i]})"
+def _check_columns(
+    run: Trajectory, kind: str, names: tuple[str, ...], values: np.ndarray
+) -> None:
+    n_columns = values.shape[1]
+    if n_columns != len(names):
+        found = number_of(n_columns, f"{kind} column")
+        raise DataError(
+            f"trajectory {run.name!r} has {found}; "
+            f"expected {len(names)}, one for each of {list(names)}. "
+            "Name every column of the array."
+        )
+    for name, column in zip(names, values.T, strict=True):
+        _check_channel(run, f"{kind} {name!r}", column, may_be_missing=kind == "state")
+
+
+def _check_channel(
+    run: Trajectory, channel: str, values: np.ndarray, may_be_missing: bool
+) -> None:
+    def place_of(i: int) -> str:
+        return f"trajectory {run.name!r}: {channel} at sample {i} (t={run.t[i]})"
+
+    check_values(values, place_of, may_be_missing)
+
+
+def _check_lengths(run: Trajectory) -> None:
+    n_times = len(run.t)
+    for label, array in (("x", run.x), ("u", run.u)):
+        if len(array) != n_times:
+            raise DataError(
+                f"trajectory {run.name!r}: {label} has {len(array)} rows "
+                f"and t has {n_times}; expected one row per time. "
+                "Check that the arrays belong together and are not transposed."
+            )
+    if n_times < 2:
+        raise DataError(
+            f"trajectory {run.name!r} has {number_of(n_times, 'sample')}; "
+            "expected at least 2. Leave the trajectory out."
+        )
+
+
+def _check_times(run: Trajectory) -> None:
+    def place_of(i: int) -> str:
+        return f"trajectory {run.name!r}: t[{i}]"
+
+    check_values(run.t, place_of, may_be_missing=False)
+    is_late = np.diff(run.t) <= 0
+    if is_late.any():
+        before = int(np.argmax(is_late))
+        after = before + 1
+        raise DataError(
+            f"trajectory {run.name!r}: t[{after}]={float(run.t[after])} is not after "
+            f"t[{before}]={float(run.t[before])}; times must increase strictly. "
+            "Sort the samples or drop the duplicate."
+        )

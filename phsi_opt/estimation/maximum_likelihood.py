@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from phsi_opt.data.noise import CLEANEST, difference_noise, initial_noise
+from phsi_opt.data.noise import LEAST_NOISE_SHARE, difference_noise, initial_noise
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_solve import Beginning, LikelihoodSolve, after
@@ -133,7 +133,7 @@ def _scatter(state: State) -> tuple[float, str]:
     # Data without noise say nothing about it.
     floor = np.array(
         [
-            10 * CLEANEST * np.nanstd(y[:, k]) if seen[k] else 0.0
+            10 * LEAST_NOISE_SHARE * np.nanstd(y[:, k]) if seen[k] else 0.0
             for k in range(y.shape[1])
         ]
     )
