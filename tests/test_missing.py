@@ -121,17 +121,6 @@ def test_the_evidence_is_larger_for_the_right_size_of_the_force_than_for_far_one
     assert evidence(1.0) > max(evidence(0.2), evidence(5.0))
 
 
-def test_the_difference_noise_of_a_smooth_curve_is_that_which_was_added() -> None:
-    rng, t = np.random.default_rng(0), np.linspace(0.0, 5.0, 2000)
-    x = np.column_stack(
-        [np.sin(t) + 0.05 * rng.normal(size=2000), np.full(2000, np.nan)]
-    )
-    noise = difference_noise(Measurements.from_arrays([t], [x], states=["q", "p"]))
-    # The median of 2000 correlated values is good to about 3 %; three of those.
-    assert noise[0] == pytest.approx(0.05, rel=0.09)
-    assert np.isnan(noise[1])
-
-
 def test_the_whitened_prior_is_an_ornstein_uhlenbeck_process() -> None:
     t = np.linspace(0.0, 3.0, 31)
     data = Measurements.from_arrays(

@@ -1,0 +1,99 @@
+"""The first guess of the noise needs no model, and never makes a weight infinite."""
+
+import numpy as np
+import pytest
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import (
+    LEAST_NOISE_SHARE,
+    difference_noise,
+    initial_noise,
+    least_noise,
+)
+from phsi_opt.errors import DataError
+
+
+def one_channel(t: np.ndarray, y: np.ndarray) -> Measurements:
+    return Measurements.from_arrays(t, y, states=["q"])
+
+
+def noisy_sine(n_samples: int = 2000, noise: float = 0.05) -> Measurements:
+    """A sine with noise, and a state which nobody measured."""
+    rng = np.random.default_rng(0)
+    t = np.linspace(0.0, 5.0, n_samples)
+    q = np.sin(t) + noise * rng.normal(size=n_samples)
+    x = np.column_stack([q, np.full(n_samples, np.nan)])
+    return Measurements.from_arrays(t, x, states=["q", "p"])
+
+
+def test_the_difference_noise_of_a_smooth_curve_is_that_which_was_added() -> None:
+    noise = difference_noise(noisy_sine())
+    # The median of 2000 correlated values is good to about 3 %; three of those.
+    assert noise[0] == pytest.approx(0.05, rel=0.09)
+    assert np.isnan(noise[1])
+
+
+def test_a_cubic_has_no_noise_however_it_is_sampled() -> None:
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.01, 0.2, size=50))
+    (noise,) = difference_noise(one_channel(t, 1 - t + 2 * t**2 - t**3))
+    # rounding: values up to about 100, weights up to a few hundred where two
+    # neighbours nearly meet
+    assert noise < 1e-11
+
+
+def test_a_jump_is_no_noise() -> None:
+    data = noisy_sine()
+    (run,) = data.trajectories
+    jumping = run.x[:, 0] + 3.0 * (run.t > 2.5)
+    (noise,) = difference_noise(one_channel(run.t, jumping))
+    # four of 2000 residuals see the jump: the median moves by a share of that order
+    assert noise == pytest.approx(difference_noise(data)[0], rel=0.01)
+
+
+def test_noise_has_the_unit_of_its_channel() -> None:
+    data = noisy_sine()
+    (run,) = data.trajectories
+    scaled = one_channel(run.t, 1024 * run.x[:, 0])
+    # a power of two scales without rounding
+    assert difference_noise(scaled)[0] == 1024 * difference_noise(data)[0]
+
+
+def test_four_samples_tell_no_noise_and_five_do() -> None:
+    t = np.arange(5.0)
+    y = np.array([0.0, 1.0, np.nan, 0.0, 1.0])
+    assert np.isnan(difference_noise(one_channel(t, y))[0])
+    y[2] = 3.0
+    assert difference_noise(one_channel(t, y))[0] > 0
+
+
+def test_noise_that_is_given_is_kept_and_what_is_unknown_is_guessed() -> None:
+    data = noisy_sine()
+    np.testing.assert_array_equal(initial_noise(data), [difference_noise(data)[0], 1.0])
+    given = np.array([0.3, np.nan])
+    np.testing.assert_array_equal(initial_noise(data, given), [0.3, 1.0])
+    few = one_channel(np.arange(3.0), np.array([0.0, 1.0, 2.0]))
+    # a tenth of the spread where differences tell nothing
+    assert initial_noise(few)[0] == pytest.approx(0.1 * np.std([0, 1, 2]))
+
+
+def test_noise_is_never_less_than_what_weights_can_carry() -> None:
+    t = np.linspace(0.0, 1.0, 20)
+    line = one_channel(t, t)
+    (noise,) = initial_noise(line)
+    assert noise == LEAST_NOISE_SHARE * np.nanstd(t)
+
+
+def test_a_channel_that_does_not_move_is_measured_by_its_size() -> None:
+    y = np.column_stack([np.full(10, -7.0), np.zeros(10), np.full(10, np.nan)])
+    least = least_noise(y)
+    assert least[0] == LEAST_NOISE_SHARE * 7.0
+    assert (least > 0).all()
+
+
+def test_measurements_in_which_nothing_moves_are_refused() -> None:
+    still = one_channel(np.arange(6.0), np.full(6, 2.5))
+    with pytest.raises(
+        DataError, match=r"every measured value of q is the same \(2\.5"
+    ):
+        initial_noise(still)
