@@ -104,6 +104,16 @@ def test_files_of_the_same_name_in_different_folders_keep_apart(tmp_path: Path) 
     assert [run.name for run in data] == [str(path) for path in paths]
 
 
+def test_an_open_file_without_a_name_keeps_apart_from_a_file_of_its_name(
+    tmp_path: Path,
+) -> None:
+    text = "t,q\n0,1\n1,2\n"
+    path = tmp_path / "run 1.csv"
+    path.write_text(text, encoding="utf-8")
+    data = Measurements.from_csv([io.StringIO(text), path], time="t", states=["q"])
+    assert [run.name for run in data] == ["run 1", str(path)]
+
+
 def test_rows_of_one_run_need_not_be_contiguous_but_keep_their_order() -> None:
     data = read("run,t,q\nb,0,1\na,0,10\nb,1,2\na,2,20\nb,5,3\n", trajectory="run")
     assert [run.name for run in data] == ["b", "a"]

@@ -75,8 +75,8 @@ def _run_names(paths: list[str | None]) -> list[str]:
         stems.append(f"run {number}" if path is None else Path(path).stem)
     names = []
     for path, stem in zip(paths, stems, strict=True):
-        is_unique = stems.count(stem) == 1
-        names.append(stem if is_unique else str(path))
+        is_shared = stems.count(stem) > 1
+        names.append(path if path is not None and is_shared else stem)
     return names
 
 
