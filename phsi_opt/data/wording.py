@@ -4,7 +4,13 @@ import numpy as np
 
 
 def number_of(n: int, noun: str, plural: str | None = None) -> str:
-    """ "1 sample", "3 samples"; ``plural`` where an s at the end is not enough."""
+    """A number with its noun, such as "1 sample" and "3 samples".
+
+    Args:
+        n: The number.
+        noun: The noun for one.
+        plural: The noun for several, where an s at the end is not enough.
+    """
     if n == 1:
         return f"1 {noun}"
     return f"{n} {plural or noun + 's'}"
@@ -16,7 +22,7 @@ def numbered_names(prefix: str, n: int) -> list[str]:
 
 
 def in_brackets(unit: str) -> str:
-    """ " [m]" for the unit "m"; nothing for an unknown unit."""
+    """The end of a channel's name: " [m]" for the unit "m", nothing for none."""
     return f" [{unit}]" if unit else ""
 
 
