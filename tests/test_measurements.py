@@ -13,7 +13,7 @@ import pytest
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.errors import DataError, PhsiOptError, did_you_mean
+from phsi_opt.errors import DataError
 
 # All comparisons are exact: reading, joining and splitting copy numbers and never
 # compute with them.
@@ -551,15 +551,3 @@ def test_the_summary_shows_sizes_units_gaps_and_ranges() -> None:
 def test_a_trajectory_checks_itself() -> None:
     with pytest.raises(DataError, match=r"t\[1\]=0\.0 is not after"):
         Trajectory("a", np.zeros(2), np.zeros((2, 1)), np.zeros((2, 0)))
-
-
-def test_data_errors_are_value_errors_and_errors_of_this_package() -> None:
-    assert issubclass(DataError, ValueError) and issubclass(DataError, PhsiOptError)
-
-
-def test_suggestions_ignore_case_and_say_nothing_when_nothing_is_close() -> None:
-    assert (
-        did_you_mean("Positon", ["velocity", "POSITION"]) == " Did you mean 'POSITION'?"
-    )
-    assert did_you_mean("xyz", ["velocity"]) == ""
-    assert did_you_mean(3, []) == ""
