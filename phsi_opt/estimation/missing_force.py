@@ -349,7 +349,7 @@ BEYOND_SCATTER = 1.5
 
 
 def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
-    """The force that the fitted model lacks along measurements that are `matched` to
+    """The force that the fitted model lacks along measurements that are `aligned` to
     it, with the noise.
 
     No force can explain a sensor that contradicts another one; that would count as

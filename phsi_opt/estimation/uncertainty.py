@@ -11,7 +11,8 @@ from scipy.optimize import nnls
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
-from phsi_opt.transcription.defects import defect_jacobian, defect_slopes, defects
+from phsi_opt.transcription.defect_derivatives import defect_slopes
+from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 

@@ -1,5 +1,10 @@
-"""TODO."""
+"""Measurements in the model's order: the same states and inputs, in the same places.
 
+From here on a column is addressed by its number, which means the same in the model and
+in the data. Units and noise stay with their names; values are never changed.
+"""
+
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,57 +15,69 @@ from phsi_opt.model.model import Model
 
 
 def aligned(model: Model, data: Measurements) -> Measurements:
-    """The measurements with their states and inputs in the model's order; raises
-    `DataError` if they do not match.
+    """The measurements with their states and inputs in the model's order.
 
     States that are the memory of an effect need not be in the measurements: nobody
-        measures them.
+    measures them. They are added as columns of NaN. Measurements that are in the
+    model's order already are returned as they are.
+
+    Raises:
+        DataError: a state or an input of the model is not in the measurements, or the
+            measurements have a state that the model has not.
     """
-    if unknown := [name for name in model.memory if name not in data.states]:
-        runs = tuple(
-            replace(
-                run,
-                x=np.column_stack(
-                    [run.x, np.full((run.n_samples, len(unknown)), np.nan)]
-                ),
-            )
-            for run in data.trajectories
-        )
-        data = replace(data, trajectories=runs, states=(*data.states, *unknown))
-    for what, mine, theirs in (
-        ("state", model.states, data.states),
-        ("input", model.inputs, data.inputs),
-    ):
-        for name in mine:
-            if name not in theirs:
-                hint = (
-                    f"; declare it as not measured: states={{..., {name!r}: None}}"
-                    if what == "state"
-                    else ""
-                )
-                raise DataError(
-                    f"{what} {name!r} of the model is not in the measurements ({', '.join(theirs)}){hint}."
-                )
-    if extra := set(data.states) - set(model.states):
-        raise DataError(
-            f"state {sorted(extra)[0]!r} of the measurements is not in the model; leave its column out."
-        )
-    columns, inputs = (
-        [data.states.index(n) for n in model.states],
-        [data.inputs.index(n) for n in model.inputs],
-    )
+    data = _with_memory_columns(data, model.memory)
+    _check_names(model, data)
     if data.states == model.states and data.inputs == model.inputs:
         return data
-    runs = tuple(
-        replace(run, x=run.x[:, columns], u=run.u[:, inputs])
+    state_columns = [data.states.index(name) for name in model.states]
+    input_columns = [data.inputs.index(name) for name in model.inputs]
+    trajectories = tuple(
+        replace(run, x=run.x[:, state_columns], u=run.u[:, input_columns])
         for run in data.trajectories
     )
     kept = {"t", *model.states, *model.inputs}
     units = {name: unit for name, unit in data.units.items() if name in kept}
     return replace(
         data,
-        trajectories=runs,
+        trajectories=trajectories,
         states=tuple(model.states),
         inputs=tuple(model.inputs),
         units=units,
     )
+
+
+def _with_memory_columns(data: Measurements, memory: Sequence[str]) -> Measurements:
+    """The measurements with the memory's states that they lack, as never measured."""
+    lacking = [name for name in memory if name not in data.states]
+    if not lacking:
+        return data
+    trajectories = []
+    for run in data.trajectories:
+        not_measured = np.full((run.n_samples, len(lacking)), np.nan)
+        x = np.column_stack([run.x, not_measured])
+        trajectories.append(replace(run, x=x))
+    return replace(
+        data, trajectories=tuple(trajectories), states=(*data.states, *lacking)
+    )
+
+
+def _check_names(model: Model, data: Measurements) -> None:
+    for name in model.states:
+        if name not in data.states:
+            raise DataError(
+                f"state {name!r} of the model is not in the measurements "
+                f"({', '.join(data.states)}); declare it as not measured: "
+                f"states={{..., {name!r}: None}}."
+            )
+    for name in model.inputs:
+        if name not in data.inputs:
+            raise DataError(
+                f"input {name!r} of the model is not in the measurements "
+                f"({', '.join(data.inputs)})."
+            )
+    extra = sorted(set(data.states) - set(model.states))
+    if extra:
+        raise DataError(
+            f"state {extra[0]!r} of the measurements is not in the model; "
+            "leave its column out."
+        )

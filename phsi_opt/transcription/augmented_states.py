@@ -1,7 +1,12 @@
-"""The memory of effects, states that nobody measures, along the other states of a
-record.
+"""The memory of effects: states that nobody measures, behind the other states.
+
+An effect such as hysteresis or a delay adds states to the model. What they are follows
+from the other states and the inputs by integration, so a start and a screening find
+them along a record without an optimisation. Here a memory does not act back on the
+other states; that is the business of the program that is solved afterwards.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,43 +23,51 @@ MEMORY_STEPS = 4  # of an integration of an effect's memory along one interval
 def with_memory(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
-    """States (n_nodes, n_states) with the memory of the model's effects integrated
-    along the other states ``x``.
+    """States (n_nodes, n_states) with the memory of the model's effects as the last.
 
-    ``x`` holds the other states and those of older effects; ``theta`` is (n_free,) or
-    (n_free, n_trajectories). A memory begins at rest where its equation is linear in
-    it, else at zero.
+    The memory is integrated along the other states. It begins at rest where its
+    equation is linear in it, else at zero.
+
+    Args:
+        model: the model with its effects.
+        grid: nodes and intervals.
+        x: (n_nodes, n_old) the other states, and those of older effects.
+        theta: (n_free,) parameters, or (n_free, n_trajectories).
     """
-    return (
-        x
-        if x.shape[1] == model.n_states
-        else MemoryIntegration(model, grid, x)(theta).states
-    )
+    if x.shape[1] == model.n_states:
+        return x
+    return MemoryIntegration(model, grid, x)(theta).states
 
 
 def memory_start_bounds(
     model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> StateBounds | None:
-    """Bounds of the states, (n_nodes, n_states): of the memory that a trajectory begins
-    with, the others are infinite.
+    """Bounds of the memory that a trajectory begins with; other states have none.
 
     It is such as the records show later on: within the values that it takes from rest,
     widened by their range to both sides. Free of bounds, the memory of a delay shorter
-    than a sample takes any value for the sake of one residual. Arguments as
+    than a sample takes any value for the sake of one residual. Arguments as those of
     `with_memory`; None where the model has no memory, or not as its last states.
     """
     n_old = model.n_states - len(model.memory)
     if n_old == model.n_states or model.states[n_old:] != model.memory:
         return None
-    along = MemoryIntegration(model, grid, x[:, :n_old])(theta).states[:, n_old:]
-    lowest, highest = along.min(axis=0), along.max(axis=0)
-    spread = np.where(highest > lowest, highest - lowest, np.inf)
-    lower, upper = np.full(x.shape, -np.inf), np.full(x.shape, np.inf)
-    lower[grid.first, n_old:], upper[grid.first, n_old:] = (
-        lowest - spread,
-        highest + spread,
-    )
+    integration = MemoryIntegration(model, grid, x[:, :n_old])
+    memory = integration(theta).states[:, n_old:]
+    lowest = memory.min(axis=0)
+    highest = memory.max(axis=0)
+    reach = np.where(highest > lowest, highest - lowest, np.inf)
+    lower = np.full(x.shape, -np.inf)
+    upper = np.full(x.shape, np.inf)
+    lower[grid.first, n_old:] = lowest - reach
+    upper[grid.first, n_old:] = highest + reach
     return StateBounds(lower, upper)
+
+
+def padded(model: Model, x: np.ndarray) -> np.ndarray:
+    """States (n_nodes, n_states) with zeros for those at the end that x lacks."""
+    n_lacking = model.n_states - x.shape[1]
+    return np.pad(x, ((0, 0), (0, n_lacking)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,103 +83,146 @@ class MemoryRecord:
     interval_means: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class _RunIntegration:
+    """The integration along one trajectory: its intervals, and the steps over them."""
+
+    intervals: np.ndarray
+    integrate: ca.Function
+
+
 class MemoryIntegration:
-    """The memory of a model's effects along given states, as a function of the
-    parameters (see `with_memory`).
+    """The memory of a model's effects along given states, of the parameters.
+
+    Made once and called for many parameters; `with_memory` is for a single call and
+    says what the arguments are.
     """
 
     def __init__(self, model: Model, grid: Grid, x: np.ndarray) -> None:
-        self.model, self.grid, self.x = model, grid, x
-        one, self.at = _memory_step(model, x.shape[1]), []
-        self.along = []
-        for run in range(len(grid.first)):
-            at = np.flatnonzero(grid.trajectory[grid.begin] == run)
-            self.at.append(at)
-            self.along.append(one.mapaccum("memory", len(at)))
-        self.rest = _rest(model, x.shape[1])
+        self.model = model
+        self.grid = grid
+        self.x = x
+        self._rest = _memory_at_rest(model, x.shape[1])
+        self._runs = self._run_integrations()
+
+    def _run_integrations(self) -> list[_RunIntegration]:
+        interval = _memory_over_interval(self.model, self.x.shape[1])
+        trajectory = self.grid.trajectory[self.grid.begin]
+        runs = []
+        for run in range(len(self.grid.first)):
+            intervals = np.flatnonzero(trajectory == run)
+            integrate = interval.mapaccum("memory", len(intervals))
+            runs.append(_RunIntegration(intervals, integrate))
+        return runs
 
     def __call__(self, theta: np.ndarray) -> MemoryRecord:
-        """The states with their memory, (n_nodes, n_states), and the memory's means
-        over the intervals.
+        """States with their memory, and its means over the intervals.
+
+        Args:
+            theta: (n_free,) parameters, or (n_free, n_trajectories).
         """
-        grid, x, n_old = self.grid, self.x, self.x.shape[1]
-        result, means = (
-            padded(self.model, x),
-            np.zeros((grid.n_intervals, self.model.n_states - n_old)),
-        )
-        columns = theta if theta.ndim == 2 else theta[:, None]
-        for run, (first, at, along) in enumerate(
-            zip(grid.first, self.at, self.along, strict=True)
-        ):
-            values = columns[:, run % columns.shape[1]]
-            z0 = np.array(
-                self.rest(x[first], grid.u0[at[0]], grid.t[first], values)
-            ).ravel()
-            z0 = z0 if np.all(np.isfinite(z0)) else np.zeros(len(z0))
-            ends = [
-                x[grid.begin[at]].T,
-                x[grid.begin[at] + 1].T,
-                grid.u0[at].T,
-                grid.u1[at].T,
-            ]
-            times = [grid.t[grid.begin[at]][None, :], grid.h[at][None, :]]
-            z, mean = along(
-                z0, *ends, *times, np.repeat(values[:, None], len(at), axis=1)
-            )
-            result[first, n_old:], result[grid.begin[at] + 1, n_old:] = z0, z.full().T
-            means[at] = mean.full().T
-        return MemoryRecord(result, means)
+        n_old = self.x.shape[1]
+        n_memory = self.model.n_states - n_old
+        states = padded(self.model, self.x)
+        means = np.zeros((self.grid.n_intervals, n_memory))
+        by_run = theta if theta.ndim == 2 else theta[:, None]
+        for number, run in enumerate(self._runs):
+            values = by_run[:, number % by_run.shape[1]]
+            first = self.grid.first[number]
+            start = self._start(first, run.intervals[0], values)
+            repeated = np.repeat(values[:, None], len(run.intervals), axis=1)
+            arguments = self._interval_arguments(run.intervals)
+            at_ends, run_means = run.integrate(start, *arguments, repeated)
+            states[first, n_old:] = start
+            states[self.grid.begin[run.intervals] + 1, n_old:] = at_ends.full().T
+            means[run.intervals] = run_means.full().T
+        return MemoryRecord(states, means)
+
+    def _start(self, node: int, interval: int, values: np.ndarray) -> np.ndarray:
+        """The memory at rest at a node, or zeros where it has no rest."""
+        u = self.grid.u0[interval]
+        at_rest = self._rest(self.x[node], u, self.grid.t[node], values)
+        start = np.array(at_rest).ravel()
+        if np.all(np.isfinite(start)):
+            return start
+        return np.zeros(len(start))
+
+    def _interval_arguments(self, intervals: np.ndarray) -> list[np.ndarray]:
+        """x0, x1, u0, u1, t0 and h of the intervals, as columns."""
+        begin = self.grid.begin[intervals]
+        return [
+            self.x[begin].T,
+            self.x[begin + 1].T,
+            self.grid.u0[intervals].T,
+            self.grid.u1[intervals].T,
+            self.grid.t[begin][None, :],
+            self.grid.h[intervals][None, :],
+        ]
 
 
-def _memory_step(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> z at the end of an interval,
-    its mean over the interval.
+def _memory_over_interval(model: Model, n_old: int) -> ca.Function:
+    """CasADi function (z, x0, x1, u0, u1, t0, h, theta) -> (z at the end, mean of z).
 
-    Steps of the trapezoidal rule with the slope taken at their beginning: a short delay
-        is stiff.
+    Steps of the trapezoidal rule, linearised at their beginning: with r the rate of z
+    and J its slope in z there, each step dt adds::
+
+        dt/2 (I - dt/2 J)^-1 (r(z, begin) + r(z, end))
+
+    Implicit, because a short delay is stiff.
     """
-    n_new, m, rhs = model.n_states - n_old, model.n_inputs, model.rhs()
-    z, x0, x1 = ca.SX.sym("z", n_new), ca.SX.sym("x0", n_old), ca.SX.sym("x1", n_old)
-    u0, u1, t0, h = (
-        ca.SX.sym("u0", m),
-        ca.SX.sym("u1", m),
-        ca.SX.sym("t0"),
-        ca.SX.sym("h"),
-    )
-    theta, share = ca.SX.sym("theta", len(model.free)), ca.SX.sym("share")
+    n_memory = model.n_states - n_old
+    z = ca.SX.sym("z", n_memory)
+    x0 = ca.SX.sym("x0", n_old)
+    x1 = ca.SX.sym("x1", n_old)
+    u0 = ca.SX.sym("u0", model.n_inputs)
+    u1 = ca.SX.sym("u1", model.n_inputs)
+    t0 = ca.SX.sym("t0")
+    h = ca.SX.sym("h")
+    theta = ca.SX.sym("theta", len(model.free))
+    share = ca.SX.sym("share")  # of the interval that lies behind
+    given = [x0, x1, u0, u1, t0, h, theta]
+    rhs = model.rhs()
 
     def rate(value: Any, at: Any) -> Any:
         x = ca.vertcat(x0 + at * (x1 - x0), value)
         return rhs(x, u0 + at * (u1 - u0), t0 + at * h, theta)[n_old:]
 
-    step, given = h / MEMORY_STEPS, [x0, x1, u0, u1, t0, h, theta]
-    both = rate(z, share) + rate(z, share + 1 / MEMORY_STEPS)
-    end = z + step / 2 * ca.solve(
-        ca.SX.eye(n_new) - step / 2 * ca.jacobian(rate(z, share), z), both
-    )
-    one = ca.Function("part", [z, share, *given], [end])
-    at, mean = z, ca.SX.zeros(n_new)
+    dt = h / MEMORY_STEPS
+    both_rates = rate(z, share) + rate(z, share + 1 / MEMORY_STEPS)
+    slope = ca.jacobian(rate(z, share), z)
+    implicit = ca.SX.eye(n_memory) - dt / 2 * slope
+    end = z + dt / 2 * ca.solve(implicit, both_rates)
+    step = ca.Function("part", [z, share, *given], [end])
+    return ca.Function("step", [z, *given], _steps_and_mean(step, z, given))
+
+
+def _steps_and_mean(
+    step: Callable[..., Any], z: ca.SX, given: list[ca.SX]
+) -> list[Any]:
+    """The memory behind `MEMORY_STEPS` steps, and its mean by the trapezoidal rule."""
+    before = z
+    mean = ca.SX.zeros(z.numel())
     for k in range(MEMORY_STEPS):
-        after = one(at, k / MEMORY_STEPS, *given)
-        at, mean = after, mean + (at + after) / (2 * MEMORY_STEPS)
-    return ca.Function("step", [z, *given], [at, mean])
+        after = step(before, k / MEMORY_STEPS, *given)
+        mean = mean + (before + after) / (2 * MEMORY_STEPS)
+        before = after
+    return [before, mean]
 
 
-def _rest(model: Model, n_old: int) -> ca.Function:
-    """CasADi function (x, u, t, theta) -> the memory whose rates vanish, if they are
-    linear in it; else zeros.
+def _memory_at_rest(model: Model, n_old: int) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> the memory whose rates vanish.
+
+    Zeros where the rates are not linear in the memory.
     """
-    n_new, rhs = model.n_states - n_old, model.rhs()
-    x, u, t = ca.SX.sym("x", n_old), ca.SX.sym("u", model.n_inputs), ca.SX.sym("t")
-    theta, z = ca.SX.sym("theta", len(model.free)), ca.SX.sym("z", n_new)
-    rates = rhs(ca.vertcat(x, z), u, t, theta)[n_old:]
+    x = ca.SX.sym("x", n_old)
+    u = ca.SX.sym("u", model.n_inputs)
+    t = ca.SX.sym("t")
+    theta = ca.SX.sym("theta", len(model.free))
+    z = ca.SX.sym("z", model.n_states - n_old)
+    rates = model.rhs()(ca.vertcat(x, z), u, t, theta)[n_old:]
     slope = ca.jacobian(rates, z)
+    zeros = ca.DM.zeros(z.numel())
     if ca.depends_on(slope, z):
-        return ca.Function("rest", [x, u, t, theta], [ca.DM.zeros(n_new)])
-    at_zero = ca.substitute(rates, z, ca.DM.zeros(n_new))
+        return ca.Function("rest", [x, u, t, theta], [zeros])
+    at_zero = ca.substitute(rates, z, zeros)
     return ca.Function("rest", [x, u, t, theta], [-ca.solve(slope, at_zero)])
-
-
-def padded(model: Model, x: np.ndarray) -> np.ndarray:
-    """States with zeros for those at the end that x does not hold yet."""
-    return np.pad(x, ((0, 0), (0, model.n_states - x.shape[1])))

@@ -1,4 +1,10 @@
-"""TODO."""
+"""Elimination of the states: what a linearised problem says about the parameters.
+
+The states of a record follow the parameters through the constraints, one trajectory
+after the other. In the order of time the matrix of states and constraints is banded, so
+its factors cost a time linear in the length of the record, and what is left is a small
+dense problem in the parameters: the information.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,44 +17,47 @@ from phsi_opt.optimization.banded import Banded
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 
-# information, per scaled parameter, that makes the matrix regular where the data say
-# nothing
+# Information, per scaled parameter, that makes the matrix regular where the data say
+# nothing.
 RIDGE = 1e-10
+HELD = 1e12  # information, per scaled parameter, by which a parameter does not move
+REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
 
 
 def regularized_inverse(
     information: np.ndarray, held: Sequence[int] = ()
 ) -> np.ndarray:
-    """Covariance of scaled parameters; a ridge holds directions without information,
-    and ``held`` do not move.
+    """Covariance of scaled parameters: (information + ridge)^-1.
+
+    Args:
+        information: (n_theta, n_theta), symmetric. A direction without information may
+            round below zero and counts as zero; the ridge holds it.
+        held: places of parameters that do not move, such as those at a bound.
     """
     ridge = np.full(len(information), RIDGE)
-    ridge[list(held)] = 1e12
+    ridge[list(held)] = HELD
     values, vectors = np.linalg.eigh(information)
-    positive = (
-        vectors * np.maximum(values, 0.0)
-    ) @ vectors.T  # a direction without information may round below zero
-    held_fast = positive + np.diag(ridge)
+    positive = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    regular = positive + np.diag(ridge)
     try:
-        return np.linalg.inv(held_fast)
-    except (
-        np.linalg.LinAlgError
-    ):  # information that spans more digits than numbers have
-        return np.linalg.pinv(held_fast, rcond=1e-15, hermitian=True)
-
-
-REGULAR = 1e-13  # share of the largest curvature that is added where a state has none
+        return np.linalg.inv(regular)
+    except np.linalg.LinAlgError:  # it spans more digits than numbers have
+        return np.linalg.pinv(regular, rcond=1e-15, hermitian=True)
 
 
 def time_order(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
-    """Order of unknowns that stand in blocks of ``("node" or "interval", values per
-    row)``, sorted by their time.
+    """Order of unknowns that stand in blocks, sorted by their time.
+
+    Args:
+        grid: nodes and intervals.
+        *per_block: where the rows of a block live, "node" or "interval", and how many
+            unknowns each row has.
     """
-    places = []
-    for kind, width in per_block:
-        place = 2 * np.arange(grid.n_nodes) if kind == "node" else 2 * grid.begin + 1
-        places.append(np.repeat(place, width))
-    return np.argsort(np.concatenate(places), kind="stable")
+    times = []
+    for kind, n_unknowns in per_block:
+        time = np.arange(grid.n_nodes) if kind == "node" else grid.begin + 0.5
+        times.append(np.repeat(time, n_unknowns))
+    return np.argsort(np.concatenate(times), kind="stable")
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,46 +79,53 @@ class Step:
 
 
 class ReducedSystem:
-    """min 1/2 z'Hz - g'z over z = (theta, x), subject to Jz = e, with the states
-    eliminated.
+    """The linearised problem with its states eliminated::
+
+        min over z = (theta, x) of  1/2 z'Hz - g'z   subject to  Jz = e
+
+    Args:
+        grid: nodes and intervals.
+        n_states: number of states at a node.
+        H: sparse curvature, square in z.
+        J: sparse Jacobian of the constraints, (n_intervals * n_states, n_z).
+        theta: where the parameters stand in z.
+        x: where the states stand in z.
 
     Attributes:
         information: (n_theta, n_theta), the curvature that is left for theta when the
             states follow it.
+
+    Raises:
+        SolveError: the states do not follow from the parameters and the data.
     """
 
     def __init__(
         self, grid: Grid, n_states: int, H: Any, J: Any, theta: slice, x: slice
     ) -> None:
-        H, J = csc_matrix(H), csc_matrix(J)
-        curvature = H[x, x]
-        floor = REGULAR * max(float(np.max(curvature.diagonal(), initial=0.0)), TINY)
-        states = bmat(
-            [
-                [curvature + diags(np.full(x.stop - x.start, floor)), J[:, x].T],
-                [J[:, x], None],
-            ],
-            format="coo",
-        )
-        self._band = Banded(
-            states, time_order(grid, ("node", n_states), ("interval", n_states))
-        )
+        H = csc_matrix(H)
+        J = csc_matrix(J)
         self._n_states = n_states
-        self._n_x, self._border = (
-            x.stop - x.start,
-            vstack([H[x, theta], J[:, theta]]).toarray(),
-        )
-        self._followed = (
-            self._band.solve(self._border) if self._border.shape[1] else self._border
-        )
-        information = H[theta, theta].toarray() - self._border.T @ self._followed
+        self._n_x = x.stop - x.start
+        order = time_order(grid, ("node", n_states), ("interval", n_states))
+        self._factors = Banded(_kkt_matrix(H[x, x], J[:, x]), order)
+        self._coupling = vstack([H[x, theta], J[:, theta]]).toarray()
+        if self._coupling.shape[1]:
+            self._per_theta = self._factors.solve(self._coupling)
+        else:
+            self._per_theta = self._coupling
+        through_states = self._coupling.T @ self._per_theta
+        information = H[theta, theta].toarray() - through_states
         self.information = (information + information.T) / 2
 
     def respond(self, e: np.ndarray, covariance: np.ndarray) -> Step:
-        """Change of theta and x when the constraints are offset by ``e``;
-        ``covariance`` inverts the information.
+        """Change of theta and x when the constraints are offset by ``e``.
+
+        Args:
+            e: (n_constraints,), or several columns.
+            covariance: (n_theta, n_theta) inverse of the information.
         """
-        return self.solve(np.zeros((self._n_x, *e.shape[1:])), e, covariance)
+        no_gradient = np.zeros((self._n_x, *e.shape[1:]))
+        return self.solve(no_gradient, e, covariance)
 
     def solve(
         self,
@@ -118,50 +134,68 @@ class ReducedSystem:
         covariance: np.ndarray,
         g_theta: np.ndarray | float = 0.0,
     ) -> Step:
-        """Theta and x for gradients g in x and g_theta, and the offset e; each one
-        column or several side by side.
+        """Theta and x of the problem, each one column or several side by side.
+
+        Args:
+            g: (n_x, ...) gradient in the states.
+            e: (n_constraints, ...) offset of the constraints.
+            covariance: (n_theta, n_theta) inverse of the information.
+            g_theta: (n_theta, ...) gradient in the parameters.
         """
-        alone = self._band.solve(np.concatenate([g, e]))
-        theta = covariance @ (g_theta - self._border.T @ alone)
-        return Step(theta, (alone - self._followed @ theta)[: self._n_x])
+        alone = self._factors.solve(np.concatenate([g, e]))  # theta does not move
+        theta = covariance @ (g_theta - self._coupling.T @ alone)
+        states = alone - self._per_theta @ theta
+        return Step(theta, states[: self._n_x])
 
     def multipliers(
         self, g: np.ndarray, covariance: np.ndarray, g_theta: np.ndarray | float = 0.0
     ) -> np.ndarray:
-        """What the objective gains per unit of an offset of each constraint, for
-        gradients g in x and g_theta.
+        """What the objective gains per unit of an offset of each constraint.
+
+        Arguments as those of `solve`; (n_constraints,).
         """
-        alone = self._band.solve(
-            np.concatenate([g, np.zeros(self._band.n - self._n_x)])
-        )
-        theta = covariance @ (g_theta - self._border.T @ alone)
-        return (alone - self._followed @ theta)[self._n_x :]
+        no_offset = np.zeros(self._factors.n - self._n_x)
+        alone = self._factors.solve(np.concatenate([g, no_offset]))
+        theta = covariance @ (g_theta - self._coupling.T @ alone)
+        states = alone - self._per_theta @ theta
+        return states[self._n_x :]
 
     @property
     def following(self) -> np.ndarray:
-        """How the states of a record follow a change of theta, (n_nodes, n_states,
-        n_theta).
-        """
-        return -self._followed[: self._n_x].reshape(
-            -1, self._n_states, self._followed.shape[1]
-        )
+        """How the states follow a change of theta, (n_nodes, n_states, n_theta)."""
+        n_theta = self._per_theta.shape[1]
+        states = self._per_theta[: self._n_x]
+        return -states.reshape(-1, self._n_states, n_theta)
 
     def start_covariances(
         self, starts: np.ndarray, trajectory: np.ndarray
     ) -> np.ndarray:
-        """Covariance of each node's states when theta is known: that of the starting
-        states, carried along.
+        """Covariance of each node's states when theta is known.
 
-        ``starts`` (n_trajectories, n_states): places of the starting states in x;
-        ``trajectory``: that of each node.
+        It is that of the starting states, carried along the trajectory.
+
+        Args:
+            starts: (n_trajectories, n_states) places of the starting states in x.
+            trajectory: (n_nodes,) number of the trajectory of each node.
+
+        Returns:
+            (n_nodes, n_states, n_states).
         """
         n_runs, n = starts.shape
-        right = np.zeros((self._band.n, n))
-        right[starts.ravel(), np.tile(np.arange(n), n_runs)] = (
-            1.0  # no trajectory touches another one
-        )
-        columns = self._band.solve(right)[: self._n_x].reshape(-1, n, n)
-        at_start = np.linalg.pinv(
-            columns.reshape(-1, n)[starts.ravel()].reshape(n_runs, n, n), hermitian=True
-        )
-        return columns @ at_start[trajectory] @ columns.transpose(0, 2, 1)
+        unit = np.zeros((self._factors.n, n))
+        # One column serves all trajectories: none touches another one.
+        unit[starts.ravel(), np.tile(np.arange(n), n_runs)] = 1.0
+        columns = self._factors.solve(unit)[: self._n_x]
+        at_start = columns[starts.ravel()].reshape(n_runs, n, n)
+        per_node = columns.reshape(-1, n, n)
+        inverses = np.linalg.pinv(at_start, hermitian=True)
+        return per_node @ inverses[trajectory] @ per_node.transpose(0, 2, 1)
+
+
+def _kkt_matrix(curvature: csc_matrix, jacobian: csc_matrix) -> Any:
+    """Sparse matrix of the optimality conditions in the states and multipliers."""
+    n_x = curvature.shape[0]
+    largest = float(np.max(curvature.diagonal(), initial=0.0))
+    shift = diags(np.full(n_x, REGULAR * max(largest, TINY)))
+    blocks = [[curvature + shift, jacobian.T], [jacobian, None]]
+    return bmat(blocks, format="coo")

@@ -1,16 +1,16 @@
-"""Measurements laid out for a program: nodes where the states live, and the intervals
-between them.
+"""Measurements laid out for a program: nodes, and the intervals between them.
+
+The states of a program live at the nodes; every sample is one.
 
 All trajectories stand one after the other; an interval joins two nodes of one
 trajectory. Between samples there may be further nodes, so that the integration error
-stays small where the sampling is coarse. Here, and only here, the user's rows
-(n_samples, n_states) become CasADi's columns.
+stays small where the sampling is coarse. Arrays are still rows (n_nodes, n_states);
+`interval_map` turns them into CasADi's columns.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -20,19 +20,29 @@ from phsi_opt.data.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Nodes and intervals. Arrays are (n_nodes, ...) or (n_intervals, ...); y is NaN
-    where nothing was measured.
+    """Nodes and intervals of all trajectories, one after the other.
+
+    Attributes:
+        t: (n_nodes,) times.
+        y: (n_nodes, n_states) measurements; NaN where nothing was measured.
+        trajectory: (n_nodes,) number of the trajectory of each node.
+        sample: (n_nodes,) whether the node is a sample.
+        begin: (n_intervals,) first node of each interval; the next node is its end.
+        h: (n_intervals,) length in time of each interval.
+        u0: (n_intervals, n_inputs) input at the beginning of the interval.
+        u1: (n_intervals, n_inputs) input at its end, equal to u0 for a held input.
+        u: (n_nodes, n_inputs) input at each node.
     """
 
     t: np.ndarray
     y: np.ndarray
-    trajectory: np.ndarray  # number of the trajectory of each node
-    sample: np.ndarray  # whether the node is a sample
-    begin: np.ndarray  # first node of each interval
+    trajectory: np.ndarray
+    sample: np.ndarray
+    begin: np.ndarray
     h: np.ndarray
-    u0: np.ndarray  # input at the two ends of the interval, equal for zero-order hold
+    u0: np.ndarray
     u1: np.ndarray
-    u: np.ndarray  # input at each node
+    u: np.ndarray
 
     @property
     def n_nodes(self) -> int:
@@ -55,13 +65,12 @@ class Grid:
         return np.flatnonzero(np.diff(self.trajectory, prepend=-1))
 
     def split(self, values: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Values at the nodes, per trajectory."""
-        return tuple(
-            values[a:b] for a, b in pairwise([*self.first.tolist(), self.n_nodes])
-        )
+        """Values (n_nodes, ...) at the nodes, per trajectory."""
+        limits = [*self.first.tolist(), self.n_nodes]
+        return tuple(values[begin:end] for begin, end in pairwise(limits))
 
     def intervals(self, keep: np.ndarray) -> "Grid":
-        """The same nodes with only the intervals ``keep``."""
+        """The same nodes with only the intervals ``keep``, given by their numbers."""
         return replace(
             self,
             begin=self.begin[keep],
@@ -73,102 +82,154 @@ class Grid:
     def apart(self) -> "Grid":
         """The same intervals, each with two nodes of its own, one after the other."""
         node = np.column_stack([self.begin, self.begin + 1]).ravel()
-        moved = {
-            name: getattr(self, name)[node]
-            for name in ("t", "y", "trajectory", "sample", "u")
-        }
-        return replace(self, **moved, begin=2 * np.arange(self.n_intervals))
+        return replace(
+            self,
+            t=self.t[node],
+            y=self.y[node],
+            trajectory=self.trajectory[node],
+            sample=self.sample[node],
+            u=self.u[node],
+            begin=2 * np.arange(self.n_intervals),
+        )
 
     def rates(self, x: np.ndarray) -> np.ndarray:
-        """(x1 - x0)/h per interval."""
+        """(x1 - x0)/h per interval, of values (n_nodes, n_states)."""
         return (x[self.begin + 1] - x[self.begin]) / self.h[:, None]
 
-    def interval_label(self, n_rows: int) -> Any:
-        """Labels of defects: 'trajectory=2, interval=17, equation=0'."""
-        offset = self.begin - self.first[self.trajectory[self.begin]]
-        return lambda i: (
-            f"trajectory={self.trajectory[self.begin[i // n_rows]]}, interval={offset[i // n_rows]}, row={i % n_rows}"
-        )
+    def interval_label(self, n_rows: int) -> Callable[[int], str]:
+        """Labels of values that stand in ``n_rows`` rows per interval.
+
+        Such as 'trajectory=2, interval=17, row=0'; intervals count from the beginning
+        of their trajectory.
+        """
+        trajectory = self.trajectory[self.begin]
+        number = self.begin - self.first[trajectory]
+
+        def label(place: int) -> str:
+            interval, row = divmod(place, n_rows)
+            return (
+                f"trajectory={trajectory[interval]}, "
+                f"interval={number[interval]}, row={row}"
+            )
+
+        return label
+
+    def node_label(self, n_rows: int) -> Callable[[int], str]:
+        """Labels of values that stand in ``n_rows`` rows per node.
+
+        Such as 'trajectory=2, t=0.5, state=0'.
+        """
+
+        def label(place: int) -> str:
+            node, row = divmod(place, n_rows)
+            return (
+                f"trajectory={self.trajectory[node]}, t={self.t[node]:g}, state={row}"
+            )
+
+        return label
 
 
 def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     """Lay out the measurements with ``steps`` intervals between neighbouring samples.
 
-    ``steps`` is a number, or per trajectory an array (n_samples - 1,) with the number
-    for each gap between samples.
+    Args:
+        data: the measurements.
+        steps: a number, or per trajectory an array (n_samples - 1,) with the number for
+            each gap between samples.
     """
-    runs = data.trajectories
-    counts = (
-        [np.full(r.n_samples - 1, steps) for r in runs]
-        if isinstance(steps, int)
-        else list(steps)
-    )
-    parts = [_refined(run, data.hold, n) for run, n in zip(runs, counts, strict=True)]
-    sizes = [len(part["t"]) for part in parts]
-    offsets = np.cumsum([0, *sizes[:-1]])
-    joined = {
-        key: np.concatenate([part[key] for part in parts])
-        for key in ("t", "y", "sample", "h", "u0", "u1", "u")
-    }
-    begin = np.concatenate(
-        [
-            offset + np.arange(size - 1)
-            for offset, size in zip(offsets, sizes, strict=True)
-        ]
-    )
-    return Grid(
-        trajectory=np.repeat(np.arange(len(parts)), sizes), begin=begin, **joined
-    )
+    if isinstance(steps, int):
+        counts = [np.full(run.n_samples - 1, steps) for run in data.trajectories]
+    else:
+        counts = list(steps)
+    runs = []
+    offset = 0
+    for number, run in enumerate(data.trajectories):
+        runs.append(_run_grid(run, data.hold, counts[number], number, offset))
+        offset += runs[-1].n_nodes
+    return _joined(runs)
 
 
 def steps_per_gap(grid: Grid) -> list[np.ndarray]:
     """Number of intervals in every gap between samples, per trajectory."""
     samples = np.flatnonzero(grid.sample)
-    gaps = np.diff(samples)
-    inside = np.diff(grid.trajectory[samples]) == 0
-    runs = grid.trajectory[samples][:-1]
-    return [gaps[inside & (runs == i)] for i in range(grid.trajectory[-1] + 1)]
+    n_intervals = np.diff(samples)
+    trajectory = grid.trajectory[samples]
+    is_inside = np.diff(trajectory) == 0
+    per_trajectory = []
+    for number in range(grid.trajectory[-1] + 1):
+        is_own = is_inside & (trajectory[:-1] == number)
+        per_trajectory.append(n_intervals[is_own])
+    return per_trajectory
 
 
-def interpolate_at_nodes(x: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Values (n_samples, ...) at the samples, interpolated to the nodes of a grid with
-    ``steps`` intervals per gap.
+def interpolate_at_nodes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Values at the samples, interpolated linearly to the nodes.
+
+    Args:
+        values: (n_samples, ...).
+        steps: (n_samples - 1,) number of intervals in each gap.
+
+    Returns:
+        (n_nodes, ...); at a sample its own value.
     """
-    left, fraction = _places(steps)
-    weight = fraction.reshape(-1, *[1] * (x.ndim - 1))
-    return (1 - weight) * x[left] + weight * x[np.minimum(left + 1, len(x) - 1)]
+    places = _NodePlaces.of(steps)
+    fraction = places.fraction.reshape(-1, *[1] * (values.ndim - 1))
+    right = np.minimum(places.left + 1, len(values) - 1)
+    return (1 - fraction) * values[places.left] + fraction * values[right]
 
 
-def _places(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each node: the sample to its left (the last node: itself), and the fraction of
-    the gap behind it.
+@dataclass(frozen=True, eq=False)
+class _NodePlaces:
+    """Where the nodes of one trajectory stand among its samples.
+
+    Attributes:
+        left: (n_nodes,) sample to the left of each node; the last node's is itself.
+        fraction: (n_nodes,) share of the gap that lies between the two.
     """
-    left = np.repeat(np.arange(len(steps)), steps)
-    first = np.cumsum(steps) - steps
-    fraction = (np.arange(len(left)) - first[left]) / steps[left]
-    return np.r_[left, len(steps)], np.r_[fraction, 0.0]
+
+    left: np.ndarray
+    fraction: np.ndarray
+
+    @classmethod
+    def of(cls, steps: np.ndarray) -> "_NodePlaces":
+        left = np.repeat(np.arange(len(steps)), steps)
+        first_of_gap = np.cumsum(steps) - steps
+        fraction = (np.arange(len(left)) - first_of_gap[left]) / steps[left]
+        return cls(np.r_[left, len(steps)], np.r_[fraction, 0.0])
 
 
-def _refined(
-    trajectory: Trajectory, hold: str, steps: np.ndarray
-) -> dict[str, np.ndarray]:
-    left, fraction = _places(steps)
-    t = interpolate_at_nodes(trajectory.t, steps)
-    sample = fraction == 0
-    y = np.full((len(t), trajectory.x.shape[1]), np.nan)
-    y[sample] = trajectory.x
+def _run_grid(
+    run: Trajectory, hold: str, steps: np.ndarray, number: int, offset: int
+) -> Grid:
+    """The grid of one trajectory, whose nodes count from ``offset``."""
+    places = _NodePlaces.of(steps)
+    t = interpolate_at_nodes(run.t, steps)
+    is_sample = places.fraction == 0
+    y = np.full((len(t), run.x.shape[1]), np.nan)
+    y[is_sample] = run.x
     if hold == "zero":
-        at_node = trajectory.u[left]
-        u0 = u1 = at_node[:-1]
+        u = run.u[places.left]
+        u1 = u[:-1]
     else:
-        at_node = interpolate_at_nodes(trajectory.u, steps)
-        u0, u1 = at_node[:-1], at_node[1:]
-    return {
-        "t": t,
-        "y": y,
-        "sample": sample,
-        "h": np.diff(t),
-        "u0": u0,
-        "u1": u1,
-        "u": at_node,
-    }
+        u = interpolate_at_nodes(run.u, steps)
+        u1 = u[1:]
+    return Grid(
+        t=t,
+        y=y,
+        trajectory=np.full(len(t), number),
+        sample=is_sample,
+        begin=offset + np.arange(len(t) - 1),
+        h=np.diff(t),
+        u0=u[:-1],
+        u1=u1,
+        u=u,
+    )
+
+
+def _joined(runs: Sequence[Grid]) -> Grid:
+    """The grids of several trajectories as one."""
+    arrays = {}
+    for field in fields(Grid):
+        parts = [getattr(run, field.name) for run in runs]
+        arrays[field.name] = np.concatenate(parts)
+    return Grid(**arrays)

@@ -1,9 +1,9 @@
-"""One-step schemes: the mean derivative Psi over a step, from which a defect (x1 -
-x0)/h - Psi is made.
+"""One-step schemes: the mean derivative Psi over a step.
 
-A scheme sees the right-hand side as ``g(x, c)``: the state x at the fraction c of the
-step (time and input at that fraction are filled in by the caller). Schemes may use both
-ends, so none of them needs an inner solve.
+A defect (x1 - x0)/h - Psi is made from it (`defects`). A scheme sees the right-hand
+side as ``g(x, c)``: the state x at the fraction c of the step (time and input at that
+fraction are filled in by the caller). Schemes may use both ends, so none of them needs
+an inner solve.
 """
 
 from collections.abc import Callable
@@ -18,8 +18,13 @@ RightHandSide = Callable[[Any, float], Any]
 
 @dataclass(frozen=True)
 class Integrator:
-    """A one-step scheme: ``psi(g, x0, x1, h)`` approximates (x1 - x0)/h to the given
-    order.
+    """A one-step scheme: ``psi(g, x0, x1, h)`` approximates (x1 - x0)/h.
+
+    Attributes:
+        name: what users call it.
+        order: the error of the approximation is of this order in h.
+        symmetric: whether exchanging the two ends, with h negative, changes nothing.
+        psi: the mean derivative, of numbers, symbols or tensors alike.
     """
 
     name: str
@@ -40,7 +45,8 @@ def _rk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
     k1 = g(x0, 0.0)
     k2 = g(x0 + h / 2 * k1, 0.5)
     k3 = g(x0 + h / 2 * k2, 0.5)
-    return (k1 + 2 * k2 + 2 * k3 + g(x0 + h * k3, 1.0)) / 6
+    k4 = g(x0 + h * k3, 1.0)
+    return (k1 + 2 * k2 + 2 * k3 + k4) / 6
 
 
 # SRK4 evaluates the right-hand side at these shares of the step, the nodes of Gauss's
@@ -83,26 +89,25 @@ def _srk4(g: RightHandSide, x0: Any, x1: Any, h: Any) -> Any:
 
 
 INTEGRATORS = {
-    scheme.name: scheme
-    for scheme in (
-        Integrator("euler", 1, False, _euler),  # thesis Eq. 5.7
-        Integrator("midpoint", 2, True, _midpoint),  # thesis Eq. 5.8
-        Integrator("rk4", 4, False, _rk4),  # thesis Eq. 5.9
-        Integrator("srk4", 4, True, _srk4),  # thesis Eq. 5.11
-    )
+    "euler": Integrator("euler", 1, False, _euler),  # thesis Eq. 5.7
+    "midpoint": Integrator("midpoint", 2, True, _midpoint),  # thesis Eq. 5.8
+    "rk4": Integrator("rk4", 4, False, _rk4),  # thesis Eq. 5.9
+    "srk4": Integrator("srk4", 4, True, _srk4),  # thesis Eq. 5.11
 }
+# For starting values: one evaluation of the right-hand side at states that are known,
+# so its defects are linear wherever the model is.
+STARTING_SCHEME = "midpoint"
 
 
 def integrator(name: str) -> Integrator:
-    """The scheme of that name; raises `ModelError` otherwise."""
+    """The scheme of that name.
+
+    Raises:
+        ModelError: there is none.
+    """
     if name not in INTEGRATORS:
         raise ModelError(
             f"integrator {name!r} is unknown; expected one of {', '.join(INTEGRATORS)}."
             f"{did_you_mean(str(name), INTEGRATORS)}"
         )
     return INTEGRATORS[name]
-
-
-STARTING_SCHEME = (
-    "midpoint"  # one evaluation of the right-hand side: linear where the model is
-)

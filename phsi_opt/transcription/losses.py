@@ -1,12 +1,12 @@
-"""The three losses: one family of problems that differ in where the noise is assumed to
-be.
+"""The three losses: one family of problems, by where the noise is assumed to be.
 
-| loss                | states             | defects                | objective | |
-PHSILoss            | the data           | minimised              | mean of squared
-defects + L1 (thesis Eq. 5.6) | | MaximumLikelihood   | decision variables | equal to
-zero          | mean of squared residuals over sigma^2 + L1 | | MissingForce        |
-decision variables | decision variables w   | squared residuals over sigma^2 +
-smoothness of w |
+================= =========== ============ =========================================
+loss              states      defects      objective
+================= =========== ============ =========================================
+PHSILoss          the data    minimised    mean of squared defects + L1
+MaximumLikelihood unknown     equal zero   mean of squared residuals/sigma^2 + L1
+MissingForce      unknown     unknown w    squared residuals/sigma^2 + smoothness of w
+================= =========== ============ =========================================
 
 Each makes a `Program` from a model, a grid and a starting point; what is done with the
 program is the business of `identify`.
@@ -23,28 +23,34 @@ from scipy.sparse import csc_matrix
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Assembly, Program
-from phsi_opt.transcription.defects import (
-    defect_jacobian,
-    defects,
-    interval_curvatures,
-    interval_slopes,
-)
+from phsi_opt.transcription.defect_constraint import DefectConstraint
+from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
-from phsi_opt.transcription.sensors import outputs
+from phsi_opt.transcription.program_blocks import (
+    ThetaVariable,
+    measurement_residual,
+    outlier_slack,
+    state_variable,
+)
 
 
 @dataclass(frozen=True)
 class PHSILoss:
-    """(1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2 + sum_j lambda_j
-    |xi_j| (thesis Eq. 5.6 as a mean).
+    """Squared defects of the measured states, and an L1 penalty (thesis Eq. 5.6)::
+
+        (1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2
+        + sum_j lambda_j |xi_j|
 
     The states are the data, so every state must be measured; an interval with a missing
     end is left out. Fast, and convex where Psi is one evaluation of g and R is fixed.
     The noise in the states biases it: final estimates with measured data are
-    `MaximumLikelihood`'s.
+    `MaximumLikelihood`'s. (The thesis has the sum in place of the mean.)
+
+    Args:
+        integrator: the scheme of the defects.
     """
 
     integrator: str = "srk4"
@@ -52,32 +58,40 @@ class PHSILoss:
     def program(
         self, model: Model, grid: Grid, point: Point, l1: Mapping[str, float]
     ) -> Program:
-        """The program in theta and the slacks; the data enter as numbers."""
+        """The program in theta and the slacks; the data enter as numbers.
+
+        Raises:
+            ModelError: the model has a sensor, or a parameter per trajectory.
+            DataError: the data have no interval that is completely measured.
+        """
         used = complete_intervals(model, grid)
         size = mean_square_rate(used)
         weight = np.sqrt(2 / (size * used.n_intervals))
-        exact = defect_jacobian(model, used, self.integrator)
-        scale, n = ca.DM(point.theta_scale), len(model.free)
+        slopes = defect_jacobian(model, used, self.integrator)
+        scale = ca.DM(point.theta_scale)
+        n_theta = len(model.free)
 
         def jacobian(z: ca.MX) -> ca.MX:
-            dense = weight * exact(used.y.T, z[:n] * scale) @ ca.diag(scale)
-            return ca.horzcat(dense, ca.MX(dense.size1(), z.numel() - n))
+            values = z[:n_theta] * scale
+            in_theta = weight * slopes(used.y.T, values) @ ca.diag(scale)
+            in_slacks = ca.MX(in_theta.size1(), z.numel() - n_theta)
+            return ca.horzcat(in_theta, in_slacks)
 
         build = Assembly()
-        unknown = Theta.of(model, ("",))
-        theta = _theta(build, unknown, point)
-        build.residual(
-            weight * defects(model, used, self.integrator, ca.DM(used.y.T), theta),
-            jacobian,
-        )
-        _add_l1(build, unknown, theta, point, l1, 1 / size)
+        one_trajectory = Theta.of(model, ("",))
+        theta = ThetaVariable.added_to(build, one_trajectory, point)
+        d = defects(model, used, self.integrator, ca.DM(used.y.T), theta.values)
+        build.residual(weight * d, jacobian)
+        theta.add_l1(build, l1, 1 / size)
         return build.finish()
 
 
 @dataclass(frozen=True)
 class MaximumLikelihood:
-    """Minimise (1/N) sum ((y - x)/sigma)^2 + sum lambda |xi| over states and
-    parameters, subject to zero defects.
+    """Squared residuals of the measurements, over states that obey the model::
+
+        minimise   (1/N) sum ((y - x)/sigma)^2 + sum_j lambda_j |xi_j|
+        over states x and parameters, subject to zero defects
 
     States that nobody measured and missing samples are no obstacle.
 
@@ -94,6 +108,9 @@ class MaximumLikelihood:
             cannot be solved.
         starts: number of starting points, the first from the data, others moved from it
             by a fixed random sequence; the fit's warnings say how many of them agree.
+
+    Raises:
+        ModelError: a setting is out of its range.
     """
 
     noise: Mapping[str, float] | None = None
@@ -104,18 +121,10 @@ class MaximumLikelihood:
     starts: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("huber", "window"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ModelError(
-                    f"{name}={value!r} of MaximumLikelihood must be a number above zero, or None."
-                )
-        for name in ("steps", "starts"):
-            value = getattr(self, name)
-            if value is not None and (not isinstance(value, int) or value < 1):
-                raise ModelError(
-                    f"{name}={value!r} of MaximumLikelihood must be a whole number of at least 1."
-                )
+        _check_positive("huber", self.huber)
+        _check_positive("window", self.window)
+        _check_count("steps", self.steps)
+        _check_count("starts", self.starts)
 
     def program(
         self,
@@ -126,87 +135,54 @@ class MaximumLikelihood:
         sigma: np.ndarray,
         unknown: Theta,
     ) -> Program:
-        """The program in theta, x and the slacks. ``sigma`` (n_states,), noise of each
-        channel, is a setting of it.
+        """The program in theta, x and the slacks.
+
+        Args:
+            model: the model.
+            grid: nodes, intervals and measurements.
+            point: where the solver begins, and the sizes of the unknowns.
+            l1: weight by slot.
+            sigma: (n_states,) noise of each channel, a setting of the program.
+            unknown: the parameters of ``model`` in the trajectories of ``grid``.
         """
         build = Assembly()
-        theta = _theta(build, unknown, point)
-        x = _states(build, grid, point)
-        of_runs = unknown.by_trajectory(theta)
+        theta = ThetaVariable.added_to(build, unknown, point)
+        x = state_variable(build, grid, point)
+        of_runs = theta.by_trajectory
         d = defects(model, grid, self.integrator, x, of_runs)
+        constraint = DefectConstraint(model, grid, self.integrator, point, unknown)
         build.constrain(
             "defect",
-            _scaled(d, grid, point),
+            constraint.scaled(d),
             label=grid.interval_label(model.n_states),
-            jacobian=lambda z: _defect_rows(
-                model, grid, self.integrator, point, unknown, z
-            ),
+            jacobian=constraint.jacobian,
         )
-        n = int(grid.measured.sum())
-        residual = _misfit(model, x, of_runs, grid, build.setting("sigma", sigma))
+        noise = build.setting("sigma", sigma)
+        residual = measurement_residual(model, grid, x, of_runs, noise)
+        n_measured = int(grid.measured.sum())
         if self.huber is not None:
-            residual = residual - _outliers(build, n, self.huber)
-        build.residual(residual * np.sqrt(2 / n))
-        _add_l1(build, unknown, theta, point, l1, 1.0)
-        build.curvature(
-            lambda z, multipliers: self._curvature(
-                model, grid, point, unknown, z, multipliers
-            )
-        )
+            residual = residual - outlier_slack(build, n_measured, self.huber)
+        build.residual(residual * np.sqrt(2 / n_measured))
+        theta.add_l1(build, l1, 1.0)
+        build.curvature(constraint.curvature)
         return build.finish()
-
-    def _curvature(
-        self,
-        model: Model,
-        grid: Grid,
-        point: Point,
-        unknown: Theta,
-        z: ca.MX,
-        multipliers: ca.MX,
-    ) -> ca.MX:
-        """What the defects add to the Hessian of the Lagrangian: second derivatives per
-        interval, summed in place.
-        """
-        n, m, p = model.n_states, grid.n_intervals, len(unknown)
-        scale = np.r_[point.theta_scale, np.tile(point.x_scale, grid.n_nodes)]
-        values = z[: len(scale)] * ca.DM(scale)
-        x, theta = ca.reshape(values[p:], n, -1), unknown.by_trajectory(values[:p])
-        # The constraint is the defect times h over the state's size.
-        weighted = ca.reshape(multipliers[: n * m], n, m) * ca.DM(
-            grid.h[None, :] / point.x_scale[:, None]
-        )
-        entries, places = interval_curvatures(
-            model, grid, self.integrator, x, theta, weighted
-        )
-        local = _local(model, grid, unknown)
-        i, j = local[:, places[:, 0]].ravel(), local[:, places[:, 1]].ravel()
-        i, j = np.minimum(i, j), np.maximum(i, j)
-        keys, where = np.unique(j * z.numel() + i, return_inverse=True)
-        gather = ca.DM(
-            csc_matrix(
-                (scale[i] * scale[j], (where, np.arange(len(i)))),
-                shape=(len(keys), len(i)),
-            )
-        )
-        pattern = ca.Sparsity.triplet(
-            z.numel(),
-            z.numel(),
-            (keys % z.numel()).tolist(),
-            (keys // z.numel()).tolist(),
-        )
-        return ca.MX(pattern, ca.mtimes(gather, ca.vec(entries)))
 
 
 @dataclass(frozen=True)
 class MissingForce:
-    """Minimise 1/2 sum ((y - x)/sigma)^2 + 1/2 |w|_prior^2 subject to defects = w in
-    the forced equations, else zero.
+    """Squared residuals, over states that obey the model and an unknown force w::
+
+        minimise   1/2 sum ((y - x)/sigma)^2 + 1/2 |w|_prior^2
+        subject to defects = w in the forced equations, else zero
 
     w, one value per interval and forced equation, is a force that the model lacks. Its
-    prior is an Ornstein-Uhlenbeck process of standard deviation ``size`` and
-    correlation time ``time``: smooth enough to tell force from noise, rough enough for
-    a friction that jumps. Its size is chosen by marginal likelihood (`missing`), never
-    inside this program, where it would collapse to zero.
+    prior (`ForcePrior`) is smooth enough to tell force from noise, and rough enough for
+    a friction that jumps. Its size is chosen by marginal likelihood
+    (`phsi_opt.estimation.missing_force`), never inside this program, where it would
+    collapse to zero. Not a loss that `identify` takes.
+
+    Args:
+        integrator: the scheme of the defects.
     """
 
     integrator: str = "srk4"
@@ -220,74 +196,62 @@ class MissingForce:
         sigma: np.ndarray,
         unknown: Theta | None = None,
     ) -> Program:
-        """The program in x and w, and in theta where it is ``unknown``; else that stays
-        at ``point.theta``.
+        """The program in x and w, and in theta where it is ``unknown``.
+
+        Args:
+            model: the model that lacks a force.
+            grid: nodes, intervals and measurements.
+            point: where the solver begins, and the sizes of the unknowns.
+            prior: of the force; its size is a setting of the program.
+            sigma: (n_states,) noise of each channel, a setting of the program.
+            unknown: the parameters; None: they stay at ``point.theta``.
         """
         build = Assembly()
-        theta: Any = (
-            ca.DM(point.theta)
-            if unknown is None
-            else unknown.by_trajectory(_theta(build, unknown, point))
-        )
-        x = _states(build, grid, point)
-        n_forced, rows = len(prior.rows), list(prior.rows)
-        start = np.zeros((grid.n_intervals, n_forced)) if point.w is None else point.w
+        theta: Any = ca.DM(point.theta)
+        if unknown is not None:
+            theta = ThetaVariable.added_to(build, unknown, point).by_trajectory
+        x = state_variable(build, grid, point)
         # Size and noise are settings: the updates of both solve the same program again.
-        size, noise = build.setting("size", prior.size), build.setting("sigma", sigma)
-        scale = np.tile(prior.size, grid.n_intervals)
-        w = ca.reshape(build.variable("w", start.ravel(), scale=scale), n_forced, -1)
-        selector = np.zeros((model.n_states, n_forced))
-        selector[rows, np.arange(n_forced)] = 1.0
-        d = defects(model, grid, self.integrator, x, theta) - ca.mtimes(
-            ca.DM(selector), w
-        )
-        # The force enters linearly: per interval and forced row, minus its scale.
-        pushes = -csc_matrix(
-            (
-                np.tile(scale[:n_forced], grid.n_intervals)
-                * (grid.h[:, None] / point.x_scale[rows]).ravel(),
-                (
-                    (
-                        model.n_states * np.arange(grid.n_intervals)[:, None] + rows
-                    ).ravel(),
-                    np.arange(w.numel()),
-                ),
-            ),
-            shape=(model.n_states * grid.n_intervals, w.numel()),
-        )
+        size = build.setting("size", prior.size)
+        noise = build.setting("sigma", sigma)
+        w = _force_variable(build, grid, point, prior)
+        d = defects(model, grid, self.integrator, x, theta)
+        into_equations = ca.DM(_force_selector(model, prior))
+        constraint = DefectConstraint(model, grid, self.integrator, point, unknown)
+        in_force = ca.DM(_force_slopes(model, grid, point, prior))
+
+        def jacobian(z: ca.MX) -> ca.MX:
+            others = z[: z.numel() - w.numel()]
+            return ca.horzcat(constraint.jacobian(others), in_force)
+
         build.constrain(
             "defect",
-            _scaled(d, grid, point),
+            constraint.scaled(d - ca.mtimes(into_equations, w)),
             label=grid.interval_label(model.n_states),
-            jacobian=lambda z: ca.horzcat(
-                _defect_rows(
-                    model,
-                    grid,
-                    self.integrator,
-                    point,
-                    unknown,
-                    z[: z.numel() - w.numel()],
-                ),
-                ca.DM(pushes),
-            ),
+            jacobian=jacobian,
         )
-        build.residual(_misfit(model, x, theta, grid, noise))
-        for k in range(n_forced):
-            build.residual(
-                ca.mtimes(ca.DM(prior.unit_whitener(grid)), w[k, :].T) / size[k]
-            )
+        build.residual(measurement_residual(model, grid, x, theta, noise))
+        whitener = ca.DM(prior.unit_whitener(grid))
+        for k in range(len(prior.rows)):
+            innovations = ca.mtimes(whitener, w[k, :].T)
+            build.residual(innovations / size[k])
         return build.finish()
 
 
 def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
-    """L1 weight per slot: a number stands for H and F alike."""
+    """L1 weight per slot: a number stands for H and F alike.
+
+    Raises:
+        ModelError: a slot is unknown, or a weight is negative or not finite.
+    """
     if l1 is None:
         return {}
     weights = dict(l1) if isinstance(l1, Mapping) else {"H": l1, "F": l1}
     for slot, weight in weights.items():
         if slot not in ("H", "R", "F"):
             raise ModelError(
-                f"l1 names slot {slot!r}; expected 'H', 'R' or 'F'.{did_you_mean(str(slot), 'HRF')}"
+                f"l1 names slot {slot!r}; expected 'H', 'R' or 'F'."
+                f"{did_you_mean(str(slot), 'HRF')}"
             )
         if not np.isfinite(weight) or weight < 0:
             raise ModelError(
@@ -297,165 +261,97 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
 
 
 def complete_intervals(model: Model, grid: Grid) -> Grid:
-    """The grid with only the intervals whose two ends are completely measured; raises
-    `DataError` if there are none.
+    """The grid with only the intervals whose two ends are completely measured.
+
+    Raises:
+        ModelError: the model has a sensor, or a parameter per trajectory: it is not one
+            for `PHSILoss`.
+        DataError: a state was never measured, or there is no such interval.
     """
-    alone = [
-        name for name, entry in model.entries.items() if entry.parameter.per_trajectory
-    ]
-    if model.sensor or alone:
-        what = (
-            f"the parameter per trajectory {alone[0]!r}"
-            if alone
-            else f"the sensor of {next(iter(model.sensor))!r}"
-        )
-        raise ModelError(f"PHSILoss has no place for {what}; use MaximumLikelihood().")
-    never = [
-        name
-        for name, seen in zip(model.states, grid.measured.T, strict=True)
-        if not np.any(seen)
-    ]
-    if never:
-        raise DataError(
-            f"state {never[0]!r} was never measured, but PHSILoss takes the states from the data; use "
-            "MaximumLikelihood(), where the states are decision variables."
-        )
-    full = np.asarray(grid.measured.all(axis=1))
-    keep = np.flatnonzero(full[grid.begin] & full[grid.begin + 1])
+    _check_shared_without_sensors(model)
+    for name, is_measured in zip(model.states, grid.measured.T, strict=True):
+        if not np.any(is_measured):
+            raise DataError(
+                f"state {name!r} was never measured, but PHSILoss takes the states "
+                "from the data; use MaximumLikelihood(), where the states are decision "
+                "variables."
+            )
+    is_complete = np.asarray(grid.measured.all(axis=1))
+    keep = np.flatnonzero(is_complete[grid.begin] & is_complete[grid.begin + 1])
     if not len(keep):
         raise DataError(
-            "no two neighbouring samples are complete, so there is no defect; use MaximumLikelihood()."
+            "no two neighbouring samples are complete, so there is no defect; use "
+            "MaximumLikelihood()."
         )
     return grid.intervals(keep)
 
 
 def mean_square_rate(grid: Grid) -> float:
-    """Mean square of the rates: the objective is divided by it, so that a tolerance
-    does not depend on units.
+    """Mean square of the rates of the measured states; 1 where they do not move.
+
+    The objective of `PHSILoss` is divided by it, so that a tolerance does not depend on
+    units.
     """
     size = float(np.mean(np.sum(grid.rates(grid.y) ** 2, axis=1)))
     return size if size > 0 else 1.0
 
 
-def _theta(build: Assembly, unknown: Theta, point: Point) -> ca.MX:
-    entries = [entry.parameter for entry in unknown.entries]
-    lower, upper = (
-        np.array([p.lower for p in entries]),
-        np.array([p.upper for p in entries]),
-    )
-    return build.variable(
-        "theta",
-        point.theta,
-        lower,
-        upper,
-        point.theta_scale,
-        lambda i: unknown.names[i],
-    )
+def _check_shared_without_sensors(model: Model) -> None:
+    refusal = "PHSILoss has no place for {}; use MaximumLikelihood()."
+    for name, entry in model.entries.items():
+        if entry.parameter.per_trajectory:
+            raise ModelError(refusal.format(f"the parameter per trajectory {name!r}"))
+    if model.sensor:
+        first = next(iter(model.sensor))
+        raise ModelError(refusal.format(f"the sensor of {first!r}"))
 
 
-def _defect_rows(
-    model: Model, grid: Grid, scheme: str, point: Point, unknown: Theta | None, z: ca.MX
-) -> ca.MX:
-    """Jacobian of the scaled defects in z, whose first entries are theta (where it is
-    ``unknown``) and the states.
-    """
-    n, m, p = model.n_states, grid.n_intervals, 0 if unknown is None else len(unknown)
-    scale = np.r_[
-        point.theta_scale if p else np.zeros(0), np.tile(point.x_scale, grid.n_nodes)
-    ]
-    values = z[: len(scale)] * ca.DM(scale)
-    x, theta = (
-        ca.reshape(values[p:], n, -1),
-        ca.DM(point.theta) if unknown is None else unknown.by_trajectory(values[:p]),
-    )
-    entries, places = interval_slopes(model, grid, scheme, x, theta, p > 0)
-    i = n * np.arange(m)[:, None] + places[:, 0]
-    j = _local(model, grid, unknown)[:, places[:, 1]]
-    size = (grid.h[:, None] / point.x_scale[places[:, 0]]) * scale[j]
-    order = np.lexsort((i.ravel(), j.ravel()))
-    pattern = ca.Sparsity.triplet(
-        n * m, z.numel(), i.ravel()[order].tolist(), j.ravel()[order].tolist()
-    )
-    return ca.MX(pattern, ca.vec(entries)[order.tolist()] * ca.DM(size.ravel()[order]))
-
-
-def _local(model: Model, grid: Grid, unknown: Theta | None) -> np.ndarray:
-    """Places in z of x0, x1 and the parameters of every interval, (n_intervals, 2
-    n_states + n_free).
-    """
-    n, p = model.n_states, 0 if unknown is None else len(unknown)
-    states = p + n * grid.begin[:, None] + np.arange(2 * n)
-    return (
-        states
-        if unknown is None
-        else np.hstack([states, unknown.table.T[grid.trajectory[grid.begin]]])
-    )
-
-
-def _states(build: Assembly, grid: Grid, point: Point) -> ca.MX:
-    n = point.x.shape[1]
-    label = lambda i: (
-        f"trajectory={grid.trajectory[i // n]}, t={grid.t[i // n]:g}, state={i % n}"
-    )  # noqa: E731
-    lower, upper = (
-        (-np.inf, np.inf)
-        if point.x_bounds is None
-        else (point.x_bounds.lower.ravel(), point.x_bounds.upper.ravel())
-    )
-    scale = np.tile(point.x_scale, grid.n_nodes)
-    return ca.reshape(
-        build.variable("x", point.x.ravel(), lower, upper, scale, label), n, -1
-    )
-
-
-def _scaled(d: ca.MX, grid: Grid, point: Point) -> ca.MX:
-    # As an error of the state in units of its size: comparable between equations and
-    # between step lengths.
-    return d * ca.DM(grid.h[None, :] / point.x_scale[:, None])
-
-
-def _misfit(model: Model, x: ca.MX, theta: Any, grid: Grid, sigma: ca.MX) -> ca.MX:
-    shown = outputs(model, grid, x, theta) if model.sensor else x
-    measured = grid.measured
-    seen = np.flatnonzero(
-        measured.ravel()
-    ).tolist()  # row-major (n_nodes, n_states) = CasADi's columns
-    spread = ca.vec(sigma[np.nonzero(measured)[1].tolist()])
-    return (ca.DM(grid.y.ravel()[seen]) - ca.vec(shown)[seen]) / spread
-
-
-def _outliers(build: Assembly, n: int, limit: float) -> ca.MX:
-    """Slack variables that take over what is beyond the limit, at a linear cost:
-    together, Huber's function.
-    """
-    parts = [
-        build.variable(f"outlier_{name}", np.full(n, 0.1), lower=0.0)
-        for name in ("above", "below")
-    ]
-    build.cost(2 * limit / n * (ca.sum1(parts[0]) + ca.sum1(parts[1])))
-    return parts[0] - parts[1]
-
-
-def _add_l1(
-    build: Assembly,
-    unknown: Theta,
-    theta: ca.MX,
-    point: Point,
-    l1: Mapping[str, float],
-    factor: float,
-) -> None:
-    entries = unknown.entries
-    chosen = [
-        i
-        for i, entry in enumerate(entries)
-        if entry.prunable and l1.get(entry.slot, 0) > 0
-    ]
-    if chosen:
-        weight = factor * np.array([l1[entries[i].slot] for i in chosen])
-        build.l1(
-            "theta",
-            theta[chosen],
-            weight,
-            point.theta[chosen],
-            point.theta_scale[chosen],
+def _check_positive(name: str, value: float | None) -> None:
+    if value is not None and not (np.isfinite(value) and value > 0):
+        raise ModelError(
+            f"{name}={value!r} of MaximumLikelihood must be a number above zero, or "
+            "None."
         )
+
+
+def _check_count(name: str, value: int | None) -> None:
+    if value is not None and (not isinstance(value, int) or value < 1):
+        raise ModelError(
+            f"{name}={value!r} of MaximumLikelihood must be a whole number of at "
+            "least 1."
+        )
+
+
+def _force_variable(
+    build: Assembly, grid: Grid, point: Point, prior: ForcePrior
+) -> ca.MX:
+    """Add the block "w", the force per interval; (n_forced, n_intervals) symbols."""
+    n_forced = len(prior.rows)
+    start = np.zeros((grid.n_intervals, n_forced)) if point.w is None else point.w
+    scale = np.tile(prior.size, grid.n_intervals)
+    w = build.variable("w", start.ravel(), scale=scale)
+    return ca.reshape(w, n_forced, -1)
+
+
+def _force_selector(model: Model, prior: ForcePrior) -> np.ndarray:
+    """Matrix of ones that puts the force into its equations, (n_states, n_forced)."""
+    n_forced = len(prior.rows)
+    selector = np.zeros((model.n_states, n_forced))
+    selector[list(prior.rows), np.arange(n_forced)] = 1.0
+    return selector
+
+
+def _force_slopes(model: Model, grid: Grid, point: Point, prior: ForcePrior) -> Any:
+    """Jacobian of the scaled defects in the scaled force: sparse and constant.
+
+    The force enters linearly: per interval and forced row, minus its scale.
+    """
+    rows = list(prior.rows)
+    n_equations = model.n_states * grid.n_intervals
+    n_forces = len(rows) * grid.n_intervals
+    first_equation = model.n_states * np.arange(grid.n_intervals)[:, None]
+    equations = (first_equation + rows).ravel()
+    length_per_size = (grid.h[:, None] / point.x_scale[rows]).ravel()
+    slopes = np.tile(prior.size, grid.n_intervals) * length_per_size
+    places = (equations, np.arange(n_forces))
+    return -csc_matrix((slopes, places), shape=(n_equations, n_forces))

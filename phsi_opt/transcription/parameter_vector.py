@@ -1,7 +1,10 @@
-"""The vector of unknown parameters: shared ones once, those `per_trajectory` once for
-every trajectory.
+"""The vector of unknown parameters, theta.
+
+A parameter that all trajectories share stands in it once, one that is `per_trajectory`
+once for every trajectory. Values that are fixed are not in it.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +22,8 @@ class Theta:
     """Names and places of the unknown parameters of a model in several trajectories.
 
     Attributes:
+        model: the model whose free parameters these are.
+        runs: names of the trajectories.
         names: of each entry: ``k``, and ``m[run 1]``, ``m[run 2]`` for a parameter per
             trajectory (of several).
         owner: (n_theta,) position of each entry's parameter in ``model.free``.
@@ -34,25 +39,21 @@ class Theta:
 
     @classmethod
     def of(cls, model: Model, runs: Sequence[str]) -> "Theta":
-        """The unknown parameters of ``model`` in the trajectories ``runs``."""
+        """The unknown parameters of ``model`` in the trajectories ``runs``.
+
+        Raises:
+            ModelError: a name stands for two of them.
+        """
         names: list[str] = []
         owner: list[int] = []
         table = np.zeros((len(model.free), len(runs)), dtype=int)
         for i, name in enumerate(model.free):
-            local = len(runs) > 1 and model.entries[name].parameter.per_trajectory
-            table[i] = len(names) + (np.arange(len(runs)) if local else 0)
-            names += [f"{name}[{run}]" for run in runs] if local else [name]
-            owner += [i] * (len(runs) if local else 1)
-        twice = (
-            {name for name in names if names.count(name) > 1}
-            if len(set(names)) < len(names)
-            else set()
-        )
-        if twice:
-            raise ModelError(
-                f"the name {sorted(twice)[0]!r} stands for two parameters, one of them of a trajectory; rename the "
-                "trajectory, or name the term."
-            )
+            is_local = len(runs) > 1 and model.entries[name].parameter.per_trajectory
+            added = [f"{name}[{run}]" for run in runs] if is_local else [name]
+            table[i] = len(names) + (np.arange(len(runs)) if is_local else 0)
+            names += added
+            owner += [i] * len(added)
+        _check_unique(names)
         return cls(model, tuple(runs), tuple(names), np.array(owner, dtype=int), table)
 
     def __len__(self) -> int:
@@ -66,39 +67,73 @@ class Theta:
     @property
     def entries(self) -> list[Entry]:
         """The model's entry of each parameter in theta."""
-        found = self.model.entries
-        return [found[self.model.free[i]] for i in self.owner]
+        by_name = self.model.entries
+        return [by_name[self.model.free[i]] for i in self.owner]
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds, (n_theta,)."""
+        return np.array([entry.parameter.lower for entry in self.entries])
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds, (n_theta,)."""
+        return np.array([entry.parameter.upper for entry in self.entries])
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """Theta from one value per model parameter."""
+        """Theta from one value per model parameter, (n_free,) -> (n_theta,)."""
         return np.asarray(values, dtype=float)[self.owner]
 
     def by_trajectory(self, theta: Any) -> Any:
-        """The parameters of the model as columns: one for all, or (n_free,
-        n_trajectories); symbols or numbers.
+        """The parameters of the model as columns, one per trajectory.
+
+        Args:
+            theta: (n_theta,), symbols or numbers.
+
+        Returns:
+            (n_free, n_trajectories); where all are shared, theta as it is.
         """
         if self.is_shared:
             return theta
         if isinstance(theta, np.ndarray):
             return theta[self.table]
-        return ca.reshape(theta[self.table.T.ravel().tolist()], *self.table.shape)
+        column_by_column = self.table.T.ravel().tolist()
+        return ca.reshape(theta[column_by_column], *self.table.shape)
 
     def means(self, theta: np.ndarray) -> np.ndarray:
-        """One value per model parameter: its mean over the trajectories."""
-        return np.asarray(theta[self.table].mean(axis=1)) if len(theta) else np.zeros(0)
+        """One value per model parameter, (n_free,): its mean over the trajectories."""
+        if not len(theta):
+            return np.zeros(0)
+        return np.asarray(theta[self.table].mean(axis=1))
 
     def values_of(self, theta: np.ndarray, run: str) -> dict[str, float]:
-        """The model's parameters in one trajectory."""
-        column = self.table[:, self.runs.index(run)]
-        return dict(zip(self.model.free, theta[column].tolist(), strict=True))
+        """The model's parameters in one trajectory, by name."""
+        places = self.table[:, self.runs.index(run)]
+        return dict(zip(self.model.free, theta[places].tolist(), strict=True))
 
     def from_values(
         self, values: Mapping[str, float], default: np.ndarray
     ) -> np.ndarray:
-        """Theta from values by name: of its own (``m[run 1]``), else of its model
-        parameter, else the default.
+        """Theta from values by name.
+
+        The value of an entry is that of its own name (``m[run 1]``), else that of its
+        model parameter, else the default.
+
+        Args:
+            values: by name.
+            default: (n_theta,).
         """
-        pairs = zip(self.names, self.owner, default, strict=True)
-        return np.array(
-            [values.get(n, values.get(self.model.free[i], d)) for n, i, d in pairs]
+        theta = []
+        for name, owner, fallback in zip(self.names, self.owner, default, strict=True):
+            of_parameter = values.get(self.model.free[owner], fallback)
+            theta.append(values.get(name, of_parameter))
+        return np.array(theta)
+
+
+def _check_unique(names: Sequence[str]) -> None:
+    twice = sorted(name for name, count in Counter(names).items() if count > 1)
+    if twice:
+        raise ModelError(
+            f"the name {twice[0]!r} stands for two parameters, one of them of a "
+            "trajectory; rename the trajectory, or name the term."
         )

@@ -1,7 +1,11 @@
-"""TODO."""
+"""What the sensors show of the states, and its slopes.
+
+A model without sensors shows its states as they are. With sensors (an offset, a gain, a
+clipping) the data are compared with what is shown. Noise is not part of a sensor.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -10,14 +14,19 @@ from scipy.sparse import bsr_matrix, identity
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.defects import map_intervals
 from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.interval_map import argument_symbols, map_nodes
 from phsi_opt.transcription.parameter_vector import Theta
 
 
 @dataclass(frozen=True, eq=False)
 class SensorOutputs:
-    """What the sensors show of the states, (n_nodes, n_states), and its Jacobian."""
+    """What the sensors show of given states, and how it changes with them.
+
+    Attributes:
+        values: (n_nodes, n_states).
+        jacobian: slope in the states, sparse and square, (n_nodes * n_states).
+    """
 
     values: np.ndarray
     jacobian: Any
@@ -26,13 +35,11 @@ class SensorOutputs:
     def at(
         cls, model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
     ) -> "SensorOutputs":
-        """The sensors of ``model`` at the states x."""
+        """The sensors of ``model`` at the states ``x``, (n_nodes, n_states)."""
         if not model.sensor:
             return cls(x, identity(x.size, format="csc"))
-        return cls(
-            np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T,
-            output_jacobian(model, grid, x, theta),
-        )
+        values = np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T
+        return cls(values, output_jacobian(model, grid, x, theta))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,65 +55,77 @@ class OutputSlopes:
     in_parameters: np.ndarray
 
 
+def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
+    """What the sensors show at the nodes, (n_states, n_nodes).
+
+    Args:
+        model: the model with its sensors.
+        grid: nodes, their times and inputs.
+        x: (n_states, n_nodes) states, symbols or numbers.
+        theta: (n_free,) parameters, or (n_free, n_trajectories).
+    """
+    return map_nodes(model.output(), grid, x, theta)
+
+
 def outputs_at_samples(
-    model: Model, data: Measurements, states: Sequence[np.ndarray], values: np.ndarray
+    model: Model, data: Measurements, states: Sequence[np.ndarray], theta: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """What the sensors show of the states at the samples, per trajectory; ``values`` as
-    from `parameter_matrix`.
+    """What the sensors show at the samples, (n_samples, n_states) per trajectory.
+
+    Args:
+        model: the model with its sensors.
+        data: the record that gives times and inputs.
+        states: (n_samples, n_states) per trajectory.
+        theta: (n_free,) parameters, or (n_free, n_trajectories).
     """
     if not model.sensor:
         return tuple(states)
-    grid: Grid = grid_of(data)
-    return grid.split(
-        np.array(outputs(model, grid, np.concatenate(states).T, values)).T
-    )
-
-
-def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
-    """What the sensors show at the nodes, (n_states, n_nodes)."""
-    columns = [x, grid.u.T, grid.t[None, :]]
-    return map_intervals(
-        model.output(), replace(grid, begin=np.arange(grid.n_nodes)), columns, theta
-    )
+    grid = grid_of(data)
+    x = np.concatenate(states).T
+    return grid.split(np.array(outputs(model, grid, x, theta)).T)
 
 
 def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> OutputSlopes:
-    """Slopes of `outputs` at every node: in the states, (n_nodes, n_states, n_states),
-    and in the parameters.
-    """
-    one, n = model.output(), model.n_states
-    arguments = [ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())]
-    shown = one(*arguments)
-    slopes = [ca.vec(ca.densify(ca.jacobian(shown, arguments[i]).T)) for i in (0, 3)]
-    nodes = replace(grid, begin=np.arange(grid.n_nodes))
-    columns = [ca.DM(x.T), grid.u.T, grid.t[None, :]]
-    made = map_intervals(
-        ca.Function("slopes", arguments, slopes), nodes, columns, theta
+    """Slopes of `outputs` at every node, for states (n_nodes, n_states)."""
+    sensors = model.output()
+    arguments = argument_symbols(sensors)
+    state, _, _, parameters = arguments
+    shown = sensors(*arguments)
+    in_state = ca.densify(ca.jacobian(shown, state).T)
+    in_parameters = ca.densify(ca.jacobian(shown, parameters).T)
+    both = [ca.vec(in_state), ca.vec(in_parameters)]
+    slopes = ca.Function("slopes", arguments, both)
+    by_state, by_parameter = map_nodes(slopes, grid, ca.DM(x.T), theta)
+    shape = (grid.n_nodes, model.n_states, -1)
+    return OutputSlopes(
+        np.array(by_state).T.reshape(shape), np.array(by_parameter).T.reshape(shape)
     )
-    by_x, by_theta = (np.array(part).T.reshape(grid.n_nodes, n, -1) for part in made)
-    return OutputSlopes(by_x, by_theta)
 
 
 def output_slopes_in_theta(
     unknown: Theta, grid: Grid, x: np.ndarray, theta: np.ndarray
 ) -> np.ndarray:
-    """Slope of `outputs` at every node in each entry of theta, (n_nodes, n_states,
-    n_theta).
+    """Slope of `outputs` in each entry of theta, (n_nodes, n_states, n_theta).
+
+    A parameter of one trajectory has no slope at the nodes of the others.
     """
     model = unknown.model
     slopes = np.zeros((grid.n_nodes, model.n_states, len(unknown)))
     if model.sensor:
-        own = output_slopes(model, grid, x, unknown.by_trajectory(theta)).in_parameters
+        of_runs = unknown.by_trajectory(theta)
+        in_parameters = output_slopes(model, grid, x, of_runs).in_parameters
         places = unknown.table[:, grid.trajectory].T[:, None, :]
-        np.put_along_axis(slopes, np.broadcast_to(places, own.shape), own, axis=2)
+        everywhere = np.broadcast_to(places, in_parameters.shape)
+        np.put_along_axis(slopes, everywhere, in_parameters, axis=2)
     return slopes
 
 
 def output_jacobian(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
-    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square, a block
-    per node.
+    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square.
+
+    A block per node on the diagonal.
     """
     blocks = output_slopes(model, grid, x, theta).in_states
-    return bsr_matrix(
-        (blocks, np.arange(grid.n_nodes), np.arange(grid.n_nodes + 1))
-    ).tocsc()
+    block_columns = np.arange(grid.n_nodes)
+    row_starts = np.arange(grid.n_nodes + 1)
+    return bsr_matrix((blocks, block_columns, row_starts)).tocsc()

@@ -1,0 +1,119 @@
+"""First and second derivatives of the defects, interval by interval.
+
+A defect depends on the two states at its ends and on the parameters alone, so the
+Jacobian of a program and the curvature of its Lagrangian are small blocks at known
+places. Here the blocks are made; the losses put them where they belong.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from phsi_opt.model.model import Model
+from phsi_opt.transcription.defects import defect
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.interval_map import (
+    argument_symbols,
+    interval_arguments,
+    map_intervals,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class DefectSlopes:
+    """Slopes of every interval's defect in the states at its two ends.
+
+    Attributes:
+        at_begin: dd/dx0, (n_intervals, n_states, n_states).
+        at_end: dd/dx1, (n_intervals, n_states, n_states).
+    """
+
+    at_begin: np.ndarray
+    at_end: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class IntervalEntries:
+    """Entries of a small matrix per interval that are not always zero.
+
+    Attributes:
+        values: (n_entries, n_intervals), symbols or numbers.
+        places: (n_entries, 2) row and column of each entry in its matrix.
+    """
+
+    values: Any
+    places: np.ndarray
+
+
+def defect_slopes(
+    model: Model, grid: Grid, scheme: str, x: np.ndarray, theta: np.ndarray
+) -> DefectSlopes:
+    """Slopes of the defects in the states, as numbers.
+
+    ``x`` is (n_nodes, n_states) and ``theta`` (n_free,).
+    """
+    function = defect(model, scheme)
+    arguments = argument_symbols(function)
+    x0, x1 = arguments[:2]
+    value = function(*arguments)
+    in_x0 = ca.densify(ca.jacobian(value, x0).T)
+    in_x1 = ca.densify(ca.jacobian(value, x1).T)
+    slopes = ca.Function("slopes", arguments, [ca.vec(in_x0), ca.vec(in_x1)])
+    columns = interval_arguments(grid, ca.DM(x.T))
+    at_begin, at_end = map_intervals(slopes, grid, columns, theta)
+    shape = (grid.n_intervals, model.n_states, model.n_states)
+    return DefectSlopes(
+        np.array(at_begin).T.reshape(shape), np.array(at_end).T.reshape(shape)
+    )
+
+
+def interval_slopes(
+    model: Model, grid: Grid, scheme: str, x: Any, theta: Any, with_theta: bool
+) -> IntervalEntries:
+    """Slopes of every defect in (x0, x1, theta), or in (x0, x1) alone.
+
+    ``x`` is (n_states, n_nodes), symbols or numbers; ``theta`` as that of `defects`.
+    """
+    function = defect(model, scheme)
+    arguments = argument_symbols(function)
+    x0, x1, *_, parameters = arguments
+    unknowns = [x0, x1, parameters] if with_theta else [x0, x1]
+    slopes = ca.jacobian(function(*arguments), ca.vertcat(*unknowns))
+    entries = ca.Function("steps", arguments, [_entries(slopes)])
+    values = map_intervals(entries, grid, interval_arguments(grid, x), theta)
+    return IntervalEntries(values, _places(slopes))
+
+
+def interval_curvatures(
+    model: Model, grid: Grid, scheme: str, x: Any, theta: Any, multipliers: Any
+) -> IntervalEntries:
+    """Second derivatives of multipliers' d in (x0, x1, theta), upper triangle.
+
+    ``x`` is (n_states, n_nodes), ``multipliers`` (n_states, n_intervals), ``theta`` as
+    that of `defects`.
+    """
+    function = defect(model, scheme)
+    *given, parameters = argument_symbols(function)
+    x0, x1 = given[:2]
+    multiplier = ca.SX.sym("multiplier", model.n_states)
+    value = ca.dot(multiplier, function(*given, parameters))
+    hessian = ca.hessian(value, ca.vertcat(x0, x1, parameters))[0]
+    upper = ca.triu(hessian)
+    arguments = [*given, multiplier, parameters]
+    entries = ca.Function("curvature", arguments, [_entries(upper)])
+    columns = [*interval_arguments(grid, x), multipliers]
+    return IntervalEntries(map_intervals(entries, grid, columns, theta), _places(upper))
+
+
+def _places(matrix: ca.SX) -> np.ndarray:
+    """Row and column of each entry that is not always zero, (n_entries, 2)."""
+    rows, columns = matrix.sparsity().get_triplet()
+    return np.array([rows, columns], dtype=int).T
+
+
+def _entries(matrix: ca.SX) -> ca.SX:
+    """The entries at `_places`, as a column."""
+    entries = [matrix[row, column] for row, column in _places(matrix).tolist()]
+    return ca.vertcat(ca.SX(0, 1), *entries)

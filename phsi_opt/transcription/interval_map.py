@@ -1,0 +1,62 @@
+"""One function in every interval, or at every node, of a grid.
+
+CasADi maps a function over columns: differentiated and compiled once, called as often
+as there are intervals. Here, and in `defects`, the rows (n_nodes, n_states) of the data
+meet CasADi's columns (n_states, n_nodes).
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from phsi_opt.transcription.grid import Grid
+
+
+def argument_symbols(function: ca.Function) -> list[ca.SX]:
+    """A column of symbols for every argument of a function, named as there."""
+    return [
+        ca.SX.sym(function.name_in(i), function.size1_in(i))
+        for i in range(function.n_in())
+    ]
+
+
+def interval_arguments(grid: Grid, x: Any) -> list[Any]:
+    """x0, x1, t0, h, u0 and u1 of every interval, as columns.
+
+    Args:
+        grid: nodes and intervals.
+        x: (n_states, n_nodes) states, symbols or numbers.
+    """
+    begin = grid.begin.tolist()
+    end = [node + 1 for node in begin]
+    t0 = grid.t[grid.begin]
+    return [x[:, begin], x[:, end], t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
+
+
+def map_intervals(
+    function: ca.Function, grid: Grid, arguments: list[Any], theta: Any
+) -> Any:
+    """The function in every interval with the parameters of its trajectory.
+
+    Args:
+        function: its last argument are the parameters.
+        grid: nodes and intervals.
+        arguments: the other arguments, a column per interval.
+        theta: (n_free,) parameters, or (n_free, n_trajectories).
+    """
+    shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
+    n_intervals = len(grid.begin)
+    if len(shape) < 2 or shape[1] == 1:
+        shared = [function.n_in() - 1]  # theta is one and the same for all intervals
+        mapped = function.map("mapped", "serial", n_intervals, shared, [])
+        return mapped(*arguments, theta)
+    by_interval = theta[:, grid.trajectory[grid.begin].tolist()]
+    return function.map(n_intervals, "serial")(*arguments, by_interval)
+
+
+def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:
+    """A function of (x, u, t, theta) at every node; ``x`` is (n_states, n_nodes)."""
+    nodes = replace(grid, begin=np.arange(grid.n_nodes))
+    return map_intervals(function, nodes, [x, grid.u.T, grid.t[None, :]], theta)
