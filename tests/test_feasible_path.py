@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation import likelihood_solve
+from phsi_opt.estimation import solver_chain
 from phsi_opt.estimation.feasible_path import FeasiblePath
-from phsi_opt.estimation.likelihood_solve import on_record
+from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.optimization.outcome import PATH_ITERATIONS
@@ -237,9 +237,7 @@ def test_a_fit_along_solutions_is_compared_along_solutions(
     along = replace(fit, outcome=replace(fit.outcome, status="Feasible_Path"))
     found = ph.compare(fit, data)
     used: list[str] = []
-    monkeypatch.setattr(
-        likelihood_solve, "Solver", lambda *a, **k: used.append("ipopt")
-    )
+    monkeypatch.setattr(solver_chain, "Solver", lambda *a, **k: used.append("ipopt"))
     assert ph.compare(along, data).rmse == pytest.approx(found.rmse, rel=1e-4)
     assert not used
 
@@ -310,19 +308,9 @@ def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(
     )
     monkeypatch.setattr("phsi_opt.estimation.feasible_path.MAX_ITERATIONS", 1)
 
-    def solved(is_start: bool) -> str:
-        state = on_record(
-            model,
-            data,
-            sigma,
-            x,
-            ph.MaximumLikelihood(),
-            steps,
-            FEASIBLE_PATH,
-            is_start=is_start,
-        )
-        assert state is not None
-        return state.solution.outcome.status
-
-    assert solved(is_start=True) == PATH_ITERATIONS
-    assert solved(is_start=False) == "Solve_Succeeded"
+    record = RecordLikelihood(data, sigma, ph.MaximumLikelihood())
+    start = record.start_of_run(model, x, steps, FEASIBLE_PATH)
+    best = record.maximum(model, x, steps, FEASIBLE_PATH)
+    assert start is not None and best is not None
+    assert start.solution.outcome.status == PATH_ITERATIONS
+    assert best.solution.outcome.status == "Solve_Succeeded"

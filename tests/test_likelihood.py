@@ -15,7 +15,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
-from phsi_opt.estimation.likelihood_solve import cut
+from phsi_opt.estimation.multiple_shooting import cut_into_windows
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
@@ -353,13 +353,13 @@ def _noisy_record(
 def test_windows_cut_a_grid_at_samples_and_leave_no_short_piece() -> None:
     t, x, u = record(101)
     grid = grid_of(measured(t, x, u), 2)
-    pieces = cut(grid, 1.0)
+    pieces = cut_into_windows(grid, 1.0)
     gone = np.setdiff1d(grid.begin, pieces.begin)
     assert grid.sample[gone].all()
     # Windows of 1.0 in a record of 5.0; the sample at 5.0 alone is no window.
     np.testing.assert_allclose(grid.t[gone], [0.95, 1.95, 2.95, 3.95])
     assert [int(n.max()) for n in steps_per_gap(grid)] == [2]
-    assert cut(grid, 0.1).n_intervals > grid.n_intervals - 101 // 8
+    assert cut_into_windows(grid, 0.1).n_intervals > grid.n_intervals - 101 // 8
 
 
 def test_the_window_only_shows_the_way() -> None:

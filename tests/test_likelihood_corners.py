@@ -303,7 +303,7 @@ def test_a_long_record_is_begun_through_its_first_part(
     model = spring(ph.Parameter(2.5, lower=0.1, per_trajectory=True))
     whole = ph.identify(model, loads)
     said: list[str] = []
-    monkeypatch.setattr(likelihood_start, "LONG", 120)
+    monkeypatch.setattr(likelihood_start, "LONG_RECORD", 120)
     through = ph.identify(model, loads, progress=said.append)
     assert said[0] == "starting values from the first 60 samples"
     for name in whole.names:

@@ -17,9 +17,9 @@ from scipy.stats import f as f_distribution
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, did_you_mean
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.likelihood_solve import on_record
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.missing_force import force_of
-from phsi_opt.estimation.problem import State
+from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.smoothing import options, steps_on
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.alignment import aligned
@@ -182,15 +182,15 @@ class _Line:
                 f"the fit could not be repeated on these measurements: {name} is {fit.values[name]:.6g} in the fit, "
                 f"now {now}. Are they those of the fit?"
             )
-        self.value, self.lowest = best.values[name], best.misfit * best.n_values
-        size, inside = (1.0, 1.0) if fit.huber is None else best.huber_moments
-        self.factor = size / inside
+        self.value, self.lowest = best.values[name], best.chi_square
+        self.factor = 1.0 if fit.huber is None else best.huber_moments.rise_ratio
         self.points, self.states = {self.value: 0.0}, {self.value: best}
 
-    def _solved(self, model: Model, x: Sequence[np.ndarray]) -> State | None:
-        return on_record(
-            model, self.data, self.sigma, x, self.loss, self.steps, self.way
-        )
+    def _solved(
+        self, model: Model, x: Sequence[np.ndarray]
+    ) -> LikelihoodEstimate | None:
+        record = RecordLikelihood(self.data, self.sigma, self.loss)
+        return record.maximum(model, x, self.steps, self.way)
 
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held; started from
@@ -206,7 +206,7 @@ class _Line:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
         self.states[held], self.points[held] = (
             state,
-            max(state.misfit * state.n_values - self.lowest, 0.0),
+            max(state.chi_square - self.lowest, 0.0),
         )
         self.say(
             f"{self.name} = {held:.6g}: -2 log likelihood rises by {self.points[held]:.3g}"

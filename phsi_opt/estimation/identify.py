@@ -1,18 +1,21 @@
-"""The verb: start -> program -> solve -> prune -> repeat, until there is a `Fit`."""
+"""The verb: model and measurements in, `Fit` out.
+
+How each loss is solved has its own file (`phsi`, `maximum_likelihood`); here the
+arguments are checked and put together, and a failure becomes an error.
+"""
 
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
-
-import numpy as np
+from functools import singledispatch
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi import by_defects
-from phsi_opt.estimation.problem import Loss, Progress, State, Task
+from phsi_opt.estimation.problem import Loss, Progress, Task, silent
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
@@ -24,7 +27,6 @@ from phsi_opt.transcription.losses import (
     PHSILoss,
     l1_weights,
 )
-from phsi_opt.transcription.parameter_vector import Theta
 
 
 def identify(
@@ -42,38 +44,46 @@ def identify(
     """Find the parameters of ``model`` that explain ``data``.
 
     Args:
+        model: with at least one free parameter.
+        data: measurements whose states and inputs are those of the model.
         loss: `PHSILoss` or `MaximumLikelihood` (default).
-        l1: weight lambda of |coefficient| per slot, such as {"H": 0.1, "F": 0.01}; a
-            number stands for both.
+        l1: weight lambda of ``|coefficient|`` per slot, such as {"H": 0.1, "F": 0.01};
+            a number stands for both.
         pruning: how terms are removed; None keeps them all.
         start: a fit of a similar model of the same measurements, to start from its
             states and values.
+        settings: tolerance and limits of the solver.
         raise_on_failure: False returns the fit with an outcome that says what went
             wrong.
         progress: called with a line of text as the work goes on, such as ``print``.
 
-    Raises `DataError` if model and data do not match, `ModelError` for a model that
-    cannot be solved, `SolveError` if the solver fails.
+    Returns:
+        The estimates, with standard errors where they are known, and the outcome.
+
+    Raises:
+        DataError: if model and data do not match.
+        ModelError: for a model that cannot be solved.
+        SolveError: if the solver fails.
     """
     began = time.perf_counter()
-    loss = MaximumLikelihood() if loss is None else loss
     if not model.free:
         raise ModelError(
-            "the model has no free parameter, so there is nothing to identify; use compare or simulate."
+            "the model has no free parameter, so there is nothing to identify; "
+            "use compare or simulate."
         )
     task = Task(
-        model,
-        aligned(model, data),
-        l1_weights(l1),
-        pruning,
-        settings or SolverSettings(),
-        progress or _silent,
+        model=model,
+        data=aligned(model, data),
+        l1=l1_weights(l1),
+        pruning=pruning,
+        settings=settings or SolverSettings(),
+        say=progress or silent,
     )
-    state = loss_methods(loss)(task, loss, start, _pruned)
-    if raise_on_failure and not state.solution.outcome.success:
-        raise SolveError(f"The solver failed: {state.solution.outcome}")
-    fit = state.fit()
-    return replace(fit, seconds=time.perf_counter() - began)
+    loss = MaximumLikelihood() if loss is None else loss
+    estimate = estimate_by(loss, task, start)
+    if raise_on_failure:
+        _raise_failure(estimate)
+    return replace(estimate.fit(), seconds=time.perf_counter() - began)
 
 
 def identify_forced(
@@ -85,85 +95,66 @@ def identify_forced(
     layout: Callable[[Grid], Grid],
     start: Fit | None = None,
 ) -> Fit:
-    """`identify` with further inputs that the measurements do not hold: ``layout`` adds
-    them to the grid.
+    """`identify` with further inputs that the measurements do not hold.
+
+    Args:
+        model: as in `identify`.
+        data: as in `identify`, already matched to the model.
+        loss: the PHSI loss.
+        l1: as in `identify`.
+        pruning: as in `identify`.
+        layout: adds the inputs to the grid.
+        start: as in `identify`.
+
+    Raises:
+        SolveError: if the solver fails.
     """
-    task = Task(model, data, l1_weights(l1), pruning, SolverSettings(), _silent, layout)
-    state = by_defects(task, loss, start, _pruned)
-    if not state.solution.outcome.success:
-        raise SolveError(f"The solver failed: {state.solution.outcome}")
-    return state.fit()
-
-
-def loss_methods(loss: Loss) -> Callable[[Task, Any, Fit | None, Any], State]:
-    """How each loss is solved."""
-    for kind, method in ((PHSILoss, by_defects), (MaximumLikelihood, by_likelihood)):
-        if isinstance(loss, kind):
-            return method
-    hint = (
-        " A missing force is estimated by diagnose(fit, data).missing_force."
-        if isinstance(loss, MissingForce)
-        else ""
+    task = Task(
+        model=model,
+        data=data,
+        l1=l1_weights(l1),
+        pruning=pruning,
+        settings=SolverSettings(),
+        layout=layout,
     )
-    raise ModelError(
-        f"loss={loss!r} is not a loss that finds parameters; expected PHSILoss() or MaximumLikelihood().{hint}"
+    estimate = by_defects(task, loss, start)
+    _raise_failure(estimate)
+    return estimate.fit()
+
+
+@singledispatch
+def estimate_by(loss: object, task: Task, start: Fit | None) -> Estimate:
+    """The estimate by a loss, solved in the way of its kind.
+
+    Raises:
+        ModelError: for a loss that finds no parameters.
+    """
+    raise ModelError(_not_a_loss(loss))
+
+
+@estimate_by.register
+def _(loss: PHSILoss, task: Task, start: Fit | None) -> Estimate:
+    return by_defects(task, loss, start)
+
+
+@estimate_by.register
+def _(loss: MaximumLikelihood, task: Task, start: Fit | None) -> Estimate:
+    return by_likelihood(task, loss, start)
+
+
+@estimate_by.register
+def _(loss: MissingForce, task: Task, start: Fit | None) -> Estimate:
+    hint = " A missing force is estimated by diagnose(fit, data).missing_force."
+    raise ModelError(_not_a_loss(loss) + hint)
+
+
+def _not_a_loss(loss: object) -> str:
+    return (
+        f"loss={loss!r} is not a loss that finds parameters; "
+        "expected PHSILoss() or MaximumLikelihood()."
     )
 
 
-Solver = Callable[[State, Model, np.ndarray, dict[str, float]], State]
-
-
-def _pruned(state: State, solver: Solver) -> State:
-    """Warm-started re-solves until the support stays: by size with L1, then without it,
-    then by significance.
-    """
-    pruning = state.task.pruning
-    if pruning is None:
-        return state
-    n_tests = len(pruning.candidates(state.model))
-    for _ in range(pruning.max_rounds):
-        gone, l1 = pruning.small(state.model, state.sizes), state.l1
-        if not gone and pruning.debias and any(l1.values()):
-            l1 = {}
-        elif (
-            not gone
-            and pruning.significance is not None
-            and state.solution.outcome.success
-        ):
-            gone = pruning.insignificant(
-                state.model, state.values, _of_shared(state), n_tests
-            )
-        if not gone and l1 == state.l1:
-            break
-        kept = [name for name in state.model.free if name not in gone]
-        energy = [term.coefficient_name("H") for term in state.model.H]
-        if not kept or (energy and set(energy) <= gone):
-            raise ModelError(
-                f"{pruning!r} removes every term{' of H' if kept else ''}; lower its threshold or the L1 weight, or "
-                "add terms that the data need."
-            )
-        model = state.model.without(gone)
-        left, now = (
-            Theta.of(model, state.unknown.runs),
-            dict(zip(state.unknown.names, state.theta, strict=True)),
-        )
-        theta = left.from_values(now, np.zeros(len(left)))
-        removed = (*state.removed, *sorted(gone))
-        state = replace(
-            solver(state, model, theta, l1), removed=removed, notes=state.notes
-        )
-    return state
-
-
-def _silent(line: str) -> None:
-    pass
-
-
-def _of_shared(state: State) -> np.ndarray:
-    """Covariance in the order of ``model.free``; NaN for parameters that every
-    trajectory has of its own.
-    """
-    unknown, covariance = state.unknown, state.uncertainty.covariance
-    alone = np.bincount(unknown.owner) == 1
-    first = unknown.table[:, 0]
-    return np.where(np.outer(alone, alone), covariance[np.ix_(first, first)], np.nan)
+def _raise_failure(estimate: Estimate) -> None:
+    if not estimate.is_success:
+        raise SolveError(f"The solver failed: {estimate.solution.outcome}")

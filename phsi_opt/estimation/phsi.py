@@ -1,14 +1,17 @@
-"""How `PHSILoss` is solved: from every starting point that a scan finds, with the
-states fixed to the data.
-"""
+"""How `PHSILoss` is solved: the states are the data, every start of a scan is tried."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
+from phsi_opt.estimation import uncertainty
+from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.problem import State, Task
+from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.support_selection import pruned
+from phsi_opt.estimation.uncertainty import Uncertainty
 from phsi_opt.initialization.convex_start import starting_values
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.initialization.scaling import first_point
@@ -16,89 +19,143 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid, grid_of
-from phsi_opt.transcription.losses import PHSILoss, complete_intervals
+from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 
-Pruner = Callable[
-    [State, Callable[[State, Model, np.ndarray, dict[str, float]], State]], State
-]
+# Objectives that differ by less, relative and absolute, are one optimum: the solver's
+# tolerance is 1e-8.
+SAME_OPTIMUM = 1e-6
+SAME_OPTIMUM_AT_ZERO = 1e-12
+
+E = TypeVar("E", bound=Estimate)
 
 
-def by_defects(task: Task, loss: PHSILoss, start: Fit | None, prune: Pruner) -> State:
-    """The best of the solutions from several starts, each pruned by ``prune``."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PHSIEstimate(Estimate):
+    """The minimum of the PHSI loss."""
+
+    loss: PHSILoss
+
+    @property
+    def n_values(self) -> int:
+        """Number of defects."""
+        return self._used.n_intervals * self.model.n_states
+
+    @property
+    def misfit(self) -> float:
+        """Mean of the squared defects."""
+        scaled = float(np.sum(self.solution.residual**2) / 2)
+        return scaled * mean_square_rate(self._used)
+
+    def uncertainty_at_optimum(self) -> Uncertainty:
+        """Sandwich covariance: neighbouring defects share a noisy sample."""
+        return uncertainty.of_defects(
+            self.model,
+            self._used,
+            self.loss.integrator,
+            self.theta,
+            self.point.theta_scale,
+            self.solution.outcome.at_bounds,
+        )
+
+    @property
+    def _used(self) -> Grid:
+        """The grid with the intervals whose two ends are measured."""
+        return complete_intervals(self.model, self.grid)
+
+
+@dataclass(frozen=True, eq=False)
+class PHSISolver:
+    """Solves the PHSI loss of a task on one grid."""
+
+    task: Task
+    loss: PHSILoss
+    grid: Grid
+
+    def solve(
+        self, model: Model, theta: np.ndarray, l1: dict[str, float]
+    ) -> PHSIEstimate:
+        """One solve from ``theta``."""
+        used = complete_intervals(model, self.grid)
+        point = first_point(model, used, theta)
+        program = self.loss.program(model, self.grid, point, l1)
+        solution = solve(program, self.task.settings, raise_on_failure=False)
+        n_free = len(model.free)
+        self.task.say(f"PHSI loss, {n_free} parameters: {solution.outcome}")
+        return PHSIEstimate(
+            task=self.task,
+            loss=self.loss,
+            model=model,
+            grid=self.grid,
+            unknown=Theta.of(model, ("",)),
+            point=point,
+            program=program,
+            solution=solution,
+            l1=l1,
+        )
+
+    def resolve(
+        self,
+        known: PHSIEstimate,
+        model: Model,
+        theta: np.ndarray,
+        l1: dict[str, float],
+    ) -> PHSIEstimate:
+        """`solve` as pruning asks for it: the states are the data anyway."""
+        return self.solve(model, theta, l1)
+
+
+def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
+    """The best of the solutions from several starts, each pruned."""
     grid = task.layout(grid_of(task.data))
     used = complete_intervals(task.model, grid)
     model = resolve_guesses(task.model, used, np.nan_to_num(used.y))
-    thetas = (
-        [from_fit(model, start)] if start else starting_values(model, used, task.l1)
-    )
-    states = [
-        prune(
-            solve_defects(task, loss, model, grid, theta, task.l1),
-            lambda s, m, theta, l1: solve_defects(task, loss, m, grid, theta, l1),
-        )
-        for theta in thetas
-    ]
-    return chosen(states, _preference)
+    if start is None:
+        starts = starting_values(model, used, task.l1)
+    else:
+        starts = [values_of_fit(model, start)]
+    solver = PHSISolver(task, loss, grid)
+    estimates = []
+    for theta in starts:
+        first = solver.solve(model, theta, task.l1)
+        estimates.append(pruned(first, solver.resolve))
+    return best_of_starts(estimates, _bic_like)
 
 
-def chosen(
-    states: list[State], preference: Callable[[State], tuple[bool, float]]
-) -> State:
-    """The state that is preferred (smallest), with a note on how many of several starts
-    agree with it.
+def best_of_starts(
+    estimates: list[E], preference: Callable[[E], tuple[bool, float]]
+) -> E:
+    """The estimate with the smallest preference.
+
+    With a note on how many of several starts agree with it.
     """
-    best = min(states, key=preference)
-    if len(states) == 1:
+    best = min(estimates, key=preference)
+    if len(estimates) == 1:
         return best
-    objectives = sorted(s.solution.outcome.objective for s in states)
-    close = sum(o <= objectives[0] * (1 + 1e-6) + 1e-12 for o in objectives)
-    return replace(
-        best,
-        notes=(
-            f"{close} of {len(states)} starting frequencies led to the best solution",
-        ),
+    objectives = [e.solution.outcome.objective for e in estimates]
+    limit = min(objectives) * (1 + SAME_OPTIMUM) + SAME_OPTIMUM_AT_ZERO
+    n_agreeing = sum(objective <= limit for objective in objectives)
+    note = (
+        f"{n_agreeing} of {len(estimates)} starting frequencies led to the best "
+        "solution"
     )
+    return replace(best, notes=(note,))
 
 
-def _preference(state: State) -> tuple[bool, float]:
-    """Which of several starts to keep: the smaller loss, a term more only where it pays
-    (BIC, as a rule of thumb).
+def _bic_like(estimate: PHSIEstimate) -> tuple[bool, float]:
+    """Success first; then n log(loss) + n_free log(n).
+
+    The smaller loss, a term more only where it pays: BIC, as a rule of thumb, since the
+    defects are not independent.
     """
-    loss, n = max(state.solution.outcome.objective, TINY), state.n_values
-    return not state.solution.outcome.success, n * np.log(loss) + len(
-        state.model.free
-    ) * np.log(n)
+    loss = max(estimate.solution.outcome.objective, TINY)
+    n = estimate.n_values
+    cost = n * np.log(loss) + len(estimate.model.free) * np.log(n)
+    return not estimate.is_success, cost
 
 
-def solve_defects(
-    task: Task,
-    loss: PHSILoss,
-    model: Model,
-    grid: Grid,
-    theta: np.ndarray,
-    l1: dict[str, float],
-) -> State:
-    """One solve from ``theta``."""
-    point = first_point(model, complete_intervals(model, grid), theta)
-    program = loss.program(model, grid, point, l1)
-    solution = solve(program, task.settings, raise_on_failure=False)
-    task.say(f"PHSI loss, {len(model.free)} parameters: {solution.outcome}")
-    sigma = np.full(model.n_states, np.nan)
-    return State(
-        task,
-        loss,
-        model,
-        grid,
-        Theta.of(model, ("",)),
-        point,
-        program,
-        solution,
-        l1,
-        sigma,
-    )
-
-
-def from_fit(model: Model, start: Fit) -> np.ndarray:
-    """The model's parameters at the values of a fit, where it has them."""
-    return np.array([start.values.get(name, model.values[name]) for name in model.free])
+def values_of_fit(model: Model, start: Fit) -> np.ndarray:
+    """The free parameters of the model at the values of a fit, where it has them."""
+    values = start.values
+    theta = [values.get(name, model.values[name]) for name in model.free]
+    return np.array(theta)

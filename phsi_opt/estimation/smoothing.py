@@ -13,8 +13,8 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.likelihood_solve import on_record
-from phsi_opt.estimation.problem import State
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.estimation.trajectory_parameters import parameters_of
 from phsi_opt.model.model import Model
@@ -62,13 +62,13 @@ def _solved(
     sigma: np.ndarray,
     x: Sequence[np.ndarray],
     steps: Sequence[np.ndarray],
-) -> State | None:
-    """`on_record` with steps so fine that an accurate run from the first state would
-    not leave the others.
+) -> LikelihoodEstimate | None:
+    """The start of a run, with fine steps.
+
+    So fine that an accurate run from the first state would not leave the others.
     """
-    state = on_record(
-        model, data, sigma, x, options(fit), steps, fit.outcome.way, is_start=True
-    )
+    record = RecordLikelihood(data, sigma, options(fit))
+    state = record.start_of_run(model, x, steps, fit.outcome.way)
     for _ in range(REFINEMENTS):
         if state is None or FINER * state.nodes.size > MOST_REFINED:
             break
@@ -78,16 +78,7 @@ def _solved(
         if finer_steps(replace(state, sigma=size * state.sigma)) is None:
             break
         steps = [FINER * n for n in steps]
-        again = on_record(
-            model,
-            data,
-            sigma,
-            state.states,
-            options(fit),
-            steps,
-            state.way,
-            is_start=True,
-        )
+        again = record.start_of_run(model, state.states, steps, state.way)
         if again is None:
             break
         state = again

@@ -1,68 +1,98 @@
-"""TODO."""
+"""More intervals between samples where the integration error moves the estimates.
 
-from itertools import pairwise
+The error of each interval, against a finer integration, offsets its constraint; the
+linearised likelihood says what that does to parameters and states. Nothing is solved
+here.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 
-from phsi_opt.estimation.problem import State
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defects import local_errors
 from phsi_opt.transcription.elimination import regularized_inverse
 from phsi_opt.transcription.grid import steps_per_gap
 
-MOST_STEPS = 64  # intervals between two samples
-VISIBLE = (
-    0.1  # integration error that is refined: share of a standard error, or of the noise
-)
+MOST_INTERVALS = 64  # between two samples
+# Integration error that is refined: share of a standard error, or of the noise.
+VISIBLE_ERROR = 0.1
+SAFETY = 1.2  # on the fall of the error that is wanted: the steps round it up anyway
+ORDER = 4  # the error of an interval's integration, per length, falls with h^ORDER
+LARGEST_FACTOR = 16  # on the intervals of a gap in one refinement
+LOST_FACTOR = 4  # where the finer integration left the numbers
 
 
-def finer_steps(state: State) -> list[np.ndarray] | None:
-    """More steps where the integration error moves the estimates, or residuals, by more
-    than `VISIBLE`; else None.
+def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
+    """More steps where the integration error moves the estimates, or residuals.
 
-    The error of each step, against a finer integration, offsets the constraints; the
-    linearised likelihood says what that does to the estimates. The number of steps
-    grows with the fourth root of an interval's error (order four).
+    By more than `VISIBLE_ERROR`. The number of steps grows with the fourth root of an
+    interval's error (order four).
+
+    Returns:
+        Intervals in every gap between samples, (n_samples - 1,) per trajectory; None
+        where those of the estimate are enough, or as many as there may be.
     """
-    grid, unknown = state.grid, state.unknown
-    error = local_errors(
-        state.model, grid, state.nodes, np.asarray(unknown.by_trajectory(state.theta))
-    )
-    lost = ~np.isfinite(error).all(axis=1)
-    scaled = np.where(lost[:, None], 0.0, error / state.point.x_scale)
-    held = [
-        i
-        for i, name in enumerate(unknown.names)
-        if name in state.solution.outcome.at_bounds
-    ]
-    covariance = regularized_inverse(state.reduced.information, held)
-    shift = state.reduced.respond(scaled.ravel(), covariance)
-    # In standard errors of the direction in which it is largest: many small shifts of
-    # one sign add up.
-    moved = np.sqrt(
-        max(float(shift.theta @ state.reduced.information @ shift.theta), 0.0)
-    )
-    shown = (shift.x.reshape(grid.y.shape) * state.point.x_scale / state.sigma)[
-        grid.measured
-    ]
-    visible = max(moved, float(np.sqrt(np.mean(shown**2))))
-    if visible < VISIBLE and not lost.any():
+    error = _scaled_errors(estimate)
+    is_lost = ~np.isfinite(error).all(axis=1)
+    known_error = np.where(is_lost[:, None], 0.0, error)
+    visible = _visible_share(estimate, known_error)
+    if visible < VISIBLE_ERROR and not is_lost.any():
         return None
-    size = np.linalg.norm(scaled, axis=1)
+    factor = _refinement(known_error, visible)
+    factor = np.where(is_lost, LOST_FACTOR, factor).astype(int)
+    old = steps_per_gap(estimate.grid)
+    new = _refined(old, factor)
+    pairs = zip(old, new, strict=True)
+    if all(np.array_equal(before, after) for before, after in pairs):
+        return None
+    return new
+
+
+def _scaled_errors(estimate: LikelihoodEstimate) -> np.ndarray:
+    """(n_intervals, n_states) integration errors in units of the states' sizes."""
+    parameters = np.asarray(estimate.unknown.by_trajectory(estimate.theta))
+    error = local_errors(estimate.model, estimate.grid, estimate.nodes, parameters)
+    return error / estimate.point.x_scale
+
+
+def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
+    """What the errors do to the estimates: the larger of two shares.
+
+    Of a standard error, in the direction of theta in which it is largest (many small
+    shifts of one sign add up); and of the noise, root mean square over the measured
+    values.
+    """
+    likelihood = estimate.reduced
+    information = likelihood.information
+    at_bounds = estimate.solution.outcome.at_bounds
+    names = estimate.unknown.names
+    held = [i for i, name in enumerate(names) if name in at_bounds]
+    covariance = regularized_inverse(information, held)
+    shift = likelihood.respond(error.ravel(), covariance)
+    squared_shift = float(shift.theta @ information @ shift.theta)
+    in_std_errors = np.sqrt(max(squared_shift, 0.0))
+    x_shift = shift.x.reshape(estimate.grid.y.shape) * estimate.point.x_scale
+    in_noise = (x_shift / estimate.sigma)[estimate.grid.measured]
+    return max(in_std_errors, float(np.sqrt(np.mean(in_noise**2))))
+
+
+def _refinement(error: np.ndarray, visible: float) -> np.ndarray:
+    """(n_intervals,) factors on the intervals that bring the visible share down."""
+    size = np.linalg.norm(error, axis=1)
     typical = np.sum(size**2) / max(np.sum(size), TINY)
-    wanted = np.ceil((1.2 * visible / VISIBLE * size / max(typical, TINY)) ** 0.25)
-    wanted = np.where(lost, 4, np.clip(wanted, 1, 16)).astype(int)
-    old = steps_per_gap(grid)
-    gap = np.repeat(np.arange(sum(map(len, old))), np.concatenate(old))
-    factor = np.ones(sum(map(len, old)), dtype=int)
-    np.maximum.at(factor, gap, wanted)
-    edges = np.cumsum([0, *map(len, old)]).tolist()
-    new = [
-        np.minimum(n * factor[a:b], MOST_STEPS)
-        for n, (a, b) in zip(old, pairwise(edges), strict=True)
-    ]
-    return (
-        None
-        if all(np.array_equal(n, m) for n, m in zip(old, new, strict=True))
-        else new
-    )
+    fall = SAFETY * visible / VISIBLE_ERROR * size / max(typical, TINY)
+    factor = np.ceil(fall ** (1 / ORDER))
+    return np.clip(factor, 1, LARGEST_FACTOR)
+
+
+def _refined(steps: Sequence[np.ndarray], factor: np.ndarray) -> list[np.ndarray]:
+    """Steps times the largest factor of a gap's intervals."""
+    of_gaps = np.concatenate(steps)
+    gap = np.repeat(np.arange(len(of_gaps)), of_gaps)
+    largest = np.ones(len(of_gaps), dtype=int)
+    np.maximum.at(largest, gap, factor)
+    new = np.minimum(of_gaps * largest, MOST_INTERVALS)
+    ends = np.cumsum([len(of_trajectory) for of_trajectory in steps])
+    return np.split(new, ends[:-1])

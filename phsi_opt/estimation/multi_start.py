@@ -1,0 +1,87 @@
+"""Several starting points for one likelihood: the first, and random ones around it.
+
+A check on local optima, which the user asks for (``starts``): the fit's warnings say
+how many of the points led to the best solution.
+"""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.likelihood_start import states_at
+from phsi_opt.estimation.noise_estimation import NoiseLevels
+from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.starting_point import StartingPoint
+from phsi_opt.initialization.scaling import theta_scale
+from phsi_opt.optimization.settings import GAUSS_NEWTON
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.parameter_vector import Theta
+
+SEED = 0  # the same points every time
+# Standard deviation of the logarithm of the factor on a value: one value in three is
+# more than doubled or halved.
+LOG_FACTOR_SPREAD = 0.7
+# Standard deviation of what is added to a value of zero, in units of the parameter's
+# size.
+SHIFT_SPREAD = 0.3
+LEAST_STATE_SPREAD = 1e-12  # stands for that of a state that does not move
+
+
+def random_starts(
+    first: StartingPoint, task: Task, loss: MaximumLikelihood, noise: NoiseLevels
+) -> list[StartingPoint]:
+    """The first point and ``loss.starts - 1`` random ones.
+
+    Their values are those of the first times a log-normal factor; values of zero are
+    moved by a share of the parameter's size.
+    """
+    if loss.starts == 1:
+        return [first]
+    size = _parameter_sizes(first, task)
+    unknown = Theta.of(first.model, task.runs)
+    lower = [entry.parameter.lower for entry in unknown.entries]
+    upper = [entry.parameter.upper for entry in unknown.entries]
+    noise = replace(noise, sigma=first.sigma)
+    rng = np.random.default_rng(SEED)
+    starts = [first]
+    for _ in range(loss.starts - 1):
+        theta = _moved(first.theta, size, rng)
+        theta = np.clip(theta, lower, upper)
+        starts.append(_with_theta(first, theta, task, loss, noise))
+    return starts
+
+
+def _parameter_sizes(first: StartingPoint, task: Task) -> np.ndarray:
+    """(n_theta,) sizes of the parameters that would move the states visibly."""
+    unknown = Theta.of(first.model, task.runs)
+    grid = grid_of(task.data)
+    x = np.concatenate(first.states)
+    x_spread = np.maximum(np.std(x, axis=0), LEAST_STATE_SPREAD)
+    means = unknown.means(first.theta)
+    return unknown.spread(theta_scale(first.model, grid, means, x, x_spread))
+
+
+def _moved(theta: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    for_factor, for_shift = rng.normal(size=(2, len(theta)))
+    scaled = theta * np.exp(LOG_FACTOR_SPREAD * for_factor)
+    shifted = SHIFT_SPREAD * size * for_shift
+    return np.where(theta != 0, scaled, shifted)
+
+
+def _with_theta(
+    first: StartingPoint,
+    theta: np.ndarray,
+    task: Task,
+    loss: MaximumLikelihood,
+    noise: NoiseLevels,
+) -> StartingPoint:
+    states = first.states
+    # Far from the data there may be no states; then those of the first point.
+    with suppress(SolveError):
+        states = states_at(task, first.model, theta, loss, noise)
+    return replace(
+        first, theta=theta, states=states, way=GAUSS_NEWTON, is_optimum=False
+    )

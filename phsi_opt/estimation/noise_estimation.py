@@ -1,0 +1,159 @@
+"""The measurement noise of a likelihood: declared, or estimated with the parameters.
+
+The program is solved for a noise that it takes as given; then the noise is set to what
+the residuals show, and the program solved again, until the noise stays. A first guess,
+from the data alone, is that of `phsi_opt.data.noise`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from phsi_opt.data.noise import initial_noise, least_noise
+from phsi_opt.errors import DataError
+from phsi_opt.estimation.problem import Task
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.losses import MaximumLikelihood
+
+# Change of the logarithm of the noise at which its estimate stays: a tenth of its
+# standard error with 200 values.
+NOISE_TOLERANCE = 0.005
+# Share of the measured values, at least, that counts as degrees of freedom: with fewer
+# the noise would be divided by what is nearly zero.
+LEAST_FREEDOM = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseLevels:
+    """Noise per state before the first solve.
+
+    Attributes:
+        sigma: (n_states,) standard deviations.
+        is_known: (n_states,) whether it was declared; the others are estimated.
+    """
+
+    sigma: np.ndarray
+    is_known: np.ndarray
+
+    @classmethod
+    def of(cls, task: Task, loss: MaximumLikelihood) -> "NoiseLevels":
+        """The declared noise, and a guess from the data where none is declared."""
+        declared = declared_noise(task, loss)
+        is_known = np.isfinite(declared)
+        return cls(initial_noise(task.data, declared), is_known)
+
+    def with_estimates(self, sigma: np.ndarray) -> "NoiseLevels":
+        """``sigma`` in place of what was not declared."""
+        return NoiseLevels(np.where(self.is_known, self.sigma, sigma), self.is_known)
+
+
+def declared_noise(task: Task, loss: MaximumLikelihood) -> np.ndarray:
+    """Noise per state as the loss or the measurements declare it, (n_states,).
+
+    NaN where it is to be estimated.
+
+    Raises:
+        DataError: if it is not a number above zero, or the loss declares that of some
+            measured states only.
+    """
+    data = task.data
+    noise = loss.noise if loss.noise is not None else data.noise or {}
+    for name in data.measured:
+        is_missing = loss.noise is not None and name not in noise
+        is_wrong = name in noise and not (np.isfinite(noise[name]) and noise[name] > 0)
+        if is_missing or is_wrong:
+            raise DataError(
+                f"noise of the measured state {name!r} is {noise.get(name)!r}; "
+                "expected a number above zero."
+            )
+    return np.array([noise.get(name, np.nan) for name in data.states])
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseIteration:
+    """Re-estimates the noise from the residuals of a solve.
+
+    Attributes:
+        grid: of the program.
+        is_estimated: (n_states,) whether a state's noise is unknown.
+        n_theta: number of free parameters.
+        huber: limit of the loss, or None.
+        has_l1: whether the loss has an L1 term.
+    """
+
+    grid: Grid
+    is_estimated: np.ndarray
+    n_theta: int
+    huber: float | None
+    has_l1: bool
+
+    def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
+        """The noise that ``residual`` shows, which the program has with ``sigma``."""
+        n_values = int(self.grid.measured.sum())
+        standardized = residual * np.sqrt(n_values / 2)
+        estimate = estimated_noise(
+            self.grid, standardized, sigma, self.n_theta, self.huber
+        )
+        return np.where(self.is_estimated, estimate, sigma)
+
+    def has_settled(self, sigma: np.ndarray, updated: np.ndarray) -> bool:
+        """Whether the estimates would stay if the program were solved again."""
+        is_measured = self.grid.measured.any(axis=0)
+        change = np.log(updated / sigma)[is_measured]
+        # One factor for all channels leaves the estimates where they are.
+        is_scale_free = (
+            self.is_estimated.all() and self.huber is None and not self.has_l1
+        )
+        if is_scale_free and np.ptp(change) < NOISE_TOLERANCE:
+            return True
+        return bool(np.max(np.abs(change)) < NOISE_TOLERANCE)
+
+
+def estimated_noise(
+    grid: Grid,
+    residual: np.ndarray,
+    sigma: np.ndarray,
+    n_theta: int,
+    huber: float | None,
+) -> np.ndarray:
+    """Root mean square residual per channel, (n_states,).
+
+    With the degrees of freedom that the fit used taken off.
+
+    Args:
+        grid: of the program.
+        residual: (y - x)/sigma of every measured value in the order of the nodes, cut
+            at ``huber`` where that is given; then the mean square that normal noise
+            would leave within the limit is divided out (Huber's proposal 2).
+        sigma: (n_states,) noise in the residuals' denominator.
+        n_theta: number of free parameters.
+        huber: limit of the loss, or None.
+    """
+    freedom = _freedom(grid, n_theta)
+    if huber is not None:
+        freedom *= _normal_mean_square(huber)
+    channel = np.nonzero(grid.measured)[1]
+    least = least_noise(grid.y)
+    result = sigma.copy()
+    for k in np.flatnonzero(grid.measured.any(axis=0)):
+        rms = sigma[k] * np.sqrt(np.mean(residual[channel == k] ** 2))
+        result[k] = max(rms / np.sqrt(freedom), least[k])
+    return result
+
+
+def _freedom(grid: Grid, n_theta: int) -> float:
+    """Share of the measured values that the fit did not use up.
+
+    Every piece of a trajectory (one per window) has a starting state.
+    """
+    n_pieces = grid.n_nodes - grid.n_intervals
+    n_used = n_theta + n_pieces * grid.y.shape[1]
+    return float(max(1 - n_used / grid.measured.sum(), LEAST_FREEDOM))
+
+
+def _normal_mean_square(limit: float) -> float:
+    """E[min(|e|, limit)^2] for standard normal e."""
+    outside = 2 * norm.sf(limit)
+    within = (1 - outside) - 2 * limit * norm.pdf(limit)
+    return float(within + limit**2 * outside)

@@ -1,0 +1,95 @@
+"""Whether the residuals of a fit are as small as neighbouring samples scatter.
+
+Where they are far larger, the optimum is a wrong one or the model lacks something. The
+scatter needs no model: each sample beside the cubic through its neighbours
+(`phsi_opt.data.noise.difference_noise`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phsi_opt.data.noise import LEAST_NOISE_SHARE, difference_noise
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.statistics import TINY
+
+# Residuals over the scatter of neighbouring samples beyond which a solution is doubted.
+SUSPICIOUS_RATIO = 2.0
+# Scatter that data without noise are taken to have, in units of the least noise that is
+# assumed: what they scatter says nothing about it.
+NOISE_FREE_SCATTER = 10
+
+
+@dataclass(frozen=True)
+class ResidualScatter:
+    """The channel whose residuals are largest beside what its samples scatter.
+
+    Attributes:
+        channel: name of the state.
+        ratio: root mean square residual over the scatter of neighbouring samples.
+    """
+
+    channel: str
+    ratio: float
+
+    @classmethod
+    def of(cls, estimate: LikelihoodEstimate) -> "ResidualScatter":
+        """The ratio of the worst channel at the estimate."""
+        is_measured = np.asarray(estimate.grid.measured.any(axis=0))
+        between_samples = np.nan_to_num(difference_noise(estimate.task.data))
+        floor = _scatter_without_noise(estimate.grid.y, is_measured)
+        scatter = np.maximum(between_samples, floor + TINY)
+        residual = estimate.sigma * _rms_by_channel(estimate, is_measured)
+        ratio = np.where(is_measured, residual / scatter, 0.0)
+        worst = int(np.argmax(ratio))
+        return cls(estimate.model.states[worst], float(ratio[worst]))
+
+    @property
+    def explains_residuals(self) -> bool:
+        """Whether the residuals are not far above the scatter."""
+        return self.ratio < SUSPICIOUS_RATIO
+
+
+def is_plausible(estimate: LikelihoodEstimate) -> bool:
+    """Whether it is an optimum with residuals as small as the scatter."""
+    return estimate.is_success and ResidualScatter.of(estimate).explains_residuals
+
+
+def scatter_warnings(
+    estimate: LikelihoodEstimate, is_known: np.ndarray
+) -> tuple[str, ...]:
+    """A sentence where the residuals are far beyond what neighbouring samples scatter.
+
+    Empty where noise was declared (``is_known``, (n_states,)), which judges them
+    already.
+    """
+    if is_known.any() or not estimate.is_success:
+        return ()
+    worst = ResidualScatter.of(estimate)
+    if worst.explains_residuals:
+        return ()
+    return (
+        f"the residuals of {worst.channel} are {worst.ratio:.1f} times what "
+        "neighbouring samples scatter: the model lacks something (diagnose), outliers "
+        "pull (try huber=1.345), or there are several optima (try starts=5)",
+    )
+
+
+def _scatter_without_noise(y: np.ndarray, is_measured: np.ndarray) -> np.ndarray:
+    """(n_states,) least scatter to compare with; zero where nothing is measured."""
+    floor = np.zeros(y.shape[1])
+    for k in np.flatnonzero(is_measured):
+        floor[k] = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * np.nanstd(y[:, k])
+    return floor
+
+
+def _rms_by_channel(
+    estimate: LikelihoodEstimate, is_measured: np.ndarray
+) -> np.ndarray:
+    """(n_states,) root mean square of (y - x)/sigma; zero where nothing is measured."""
+    residual = estimate.standardized
+    channel = np.nonzero(estimate.grid.measured)[1]
+    rms = np.zeros(len(is_measured))
+    for k in np.flatnonzero(is_measured):
+        rms[k] = np.sqrt(np.mean(residual[channel == k] ** 2))
+    return rms

@@ -1,0 +1,67 @@
+"""The point from which a likelihood is maximised: values, states, noise, and how.
+
+How such points are found is the business of `likelihood_start`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.model.model import Model
+from phsi_opt.optimization.settings import GAUSS_NEWTON
+
+
+@dataclass(frozen=True, eq=False)
+class StartingPoint:
+    """Where the solver of a likelihood begins.
+
+    Attributes:
+        model: with the guesses of its parameters resolved.
+        theta: (n_theta,) values in the order of `Theta`.
+        states: (n_samples, n_states) per trajectory, at the samples.
+        sigma: (n_states,) noise.
+        notes: sentences for the warnings of the fit.
+        steps: intervals in every gap between samples, (n_samples - 1,) per trajectory;
+            empty: one, or what the loss says.
+        way: how a solution like it was found, one of `WAYS`.
+        is_optimum: whether it is one of this very model, with other steps or
+            measurements; then windows would not lead further.
+        alternative: makes a second point, for the case that this one leads nowhere;
+            None: there is none.
+    """
+
+    model: Model
+    theta: np.ndarray
+    states: tuple[np.ndarray, ...]
+    sigma: np.ndarray
+    notes: tuple[str, ...] = ()
+    steps: tuple[np.ndarray, ...] = ()
+    way: str = GAUSS_NEWTON
+    is_optimum: bool = False
+    alternative: "Callable[[], StartingPoint] | None" = None
+
+    @classmethod
+    def at(
+        cls, estimate: LikelihoodEstimate, steps: Sequence[np.ndarray]
+    ) -> "StartingPoint":
+        """At an estimate, with ``steps`` of its own."""
+        return cls(
+            model=estimate.model,
+            theta=estimate.theta,
+            states=estimate.states,
+            sigma=estimate.sigma,
+            steps=tuple(steps),
+            way=estimate.way,
+        )
+
+    def moved_to(self, estimate: LikelihoodEstimate) -> "StartingPoint":
+        """The same model and steps, at the values, states and noise of an estimate."""
+        return replace(
+            self,
+            theta=estimate.theta,
+            states=estimate.states,
+            sigma=estimate.sigma,
+            way=estimate.way,
+        )
