@@ -433,7 +433,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_start_another_result() ->
 
 
 def test_a_model_of_time_and_of_an_input_descends() -> None:
-    """Their columns at the stages come out of NumPy column by column, not row by row."""
+    """Their columns at the stages come from NumPy column by column, not by row."""
     settings = Descent(learning_rate=1e-3, epochs=3, batch=4, start="normal")
     loss = gradient_descent(everything(), record(), settings).history["loss"]
     assert loss.iloc[-1] < loss.iloc[0]

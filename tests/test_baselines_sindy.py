@@ -79,9 +79,7 @@ def test_without_threshold_and_ridge_it_is_plain_least_squares(
     assert not found.removed
 
 
-def test_the_columns_are_the_terms_of_the_dictionary_at_the_middle_of_each_interval() -> (
-    None
-):
+def test_the_columns_are_the_terms_at_the_middle_of_each_interval() -> None:
     model = ph.FirstOrder(
         ["x"],
         {
@@ -180,10 +178,8 @@ def test_lone_pairs_are_enough_for_the_midpoint() -> None:
         TRUTH
     )
     for derivative, least in (("finite difference", "3"), ("smoothed", "11")):
-        with pytest.raises(
-            ph.DataError,
-            match=f"has 2 samples, but derivative='{derivative}' needs at least {least}",
-        ):
+        message = f"has 2 samples, but derivative='{derivative}' needs at least {least}"
+        with pytest.raises(ph.DataError, match=message):
             sindy(HENON_HEILES.first_order(), data, derivative=derivative)
 
 

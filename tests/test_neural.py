@@ -21,7 +21,7 @@ def outside(q: np.ndarray) -> np.ndarray:
 
 
 def data(forced: bool = True, noise: float = 0.0, seed: int = 0) -> ph.Measurements:
-    """q' = p, p' = -2 q - 0.2 p + F(q): only R and the p^2 of H are free of the force."""
+    """q' = p, p' = -2 q - 0.2 p + F(q): R and the p^2 of H are free of the force."""
     rng, t = np.random.default_rng(seed), np.linspace(0.0, 4.0, 41)
 
     def f(at: float, x: np.ndarray) -> list[float]:

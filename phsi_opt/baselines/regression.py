@@ -1,0 +1,240 @@
+"""A model as linear regressions of its rates, one per equation.
+
+dx_i/dt = known_i + Theta_i xi_i. What is not linear, has bounds or stands in two
+equations is refused here. How the regressions are solved is in `sindy`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from phsi_opt.baselines.sampled_rates import SampledRates, sampled_rates
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import DataError, ModelError, did_you_mean
+from phsi_opt.model.model import FirstOrder, Model
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.slots import Entry, place_of
+from phsi_opt.model.terms import Dictionary, with_parameters
+from phsi_opt.transcription.alignment import aligned
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """One equation: rates = columns times the coefficients.
+
+    Attributes:
+        equation: the state whose rate it is.
+        names: of the coefficients.
+        columns: (n_rows, n_terms), the terms at the samples.
+        rates: (n_rows,), less the terms whose coefficient is known.
+    """
+
+    equation: str
+    names: tuple[str, ...]
+    columns: np.ndarray
+    rates: np.ndarray
+
+
+def regressions(
+    model: FirstOrder,
+    data: Measurements,
+    derivative: str = "midpoint",
+    fixed: Mapping[str, float] | None = None,
+) -> tuple[Regression, ...]:
+    """The regression of each equation that has unknown coefficients.
+
+    Args:
+        model: whose free parameters all enter linearly.
+        data: every state at every sample.
+        derivative: a name in ``sampled_rates.DERIVATIVES``.
+        fixed: values at which parameters are held.
+
+    Raises:
+        ModelError: for a model that is not a linear regression.
+        DataError: for incomplete states, or too few of them.
+    """
+    return regressions_of(with_fixed(model, fixed or {}), data, derivative)
+
+
+def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
+    """The model with parameters held at the given values.
+
+    Raises:
+        ModelError: if it is no first-order model, a name is unknown, a value is not
+            finite, or nothing is left to regress.
+    """
+    if not isinstance(model, FirstOrder):
+        raise ModelError(
+            "SINDy regresses rates on terms, so it needs a FirstOrder model, "
+            f"not {type(model).__name__}; write the right-hand sides as dictionaries: "
+            "FirstOrder(states, {'q': polynomials(...), ...})."
+        )
+    for name, value in fixed.items():
+        if name not in model.entries:
+            raise ModelError(
+                f"fixed names {name!r}, which is not in the model."
+                f"{did_you_mean(name, model.entries)}"
+            )
+        check_number(is_number(value), f"fixed[{name!r}]", value, "a finite number")
+
+    def held(name: str, parameter: Parameter) -> Parameter:
+        if name not in fixed:
+            return parameter
+        return replace(parameter, value=fixed[name], fixed=True)
+
+    def all_held(slot: str, old: Mapping[str, Dictionary]) -> dict[str, Dictionary]:
+        new = {}
+        for equation, terms in old.items():
+            place = place_of(slot, equation)
+            changed = [with_parameters(term, place, held) for term in terms]
+            new[equation] = Dictionary(tuple(changed))
+        return new
+
+    result = replace(model, F=all_held("F", model.F), R=all_held("R", model.R))
+    if not result.free:
+        raise ModelError(
+            "the model has no free coefficient, so there is nothing to regress."
+        )
+    return result
+
+
+def regressions_of(
+    model: Model, data: Measurements, derivative: str
+) -> tuple[Regression, ...]:
+    """`regressions` of a model whose parameters are fixed where they should be."""
+    record = aligned(model, data)
+    _check_complete(record)
+    theta = ca.SX.sym("th", len(model.free))
+    x = ca.SX.sym("x", model.n_states)
+    u = ca.SX.sym("u", model.n_inputs)
+    t = ca.SX.sym("t", 1)
+    dx = model.rhs()(x, u, t, theta)
+    slopes = ca.jacobian(dx, theta)
+    _check_regression(model, slopes, theta)
+    samples = sampled_rates(record, derivative)
+    problems = []
+    for i, equation in enumerate(model.states):
+        chosen = _coefficients_in(slopes, i)
+        if not chosen:
+            continue
+        row = ca.densify(ca.horzcat(dx[i], slopes[i, chosen])).T
+        terms = _values(ca.Function("row", [x, u, t, theta], [row]), samples)
+        names = tuple(model.free[k] for k in chosen)
+        _check_columns(equation, names, terms)
+        # At zero coefficients dx is what is known already: the terms with fixed
+        # coefficients.
+        known = terms[:, 0]
+        rates = samples.dx[:, i] - known
+        problems.append(Regression(equation, names, terms[:, 1:], rates))
+    return tuple(problems)
+
+
+def _values(row: ca.Function, samples: SampledRates) -> np.ndarray:
+    """The row (x, u, t, theta) -> (n_columns,) at zero theta, (n_rows, n_columns)."""
+    at_samples = row.map(len(samples.t))
+    theta = np.zeros((row.numel_in(3), 1))
+    t = samples.t[None, :]
+    return np.array(at_samples(samples.x.T, samples.u.T, t, theta)).T
+
+
+def _coefficients_in(slopes: ca.SX, equation: int) -> list[int]:
+    """Numbers of the free parameters in an equation."""
+    pattern = slopes.sparsity()
+    return [k for k in range(pattern.size2()) if pattern.has_nz(equation, k)]
+
+
+def _check_complete(data: Measurements) -> None:
+    for run in data.trajectories:
+        missing = np.argwhere(~np.isfinite(run.x))
+        if len(missing):
+            i, k = missing[0]
+            raise DataError(
+                f"trajectory {run.name!r}: "
+                f"{data.states[k]} at t[{i}]={run.t[i]:g} is missing, "
+                "but SINDy needs every state at every sample; leave the sample out, "
+                "or use identify with MaximumLikelihood()."
+            )
+
+
+def _check_regression(model: Model, slopes: ca.SX, theta: ca.SX) -> None:
+    """Refuse what is not a linear regression of each equation on its own."""
+    entries = [model.entries[name] for name in model.free]
+    _check_linear(entries, slopes, theta)
+    for k, entry in enumerate(entries):
+        _check_bounds(entry)
+        equations = []
+        for i, state in enumerate(model.states):
+            if slopes.sparsity().has_nz(i, k):
+                equations.append(state)
+        if len(equations) > 1:
+            raise ModelError(
+                f"parameter {entry.name!r} stands in the equations of "
+                f"{' and '.join(equations)}, "
+                "but SINDy regresses each equation on its own; use two names."
+            )
+
+
+def _check_linear(entries: list[Entry], slopes: ca.SX, theta: ca.SX) -> None:
+    bent = [k for k in range(len(entries)) if ca.depends_on(slopes[:, k], theta)]
+    if not bent:
+        return
+
+    def rank(k: int) -> tuple[bool, bool]:
+        # A wave's amplitude is bent by its frequency; the frequency, bent by itself
+        # too, is the one to name.
+        by_itself = ca.depends_on(slopes[:, k], theta[k])
+        return not by_itself, entries[k].prunable
+
+    name = entries[min(bent, key=rank)].name
+    raise ModelError(
+        f"parameter {name!r} does not enter linearly, "
+        "so a regression such as SINDy cannot learn it; "
+        "give a frequency=... (or value) and fix it: "
+        f"fixed={{{name!r}: 1.0}}."
+    )
+
+
+def _check_bounds(entry: Entry) -> None:
+    lower = entry.parameter.lower
+    upper = entry.parameter.upper
+    if np.isfinite(lower) or np.isfinite(upper):
+        raise ModelError(
+            f"parameter {entry.name!r} has bounds [{lower:g}, {upper:g}], "
+            "which a regression does not keep; use Parameter() without bounds "
+            "(damping: put the state into the dictionary of F)."
+        )
+
+
+def _check_columns(equation: str, names: tuple[str, ...], values: np.ndarray) -> None:
+    """Check the known terms, then the columns of the names, (n_rows, 1 + n_names)."""
+    unbounded = np.argwhere(~np.isfinite(values))
+    if len(unbounded):
+        k = int(unbounded[0][1])
+        what = f"term {names[k - 1]!r}" if k else "a known term"
+        raise DataError(
+            f"{what} of d{equation}/dt is not finite over the data; "
+            "check the formula's range."
+        )
+    if len(values) < len(names):
+        raise DataError(
+            f"d{equation}/dt has {len(names)} terms "
+            f"but the data give {len(values)} rates; "
+            "measure more or shorten the dictionary."
+        )
+
+
+def is_number(value: object) -> bool:
+    """Whether the value is a finite number."""
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+
+
+def check_number(fine: bool, name: str, value: object, expected: str) -> None:
+    """Let a number pass, or say what is wrong with it.
+
+    Raises:
+        ModelError: unless ``fine``; it names the setting, its value and the expected.
+    """
+    if not fine:
+        raise ModelError(f"{name}={value!r}; expected {expected}.")
