@@ -290,7 +290,7 @@ def test_where_newton_is_caught_beyond_a_corner_it_begins_again_at_the_state_bef
         0.01  # guesses that slide where the body sticks
     )
     assert path.follow(z, path.program.set_to) is not None
-    path.careful_march = path.march
+    path.march.careful = path.march.quick
     assert path.follow(z, path.program.set_to) is None
 
 

@@ -21,60 +21,67 @@ from phsi_opt.optimization.outcome import TIME_LIMITS, Ending, Outcome, ending_b
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 
-# What each of IPOPT's return statuses means; the limits of time are worded elsewhere.
-MEANINGS = {
-    "Solve_Succeeded": Ending(True, "a local optimum was found"),
-    "Solved_To_Acceptable_Level": Ending(
+# IPOPT's return statuses; the limits of time are worded elsewhere (`ending_by_time`).
+ENDINGS = (
+    Ending("Solve_Succeeded", True, "a local optimum was found"),
+    Ending(
+        "Solved_To_Acceptable_Level",
         True,
         "a local optimum was found to the looser, acceptable tolerance",
         "Check the standard errors, or scale the data.",
     ),
-    "Infeasible_Problem_Detected": Ending(
+    Ending(
+        "Infeasible_Problem_Detected",
         False,
         "no states satisfy the model exactly",
         "Check signs and bounds of the model, or start from other values.",
     ),
-    "Search_Direction_Becomes_Too_Small": Ending(
+    Ending(
+        "Search_Direction_Becomes_Too_Small",
         False,
         "the iteration stalled before an optimum",
         "A term may not be smooth enough; widen its transition or use more steps per "
         "sample.",
     ),
-    "Diverging_Iterates": Ending(
+    Ending(
+        "Diverging_Iterates",
         False,
         "the iterates grew without limit",
         "Bound the parameters; the model may be unstable.",
     ),
-    "Maximum_Iterations_Exceeded": Ending(
+    Ending(
+        "Maximum_Iterations_Exceeded",
         False,
         "the iteration limit was reached before an optimum",
         "Raise max_iterations, or give starting values nearer to the solution.",
     ),
-    "Restoration_Failed": Ending(
+    Ending(
+        "Restoration_Failed",
         False,
         "no feasible states could be found",
         "Start from other values, or use more steps per sample.",
     ),
-    "Invalid_Number_Detected": Ending(
+    Ending(
+        "Invalid_Number_Detected",
         False,
         "the model gave NaN or infinity",
         "Look for a division by zero, a logarithm or root of a negative number, or a "
         "missing bound.",
     ),
-    "Not_Enough_Degrees_Of_Freedom": Ending(
+    Ending(
+        "Not_Enough_Degrees_Of_Freedom",
         False,
         "there are more equations than unknowns",
         "Free a parameter.",
     ),
-    "User_Requested_Stop": Ending(
+    Ending(
+        "User_Requested_Stop",
         False,
         "the solve was interrupted",
         "Run it again to finish.",
     ),
-}
-AT_KINK = Ending(
-    True, "the iterates settled at a kink of the model, where no slope vanishes"
 )
+AT_KINK = "the iterates settled at a kink of the model, where no slope vanishes"
 # Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over
 # the last `SETTLING` of them the logarithm of the objective, times the number of
 # residuals (a change of -2 log likelihood), stays within `SETTLED`, and the constraints
@@ -245,7 +252,7 @@ class Solver:
         z = np.array(result["x"]).ravel()
         return Outcome(
             success=ending.is_usable,
-            status=status,
+            status=ending.status,
             sentence=sentence,
             advice=ending.advice,
             iterations=int(stats["iter_count"]),
@@ -256,16 +263,17 @@ class Solver:
         )
 
     def _ending(self, status: str, stats: Mapping[str, Any]) -> Ending:
-        ending = MEANINGS.get(status)
+        sentence = f"the solver stopped: {status}"
+        ending = Ending(status, False, sentence, "Try other starting values.")
         if status in TIME_LIMITS:
-            ending = ending_by_time(self.limits.max_seconds)
-        if ending is None:
-            sentence = f"the solver stopped: {status}"
-            ending = Ending(False, sentence, "Try other starting values.")
+            ending = ending_by_time(status, self.limits.max_seconds)
+        for known in ENDINGS:
+            if known.status == status:
+                ending = known
         if ending.is_usable or not self.is_exact:
             return ending
         is_settled = _is_settled(stats, self.program.residual.numel())
-        return AT_KINK if is_settled else ending
+        return Ending(status, True, AT_KINK) if is_settled else ending
 
 
 def _options(

@@ -21,14 +21,16 @@ TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded", PATH_TIM
 class Ending:
     """What a status says: is the point usable, what happened, and what to do."""
 
+    status: str
     is_usable: bool
     sentence: str
     advice: str = ""
 
 
-def ending_by_time(max_seconds: float, what: str = "the solve") -> Ending:
-    """The ending of ``what`` was cut off by the user's limit of ``max_seconds``."""
+def ending_by_time(status: str, max_seconds: float, what: str = "the solve") -> Ending:
+    """The ending of what the user's limit of ``max_seconds`` cut off."""
     return Ending(
+        status,
         False,
         f"the time limit of {max_seconds:g} s ended {what}",
         "Raise max_seconds, or use fewer samples.",
