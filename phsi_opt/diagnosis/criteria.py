@@ -41,7 +41,7 @@ PIECES = 4
 CORNER, AT_CORNER, AT_SHARP_CORNER = 4.0, 8, 24
 # What limits a re-fit are numbers of iterations, never seconds: its result is the same
 # on every machine and under every load. A candidate that takes more is hardly the one.
-# These hold beside those of every brief solve (`likelihood_solve`: 30 with the
+# These hold beside those of every brief solve (`solver_chain`: 30 with the
 # Gauss-Newton Hessian, 25 with the exact one; `feasible_path`: 30 steps). Measured on
 # nine of the hidden effects and on four records of real machines, 925 solves: those
 # that succeeded had taken up to 29, 25 and 25, so that lower limits would change
