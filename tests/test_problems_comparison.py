@@ -80,7 +80,8 @@ def test_clean_tanks_give_every_coefficient_to_1e_3_and_the_leak() -> None:
 
 
 def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
-    from problems.thesis.compare import main, ratios
+    from problems.thesis.compare import main
+    from problems.thesis.compare_page import ratios
 
     table = main(quick=True, names=["henon_heiles"])
     assert set(table["method"]) == {

@@ -1,19 +1,20 @@
 """Noisy data, many draws: solver, maximum likelihood and gradient descent on identical
 data; medians over the draws.
 
-python -m problems.thesis.noise_draws [--quick] [system ...]     (a row per draw is kept
-in results/thesis)
+    python -m problems.thesis.noise_draws [--quick] [--page] [system ...]
+
+A row per draw is kept in results/thesis; --page writes the page anew from these rows.
 """
 
 import os
 
-os.environ.setdefault(
-    "OMP_NUM_THREADS", "1"
-)  # before NumPy is loaded: equal terms for all
+# Before NumPy is loaded: equal terms for all.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,32 +22,37 @@ import pandas as pd
 
 import phsi_opt as ph
 from problems.thesis.methods import descent, likelihood, solver, solver_threshold
-from problems.thesis.scores import free_run, score
+from problems.thesis.scores import coverage, distilled, free_run, score, trained
 from problems.thesis.systems import SYSTEMS, System
+from problems.tools import markdown, provenance
 from problems.tools.command_line import chosen, flag
-from problems.tools.provenance import RESULTS, write
 
 N_DRAWS = 10
 FIRST_DRAW = 200  # draws that nothing was tuned on
-COLUMNS = [
-    "draw",
-    "method",
-    "relative",
-    "spurious",
-    "missed",
-    "inside",
-    "whole",
-    "covered",
-    "seconds",
-]
+N_TESTS = 10  # unseen starts per draw
+QUICK_N = {"henon_heiles": 1000}  # trajectories of a quick run; others: 20
+COMPARED = {
+    "relative": "relative error",
+    "inside": "free run inside",
+    "whole": "whole free run",
+}
+FAILED = {
+    "relative": np.inf,
+    "spurious": np.nan,
+    "missed": np.nan,
+    "inside": np.inf,
+    "whole": np.inf,
+    "covered": np.nan,
+    "seconds": np.nan,
+}
 
 
-def draw(system: System, seed: int, n: int | None = None) -> list[tuple[Any, ...]]:
+def draw(system: System, seed: int, n: int | None = None) -> list[dict[str, Any]]:
     """A row per method on one draw; beside the thesis' threshold, descent gets no
     second chance.
     """
     data = system.data(seed, n=n)
-    t, tests = system.tests(10, seed=10_000 + seed)
+    t, tests = system.tests(N_TESTS, seed=10_000 + seed)
     fitted = solver(system, data, seed=seed)
     methods: dict[str, Callable[[], Any]] = {
         "solver": lambda: fitted,
@@ -56,47 +62,35 @@ def draw(system: System, seed: int, n: int | None = None) -> list[tuple[Any, ...
     }
     rows = []
     for name, run in methods.items():
+        key = {"draw": seed, "method": name}
+        label = f"... {system.name}, draw {seed}, {name}"
         try:
-            result = run()
+            row = _row(system, run(), t, tests)
         except ph.PhsiOptError as error:
-            print(f"... {system.name}, draw {seed}, {name}: {error}", flush=True)
-            rows.append(
-                (seed, name, np.inf, np.nan, np.nan, np.inf, np.inf, np.nan, np.nan)
-            )
+            print(f"{label}: {error}", flush=True)
+            rows.append(key | FAILED)
             continue
-        s = score(system, result)
-        curve, trained = (
-            free_run(result, t, tests),
-            t <= system.n_steps * system.step + 1e-9,
-        )
-        spurious = [
-            term for term in s.spurious if not term.startswith("F_mu4")
-        ]  # the distilled network
-        errors = {k: result.std_errors.get(k, np.nan) for k in system.truth}
-        z = [
-            abs(result.values[k] - v) / errors[k]
-            for k, v in system.truth.items()
-            if np.isfinite(errors[k])
-        ]
-        covered = float(np.mean(np.array(z) < 1.96)) if z else np.nan
-        rows.append(
-            (
-                seed,
-                name,
-                s.relative,
-                len(spurious),
-                len(s.missed),
-                curve[trained].mean(),
-                curve.mean(),
-                covered,
-                result.seconds,
-            )
-        )
-        print(
-            f"... {system.name}, draw {seed}, {name}: {s.relative:.3g} {curve.mean():.3g}",
-            flush=True,
-        )
+        rows.append(key | row)
+        print(f"{label}: {row['relative']:.3g} {row['whole']:.3g}", flush=True)
     return rows
+
+
+def _row(
+    system: System, result: Any, t: np.ndarray, tests: np.ndarray
+) -> dict[str, Any]:
+    s = score(system, result)
+    curve = free_run(result, t, tests)
+    known = [name for name in system.truth if name in result.std_errors]
+    finite = [name for name in known if np.isfinite(result.std_errors[name])]
+    return {
+        "relative": s.relative,
+        "spurious": len(s.spurious) - len(distilled(s.spurious)),
+        "missed": len(s.missed),
+        "inside": curve[trained(system, t)].mean(),
+        "whole": curve.mean(),
+        "covered": coverage(system, result, finite),
+        "seconds": result.seconds,
+    }
 
 
 def main(
@@ -104,38 +98,41 @@ def main(
 ) -> dict[str, pd.DataFrame]:
     """A table per system."""
     tables = {}
-    for name in names or list(SYSTEMS):
-        system, n = SYSTEMS[name], None
-        if quick:
-            fast, n = (
-                replace(system.descent_noisy, epochs=2),
-                1000 if name == "henon_heiles" else 20,
-            )
-            system = replace(system, descent_noisy=fast)
-        rows = [
-            row
-            for k in range(1 if quick else N_DRAWS)
-            for row in draw(system, FIRST_DRAW + k, n)
-        ]
-        tables[name] = pd.DataFrame(rows, columns=COLUMNS)
+    for name in names or SYSTEMS:
+        tables[name] = study(name, quick)
         if not quick:
-            tables[name].to_csv(
-                RESULTS / "thesis" / f"noise_draws_{name}.csv",
-                index=False,
-                float_format="%.6g",
-            )
+            tables[name].to_csv(_path(name), index=False, float_format="%.6g")
     if not quick:
-        collect()
+        write_page()
     return tables
+
+
+def study(name: str, quick: bool) -> pd.DataFrame:
+    """All draws of one system."""
+    system = SYSTEMS[name]
+    n = None
+    if quick:
+        short = replace(system.descent_noisy, epochs=2)
+        system = replace(system, descent_noisy=short)
+        n = QUICK_N.get(name, 20)
+    rows = []
+    for k in range(1 if quick else N_DRAWS):
+        rows += draw(system, FIRST_DRAW + k, n)
+    return pd.DataFrame(rows)
+
+
+def _path(name: str) -> Path:
+    return provenance.RESULTS / "thesis" / f"noise_draws_{name}.csv"
+
+
+# --- the page
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:
     """Medians over the draws per method; shares of draws with exact support."""
-    by = table.assign(exact=(table["spurious"] == 0) & (table["missed"] == 0)).groupby(
-        "method", sort=False
-    )
-    columns = ["relative", "inside", "whole"]
-    medians = by[columns].median()
+    exact = (table["spurious"] == 0) & (table["missed"] == 0)
+    by = table.assign(exact=exact).groupby("method", sort=False)
+    medians = by[list(COMPARED)].median()
     return medians.assign(
         exact=by["exact"].mean(),
         spurious=by["spurious"].mean(),
@@ -144,44 +141,48 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def collect() -> None:
+def write_page() -> None:
     """Write the page from the tables of all systems that have been run."""
-    lines = ["# Noisy data, ten draws", ""]
-    lines += [
-        "Medians over the draws. relative: largest relative error of any true coefficient; inside and whole: l2 of",
-        "free runs within the training time and over the test time, ten unseen starts a draw; exact: share of draws",
-        "with exact support; spurious: mean number of spurious terms; covered: share of the 95 % intervals of true",
-        "coefficients that hold the truth (selection not accounted for).",
-        "",
-    ]
-    for name, system in SYSTEMS.items():
-        path = RESULTS / "thesis" / f"noise_draws_{name}.csv"
-        if path.exists():
-            table = pd.read_csv(path)
-            shown = summary(table).map(lambda v: f"{v:.3g}").to_string()
-            lines += [
-                f"## {system.title}: noise {system.noise:g}, {table['draw'].nunique()} draws",
-                "",
-            ]
-            lines += ["```text", shown, "```", "", _reading(summary(table)), ""]
-    write("thesis/noise_draws.md", "\n".join(lines))
+    tables = {n: pd.read_csv(_path(n)) for n in SYSTEMS if _path(n).exists()}
+    provenance.write("thesis/noise_draws.md", page(tables))
 
 
-def _reading(s: pd.DataFrame) -> str:
-    ours, theirs = s.loc["solver"], s.loc["descent"]
-    verdicts = [
-        f"{what} {ours[key]:.3g} against {theirs[key]:.3g} ({'not worse' if ours[key] <= theirs[key] else 'WORSE'})"
-        for key, what in (
-            ("relative", "relative error"),
-            ("inside", "free run inside"),
-            ("whole", "whole free run"),
+def page(tables: Mapping[str, pd.DataFrame]) -> str:
+    """The page as Markdown."""
+    lines = ["# Noisy data, many draws", "", INTRODUCTION, ""]
+    for name, table in tables.items():
+        system = SYSTEMS[name]
+        found = summary(table)
+        n_draws = table["draw"].nunique()
+        lines += [f"## {system.title}: noise {system.noise:g}, {n_draws} draws", ""]
+        lines += markdown.block(found.map("{:.3g}".format).to_string())
+        lines += [_reading(found), ""]
+    return "\n".join(lines)
+
+
+INTRODUCTION = markdown.paragraph(f"""
+    Medians over the draws. relative: largest relative error of any true coefficient;
+    inside and whole: l2 of free runs within the training time and over the test time,
+    {N_TESTS} unseen starts a draw; exact: share of draws with exact support; spurious:
+    mean number of spurious terms; covered: share of the 95 % intervals of true
+    coefficients that hold the truth (selection not accounted for).
+    """)
+
+
+def _reading(found: pd.DataFrame) -> str:
+    ours = found.loc["solver"]
+    theirs = found.loc["descent"]
+    verdicts = []
+    for name, what in COMPARED.items():
+        verdict = "not worse" if ours[name] <= theirs[name] else "WORSE"
+        verdicts.append(
+            f"{what} {ours[name]:.3g} against {theirs[name]:.3g} ({verdict})"
         )
-    ]
-    return "Solver against gradient descent: " + ", ".join(verdicts) + "."
+    return f"Solver against gradient descent: {', '.join(verdicts)}."
 
 
 if __name__ == "__main__":
     if flag("page"):
-        collect()
+        write_page()
     else:
         main(flag("quick"), chosen() or None)

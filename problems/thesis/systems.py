@@ -152,6 +152,19 @@ class System:
             )
             return ph.Measurements.from_pairs(*pairs, states=self.states)
 
+    def training_data(self, kind: str) -> ph.Measurements:
+        """`thesis_data` where they are present, else one draw per ``kind``."""
+        if thesis_data_present():
+            return self.thesis_data(kind)
+        if kind == "clean":
+            return self.data(1, 0.0)
+        return self.data(2)
+
+    def with_epochs(self, epochs: int) -> "System":
+        """The system with a short training, that for clean data, for both kinds."""
+        short = replace(self.descent, epochs=epochs)
+        return replace(self, descent=short, descent_noisy=short)
+
     def tests(self, n: int = 10, seed: int = 1_000_003) -> tuple[Vector, Vector]:
         """Times (101,) and noise-free trajectories (n, 101, n_states) from unseen
         starts, beyond the training time.

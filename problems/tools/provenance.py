@@ -60,7 +60,7 @@ def commit() -> str:
 
 def write(name: str, text: str) -> Path:
     """Write a text result under results/."""
-    RESULTS.mkdir(exist_ok=True)
     path = RESULTS / name
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"<!-- {provenance()} -->\n\n{text.rstrip()}\n", encoding="utf-8")
     return path
