@@ -15,7 +15,6 @@ from phsi_opt.transcription.integrators import integrator
 from problems.thesis.systems import System, thesis_data_present
 from problems.tools.data_paths import folder
 
-
 HALF_WIDTH = 1.96  # of a normal 95 % interval, in standard errors
 
 
