@@ -41,7 +41,7 @@ def model() -> PseudoHamiltonian:
         F={"p": formula("b*u", b=Parameter(0.9)) + trigonometric("t", frequency=2.0)},
     )
     values = {"R_p": 0.3, "F_p[sin(omega_t*t)]": 0.5, "F_p[cos(omega_t*t)]": -0.2}
-    return made.with_values(values)  # type: ignore[return-value]
+    return made.with_values(values)
 
 
 def theta_of(made: PseudoHamiltonian) -> np.ndarray:

@@ -30,7 +30,7 @@ def spring() -> PseudoHamiltonian:
         H=formula("k*q**2/2 + p**2/(2*m)", k=K, m=M),
         R=damping("p"),
     )
-    return model.with_values({"R_p": D})  # type: ignore[return-value]
+    return model.with_values({"R_p": D})
 
 
 def rubbing_spring(t: np.ndarray, x0: list[float]) -> np.ndarray:

@@ -1,14 +1,14 @@
 """Models: what they compute, that a change makes a new one, and what they refuse."""
 
 import pickle
-from collections.abc import Mapping
-from dataclasses import FrozenInstanceError, dataclass, field
+from dataclasses import FrozenInstanceError
 from typing import Any
 
 import numpy as np
 import pytest
 
 from phsi_opt.errors import ModelError
+from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
@@ -19,15 +19,6 @@ from phsi_opt.model.terms import (
     polynomials,
     trigonometric,
 )
-
-
-@dataclass(frozen=True)
-class Effect:
-    name: str
-    slot: str
-    equation: str
-    term: Dictionary
-    memory: Mapping[str, Dictionary] = field(default_factory=dict)
 
 
 def spring(**changes: Any) -> PseudoHamiltonian:
@@ -65,7 +56,7 @@ def test_without_loss_and_force_the_energy_does_not_change() -> None:
     a = rng.normal(size=(4, 4))
     names = ["q1", "q2", "p1", "p2"]
     model = PseudoHamiltonian(states=names, S=a - a.T, H=polynomials(names, 3))
-    model = model.with_values({name: float(rng.normal()) for name in model.free})  # type: ignore[assignment]
+    model = model.with_values({name: float(rng.normal()) for name in model.free})
     theta = [model.values[name] for name in model.free]
     for _ in range(5):
         x = rng.normal(size=4)
@@ -255,7 +246,7 @@ def test_a_first_order_model_refuses_an_energy_and_a_structure() -> None:
 
 
 def test_an_effect_with_an_unknown_place_is_refused() -> None:
-    with pytest.raises(ModelError, match="acts in slot 'G'"):
+    with pytest.raises(ModelError, match="slot 'G' is unknown"):
         spring().add(Effect("extra", "G", "p", formula("1")))
     with pytest.raises(
         ModelError, match="equation of effect 'extra': 'x' is not a state"

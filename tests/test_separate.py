@@ -34,7 +34,7 @@ def spring(
         R=ph.damping("p"),
         F={"p": formula("u")} if driven else {},
     )
-    return model.with_values({"R_p": 0.5})  # type: ignore[return-value]
+    return model.with_values({"R_p": 0.5})
 
 
 def positions(

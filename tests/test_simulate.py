@@ -27,7 +27,7 @@ def spring() -> PseudoHamiltonian:
         H=formula("k*q**2/2 + p**2/(2*m)", k=Parameter(K), m=M),
         R=damping("p"),
     )
-    return model.with_values({"R_p": D})  # type: ignore[return-value]
+    return model.with_values({"R_p": D})
 
 
 def lag(rate: float = 2.0) -> FirstOrder:

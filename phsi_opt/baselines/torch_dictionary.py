@@ -22,6 +22,7 @@ from phsi_opt.baselines.torch_monomials import (
     monomial,
 )
 from phsi_opt.baselines.torch_networks import Network, PlacedForce, joined
+from phsi_opt.model.backends import Backend
 from phsi_opt.model.expressions import evaluate, names_of
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.slots import place_of
@@ -46,20 +47,22 @@ def _tensors(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
     return of_tensors
 
 
-FUNCTIONS = {
-    "sin": _tensors(torch.sin),
-    "cos": _tensors(torch.cos),
-    "tan": _tensors(torch.tan),
-    "atan": _tensors(torch.atan),
-    "exp": _tensors(torch.exp),
-    "log": _tensors(torch.log),
-    "sqrt": _tensors(torch.sqrt),
-    "tanh": _tensors(torch.tanh),
-    "abs": _tensors(torch.abs),
-    "sign": _tensors(torch.sign),
-    "min": _tensors(torch.minimum),
-    "max": _tensors(torch.maximum),
-}
+TORCH = Backend(
+    {
+        "sin": _tensors(torch.sin),
+        "cos": _tensors(torch.cos),
+        "tan": _tensors(torch.tan),
+        "atan": _tensors(torch.atan),
+        "exp": _tensors(torch.exp),
+        "log": _tensors(torch.log),
+        "sqrt": _tensors(torch.sqrt),
+        "tanh": _tensors(torch.tanh),
+        "abs": _tensors(torch.abs),
+        "sign": _tensors(torch.sign),
+        "min": _tensors(torch.minimum),
+        "max": _tensors(torch.maximum),
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -381,7 +384,7 @@ class DictionaryEvaluation:
         names: dict[str, Any] = dict(known)
         for name in term.inner:
             names[name] = self.values[term.inner_name(name, text.place)]
-        body = evaluate(term.body, names, FUNCTIONS)
+        body = evaluate(term.body, names, TORCH)
         if term.is_formula:
             return body
         return self.values[term.coefficient_name(text.place)] * body

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import sympy as sp
 
-from phsi_opt.model.expressions import SYMPY
+from phsi_opt.model.backends import SYMPY
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
 from phsi_opt.simulation.simulate import simulate

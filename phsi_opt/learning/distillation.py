@@ -14,8 +14,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from phsi_opt.learning.orthogonal_network import NOTHING, Record, Response
-from phsi_opt.model.catalogue import TURNOVER
-from phsi_opt.model.expressions import NUMPY, evaluate
+from phsi_opt.model.backends import NUMPY
+from phsi_opt.model.catalogue_losses import FRICTION_TURNOVER
+from phsi_opt.model.expressions import evaluate
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Term
 from phsi_opt.statistics import autocorrelation_time
@@ -105,7 +106,9 @@ def candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
             f"cos({name})",
         ):
             yield Term(body)
-        turnover = Parameter(TURNOVER * float(np.sqrt(np.mean(values**2))), fixed=True)
+        turnover = Parameter(
+            FRICTION_TURNOVER * float(np.sqrt(np.mean(values**2))), fixed=True
+        )
         yield Term(
             f"{name}*({name}**4 + turnover**4)**(-0.25)", None, {"turnover": turnover}
         )

@@ -1,8 +1,11 @@
-"""TODO."""
+"""An effect: a named physical phenomenon is a term in a slot of an equation.
+
+The record only; which effects there are is in the files of the ``catalogue``.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
+from types import MappingProxyType, UnionType
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.parameters import Scan, Tried
@@ -12,11 +15,18 @@ from phsi_opt.model.terms import Dictionary
 
 @dataclass(frozen=True)
 class Effect:
-    """A named effect: ``term`` acts in ``slot`` ('H', 'R', 'F' or 'sensor') of
-    ``equation`` (a state).
+    """A named effect that can be added to a model.
 
-    ``memory`` holds further states that the effect needs, such as the lagged input,
-    each with its rate of change.
+    Args:
+        name: what it is called, such as ``"coulomb friction"``.
+        slot: where it acts: ``"H"``, ``"R"``, ``"F"`` or ``"sensor"``.
+        equation: the state in whose equation, or at whose sensor, it acts.
+        term: what it adds there.
+        memory: further states that it needs, such as the lagged input, each with its
+            rate of change.
+
+    Raises:
+        ModelError: an unknown slot, or no term.
     """
 
     name: str
@@ -28,22 +38,19 @@ class Effect:
     def __post_init__(self) -> None:
         if self.slot not in SLOTS:
             raise ModelError(
-                f"effect {self.name!r}: slot {self.slot!r} is unknown; expected {', '.join(SLOTS)}."
+                f"effect {self.name!r}: slot {self.slot!r} is unknown; "
+                f"expected {', '.join(SLOTS)}."
             )
         if not isinstance(self.term, Dictionary) or not self.term.terms:
             raise ModelError(
-                f"effect {self.name!r} has no term; write it with formula(...) or polynomials(...)."
+                f"effect {self.name!r} has no term; "
+                "write it with formula(...) or polynomials(...)."
             )
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def __reduce__(self) -> tuple[object, ...]:  # a mappingproxy cannot be pickled
-        return Effect, (
-            self.name,
-            self.slot,
-            self.equation,
-            self.term,
-            dict(self.memory),
-        )
+        parts = (self.name, self.slot, self.equation, self.term, dict(self.memory))
+        return Effect, parts
 
     def __str__(self) -> str:
         return f"{self.name} on {self.equation}"
@@ -51,19 +58,18 @@ class Effect:
 
 def is_scanned(effect: Effect) -> bool:
     """Whether the effect has an inner parameter that is scanned."""
-    terms = [
-        *effect.term,
-        *(term for rates in effect.memory.values() for term in rates),
-    ]
-    return any(
-        isinstance(p.guess, Scan | Tried) for term in terms for p in term.inner.values()
-    )
+    sums = [effect.term, *effect.memory.values()]
+    return any(_has_guess(terms, Scan | Tried) for terms in sums)
 
 
 def is_wave(effect: Effect) -> bool:
-    """Whether the effect has a frequency that is scanned, so that its terms are parts
-    of a wave.
-    """
-    return any(
-        isinstance(p.guess, Scan) for term in effect.term for p in term.inner.values()
-    )
+    """Whether the effect's terms are parts of a wave: their frequency is scanned."""
+    return _has_guess(effect.term, Scan)
+
+
+def _has_guess(terms: Dictionary, kind: type | UnionType) -> bool:
+    for term in terms:
+        for parameter in term.inner.values():
+            if isinstance(parameter.guess, kind):
+                return True
+    return False

@@ -2,7 +2,8 @@
 
 A parameter that has no value yet may carry a *guess*: a recipe by which its start is
 found in the data (a scan of frequencies, a share of a typical size, several values of
-which the best is kept). The recipes are only stated here; `initialization` follows them.
+which the best is kept). The recipes are only stated here; ``initialization`` follows
+them.
 """
 
 from dataclasses import dataclass, replace

@@ -5,9 +5,12 @@ equation. A *place* is a slot of an equation, and its name (``H``, ``R_p``, ``F_
 stands in the names of the parameters.
 """
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
+from phsi_opt.errors import ModelError
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Term
 
@@ -22,7 +25,10 @@ def place_of(slot: str, equation: str) -> str:
 
 @dataclass(frozen=True)
 class Entry:
-    """A parameter in its place: the row of the parameter table."""
+    """A parameter in its place: the row of the parameter table.
+
+    ``prunable`` says that it is the coefficient of a term, without which the term goes.
+    """
 
     name: str
     parameter: Parameter
@@ -53,3 +59,33 @@ class PlacedTerm(NamedTuple):
 
     def _entry(self, name: str, parameter: Parameter, prunable: bool) -> Entry:
         return Entry(name, parameter, self.slot, self.equation, prunable)
+
+
+def parameter_table(terms: Iterable[PlacedTerm]) -> Mapping[str, Entry]:
+    """Every parameter by name, in the order of the terms.
+
+    A formula's parameter may stand in several terms.
+
+    Raises:
+        ModelError: one name for two different parameters, or a term that stands twice.
+    """
+    table: dict[str, Entry] = {}
+    for placed in terms:
+        for entry in placed.entries():
+            _check_same(table.get(entry.name, entry), entry)
+            table.setdefault(entry.name, entry)
+    return MappingProxyType(table)
+
+
+def _check_same(known: Entry, entry: Entry) -> None:
+    if known is entry:
+        return
+    if known.parameter != entry.parameter:
+        raise ModelError(
+            f"parameter {entry.name!r} is defined twice and differently "
+            f"({known.slot} and {entry.slot}): "
+            f"{known.parameter} and {entry.parameter}. "
+            "Use one Parameter for both, or two names."
+        )
+    if entry.prunable:
+        raise ModelError(f"the term of {entry.name!r} is in the model already.")

@@ -9,7 +9,7 @@ where the model does not tell which, a state counts as both.
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.model import FirstOrder, Model
+from phsi_opt.model.base import BaseModel
 
 
 def canonical(n: int) -> np.ndarray:
@@ -34,13 +34,14 @@ def canonical(n: int) -> np.ndarray:
     return np.block([[zero, one], [-one, zero]])
 
 
-def position_rows(model: Model) -> tuple[int, ...]:
+def position_rows(model: BaseModel) -> tuple[int, ...]:
     """Indices of the states that are positions of a canonical pair.
 
     Their equation dq/dt = dH/dp is kinematics and lacks no force.
     """
     S = np.array(model.S)
-    return tuple(i for i in range(len(S)) if _is_position(S, i))
+    rows = range(len(S))
+    return tuple(row for row in rows if _is_position(S, row))
 
 
 def _is_position(S: np.ndarray, row: int) -> bool:
@@ -52,7 +53,7 @@ def _is_position(S: np.ndarray, row: int) -> bool:
     return bool(S[row, momentum] > 0 and np.count_nonzero(S[momentum]) == 1)
 
 
-def position_of_momentum(model: Model) -> dict[str, str]:
+def position_of_momentum(model: BaseModel) -> dict[str, str]:
     """Name of the position q of each momentum p of a canonical pair."""
     pairs = {}
     for row in position_rows(model):
@@ -61,7 +62,7 @@ def position_of_momentum(model: Model) -> dict[str, str]:
     return pairs
 
 
-def forced_rows(model: Model) -> tuple[int, ...]:
+def forced_rows(model: BaseModel) -> tuple[int, ...]:
     """Indices of the equations in which a force may be missing.
 
     These are all but the equations of positions and of an effect's memory.
@@ -74,29 +75,34 @@ def forced_rows(model: Model) -> tuple[int, ...]:
     return tuple(rows)
 
 
-def flow_states(model: Model) -> tuple[str, ...]:
+def effort_of(model: BaseModel, state: str) -> str:
+    """Name of a state's effort in formulas: dH/dx, or the state without an energy."""
+    return f"dH_d{state}" if model.has_energy else state
+
+
+def flow_states(model: BaseModel) -> tuple[str, ...]:
     """States outside the canonical pairs that may be flows or speeds.
 
     They lose energy already; in a model without energy any state may be one.
     """
     unpaired = _unpaired_states(model)
-    if isinstance(model, FirstOrder):
+    if not model.has_energy:
         return unpaired
     return tuple(name for name in unpaired if name in model.R)
 
 
-def storage_states(model: Model) -> tuple[str, ...]:
+def storage_states(model: BaseModel) -> tuple[str, ...]:
     """States outside the canonical pairs that may be storages, such as tanks.
 
     They do not lose energy yet; in a model without energy any state may be one.
     """
     unpaired = _unpaired_states(model)
-    if isinstance(model, FirstOrder):
+    if not model.has_energy:
         return unpaired
     return tuple(name for name in unpaired if name not in model.R)
 
 
-def _unpaired_states(model: Model) -> tuple[str, ...]:
+def _unpaired_states(model: BaseModel) -> tuple[str, ...]:
     """States that are neither position nor momentum nor an effect's memory."""
     pairs = position_of_momentum(model)
     paired = {*pairs.keys(), *pairs.values(), *model.memory}

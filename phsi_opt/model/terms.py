@@ -1,9 +1,9 @@
-"""Terms, parameters and dictionaries: what a model is made of.
+"""Terms and dictionaries: the sums that a model is made of, and how they are written.
 
 A term is a body (a formula as text) times a coefficient, with inner parameters such as
-a frequency. A dictionary is a sum of terms. Bodies are read by `expressions`, so
-values, names, LaTeX and files share one table. Where a term acts (H, R, F) is the
-model's business.
+a frequency. A dictionary is a sum of terms. Bodies are read by ``expressions``, so
+values, names, LaTeX and files share one table. Where a term acts (H, R, F, sensor) is
+the model's business.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -13,18 +13,26 @@ from types import MappingProxyType
 from typing import Any
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.expressions import FUNCTIONS, names_of
+from phsi_opt.model.backends import FUNCTIONS
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, Scan
 
 
 @dataclass(frozen=True)
 class Term:
-    """``coefficient * body``, or the body alone (a formula) where ``coefficient`` is
-    None.
+    """``coefficient * body``, or the body alone (a formula) without a coefficient.
 
-    ``inner`` are the parameters inside the body. Those of a formula are known to the
-    whole model by their name; those of a dictionary term belong to the place where it
-    stands. ``name`` replaces the automatic name of the coefficient.
+    The inner parameters of a formula are known to the whole model by their name; those
+    of a dictionary term belong to the place where it stands.
+
+    Args:
+        body: a formula, see ``expressions``.
+        coefficient: the factor of the body; None for a formula.
+        inner: the parameters inside the body, by name.
+        name: replaces the automatic name of the coefficient.
+
+    Raises:
+        ModelError: the body cannot be read, or lacks one of the parameters.
     """
 
     body: str
@@ -38,7 +46,8 @@ class Term:
         for name in self.inner:
             if name not in used:
                 raise ModelError(
-                    f"parameter {name!r} does not occur in {self.body!r}; remove it or correct its name."
+                    f"parameter {name!r} does not occur in {self.body!r}; "
+                    "remove it or correct its name."
                 )
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mappingproxy cannot be pickled
@@ -51,33 +60,59 @@ class Term:
 
     def coefficient_name(self, place: str) -> str:
         """Name of the coefficient at a place such as 'H' or 'F_p'."""
-        return self.name or (place if self.body == "1" else f"{place}[{self.body}]")
+        if self.name:
+            return self.name
+        return place if self.body == "1" else f"{place}[{self.body}]"
 
     def inner_name(self, name: str, place: str) -> str:
         """Name of an inner parameter in the model."""
         return name if self.is_formula else f"{self.name or place}.{name}"
 
+    def with_parameters(
+        self, place: str, change: Callable[[str, Parameter], Parameter]
+    ) -> "Term":
+        """The term with each parameter changed.
+
+        Args:
+            place: where the term stands.
+            change: a parameter's name in the model and the parameter -> the new one.
+        """
+        coefficient = self.coefficient
+        if coefficient is not None:
+            coefficient = change(self.coefficient_name(place), coefficient)
+        inner = {}
+        for name, parameter in self.inner.items():
+            inner[name] = change(self.inner_name(name, place), parameter)
+        return replace(self, coefficient=coefficient, inner=inner)
+
 
 @dataclass(frozen=True)
 class Dictionary:
-    """A sum of terms; ``+`` joins dictionaries."""
+    """A sum of terms; ``+`` joins dictionaries.
+
+    Raises:
+        ModelError: a term with a coefficient stands in it twice.
+    """
 
     terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
-        seen: set[tuple[str, str]] = set()
+        known: set[tuple[str, str]] = set()
         for term in self.terms:
-            if not term.is_formula and (term.body, term.name) in seen:
+            key = (term.body, term.name)
+            if not term.is_formula and key in known:
                 raise ModelError(
-                    f"term {term.body!r} stands in the dictionary twice, so its coefficients cannot be told apart; "
+                    f"term {term.body!r} stands in the dictionary twice, "
+                    "so its coefficients cannot be told apart; "
                     "keep one (several frequencies: trigonometric('t', n=2))."
                 )
-            seen.add((term.body, term.name))
+            known.add(key)
 
     def __add__(self, other: "Dictionary") -> "Dictionary":
         if not isinstance(other, Dictionary):
             raise ModelError(
-                f"{other!r} cannot be added to a dictionary; write formula(...) or polynomials(...)."
+                f"{other!r} cannot be added to a dictionary; "
+                "write formula(...) or polynomials(...)."
             )
         return Dictionary(self.terms + other.terms)
 
@@ -88,15 +123,23 @@ class Dictionary:
         return iter(self.terms)
 
 
-def formula(expression: str, **parameters: Parameter | float) -> Dictionary:
-    """A term written as text, with named parameters: ``formula("k*q**2/2",
-    k=Parameter(1.0, lower=0))``.
+# ---- ways to write a dictionary ------------------------------------------------------
 
-    A plain number is a known, fixed value. The text is read through a whitelist (see
-    `expressions`). Inside F and R the efforts dH/dx are known as ``dH_dq`` and so on.
+
+def formula(expression: str, **parameters: Parameter | float) -> Dictionary:
+    """A term written as text: ``formula("k*q**2/2", k=Parameter(1.0, lower=0))``.
+
+    Args:
+        expression: the text, read through a whitelist (see ``expressions``). Inside F
+            and R the efforts dH/dx are known as ``dH_dq`` and so on.
+        **parameters: the names that are parameters; a plain number is a known, fixed
+            value.
+
+    Raises:
+        ModelError: the text cannot be read, or lacks one of the parameters.
     """
-    made = {name: _parameter(value) for name, value in parameters.items()}
-    return Dictionary((Term(expression, None, made),))
+    inner = {name: _parameter(value) for name, value in parameters.items()}
+    return Dictionary((Term(expression, None, inner),))
 
 
 def _parameter(value: Parameter | float) -> Parameter:
@@ -104,10 +147,17 @@ def _parameter(value: Parameter | float) -> Parameter:
 
 
 def polynomials(
-    variables: Sequence[str], degree: int, constant: bool = False
+    variables: str | Iterable[str], degree: int, constant: bool = False
 ) -> Dictionary:
-    """All monomials of total degree 1 to ``degree`` in the variables (and 1 if
-    ``constant``), with coefficients.
+    """All monomials of total degree 1 to ``degree``, with a coefficient each.
+
+    Args:
+        variables: one name, or several.
+        degree: the largest total degree.
+        constant: whether 1 is a term too.
+
+    Raises:
+        ModelError: names that cannot be used, or a degree below 1.
     """
     names = _variables(variables)
     if not isinstance(degree, int) or degree < 1:
@@ -116,77 +166,82 @@ def polynomials(
         )
     bodies = ["1"] if constant else []
     for total in range(1, degree + 1):
-        bodies += [
-            _monomial(chosen) for chosen in combinations_with_replacement(names, total)
-        ]
+        bodies.extend(map(_monomial, combinations_with_replacement(names, total)))
     return Dictionary(tuple(Term(body, Parameter()) for body in bodies))
 
 
-def _variables(variables: Iterable[str]) -> list[str]:
-    names = [variables] if isinstance(variables, str) else list(variables)
+def _monomial(factors: Sequence[str]) -> str:
+    """The product of the factors as text: ('q', 'q', 'p') is ``q**2*p``."""
+    powers = []
+    for name in dict.fromkeys(factors):
+        exponent = factors.count(name)
+        powers.append(name if exponent == 1 else f"{name}**{exponent}")
+    return "*".join(powers)
+
+
+def trigonometric(
+    variables: str | Iterable[str] = "t", n: int = 1, frequency: float | None = None
+) -> Dictionary:
+    """``n`` pairs a sin(omega x) + b cos(omega x) with a free frequency each.
+
+    The amplitude sqrt(a^2 + b^2) and the phase atan2(b, a) are free; the pair is the
+    form in which the phase has no needle to miss.
+
+    Args:
+        variables: one name x, or several, each of which gets its pairs.
+        n: number of pairs per variable.
+        frequency: start of omega, in rad per unit of the variable; without it the start
+            comes from a scan over the data.
+
+    Raises:
+        ModelError: names that cannot be used, or n below 1.
+    """
+    names = _variables(variables)
+    if not isinstance(n, int) or n < 1:
+        raise ModelError(
+            f"n={n!r} of trigonometric is not a whole number of at least 1."
+        )
+    terms: list[Term] = []
+    for name in names:
+        for number in range(1, n + 1):
+            omega = f"omega_{name}" if n == 1 else f"omega_{name}{number}"
+            terms.extend(_wave(name, omega, frequency))
+    return Dictionary(tuple(terms))
+
+
+def _wave(variable: str, omega: str, frequency: float | None) -> tuple[Term, Term]:
+    inner = {omega: Parameter(frequency, lower=0.0, guess=Scan(variable))}
+    sine = Term(f"sin({omega}*{variable})", Parameter(), inner)
+    cosine = Term(f"cos({omega}*{variable})", Parameter(), inner)
+    return sine, cosine
+
+
+def damping(*states: str | Iterable[str]) -> dict[str, Dictionary]:
+    """Constant damping R_ii >= 0 on the named states: dx_i/dt = ... - R_ii dH/dx_i.
+
+    Args:
+        *states: one name, or several, or a list of names.
+
+    Raises:
+        ModelError: names that cannot be used.
+    """
+    constant = Dictionary((Term("1", Parameter(lower=0.0)),))
+    return dict.fromkeys(_variables(*states), constant)
+
+
+def _variables(*variables: str | Iterable[str]) -> list[str]:
+    """The names given, each by itself or in lists."""
+    names: list[str] = []
+    for given in variables:
+        names.extend([given] if isinstance(given, str) else given)
     for name in names:
         if not isinstance(name, str) or not name.isidentifier() or name in FUNCTIONS:
             raise ModelError(
-                f"variable {name!r} is not a usable name; expected letters, digits and underscores."
+                f"variable {name!r} is not a usable name; "
+                "expected letters, digits and underscores."
             )
     if not names or len(set(names)) != len(names):
         raise ModelError(
             f"variables {names!r} must be at least one name, and each only once."
         )
     return names
-
-
-def _monomial(chosen: Sequence[str]) -> str:
-    powers = {name: chosen.count(name) for name in dict.fromkeys(chosen)}
-    return "*".join(
-        name if power == 1 else f"{name}**{power}" for name, power in powers.items()
-    )
-
-
-def trigonometric(
-    variable: str = "t", n: int = 1, frequency: float | None = None
-) -> Dictionary:
-    """``n`` pairs a sin(omega x) + b cos(omega x) with a free frequency each: free
-    amplitude and free phase.
-
-    amplitude = sqrt(a^2 + b^2), phase = atan2(b, a). The pair is the form in which the
-    phase has no needle to miss. The starting frequency (rad per unit of the variable)
-    comes from a scan over the data unless ``frequency`` is given.
-    """
-    (name,) = _variables([variable])
-    if not isinstance(n, int) or n < 1:
-        raise ModelError(
-            f"n={n!r} of trigonometric is not a whole number of at least 1."
-        )
-    terms = []
-    for k in range(1, n + 1):
-        omega = f"omega_{name}" if n == 1 else f"omega_{name}{k}"
-        inner = {omega: Parameter(frequency, lower=0.0, unit="", guess=Scan(name))}
-        terms += [
-            Term(f"{wave}({omega}*{name})", Parameter(), inner)
-            for wave in ("sin", "cos")
-        ]
-    return Dictionary(tuple(terms))
-
-
-def damping(*states: str) -> dict[str, Dictionary]:
-    """Constant damping R_ii >= 0 on the named states: dx_i/dt = ... - R_ii dH/dx_i."""
-    return {
-        name: Dictionary((Term("1", Parameter(None, lower=0.0)),))
-        for name in _variables(states)
-    }
-
-
-def with_parameters(
-    term: Term, place: str, change: Callable[[str, Parameter], Parameter]
-) -> Term:
-    """The term with ``change`` applied to each of its parameters, which it gets with
-    their names in the model.
-    """
-    coefficient = term.coefficient
-    if coefficient is not None:
-        coefficient = change(term.coefficient_name(place), coefficient)
-    inner = {
-        name: change(term.inner_name(name, place), p) for name, p in term.inner.items()
-    }
-    return replace(term, coefficient=coefficient, inner=inner)

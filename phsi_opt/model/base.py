@@ -1,0 +1,379 @@
+"""What every model is: states, inputs and the terms of its slots, checked and frozen.
+
+The record holds no mathematics: ``symbolic`` turns it into CasADi functions,
+``structure`` reads positions and storages from it, the catalogue finds effects that
+could be added to it, and ``model`` has the classes that a user writes. Every change
+makes a new record.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+
+from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.model.checks import checked_dictionary, checked_names, checked_structure
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.expressions import names_of
+from phsi_opt.model.parameters import Parameter, with_value
+from phsi_opt.model.slots import (
+    BY_EQUATION,
+    Entry,
+    PlacedTerm,
+    parameter_table,
+    place_of,
+)
+from phsi_opt.model.terms import Dictionary
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseModel:
+    """States, inputs, and the terms of the slots H, R, F and sensor; see ``Model``."""
+
+    states: Sequence[str]  # a tuple once checked
+    inputs: Sequence[str] = ()
+    R: Mapping[str, Dictionary] = field(default_factory=dict)
+    F: Mapping[str, Dictionary] = field(default_factory=dict)
+    sensor: Mapping[str, Dictionary] = field(default_factory=dict)
+    S: Any = None  # a tuple of rows once checked
+    H: Dictionary = field(default_factory=Dictionary)
+    memory: Sequence[str] = ()
+
+    # ---- what is allowed -------------------------------------------------------------
+
+    def __post_init__(self) -> None:
+        self._set("states", checked_names(self.states, "states"))
+        self._set("inputs", checked_names(self.inputs, "inputs", may_be_empty=True))
+        both = set(self.states) & set(self.inputs)
+        if both:
+            raise ModelError(
+                f"{sorted(both)} are both states and inputs; rename one of them."
+            )
+        self._set("S", checked_structure(self.S, len(self.states)))
+        self._set("H", checked_dictionary(self.H, "H"))
+        for slot in BY_EQUATION:
+            self._set(slot, self._checked_equations(getattr(self, slot), slot))
+        self._set("memory", checked_names(self.memory, "memory", may_be_empty=True))
+        for name in self.memory:
+            self.index(name, "memory")
+        self._check_parameter_names()
+        self._check_names_in_terms()
+
+    def _set(self, name: str, value: Any) -> None:
+        object.__setattr__(self, name, value)  # the record is frozen for all others
+
+    def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
+        parts = {part.name: getattr(self, part.name) for part in fields(self)}
+        for slot in BY_EQUATION:
+            parts[slot] = dict(parts[slot])
+        return parts
+
+    def __setstate__(self, parts: dict[str, Any]) -> None:
+        for name, value in parts.items():
+            frozen = MappingProxyType(value) if name in BY_EQUATION else value
+            self._set(name, frozen)
+
+    def _checked_equations(
+        self, dictionaries: Mapping[str, Dictionary], slot: str
+    ) -> Mapping[str, Dictionary]:
+        """The terms per equation, in the order of the states."""
+        if not isinstance(dictionaries, Mapping):
+            raise ModelError(
+                f"{slot}={dictionaries!r} must map a state to its terms, "
+                "such as {'p': formula('u')}."
+            )
+        for name in dictionaries:
+            self.index(name, f"equation of {slot}")
+        ordered = {}
+        for name in self.states:
+            if name in dictionaries:
+                where = f"{slot}[{name!r}]"
+                ordered[name] = checked_dictionary(dictionaries[name], where)
+        return MappingProxyType(ordered)
+
+    def _check_parameter_names(self) -> None:
+        variables = {*self.states, *self.inputs, "t", *self.efforts, *self.slopes}
+        clash = set(self.entries) & variables
+        if clash:
+            raise ModelError(
+                f"parameter name {sorted(clash)[0]!r} is also a state, an input "
+                "or an effort; rename it."
+            )
+
+    def _check_names_in_terms(self) -> None:
+        for placed in self.placed():
+            allowed = self._variables(placed.slot) | set(placed.term.inner)
+            unknown = names_of(placed.term.body) - allowed
+            if unknown:
+                raise ModelError(self._unknown_name(min(unknown), placed, allowed))
+
+    def _variables(self, slot: str) -> set[str]:
+        """Names that a term of the slot may use beside its parameters."""
+        variables = set(self.states)
+        if slot != "H":
+            variables |= {"t", *self.inputs, *self.efforts}
+        if slot == "F":
+            variables |= set(self.slopes)
+        return variables
+
+    def _unknown_name(self, name: str, placed: PlacedTerm, allowed: set[str]) -> str:
+        body = placed.term.body
+        if placed.slot == "H" and name in self._variables("R"):
+            return (
+                f"{body!r} in H uses {name!r}, but an energy depends on the states "
+                "alone; put the term into F."
+            )
+        hint = did_you_mean(name, allowed)
+        if not hint:
+            hint = (
+                f" If it is a parameter, give it: formula(..., {name}=Parameter(1.0))."
+            )
+        return (
+            f"name {name!r} in {body!r} ({placed.slot}) is unknown; "
+            f"known are {', '.join(sorted(allowed))}.{hint}"
+        )
+
+    # ---- what it consists of ---------------------------------------------------------
+
+    @property
+    def has_energy(self) -> bool:
+        """Whether the model flows by an energy H, so that its efforts are dH/dx."""
+        return True
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return len(self.states)
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def efforts(self) -> tuple[str, ...]:
+        """Names of the efforts dH/dx_i in formulas of R and F.
+
+        The effort of a momentum is a velocity, that of a storage a level.
+        """
+        return tuple(f"dH_d{name}" for name in self.states)
+
+    @property
+    def slopes(self) -> tuple[str, ...]:
+        """Names of the slopes dF/du_i in formulas of F.
+
+        They are those of the equation's other force terms, in each input.
+        """
+        return tuple(f"dF_d{name}" for name in self.inputs)
+
+    def index(self, state: str, what: str = "state") -> int:
+        """Position of a state among the states.
+
+        Raises:
+            ModelError: there is no such state; ``what`` says what was looked for.
+        """
+        if state not in self.states:
+            raise ModelError(
+                f"{what} {state!r} is not a state of the model; "
+                f"its states are {', '.join(self.states)}."
+                f"{did_you_mean(str(state), self.states)}"
+            )
+        return self.states.index(state)
+
+    def terms_at(self, slot: str, equation: str) -> Dictionary:
+        """The terms in a slot of an equation (of the whole model, for H)."""
+        if slot == "H":
+            return self.H
+        terms: Dictionary = getattr(self, slot).get(equation, Dictionary())
+        return terms
+
+    def placed(self) -> list[PlacedTerm]:
+        """All terms with slot and equation ('' for H)."""
+        rows = [PlacedTerm("H", "", term) for term in self.H]
+        for slot in BY_EQUATION:
+            for equation, terms in getattr(self, slot).items():
+                rows += [PlacedTerm(slot, equation, term) for term in terms]
+        return rows
+
+    # ---- its parameters --------------------------------------------------------------
+
+    @cached_property
+    def entries(self) -> Mapping[str, Entry]:
+        """Every parameter by name, in the order of the model."""
+        return parameter_table(self.placed())
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters that are not fixed: the order of theta."""
+        names = []
+        for name, entry in self.entries.items():
+            if not entry.parameter.fixed:
+                names.append(name)
+        return tuple(names)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Present value (or start) of every parameter."""
+        return {name: entry.parameter.start for name, entry in self.entries.items()}
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Present values of the free parameters, (n_free,), in the order of `free`."""
+        values = self.values
+        return np.array([values[name] for name in self.free])
+
+    # ---- changes: each makes a new model ---------------------------------------------
+
+    def add(self, effect: Effect) -> Self:
+        """A new model with the effect's terms in its slot.
+
+        Its memory becomes further states at the end.
+
+        Raises:
+            ModelError: the effect's equation is unknown, or its slot is not in the
+                model.
+        """
+        larger = self._with_memory(effect.memory) if effect.memory else self
+        if effect.slot == "H":
+            return larger._with_energy(effect)
+        return larger._with_terms(effect)
+
+    def _with_energy(self, effect: Effect) -> Self:
+        if not self.has_energy:
+            raise ModelError(
+                f"effect {effect.name!r} changes an energy, "
+                f"but a {type(self).__name__} model has none."
+            )
+        return replace(self, H=self.H + effect.term)
+
+    def _with_terms(self, effect: Effect) -> Self:
+        self.index(effect.equation, f"equation of effect {effect.name!r}:")
+        terms = self.terms_at(effect.slot, effect.equation) + effect.term
+        by_equation = {**getattr(self, effect.slot), effect.equation: terms}
+        changed: dict[str, Any] = {effect.slot: by_equation}
+        return replace(self, **changed)
+
+    def _with_memory(self, memory: Mapping[str, Dictionary]) -> Self:
+        n_states = self.n_states + len(memory)
+        S = np.zeros((n_states, n_states))
+        S[: self.n_states, : self.n_states] = self.S
+        return replace(
+            self,
+            states=(*self.states, *memory),
+            S=S,
+            F={**self.F, **memory},
+            memory=(*self.memory, *memory),
+        )
+
+    def without(self, names: set[str]) -> Self:
+        """A new model without the terms whose coefficients are named."""
+
+        def kept(place: str, terms: Dictionary) -> Dictionary:
+            rest = []
+            for term in terms:
+                if term.is_formula or term.coefficient_name(place) not in names:
+                    rest.append(term)
+            return Dictionary(tuple(rest))
+
+        slots = self._changed_slots(kept)
+        for slot in BY_EQUATION:
+            slots[slot] = {name: terms for name, terms in slots[slot].items() if terms}
+        return replace(self, **slots)
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """A new model with the named parameters set.
+
+        Raises:
+            ModelError: there is no such parameter.
+        """
+        for name in values:
+            if name not in self.entries:
+                raise ModelError(
+                    f"parameter {name!r} is not in the model."
+                    f"{did_you_mean(name, self.entries)}"
+                )
+
+        def valued(name: str, parameter: Parameter) -> Parameter:
+            if name not in values:
+                return parameter
+            return with_value(parameter, values[name])
+
+        return self._with_parameters(valued)
+
+    def with_fixed(self, values: Mapping[str, float]) -> Self:
+        """A new model with the named parameters known: fixed at these values.
+
+        Raises:
+            ModelError: there is no such parameter.
+        """
+
+        def fixed(name: str, parameter: Parameter) -> Parameter:
+            if name not in values:
+                return parameter
+            return replace(parameter, fixed=True, per_trajectory=False)
+
+        return self.with_values(values)._with_parameters(fixed)
+
+    def with_free(self, names: Iterable[str]) -> Self:
+        """A new model with the named parameters unknown, from their present values."""
+        chosen = set(names)
+
+        def freed(name: str, parameter: Parameter) -> Parameter:
+            return replace(parameter, fixed=False) if name in chosen else parameter
+
+        return self._with_parameters(freed)
+
+    def with_upper(self, bounds: Mapping[str, float]) -> Self:
+        """A new model with the named parameters no higher than the given bounds.
+
+        An upper bound that is lower already stays.
+        """
+
+        def bounded(name: str, parameter: Parameter) -> Parameter:
+            if name not in bounds or bounds[name] >= parameter.upper:
+                return parameter
+            upper = bounds[name]
+            value = parameter.value
+            within = None if value is None else min(value, upper)
+            return replace(parameter, upper=upper, value=within)
+
+        return self._with_parameters(bounded)
+
+    def frozen(self) -> Self:
+        """A new model with every parameter fixed at its present value."""
+        return self.with_fixed(self.values)
+
+    def dynamics(self) -> Self:
+        """A new model of the motion alone, the same for all trajectories.
+
+        Its sensors show the state itself, and every parameter is shared by all runs.
+        """
+
+        def shared(name: str, parameter: Parameter) -> Parameter:
+            return replace(parameter, per_trajectory=False)
+
+        return replace(self, sensor={})._with_parameters(shared)
+
+    def _with_parameters(self, change: Callable[[str, Parameter], Parameter]) -> Self:
+        """A new model with each parameter (by its name) changed."""
+
+        def changed(place: str, terms: Dictionary) -> Dictionary:
+            return Dictionary(
+                tuple(term.with_parameters(place, change) for term in terms)
+            )
+
+        return replace(self, **self._changed_slots(changed))
+
+    def _changed_slots(
+        self, change: Callable[[str, Dictionary], Dictionary]
+    ) -> dict[str, Any]:
+        """The slots with each sum of terms (by the name of its place) changed."""
+        slots: dict[str, Any] = {"H": change("H", self.H)}
+        for slot in BY_EQUATION:
+            slots[slot] = {}
+            for equation, terms in getattr(self, slot).items():
+                slots[slot][equation] = change(place_of(slot, equation), terms)
+        return slots

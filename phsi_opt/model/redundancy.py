@@ -1,0 +1,100 @@
+"""Whether a model can do already what an effect would add to it.
+
+Either a term of the effect stands in the model, or its change of dx/dt and of what the
+sensors show is a sum of the changes that the model's own parameters make. The second is
+looked at in random states: an identity holds in all of them.
+"""
+
+import casadi as ca
+import numpy as np
+
+from phsi_opt.model.base import BaseModel
+from phsi_opt.model.effect import Effect, is_scanned
+from phsi_opt.model.symbolic import output_function, rhs_function
+
+SEED = 0
+# Random states per parameter, and some more: with fewer rows than parameters anything
+# would be explained.
+STATES_PER_PARAMETER = 4
+MORE_STATES = 20
+# Range of random values for parameters that have none, away from zero.
+PARAMETER_RANGE = (0.5, 1.5)
+LATEST_TIME = 3.0  # the times are random too, from zero on
+# What is left, as a share of the effect: above the rounding of the least squares, far
+# below any effect of its own.
+NOTHING_LEFT = 1e-8
+
+
+def is_redundant(model: BaseModel, effect: Effect) -> bool:
+    """Whether the model can do already what the effect does."""
+    if _stands_in(model, effect):
+        return True
+    return bool(model.free) and not is_scanned(effect) and _is_spanned(model, effect)
+
+
+def _stands_in(model: BaseModel, effect: Effect) -> bool:
+    """Whether a term, a coefficient or a memory of the effect is in the model."""
+    bodies = {term.body for term in model.terms_at(effect.slot, effect.equation)}
+    for term in effect.term:
+        if term.body in bodies or term.name in model.entries:
+            return True
+    return not set(effect.memory).isdisjoint(model.states)
+
+
+def _is_spanned(model: BaseModel, effect: Effect) -> bool:
+    """Whether the effect's slopes are a sum of the slopes of the model's parameters."""
+    larger = model.add(effect)
+    is_new = np.array([name not in model.entries for name in larger.free])
+    slopes = _slopes_in_random_states(model, larger)
+    own = slopes[:, ~is_new]
+    added = slopes[:, is_new]
+    weights = np.linalg.lstsq(own, added, rcond=None)[0]
+    left = added - own @ weights
+    return bool(np.linalg.norm(left) < NOTHING_LEFT * np.linalg.norm(added))
+
+
+def _slopes_in_random_states(model: BaseModel, larger: BaseModel) -> np.ndarray:
+    """Slopes of dx/dt and of what is shown in theta, (n_values, n_free)."""
+    random = np.random.default_rng(SEED)
+    theta = _theta(model, larger, random)
+    n = STATES_PER_PARAMETER * len(theta) + MORE_STATES
+    x = random.normal(size=(larger.n_states, n))
+    u = random.normal(size=(larger.n_inputs, n))
+    t = random.uniform(0, LATEST_TIME, (1, n))
+    in_every_state = _slopes(larger).map("slopes", "serial", n, [3], [])
+    columns = np.nan_to_num(np.array(in_every_state(x, u, t, theta)))
+    by_state = columns.reshape(2 * larger.n_states, n, len(theta))
+    return by_state.reshape(-1, len(theta))
+
+
+def _theta(
+    model: BaseModel, larger: BaseModel, random: np.random.Generator
+) -> np.ndarray:
+    """Values of the larger model's free parameters, the same in all states.
+
+    The model's parameters must explain the effect at one point of theta. The effect's
+    coefficient is zero there, so that no parameter acts through it.
+    """
+    known = model.values
+    theta = []
+    for name in larger.free:
+        value = known.get(name) or random.uniform(*PARAMETER_RANGE)
+        is_added = name not in model.entries and larger.entries[name].prunable
+        theta.append(0.0 if is_added else value)
+    return np.array(theta)
+
+
+def _slopes(model: BaseModel) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> slopes in theta, (2 n_states, n_free).
+
+    The slopes are those of dx/dt, then of what is shown.
+    """
+    rhs = rhs_function(model)
+    output = output_function(model)
+    arguments = []
+    for i in range(rhs.n_in()):
+        arguments.append(ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)))
+    theta = arguments[3]
+    both = ca.vertcat(rhs(*arguments), output(*arguments))
+    slopes = ca.densify(ca.jacobian(both, theta))
+    return ca.Function("slopes", arguments, [slopes])

@@ -1,0 +1,214 @@
+"""A model as expressions and CasADi functions of its states, inputs, time and theta.
+
+The sums of a model's slots are evaluated here, in CasADi for the solver and in SymPy
+for printing; ``Model`` keeps the functions. This file knows nothing of data, losses or
+solvers.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+
+from phsi_opt.model.backends import CASADI, Backend
+from phsi_opt.model.base import BaseModel
+from phsi_opt.model.expressions import evaluate, names_of
+from phsi_opt.model.slots import place_of
+from phsi_opt.model.terms import Dictionary, Term
+
+
+@dataclass(frozen=True)
+class Expressions:
+    """The parts of a model as expressions, one per state but for the energy.
+
+    R is diagonal, so ``loss`` holds its diagonal.
+    """
+
+    energy: Any
+    efforts: list[Any]
+    loss: list[Any]
+    force: list[Any]
+    sensor: list[Any]
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a model is evaluated: symbols or numbers for all that its terms name.
+
+    Args:
+        x: the states.
+        u: the inputs.
+        t: the time.
+        values: the parameters, by name.
+        backend: the library of these symbols.
+    """
+
+    x: Sequence[Any]
+    u: Sequence[Any]
+    t: Any
+    values: Mapping[str, Any]
+    backend: Backend = CASADI
+
+
+def expressions_at(model: BaseModel, point: Point) -> Expressions:
+    """Energy, efforts, loss, force and sensor terms of the model at the point."""
+    at_states = _Sums(point, _variables(model, point))
+    energy = at_states.total(model.H, "H")
+    efforts = _efforts(model, energy, point)
+    by_name = dict(zip(model.efforts, efforts, strict=True))
+    sums = at_states.knowing(by_name)
+    return Expressions(
+        energy=energy,
+        efforts=efforts,
+        loss=_by_state(model, "R", sums),
+        sensor=_by_state(model, "sensor", sums),
+        force=[_force(model, name, sums) for name in model.states],
+    )
+
+
+def _variables(model: BaseModel, point: Point) -> dict[str, Any]:
+    states = dict(zip(model.states, point.x, strict=True))
+    inputs = dict(zip(model.inputs, point.u, strict=True))
+    return {**states, **inputs, "t": point.t}
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Sums of terms at a point, in the variables that are known there by name."""
+
+    point: Point
+    known: Mapping[str, Any] = field(default_factory=dict)
+
+    def knowing(self, more: Mapping[str, Any]) -> "_Sums":
+        return _Sums(self.point, {**self.known, **more})
+
+    def total(self, terms: Dictionary, place: str) -> Any:
+        total = 0
+        for term in terms:
+            total = total + self.value(term, place)
+        return total
+
+    def value(self, term: Term, place: str) -> Any:
+        values = self.point.values
+        inner = {name: values[term.inner_name(name, place)] for name in term.inner}
+        body = evaluate(term.body, {**self.known, **inner}, self.point.backend)
+        if term.is_formula:
+            return body
+        return values[term.coefficient_name(place)] * body
+
+
+def _by_state(model: BaseModel, slot: str, sums: _Sums) -> list[Any]:
+    totals = []
+    for name in model.states:
+        totals.append(sums.total(model.terms_at(slot, name), place_of(slot, name)))
+    return totals
+
+
+def _force(model: BaseModel, equation: str, sums: _Sums) -> Any:
+    """F of one equation; terms that name a slope in an input see that of the others."""
+    place = place_of("F", equation)
+    direct: list[Term] = []
+    on_slopes: list[Term] = []
+    for term in model.terms_at("F", equation):
+        uses_slopes = names_of(term.body) & set(model.slopes)
+        (on_slopes if uses_slopes else direct).append(term)
+    force = sums.total(Dictionary(tuple(direct)), place)
+    if not on_slopes:
+        return force
+    slopes = {}
+    for name, u in zip(model.slopes, sums.point.u, strict=True):
+        slopes[name] = _slope(force, u, sums.point.backend)
+    return force + sums.knowing(slopes).total(Dictionary(tuple(on_slopes)), place)
+
+
+def _slope(expression: Any, variable: Any, backend: Backend) -> Any:
+    if backend is CASADI:
+        is_symbolic = isinstance(expression, ca.SX)
+        return ca.jacobian(expression, variable) if is_symbolic else 0.0
+    return expression.diff(variable) if hasattr(expression, "diff") else 0
+
+
+def _efforts(model: BaseModel, energy: Any, point: Point) -> list[Any]:
+    """dH/dx; in a model without energy the states themselves."""
+    x = point.x
+    if not model.has_energy:
+        return list(x)
+    if point.backend is not CASADI:
+        return [energy.diff(name) if energy != 0 else energy for name in x]
+    if not isinstance(energy, ca.SX):  # a number: no terms, or none with a state
+        return _rows(ca.SX.zeros(len(x)))
+    return _rows(ca.gradient(energy, ca.vertcat(*x)))
+
+
+def derivative(model: BaseModel, parts: Expressions) -> ca.SX:
+    """dx/dt = (S - R) grad H + F as a column, (n_states, 1)."""
+    rows = []
+    for i, couplings in enumerate(model.S):
+        exchange = 0
+        for coupling, effort in zip(couplings, parts.efforts, strict=True):
+            if coupling != 0.0:
+                exchange = exchange + coupling * effort
+        rows.append(exchange - parts.loss[i] * parts.efforts[i] + parts.force[i])
+    return ca.vertcat(*map(ca.SX, rows))
+
+
+# ---- CasADi functions ----------------------------------------------------------------
+
+
+class Arguments:
+    """Symbols for the arguments x, u, t and theta of a model's CasADi functions."""
+
+    names = ("x", "u", "t", "theta")
+
+    def __init__(self, model: BaseModel) -> None:
+        """Free parameters become theta, the fixed ones stay numbers."""
+        free = model.free
+        self.x = ca.SX.sym("x", model.n_states)
+        self.u = ca.SX.sym("u", model.n_inputs)
+        self.t = ca.SX.sym("t")
+        self.theta = ca.SX.sym("theta", len(free))
+        values: dict[str, Any] = dict(model.values)
+        for i, name in enumerate(free):
+            values[name] = self.theta[i]
+        self.point = Point(_rows(self.x), _rows(self.u), self.t, values)
+
+    def function(self, name: str, value: ca.SX, *value_name: str) -> ca.Function:
+        """The CasADi function (x, u, t, theta) -> value."""
+        arguments = [self.x, self.u, self.t, self.theta]
+        values = [ca.densify(value)]
+        if not value_name:
+            return ca.Function(name, arguments, values)
+        return ca.Function(name, arguments, values, list(self.names), list(value_name))
+
+
+def _rows(column: ca.SX) -> list[ca.SX]:
+    return [column[i] for i in range(column.numel())]
+
+
+def rhs_function(model: BaseModel) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> dx/dt."""
+    arguments = Arguments(model)
+    parts = expressions_at(model, arguments.point)
+    return arguments.function("rhs", derivative(model, parts), "dx")
+
+
+def output_function(model: BaseModel) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
+    arguments = Arguments(model)
+    shown = arguments.x
+    if model.sensor:
+        parts = expressions_at(model, arguments.point)
+        shown = shown + ca.vertcat(*map(ca.SX, parts.sensor))
+    return arguments.function("output", shown, "y")
+
+
+def formulas_function(model: BaseModel, formulas: Sequence[str]) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> values of the formulas, as one column."""
+    arguments = Arguments(model)
+    point = arguments.point
+    parts = expressions_at(model, point)
+    efforts = dict(zip(model.efforts, parts.efforts, strict=True))
+    known = {**_variables(model, point), **efforts, **point.values}
+    values = [ca.SX(evaluate(text, known)) for text in formulas]
+    return arguments.function("formulas", ca.vertcat(*values))
