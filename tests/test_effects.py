@@ -10,7 +10,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.initialization.relative_guesses import intervals_at_rest, resolve_guesses
-from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.augmented_states import MemoryIntegration, with_memory
@@ -45,14 +44,14 @@ def change(
 ) -> np.ndarray:
     """What the effect adds to dx/dt of the model's own states, and to what is shown."""
     x = X[: model.n_states]
-    larger = model.add(effect_named(model, name, equation))
+    larger = model.add(name, equation)
     larger = larger.with_values(
         {n: v for n, v in values.items() if n not in larger.states}
     )
     extended = np.r_[x, [values.get(z, 0.0) for z in larger.memory]]
 
     def both(m: Model, at: np.ndarray) -> np.ndarray:
-        theta = np.array([m.values[n] for n in m.free])
+        theta = m.theta
         return np.concatenate(
             [
                 np.array(f(at, U, T, theta)).ravel()[: len(x)]
@@ -134,7 +133,7 @@ def test_an_effect_adds_its_force_or_its_reading_and_nothing_else(
     name: str, equation: str, values: dict[str, float], force: float, shown: float
 ) -> None:
     model = spring()
-    larger = model.add(effect_named(model, name, equation))
+    larger = model.add(name, equation)
     scales = {
         n: 1.0
         for n in larger.entries
@@ -176,12 +175,12 @@ def test_a_leak_takes_what_its_name_says_from_a_tank(
 
 def test_stribeck_friction_falls_from_its_static_level_to_that_of_sliding() -> None:
     model = spring()
-    larger = model.add(effect_named(model, "stribeck friction", "p"))
+    larger = model.add("stribeck friction", "p")
     inner = {n: 1e-6 if n.endswith("v0") else 0.5 for n in larger.entries if "." in n}
     larger = larger.with_values(
         {**inner, "coulomb_friction_p": 0.2, "stribeck_friction_p": 0.1}
     )
-    theta = np.array([larger.values[n] for n in larger.free])
+    theta = larger.theta
 
     def friction(v: float) -> float:
         return float(larger.rhs()([0.0, M * v], [0.0], 0.0, theta)[1])
@@ -198,11 +197,7 @@ def test_two_coupled_positions_pull_each_other() -> None:
     )
     (effect,) = (e for e in ph.catalogue(model) if e.name == "coupling stiffness")
     larger = model.add(effect).with_values({"coupling_stiffness_a_b": 0.3})
-    rate = np.array(
-        larger.rhs()(
-            [0.7, 0.2, 0.0, 0.0], [], 0.0, [larger.values[n] for n in larger.free]
-        )
-    ).ravel()
+    rate = np.array(larger.rhs()([0.7, 0.2, 0.0, 0.0], [], 0.0, larger.theta)).ravel()
     np.testing.assert_allclose(
         rate, [0, 0, -0.7 - 0.3 * 0.5, -0.2 + 0.3 * 0.5], atol=1e-12
     )
@@ -215,24 +210,18 @@ def test_a_delayed_input_arrives_late_and_a_lagged_one_smoothed() -> None:
         t, np.zeros((801, 2)), u, states=["q", "p"], inputs=["u"]
     )
     grid, model = grid_of(data), spring()
-    late = model.add(effect_named(model, "input delay", "p")).with_values(
-        {"delay_u_p": 0.4}
-    )
-    x = with_memory(
-        late, grid, np.zeros((801, 2)), np.array([late.values[n] for n in late.free])
-    )
+    late = model.add("input delay", "p").with_values({"delay_u_p": 0.4})
+    x = with_memory(late, grid, np.zeros((801, 2)), late.theta)
     arrived = u[:, 0] + 2 * (x[:, 2] - u[:, 0]) + 0.4**2 / 5 * x[:, 4]
     # 0.002: Pade's phase error at 0.4*1.3 rad, and the input held linearly between
     # samples
     np.testing.assert_allclose(arrived[200:], np.sin(1.3 * (t[200:] - 0.4)), atol=0.002)
-    lagged = model.add(effect_named(model, "input lag", "p")).with_values(
-        {"lag_u_p": 0.4}
-    )
+    lagged = model.add("input lag", "p").with_values({"lag_u_p": 0.4})
     z = with_memory(
         lagged,
         grid,
         np.zeros((801, 2)),
-        np.array([lagged.values[n] for n in lagged.free]),
+        lagged.theta,
     )[200:, 2]
     gain = 1 / np.sqrt(1 + (0.4 * 1.3) ** 2)
     np.testing.assert_allclose(
@@ -243,16 +232,14 @@ def test_a_delayed_input_arrives_late_and_a_lagged_one_smoothed() -> None:
 def test_a_delay_shorter_than_the_sampling_is_followed() -> None:
     t = np.arange(0.0, 20.0, 0.5)
     u = np.sign(np.sin(0.9 * t))[:, None]
+    # Each input holds until the next sample, so that a delay of a fifth leaves a fifth
+    # of the last one in the mean.
     data = ph.Measurements.from_arrays(
         t, np.zeros((len(t), 2)), u, states=["q", "p"], inputs=["u"], hold="zero"
-    )  # each input holds until the next sample, so that a delay of a fifth leaves a fifth of the last one in the mean
-    late = (
-        spring()
-        .add(effect_named(spring(), "input delay", "p"))
-        .with_values({"delay_u_p": 0.1})
     )
+    late = spring().add("input delay", "p").with_values({"delay_u_p": 0.1})
     grid = grid_of(data)
-    theta = np.array([late.values[n] for n in late.free])
+    theta = late.theta
     means = MemoryIntegration(late, grid, np.zeros((len(t), 2)))(theta).interval_means
     shown = u[:-1, 0] + 2 * (means[:, 0] - u[:-1, 0]) + 0.1**2 / 5 * means[:, 2]
     expected = u[:-1, 0] - 0.2 * np.diff(u[:-1, 0], prepend=u[0, 0])
@@ -266,7 +253,7 @@ def test_a_rim_is_not_sought_above_the_highest_level() -> None:
         T * np.arange(5), np.array([[0.5], [2.0], [3.0], [1.0], [0.7]]), states=["h"]
     )
     model = ph.FirstOrder(["h"], {"h": ph.formula("-k*h", k=0.1)})
-    larger = model.add(effect_named(model, "overflow", "h"))
+    larger = model.add("overflow", "h")
     grid = grid_of(data)
     (limit,) = (
         e.parameter
@@ -305,7 +292,7 @@ def test_the_memory_of_an_effect_need_not_be_in_the_measurements_and_is_estimate
     t = np.linspace(0.0, 12.0, 241)
     rng = np.random.default_rng(1)
     u = np.repeat(rng.uniform(-1, 1, 25), 10)[:241, None]
-    model = spring().add(effect_named(spring(), "input lag", "p"))
+    model = spring().add("input lag", "p")
     truth = model.with_values({"lag_u_p": 0.5})
     x = ph.simulate(truth, t, [0.1, 0.0, u[0, 0]], u)[:, :2]
     data = ph.Measurements.from_arrays(
@@ -325,11 +312,7 @@ def test_a_model_with_memory_scans_and_sensors_is_data_in_a_file(
 ) -> None:
     t = np.linspace(0.0, 8.0, 161)
     u = np.sin(2 * t)[:, None]
-    model = (
-        spring()
-        .add(effect_named(spring(), "input lag", "p"))
-        .add(effect_named(spring(), "sensor offset", "q"))
-    )
+    model = spring().add("input lag", "p").add("sensor offset", "q")
     x = ph.simulate(
         model.with_values({"lag_u_p": 0.3, "sensor_offset_q": 0.2}),
         t,

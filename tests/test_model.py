@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from phsi_opt.errors import ModelError
+from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
@@ -34,11 +35,11 @@ def spring(**changes: Any) -> PseudoHamiltonian:
 
 
 def rate(model: Model, x: Any, u: Any = (), t: float = 0.0) -> np.ndarray:
-    theta = [model.values[name] for name in model.free]
+    theta = model.theta
     return np.array(model.rhs()(np.array(x), np.array(u), t, theta)).ravel()
 
 
-# ---- values ----------------------------------------------------------------------------------------------------------
+# ---- values --------------------------------------------------------------------------
 
 
 def test_the_right_hand_side_is_that_of_the_textbook_spring() -> None:
@@ -57,7 +58,7 @@ def test_without_loss_and_force_the_energy_does_not_change() -> None:
     names = ["q1", "q2", "p1", "p2"]
     model = PseudoHamiltonian(states=names, S=a - a.T, H=polynomials(names, 3))
     model = model.with_values({name: float(rng.normal()) for name in model.free})
-    theta = [model.values[name] for name in model.free]
+    theta = model.theta
     for _ in range(5):
         x = rng.normal(size=4)
         gradient = np.array(model.function(*model.efforts)(x, [], 0.0, theta)).ravel()
@@ -68,7 +69,7 @@ def test_without_loss_and_force_the_energy_does_not_change() -> None:
 
 def test_the_efforts_are_the_gradient_of_the_energy() -> None:
     model = spring().with_values({"k": 30.0})
-    theta = [model.values[name] for name in model.free]
+    theta = model.theta
     function = model.function("dH_dq", "dH_dp", "k*q**2/2 + p**2/(2*m)")
     at = np.array([0.4, 0.9])
     step = 1e-5
@@ -106,7 +107,7 @@ def test_an_energy_that_is_a_number_pushes_nothing() -> None:
     np.testing.assert_array_equal(rate(model, [1.0, 1.0]), [0.0, 1.0])
 
 
-# ---- parameters ------------------------------------------------------------------------------------------------------
+# ---- parameters ----------------------------------------------------------------------
 
 
 def test_every_parameter_has_one_entry_in_its_place() -> None:
@@ -177,6 +178,37 @@ def test_adding_an_effect_makes_a_new_model_with_its_parameter(
     assert type(bigger) is PseudoHamiltonian
 
 
+def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
+    model = spring()
+    (friction,) = (
+        effect for effect in catalogue(model) if effect.name == "coulomb friction"
+    )
+    assert model.add("coulomb friction", "p") == model.add(friction)
+    assert model.add("coulomb friction") == model.add(friction)  # of p alone
+    assert model.add(friction, "p") == model.add(friction)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ("coulom friction", "p"),
+            r"'coulom friction' on 'p' .* Did you mean 'coulomb friction'\?",
+        ),
+        (("coulom friction",), r"Did you mean 'coulomb friction'\?"),
+        (("sensor offset",), r"can act in several equations: q, p; say which"),
+        (("coulomb friction", "v"), "'coulomb friction': 'v' is not a state"),
+        ((Effect("extra", "F", "p", formula("1")), "q"), "acts on 'p', not on 'q'"),
+        ((formula("1"),), "is not an effect; give an Effect, or the name of one"),
+    ],
+)
+def test_an_effect_that_cannot_be_added_is_refused(
+    arguments: tuple[Any, ...], message: str
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        spring().add(*arguments)
+
+
 def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
     model = spring()
     with pytest.raises(FrozenInstanceError):
@@ -189,7 +221,7 @@ def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
         again.F["q"] = formula("1")
 
 
-# ---- refusals --------------------------------------------------------------------------------------------------------
+# ---- refusals ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

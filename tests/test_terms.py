@@ -21,7 +21,7 @@ from phsi_opt.model.terms import (
 )
 
 
-def test_a_parameter_starts_at_its_value_or_at_the_point_of_its_bounds_nearest_to_zero() -> (
+def test_a_parameter_starts_at_its_value_or_where_its_bounds_are_nearest_to_zero() -> (
     None
 ):
     assert Parameter(2.0).start == 2.0
@@ -88,6 +88,15 @@ def test_damping_is_never_negative() -> None:
     assert coefficient.lower == 0.0
 
 
+def test_one_name_and_a_list_of_names_are_the_same() -> None:
+    assert damping("q", "p") == damping(["q", "p"])
+    assert damping("p") == damping(["p"])
+    assert polynomials("q", 2) == polynomials(["q"], 2)
+    assert trigonometric("t") == trigonometric(["t"])
+    both = trigonometric(["t", "q"], n=2)
+    assert both == trigonometric("t", n=2) + trigonometric("q", n=2)
+
+
 def test_coefficients_are_named_by_place_and_body() -> None:
     (constant,), (q,) = Dictionary((Term("1", Parameter()),)), polynomials(["q"], 1)
     assert constant.coefficient_name("R_p") == "R_p"
@@ -118,6 +127,7 @@ def test_setting_a_value_keeps_the_bounds() -> None:
         (lambda: polynomials(["q q"], 2), "variable 'q q' is not a usable name"),
         (lambda: polynomials(["q"], 0), "degree=0 of polynomials"),
         (lambda: polynomials(["q"], 1.5), "degree=1.5 of polynomials"),  # type: ignore[arg-type]
+        (lambda: damping("q", ["q", "p"]), "each only once"),
         (lambda: trigonometric("t", n=0), "n=0 of trigonometric"),
         (
             lambda: polynomials(["q"], 2) + polynomials(["q"], 1),

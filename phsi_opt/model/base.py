@@ -17,7 +17,6 @@ import numpy as np
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.checks import checked_dictionary, checked_names, checked_structure
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, with_value
 from phsi_opt.model.slots import (
     BY_EQUATION,
@@ -27,6 +26,7 @@ from phsi_opt.model.slots import (
     place_of,
 )
 from phsi_opt.model.terms import Dictionary
+from phsi_opt.model.variables import Variables
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +59,9 @@ class BaseModel:
         self._set("memory", checked_names(self.memory, "memory", may_be_empty=True))
         for name in self.memory:
             self.index(name, "memory")
-        self._check_parameter_names()
-        self._check_names_in_terms()
+        self.variables.check_parameters(self.entries)
+        for placed in self.placed():
+            self.variables.check_term(placed)
 
     def _set(self, name: str, value: Any) -> None:
         object.__setattr__(self, name, value)  # the record is frozen for all others
@@ -94,48 +95,6 @@ class BaseModel:
                 ordered[name] = checked_dictionary(dictionaries[name], where)
         return MappingProxyType(ordered)
 
-    def _check_parameter_names(self) -> None:
-        variables = {*self.states, *self.inputs, "t", *self.efforts, *self.slopes}
-        clash = set(self.entries) & variables
-        if clash:
-            raise ModelError(
-                f"parameter name {sorted(clash)[0]!r} is also a state, an input "
-                "or an effort; rename it."
-            )
-
-    def _check_names_in_terms(self) -> None:
-        for placed in self.placed():
-            allowed = self._variables(placed.slot) | set(placed.term.inner)
-            unknown = names_of(placed.term.body) - allowed
-            if unknown:
-                raise ModelError(self._unknown_name(min(unknown), placed, allowed))
-
-    def _variables(self, slot: str) -> set[str]:
-        """Names that a term of the slot may use beside its parameters."""
-        variables = set(self.states)
-        if slot != "H":
-            variables |= {"t", *self.inputs, *self.efforts}
-        if slot == "F":
-            variables |= set(self.slopes)
-        return variables
-
-    def _unknown_name(self, name: str, placed: PlacedTerm, allowed: set[str]) -> str:
-        body = placed.term.body
-        if placed.slot == "H" and name in self._variables("R"):
-            return (
-                f"{body!r} in H uses {name!r}, but an energy depends on the states "
-                "alone; put the term into F."
-            )
-        hint = did_you_mean(name, allowed)
-        if not hint:
-            hint = (
-                f" If it is a parameter, give it: formula(..., {name}=Parameter(1.0))."
-            )
-        return (
-            f"name {name!r} in {body!r} ({placed.slot}) is unknown; "
-            f"known are {', '.join(sorted(allowed))}.{hint}"
-        )
-
     # ---- what it consists of ---------------------------------------------------------
 
     @property
@@ -154,12 +113,17 @@ class BaseModel:
         return len(self.inputs)
 
     @property
+    def variables(self) -> Variables:
+        """The names that formulas may use beside parameters."""
+        return Variables(self.states, self.inputs)
+
+    @property
     def efforts(self) -> tuple[str, ...]:
         """Names of the efforts dH/dx_i in formulas of R and F.
 
         The effort of a momentum is a velocity, that of a storage a level.
         """
-        return tuple(f"dH_d{name}" for name in self.states)
+        return self.variables.efforts
 
     @property
     def slopes(self) -> tuple[str, ...]:
@@ -167,7 +131,7 @@ class BaseModel:
 
         They are those of the equation's other force terms, in each input.
         """
-        return tuple(f"dF_d{name}" for name in self.inputs)
+        return self.variables.slopes
 
     def index(self, state: str, what: str = "state") -> int:
         """Position of a state among the states.
