@@ -16,7 +16,7 @@ from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import Entry, place_of
-from phsi_opt.model.terms import Dictionary, with_parameters
+from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.alignment import aligned
 
 
@@ -88,7 +88,7 @@ def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
         new = {}
         for equation, terms in old.items():
             place = place_of(slot, equation)
-            changed = [with_parameters(term, place, held) for term in terms]
+            changed = [term.with_parameters(place, held) for term in terms]
             new[equation] = Dictionary(tuple(changed))
         return new
 
