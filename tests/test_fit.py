@@ -5,9 +5,11 @@ file is ever run.
 import json
 import pickle
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import sympy as sp
@@ -110,7 +112,7 @@ def rate(fit: Fit, x: np.ndarray, u: np.ndarray, t: float) -> np.ndarray:
     return np.array(fit.model.rhs()(x, u, t, theta)).ravel()
 
 
-# ---- forms -----------------------------------------------------------------------------------------------------------
+# ---- forms ---------------------------------------------------------------------------
 
 
 def test_sympy_and_casadi_give_the_right_hand_side_of_the_model() -> None:
@@ -188,9 +190,7 @@ def replace_free(model: PseudoHamiltonian) -> PseudoHamiltonian:
     ).with_values({"R_p": 0.0})
 
 
-def test_the_report_names_every_parameter_with_its_standard_error_and_every_warning() -> (
-    None
-):
+def test_the_report_names_every_parameter_with_its_error_and_every_warning() -> None:
     text = str(rich_fit())
     for part in (
         "1.875 +- ",
@@ -215,7 +215,85 @@ def test_the_parameter_table_has_a_row_per_parameter() -> None:
     assert table["std_error"].isna()["m"]
 
 
-# ---- files -----------------------------------------------------------------------------------------------------------
+def test_the_table_of_limits_and_that_of_bounds_have_different_columns() -> None:
+    fit = rich_fit()
+    intervals = fit.intervals(0.9)
+    assert list(intervals.columns) == ["value", "ci_lower", "ci_upper"]
+    assert list(intervals.index) == list(fit.names)
+    assert fit.parameters.set_index("name")["lower"]["k"] == 0.0
+    assert 1.8 < intervals["ci_lower"]["k"] < 1.875 < intervals["ci_upper"]["k"]
+    with pytest.raises(DataError, match="level=1 must lie between 0 and 1"):
+        fit.intervals(1)
+
+
+def loaded_fit() -> Fit:
+    """A mass that differs between two runs."""
+    mass = Parameter(2.0, lower=0.0, unit="kg", per_trajectory=True)
+    model = PseudoHamiltonian(
+        states=("q", "p"),
+        S=canonical(1),
+        H=formula("k*q**2/2 + p**2/(2*m)", k=40.0, m=mass),
+    )
+    return replace(
+        fit_of(model),
+        names=("m[run 1]", "m[run 2]"),
+        by_trajectory={"run 1": {"m": 1.5}, "run 2": {"m": 2.5}},
+        covariance=np.diag([0.01, 0.04]),
+    )
+
+
+def test_a_trajectory_is_known_by_its_name_and_by_its_number() -> None:
+    fit = loaded_fit()
+    t = np.linspace(0.0, 1.0, 5)
+    assert fit.model_of("run 2").values["m"] == 2.5
+    assert fit.model_of(1) == fit.model_of(-1) == fit.model_of("run 2")
+    assert fit.model_of("another run").values["m"] == 2.0
+    by_name = fit.simulate(t, [1.0, 0.0], trajectory="run 1")
+    np.testing.assert_array_equal(fit.simulate(t, [1.0, 0.0], trajectory=0), by_name)
+    with pytest.raises(DataError, match="there is no trajectory 2; the fit has 2"):
+        fit.model_of(2)
+    with pytest.raises(DataError, match="'run 3' has no parameters of its own"):
+        fit.simulate(t, [1.0, 0.0], trajectory="run 3")
+
+
+def test_a_fit_of_shared_parameters_has_one_model_for_all_trajectories() -> None:
+    fit = rich_fit()
+    assert fit.model_of(7) == fit.model_of("run 1") == fit.model
+    with pytest.raises(DataError, match="none: all parameters are shared"):
+        fit.simulate(np.linspace(0.0, 1.0, 5), [1.0, 0.0], trajectory=0)
+
+
+# ---- picture -------------------------------------------------------------------------
+
+
+def test_the_picture_draws_every_estimate_relative_to_its_size() -> None:
+    fit = loaded_fit()
+    _, ax = plt.subplots()
+    assert fit.plot(ax) is ax
+    labels = [text.get_text() for text in ax.get_yticklabels()]
+    # Student's t with 318 degrees of freedom at 97.5 %: 1.967 standard errors.
+    assert labels == ["m[run 1] = 1.5 ± 0.2 kg", "m[run 2] = 2.5 ± 0.39 kg"]
+    assert ax.get_title() == "m[run 2] is known worst, to 16 % of its size"
+    plt.close("all")
+
+
+def test_the_picture_says_which_estimates_are_not_to_be_relied_on() -> None:
+    fit = rich_fit()  # R_p ended at a bound, the last one has no standard error
+    covariance = fit.covariance.copy()
+    at_bound = fit.names.index("R_p")
+    covariance[at_bound] = covariance[:, at_bound] = np.nan
+    ax = replace(fit, covariance=covariance).plot()
+    labels = [text.get_text() for text in ax.get_yticklabels()]
+    assert "R_p = 0.7, at its bound" in labels
+    assert labels[-1].endswith(", no standard error")
+    title = ax.get_title().replace("\n", " ")
+    assert "2 not told from zero (orange)" in title  # H[q] and eps
+    assert "1 without standard error (circle)" in title
+    assert "1 at a bound (square)" in title
+    plt.close("all")
+
+
+# ---- files ---------------------------------------------------------------------------
 
 
 def first_order_fit() -> Fit:

@@ -7,12 +7,19 @@ and this one joins them.
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from phsi_opt.estimation.fit_content import FORMAT, fit_content, fit_parts
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.fit_report import report
 from phsi_opt.estimation.json_file import read_json
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and pictures
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,6 +34,7 @@ class Fit(FitRecord):
       fitted numbers.
     - Motion: ``simulate(t, x0, u)``; the fitted model itself is ``model``, that of one
       trajectory ``model_of(trajectory)``.
+    - Forms: ``print(fit)``, ``plot()``, ``save(path)`` and ``Fit.load(path)``.
     - Trust: ``outcome`` says how the solver ended, ``warnings`` what to know before the
       numbers are used.
 
@@ -77,6 +85,32 @@ class Fit(FitRecord):
             LookupError, TypeError, ValueError, AttributeError: The content is damaged.
         """
         return cls(**fit_parts(content))
+
+    def plot(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw how well every parameter is known: each estimate with its 95 % interval.
+
+        Intervals are drawn in percent of the estimate's absolute value; the labels give
+        the numbers with their units. Orange intervals reach beyond zero. A square marks
+        a parameter that ended at a bound, an open circle one without a standard error
+        (``warnings`` says why).
+
+        Args:
+            ax: Axes to draw on; None: a new figure.
+
+        Returns:
+            The axes; ``fit.plot().figure.savefig("fit.png")`` stores the picture.
+        """
+        from phsi_opt.presentation.estimates import plot_estimates
+
+        return plot_estimates(self._estimates_table(PLOTTED_LEVEL), PLOTTED_LEVEL, ax)
+
+    def _estimates_table(self, level: float) -> pd.DataFrame:
+        """What a picture shows: a row per estimate with limits, unit, ``at_bound``."""
+        parameters = self.parameters.set_index("name")
+        table = self.intervals(level)
+        table["unit"] = parameters["unit"].reindex(table.index)
+        table["at_bound"] = table.index.isin(self.outcome.at_bounds)
+        return table.rename_axis("name").reset_index()
 
     def __str__(self) -> str:
         return report(self)
