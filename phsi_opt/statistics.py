@@ -3,7 +3,8 @@
 Residuals of a model that is not perfect vary slowly: neighbours say nearly the same.
 Tests and criteria that count samples have to count independent values instead. The two
 measures of that number stand here because several rooms need them; they know arrays
-only, no model and no measurements. ``TINY`` guards divisions everywhere.
+only, no model and no measurements. So do the peaks of a sequence, and ``TINY``, which
+guards divisions everywhere.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,22 @@ from scipy.signal import fftconvolve
 # Keeps quotients and logarithms of what may be zero finite; far below every number that
 # a measurement or a model can mean, far above the least that float64 can hold.
 TINY = 1e-300
+
+
+def local_maxima(values: np.ndarray, last_of_plateau: bool = False) -> np.ndarray:
+    """Which values are at least as large as both neighbours, (n,) of bool.
+
+    The first and the last value have one neighbour only.
+
+    Args:
+        values: (n,).
+        last_of_plateau: of neighbours that are equal, only the last one counts; else
+            all of them do.
+    """
+    padded = np.concatenate([[-np.inf], values, [-np.inf]])
+    from_before = values >= padded[:-2]
+    to_next = values > padded[2:] if last_of_plateau else values >= padded[2:]
+    return np.asarray(from_before & to_next)
 
 
 def autocorrelation_time(series: Sequence[np.ndarray]) -> float:

@@ -1,13 +1,14 @@
-"""Starting values: states by smoothing, linear coefficients by a convex program,
-frequencies by a scan.
+"""Starting values of the parameters, by convex programs and scans of frequencies.
 
 The loss with the midpoint rule is convex in the coefficients that enter linearly while
-R is fixed, so CVXPY solves it to its global optimum. A frequency is a needle that no
-local solver finds: it is scanned, with the amplitudes (linear once the frequency is
-fixed) solved at every step of the scan.
+R is fixed, so CVXPY solves it to its global optimum. A frequency is scanned
+(`frequency_scan`), with the amplitudes solved at every step of the scan. The states
+must be known; what to do where they are not is the business of `identify`.
 """
 
 import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import cvxpy as cp
@@ -20,139 +21,180 @@ from phsi_opt.initialization.frequency_scan import (
     squared_defects,
     with_entry,
 )
-from phsi_opt.model.model import Model
+from phsi_opt.model.model import Entry, Model
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
+from phsi_opt.transcription.interval_map import argument_symbols
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
 
+LEAST_NORM = 1e-12  # of a coefficient's column: below it the scale is that of one
 
-def starting_values(model: Model, grid: Grid, l1: dict[str, float]) -> list[np.ndarray]:
-    """Starting points of theta (best first) for data whose states are all known
-    (``grid.y``).
+
+def starting_values(
+    model: Model, grid: Grid, l1: Mapping[str, float]
+) -> list[np.ndarray]:
+    """Starting points of theta, the best first.
+
+    Args:
+        model: the model.
+        grid: nodes whose states are all known (``grid.y``).
+        l1: weight by slot.
+
+    Returns:
+        Up to `N_STARTS` arrays (n_free,).
     """
     grid = complete_intervals(model, grid)
-    theta = model.theta
-    groups = _linear_groups(model, grid)
-    waves = frequency_scans(model)
-    theta = _convex_rounds(model, grid, theta, groups, l1, rounds=1)
-    starts = [theta]
-    for name, amplitudes, variable in waves:
+    groups = _linear_groups(model)
+    start = _ConvexStart(model, grid, l1, groups)
+    starts = [start.improved(model.theta, rounds=1)]
+    linear = [place for group in groups for place in group]
+    for scan in frequency_scans(model):
+        frequency = model.free.index(scan.name)
         scanned = []
-        for start in starts:
-            for omega in candidate_frequencies(
-                model, grid, start, groups, name, amplitudes, variable
-            ):
-                moved = with_entry(start, model.free.index(name), omega)
+        for theta in starts:
+            for omega in candidate_frequencies(model, grid, theta, linear, scan):
+                moved = with_entry(theta, frequency, omega)
                 # The start carries what the polynomials explained before the wave was
                 # there; begin again beside it.
-                scanned.append(_convex_rounds(model, grid, moved, groups, l1, rounds=2))
-        starts = sorted(scanned, key=lambda s: squared_defects(model, grid, s))[
-            :N_STARTS
-        ]
+                scanned.append(start.improved(moved, rounds=2))
+        best_first = sorted(scanned, key=lambda s: squared_defects(model, grid, s))
+        starts = best_first[:N_STARTS]
     return starts
 
 
-def _linear_groups(model: Model, grid: Grid) -> list[list[int]]:
-    """Groups of parameters that enter the right-hand side linearly while the others are
-    fixed: H and F, then R.
+def _linear_groups(model: Model) -> list[list[int]]:
+    """Groups of parameters in which the right-hand side is linear, others fixed.
+
+    Those of H and F, then those of R; a parameter with a value of its own keeps it.
     """
     rhs = model.rhs()
-    arguments = [ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(rhs.n_in())]
-    theta, dx = arguments[-1], rhs(*arguments)
+    arguments = argument_symbols(rhs)
+    rates = rhs(*arguments)
+    theta = arguments[-1]
     entries = [model.entries[name] for name in model.free]
-    has_start = [e.parameter.value is not None and not e.prunable for e in entries]
     groups = []
     for slots in (("H", "F"), ("R",)):
-        members: list[int] = []
-        inside = [
-            i for i, e in enumerate(entries) if e.slot in slots and not has_start[i]
-        ]
+        coefficients = []
+        others = []
+        for place, entry in enumerate(entries):
+            if entry.slot not in slots:
+                continue
+            if entry.prunable:
+                coefficients.append(place)
+            elif entry.parameter.value is None:
+                others.append(place)
         # Coefficients first: a frequency beside them would make its amplitudes look
         # curved.
-        for tried in (
-            [i for i in inside if entries[i].prunable],
-            [i for i in inside if not entries[i].prunable],
-        ):
-            both = members + tried
-            curved = _curved(dx, theta, both)
-            members = [
-                i
-                for i, bent in zip(both, curved, strict=True)
-                if not bent or i in members
-            ]
-        groups.append(sorted(members))
-    return [group for group in groups if group]
+        linear = _with_linear(rates, theta, [], coefficients)
+        linear = _with_linear(rates, theta, linear, others)
+        if linear:
+            groups.append(sorted(linear))
+    return groups
 
 
-def _curved(dx: ca.SX, theta: ca.SX, members: list[int]) -> list[bool]:
-    if not members:
+def _with_linear(
+    rates: ca.SX, theta: ca.SX, linear: list[int], tried: list[int]
+) -> list[int]:
+    """The parameters ``linear`` with those tried in which the rates stay linear."""
+    together = linear + tried
+    if not together:
         return []
-    chosen = theta[members]
-    slopes = ca.jacobian(dx, chosen)
-    return [ca.depends_on(slopes[:, i], chosen) for i in range(len(members))]
+    chosen = theta[together]
+    slopes = ca.jacobian(rates, chosen)
+    result = list(linear)
+    for column in range(len(linear), len(together)):
+        if not ca.depends_on(slopes[:, column], chosen):
+            result.append(together[column])
+    return result
 
 
-def _convex_rounds(
-    model: Model,
-    grid: Grid,
-    theta: np.ndarray,
-    groups: list[list[int]],
-    l1: dict[str, float],
-    rounds: int,
-) -> np.ndarray:
-    for _ in range(rounds):
-        for group in groups:
-            theta = convex_coefficients(model, grid, theta, group, l1)
-    return theta
+@dataclass(frozen=True, eq=False)
+class _LeastSquares:
+    """|A z - b|^2, the loss over scaled coefficients z.
 
-
-def convex_coefficients(
-    model: Model,
-    grid: Grid,
-    theta: np.ndarray,
-    group: list[int],
-    l1: dict[str, float],
-    scheme: str = STARTING_SCHEME,
-) -> np.ndarray:
-    """The PHSI loss over the coefficients ``group``, others fixed, as a convex program;
-    exact where it is convex.
+    Attributes:
+        A: (n_rows, n_coefficients), columns of norm one.
+        b: (n_rows,).
+        scale: (n_coefficients,) coefficients over z.
     """
-    jacobian = np.array(defect_jacobian(model, grid, scheme)(grid.y.T, theta))[:, group]
-    d = np.array(defects(model, grid, scheme, ca.DM(grid.y.T), theta)).T.ravel()
-    usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
-    weight = np.sqrt(1 / (mean_square_rate(grid) * grid.n_intervals))
-    entries = [model.entries[model.free[i]] for i in group]
-    scale = 1 / np.maximum(np.linalg.norm(weight * jacobian[usable], axis=0), 1e-12)
-    A, b = (
-        weight * jacobian[usable] * scale,
-        weight * (jacobian[usable] @ theta[group] - d[usable]),
-    )
-    q, r = np.linalg.qr(A)
-    z = cp.Variable(len(group))
-    lam = np.array(
-        [l1.get(e.slot, 0.0) if e.prunable else 0.0 for e in entries]
-    ) / mean_square_rate(grid)
-    objective = cp.sum_squares(r @ z - q.T @ b) + cp.sum(
-        cp.multiply(lam * scale, cp.abs(z))
-    )
-    limits = [
-        (z[i] >= e.parameter.lower / scale[i])
-        for i, e in enumerate(entries)
-        if np.isfinite(e.parameter.lower)
-    ]
-    limits += [
-        (z[i] <= e.parameter.upper / scale[i])
-        for i, e in enumerate(entries)
-        if np.isfinite(e.parameter.upper)
-    ]
+
+    A: np.ndarray
+    b: np.ndarray
+    scale: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _ConvexStart:
+    """The loss over groups of coefficients in which it is convex, one after another."""
+
+    model: Model
+    grid: Grid
+    l1: Mapping[str, float]
+    groups: Sequence[Sequence[int]]
+
+    def improved(self, theta: np.ndarray, rounds: int) -> np.ndarray:
+        """Theta with every group at its optimum, found so many times in turn."""
+        for _ in range(rounds):
+            for group in self.groups:
+                theta = self._solved(theta, list(group))
+        return theta
+
+    def _solved(self, theta: np.ndarray, group: list[int]) -> np.ndarray:
+        """Theta with the coefficients ``group`` at their optimum, others fixed."""
+        problem = self._least_squares(theta, group)
+        entries = [self.model.entries[self.model.free[i]] for i in group]
+        z = _optimum(problem, entries, self._l1_weights(entries))
+        result = theta.copy()
+        if z is not None and np.all(np.isfinite(z)):
+            lower = np.array([e.parameter.lower for e in entries])
+            upper = np.array([e.parameter.upper for e in entries])
+            result[group] = np.clip(z * problem.scale, lower, upper)
+        return result
+
+    def _least_squares(self, theta: np.ndarray, group: list[int]) -> _LeastSquares:
+        """The squared defects, linearised; exact where they are linear in the group."""
+        model = self.model
+        grid = self.grid
+        slopes = defect_jacobian(model, grid, STARTING_SCHEME)(grid.y.T, theta)
+        jacobian = np.array(slopes)[:, group]
+        at_theta = defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), theta)
+        d = np.array(at_theta).T.ravel()
+        is_usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
+        jacobian = jacobian[is_usable]
+        weight = np.sqrt(1 / (mean_square_rate(grid) * grid.n_intervals))
+        norms = np.linalg.norm(weight * jacobian, axis=0)
+        scale = 1 / np.maximum(norms, LEAST_NORM)
+        b = weight * (jacobian @ theta[group] - d[is_usable])
+        return _LeastSquares(weight * jacobian * scale, b, scale)
+
+    def _l1_weights(self, entries: Sequence[Entry]) -> np.ndarray:
+        """Weight of each coefficient's size in the loss."""
+        weights = []
+        for entry in entries:
+            weights.append(self.l1.get(entry.slot, 0.0) if entry.prunable else 0.0)
+        return np.array(weights) / mean_square_rate(self.grid)
+
+
+def _optimum(
+    problem: _LeastSquares, entries: Sequence[Entry], l1: np.ndarray
+) -> np.ndarray | None:
+    """Scaled coefficients of least loss within their bounds; None: not found."""
+    q, r = np.linalg.qr(problem.A)
+    z = cp.Variable(len(entries))
+    misfit = cp.sum_squares(r @ z - q.T @ problem.b)
+    penalty = cp.sum(cp.multiply(l1 * problem.scale, cp.abs(z)))
+    constraints = []
+    for i, entry in enumerate(entries):
+        if np.isfinite(entry.parameter.lower):
+            constraints.append(z[i] >= entry.parameter.lower / problem.scale[i])
+    for i, entry in enumerate(entries):
+        if np.isfinite(entry.parameter.upper):
+            constraints.append(z[i] <= entry.parameter.upper / problem.scale[i])
+    program = cp.Problem(cp.Minimize(misfit + penalty), constraints)
     with warnings.catch_warnings():  # a start need not be accurate to the last digit
         warnings.simplefilter("ignore", UserWarning)
-        cp.Problem(cp.Minimize(objective), limits).solve(
+        program.solve(
             solver=cp.CLARABEL, tol_gap_abs=1e-14, tol_gap_rel=1e-12, tol_feas=1e-12
         )
-    result = theta.copy()
-    if z.value is not None and np.all(np.isfinite(z.value)):
-        bounds = np.array([(e.parameter.lower, e.parameter.upper) for e in entries])
-        result[group] = np.clip(z.value * scale, bounds[:, 0], bounds[:, 1])
-    return result
+    return None if z.value is None else np.asarray(z.value)

@@ -1,4 +1,13 @@
-"""TODO."""
+"""Frequencies by a scan: a needle that no local solver finds.
+
+Once its frequency is fixed, the sine and cosine of a wave enter the defects linearly. So
+the scan solves a linear least-squares problem at every frequency of a grid, and the
+frequencies at which the defects fall most are starting values.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -7,143 +16,186 @@ from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.slots import place_of
+from phsi_opt.statistics import local_maxima
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 
 N_STARTS = 3  # frequencies of the scan that are tried
+MOST_FREQUENCIES = 4000  # of one scan: each of them costs a least-squares problem
+BELOW_NYQUIST = 0.9  # share of the Nyquist frequency up to which waves are scanned
+RANK = (
+    1e-8  # share of the largest singular value below which a direction counts as none
+)
 
 
-def frequency_scans(model: Model) -> list[tuple[str, list[str], str]]:
-    """Frequencies to scan: name, names of the amplitudes that share it, variable."""
-    found: dict[str, tuple[str, list[str], str]] = {}
+@dataclass(frozen=True)
+class FrequencyScan:
+    """A frequency to scan.
+
+    Attributes:
+        name: of the frequency in the model.
+        variable: what the wave runs along, such as the time t.
+        amplitudes: names of the coefficients of the terms that share the frequency.
+    """
+
+    name: str
+    variable: str
+    amplitudes: tuple[str, ...]
+
+
+def frequency_scans(model: Model) -> list[FrequencyScan]:
+    """The frequencies of a model that are to be scanned, without a value yet."""
+    variables: dict[str, str] = {}
+    amplitudes: dict[str, list[str]] = {}
     for slot, equation, term in model.placed():
+        if term.coefficient is None:
+            continue
+        place = place_of(slot, equation)
         for inner, parameter in term.inner.items():
-            if (
-                isinstance(parameter.guess, Scan)
-                and parameter.value is None
-                and term.coefficient is not None
-            ):
-                place = place_of(slot, equation)
+            if isinstance(parameter.guess, Scan) and parameter.value is None:
                 name = term.inner_name(inner, place)
-                found.setdefault(name, (name, [], parameter.guess.variable))[1].append(
-                    term.coefficient_name(place)
-                )
-    return list(found.values())
+                variables.setdefault(name, parameter.guess.variable)
+                amplitudes.setdefault(name, []).append(term.coefficient_name(place))
+    return [
+        FrequencyScan(name, variable, tuple(amplitudes[name]))
+        for name, variable in variables.items()
+    ]
 
 
 def frequency_grid(grid: Grid, variable: np.ndarray) -> np.ndarray:
-    """Frequencies worth trying: half a period over the record up to the Nyquist
-    frequency, half a resolution apart.
+    """Frequencies worth trying, in rad per unit of the variable.
+
+    From half a period over the record up to the Nyquist frequency, half a resolution
+    apart.
+
+    Args:
+        grid: which node belongs to which trajectory.
+        variable: (n_nodes,) what the wave runs along.
     """
     span = float(np.ptp(variable))
-    steps = np.abs(np.diff(variable)[np.diff(grid.trajectory) == 0])
-    step = float(np.median(steps[steps > 0])) if np.any(steps > 0) else span
+    is_inside = np.diff(grid.trajectory) == 0
+    steps = np.abs(np.diff(variable)[is_inside])
+    steps = steps[steps > 0]
+    step = float(np.median(steps)) if len(steps) else span
     lowest = np.pi / span
-    return np.arange(lowest, max(0.9 * np.pi / step, 2 * lowest), lowest / 2)[:4000]
+    highest = max(BELOW_NYQUIST * np.pi / step, 2 * lowest)
+    return np.arange(lowest, highest, lowest / 2)[:MOST_FREQUENCIES]
 
 
 def candidate_frequencies(
     model: Model,
     grid: Grid,
     theta: np.ndarray,
-    groups: list[list[int]],
-    name: str,
-    amplitudes: list[str],
-    variable: str,
+    linear: Sequence[int],
+    scan: FrequencyScan,
 ) -> list[float]:
-    """Peaks of two scans: beside all other terms, and beside those alone that do not
-    contain the variable.
+    """Peaks of two scans, those of the first one first.
 
-    Over a short record a polynomial in the time imitates a slow wave, so beside it only
-    fast waves stand out.
+    The first is beside the terms that do not contain the variable, the second beside
+    all other terms. Over a short record a polynomial in the time imitates a slow wave,
+    so beside it only fast waves stand out.
+
+    Args:
+        model: the model with the waves.
+        grid: nodes whose states are all known (``grid.y``).
+        theta: (n_free,) values of the other parameters.
+        linear: places in theta of the coefficients that are free beside the wave.
+        scan: the frequency.
     """
-    beside_all = [i for group in groups for i in group]
-    along = {
-        term.coefficient_name(place_of(slot, equation))
-        for slot, equation, term in model.placed()
-        if slot == "F" and variable in names_of(term.body)
-    }
-    inner = [i for i in beside_all if model.free[i] not in along]
-    found = []
-    for others in [beside_all] if inner == beside_all else [inner, beside_all]:
-        found += _best_frequencies(
-            model, grid, theta, others, name, amplitudes, variable
-        )[: N_STARTS - 1]
+    of_variable = set()
+    for slot, equation, term in model.placed():
+        if slot == "F" and scan.variable in names_of(term.body):
+            of_variable.add(term.coefficient_name(place_of(slot, equation)))
+    beside_all = list(linear)
+    beside_others = [i for i in beside_all if model.free[i] not in of_variable]
+    scans = [beside_others, beside_all]
+    if beside_others == beside_all:
+        scans = [beside_all]
+    found: list[float] = []
+    for beside in scans:
+        best = _best_frequencies(model, grid, theta, beside, scan)
+        found += best[: N_STARTS - 1]
     return list(dict.fromkeys(found))
 
 
 def squared_defects(model: Model, grid: Grid, theta: np.ndarray) -> float:
-    return float(
-        np.nansum(
-            np.square(
-                np.array(defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), theta))
-            )
-        )
-    )
+    """Sum of the squared defects of the known states, those that are finite."""
+    d = defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), theta)
+    return float(np.nansum(np.square(np.array(d))))
+
+
+def with_entry(theta: np.ndarray, index: int, value: float) -> np.ndarray:
+    """A copy of theta with another value at one place."""
+    result = theta.copy()
+    result[index] = value
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Remainder:
+    """What some columns leave unexplained of the defects.
+
+    Attributes:
+        d: (n_defects,) the defects without their part along the columns.
+        basis: (n_defects, n_columns) orthonormal basis of the columns.
+    """
+
+    d: np.ndarray
+    basis: np.ndarray
+
+    @classmethod
+    def of(cls, d: np.ndarray, columns: np.ndarray) -> "_Remainder":
+        if not columns.shape[1]:
+            basis = np.zeros((len(d), 0))
+        else:
+            basis = np.linalg.qr(columns)[0]
+        return cls(d - basis @ (basis.T @ d), basis)
+
+    def explained_by(self, columns: np.ndarray) -> float:
+        """How much of |d|^2 further columns explain."""
+        beyond = columns - self.basis @ (self.basis.T @ columns)
+        solution = np.linalg.lstsq(beyond, self.d, rcond=RANK)[0]
+        return float(np.sum((beyond @ solution) ** 2))
 
 
 def _best_frequencies(
     model: Model,
     grid: Grid,
     theta: np.ndarray,
-    beside: list[int],
-    name: str,
-    amplitudes: list[str],
-    variable: str,
+    beside: Sequence[int],
+    scan: FrequencyScan,
 ) -> list[float]:
-    """The frequencies with the deepest local minima of the squared defects, amplitudes
-    and all linear terms free.
+    """The frequencies with the deepest minima of the squared defects, the best first.
+
+    The amplitudes and the linear terms ``beside`` are free.
     """
-    order = list(model.free)
-    own = [order.index(a) for a in amplitudes]
-    others = [i for i in beside if i not in own]
+    frequency = model.free.index(scan.name)
+    amplitudes = [model.free.index(name) for name in scan.amplitudes]
+    others = [i for i in beside if i not in amplitudes]
     start = theta.copy()
-    start[
-        [
-            i
-            for i, n in enumerate(order)
-            if model.entries[n].prunable and i not in others
-        ]
-    ] = 0.0
-    d = np.array(
-        defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), start)
-    ).T.ravel()
-    base = np.array(defect_jacobian(model, grid, STARTING_SCHEME)(grid.y.T, start))[
-        :, others
-    ]
-    keep, _ = np.linalg.qr(base) if others else (np.zeros((len(d), 0)), None)
-    d = d - keep @ (keep.T @ d)
-    along = np.array(
-        model.function(variable).map(grid.n_nodes)(
-            grid.y.T, grid.u.T, grid.t[None, :], ca.repmat(start, 1, grid.n_nodes)
-        )
-    ).ravel()
-    grid_omega = frequency_grid(grid, along)
-    columns = defect_jacobian(model, grid, STARTING_SCHEME, own)
-    drop = np.array(
-        [
-            _explained(
-                d,
-                keep,
-                np.array(columns(grid.y.T, with_entry(start, order.index(name), w))),
-            )
-            for w in grid_omega
-        ]
-    )
-    padded = np.r_[-np.inf, drop, -np.inf]
-    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
-    return [float(grid_omega[i]) for i in peaks[np.argsort(-drop[peaks])][:N_STARTS]]
+    for i, name in enumerate(model.free):
+        if model.entries[name].prunable and i not in others:
+            start[i] = 0.0
+    d = defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), start)
+    slopes = defect_jacobian(model, grid, STARTING_SCHEME)(grid.y.T, start)
+    remainder = _Remainder.of(np.array(d).T.ravel(), np.array(slopes)[:, others])
+    wave_slopes = defect_jacobian(model, grid, STARTING_SCHEME, amplitudes)
+    tried = frequency_grid(grid, _values_at_nodes(model, grid, scan.variable, start))
+    explained = np.zeros(len(tried))
+    for k, omega in enumerate(tried):
+        columns = wave_slopes(grid.y.T, with_entry(start, frequency, omega))
+        explained[k] = remainder.explained_by(np.array(columns))
+    peaks = np.flatnonzero(local_maxima(explained))
+    best_first = peaks[np.argsort(-explained[peaks])]
+    return [float(omega) for omega in tried[best_first[:N_STARTS]]]
 
 
-def with_entry(theta: np.ndarray, index: int, value: float) -> np.ndarray:
-    result = theta.copy()
-    result[index] = value
-    return result
-
-
-def _explained(d: np.ndarray, keep: np.ndarray, columns: np.ndarray) -> float:
-    """How much of |d|^2 the columns explain beyond the space ``keep``."""
-    columns = columns - keep @ (keep.T @ columns)
-    solution = np.linalg.lstsq(columns, d, rcond=1e-8)[0]
-    return float(np.sum((columns @ solution) ** 2))
+def _values_at_nodes(
+    model: Model, grid: Grid, expression: str, theta: np.ndarray
+) -> Any:
+    """Values of a formula at the nodes, (n_nodes,), at the known states."""
+    mapped = model.function(expression).map(grid.n_nodes)
+    repeated = ca.repmat(theta, 1, grid.n_nodes)
+    values = mapped(grid.y.T, grid.u.T, grid.t[None, :], repeated)
+    return np.array(values).ravel()

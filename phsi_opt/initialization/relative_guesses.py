@@ -1,143 +1,170 @@
-"""What the guesses of a model's parameters mean along a record: shares of sizes, values
-to try, widths of corners.
+"""What the guesses of a model's parameters mean along a record.
+
+A guess may be a share of a quantity's size, or a list of such shares to try. Here the
+size is found over given states, and so are the bounds of what is tried, and the
+intervals in which a body with dry friction stays at rest.
 """
 
 import numpy as np
 
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.model import Model
-from phsi_opt.model.parameters import Share, Tried
+from phsi_opt.model.parameters import Parameter, Share, Tried
 from phsi_opt.model.slots import place_of
 from phsi_opt.transcription.augmented_states import padded
 from phsi_opt.transcription.grid import Grid
 
-ROOM = (
-    3.0  # factor on bounds that follow from efforts, whose scale depends on parameters
-)
-STILL, STAYING = (
-    4.0,
-    5.0,
-)  # widths of dry friction's corner that count as rest, and how often as long as turning takes
+# Factor on bounds that follow from efforts, whose scale depends on parameters.
+ROOM = 3.0
+STILL = 4.0  # widths of dry friction's corner within which a speed counts as rest
+# A rest lasts at least so many times as long as a body takes to turn round.
+STAYING = 5.0
 
 
 def corner_widths(model: Model) -> dict[str, Share]:
-    """Of the widths of rounded corners: of what they are a share, and by what factors
-    they may be sharpened.
+    """The widths of rounded corners by name, with the guess of each.
+
+    The guess says of what a width is a share, and by what factors it may be sharpened.
     """
-    fixed = [e for e in model.entries.values() if e.parameter.fixed]
-    return {
-        e.name: guess
-        for e in fixed
-        if isinstance(guess := e.parameter.guess, Share) and guess.sharper
-    }
+    widths = {}
+    for name, entry in model.entries.items():
+        guess = entry.parameter.guess
+        if entry.parameter.fixed and isinstance(guess, Share) and guess.sharper:
+            widths[name] = guess
+    return widths
 
 
 def resolve_guesses(model: Model, grid: Grid, x: np.ndarray) -> Model:
-    """The model with every `Share` and `Tried` guess replaced by its value (the middle
-    one) over the states x.
+    """The model with every `Share` and `Tried` guess replaced by its value.
 
-    What is tried is bounded by them too, also where it has a value already.
+    Of the values to try it is the middle one. What is tried is bounded by the states
+    too, also where it has a value already.
+
+    Args:
+        model: the model with its guesses.
+        grid: nodes, times and inputs.
+        x: (n_nodes, n_states) states, without those of a memory perhaps.
     """
     for slot, equation, term in model.placed():
         for inner, parameter in term.inner.items():
-            guess, value = parameter.guess, parameter.value
             name = term.inner_name(inner, place_of(slot, equation))
-            if isinstance(guess, Share) and value is None:
-                value = guess.share * root_mean_square(model, grid, x, guess.of)
-            elif isinstance(guess, Tried) and not (
-                parameter.fixed and value is not None
-            ):
-                size = _size_of(model, grid, x, guess)
-                value = (
-                    size * guess.shares[len(guess.shares) // 2]
-                    if value is None
-                    else value
-                )
-                model = model.with_upper(
-                    {name: max(_bound(model, grid, guess, size), parameter.lower)}
-                )
-            else:
-                continue
-            model = model.with_values({name: value})
+            if isinstance(parameter.guess, Share):
+                model = _with_share(model, grid, x, name, parameter)
+            elif isinstance(parameter.guess, Tried):
+                model = _with_middle_value(model, grid, x, name, parameter)
     return model
 
 
-def _bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
-    """Upper bound of what is tried; none where it follows states that nobody measured:
-    they may change their scale.
+def _with_share(
+    model: Model, grid: Grid, x: np.ndarray, name: str, parameter: Parameter
+) -> Model:
+    guess = parameter.guess
+    if parameter.value is not None or not isinstance(guess, Share):
+        return model
+    size = root_mean_square(model, grid, x, guess.of)
+    return model.with_values({name: guess.share * size})
+
+
+def _with_middle_value(
+    model: Model, grid: Grid, x: np.ndarray, name: str, parameter: Parameter
+) -> Model:
+    guess = parameter.guess
+    is_known = parameter.fixed and parameter.value is not None
+    if is_known or not isinstance(guess, Tried):
+        return model
+    size = _largest(model, grid, x, guess.of)
+    upper = max(_upper_bound(model, grid, guess, size), parameter.lower)
+    value = parameter.value
+    if value is None:
+        value = size * guess.shares[len(guess.shares) // 2]
+    return model.with_upper({name: upper}).with_values({name: value})
+
+
+def _upper_bound(model: Model, grid: Grid, guess: Tried, size: float) -> float:
+    """Upper bound of what is tried; none where it follows states that nobody measured.
+
+    Such states may change their scale.
     """
-    used, seen = names_of(guess.of), np.asarray(grid.measured.any(axis=0))
-    efforts = {f"dH_d{name}" for name in model.states} & used
-    if not all(
-        seen[i]
-        for i, name in enumerate(model.states[: len(seen)])
-        if {name, f"dH_d{name}"} & used
-    ):
-        return np.inf
-    return guess.most * size * (ROOM if efforts else 1.0)
+    followed = names_of(guess.of)
+    room = 1.0
+    for name in model.states:
+        if f"dH_d{name}" in followed:
+            room = ROOM
+    is_measured = grid.measured.any(axis=0)
+    # Not strict: the memory of effects has no column in the measurements.
+    for name, measured in zip(model.states, is_measured, strict=False):
+        if not measured and {name, f"dH_d{name}"} & followed:
+            return np.inf
+    return guess.most * size * room
 
 
 def values_to_try(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> np.ndarray:
-    """The values to try for a parameter, over the states x."""
-    return _size_of(model, grid, x, guess) * np.array(guess.shares)
+    """The values to try for a parameter, over the states ``x``, (n_shares,)."""
+    return _largest(model, grid, x, guess.of) * np.array(guess.shares)
 
 
-def _size_of(model: Model, grid: Grid, x: np.ndarray, guess: Tried) -> float:
-    if guess.of == "t":
-        return float(np.max(grid.t - grid.t[grid.first][grid.trajectory]))
-    if guess.of == "dt":
-        return float(
-            np.median(
-                np.diff(grid.t[grid.sample])[np.diff(grid.trajectory[grid.sample]) == 0]
-            )
-        )
-    return (
-        float(np.max(np.abs(_along_nodes(model, grid, x, guess.of)), initial=0.0))
-        or 1.0
-    )
+def _largest(model: Model, grid: Grid, x: np.ndarray, of: str) -> float:
+    """Size of what a value is tried in shares of.
+
+    The longest duration of a trajectory for ``t``, the usual time between samples for
+    ``dt``, else the largest magnitude of a formula; 1 where that vanishes.
+    """
+    if of == "t":
+        beginning = grid.t[grid.first][grid.trajectory]
+        return float(np.max(grid.t - beginning))
+    if of == "dt":
+        is_inside = np.diff(grid.trajectory[grid.sample]) == 0
+        return float(np.median(np.diff(grid.t[grid.sample])[is_inside]))
+    values = _finite_values(model, grid, x, of)
+    return float(np.max(np.abs(values), initial=0.0)) or 1.0
 
 
 def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:
     """Root mean square of a formula over the nodes; 1 where it vanishes."""
-    values = _along_nodes(model, grid, x, expression)
+    values = _finite_values(model, grid, x, expression)
     size = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
     return size if size > 0 else 1.0
-
-
-def _along_nodes(
-    model: Model, grid: Grid, x: np.ndarray, expression: str
-) -> np.ndarray:
-    """Values of a formula at the nodes, those that are finite."""
-    values = _at_nodes(model, grid, x, expression)
-    return values[np.isfinite(values)]
-
-
-def _at_nodes(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
-    theta = model.theta
-    mapped = model.function(expression).map("mapped", "serial", grid.n_nodes, [3], [])
-    return np.array(
-        mapped(padded(model, x).T, grid.u.T, grid.t[None, :], theta)
-    ).ravel()
 
 
 def intervals_at_rest(
     model: Model, grid: Grid, x: np.ndarray, of: str, width: float
 ) -> np.ndarray:
-    """Whether a body stays at rest along each interval: its speed, a formula, is within
-    some widths of zero.
+    """Whether a body stays at rest along each interval, (n_intervals,) of bool.
 
-    A body that only turns round is as slow, but passes through in a time that its usual
-    acceleration tells.
+    Its speed is within some widths of zero. A body that only turns round is as slow,
+    but passes through in a time that its usual acceleration tells.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals.
+        x: (n_nodes, n_states) states.
+        of: the speed, a formula such as ``dH_dp``.
+        width: of the corner of dry friction, in units of the speed.
     """
-    speed = _at_nodes(model, grid, x, of)
-    slow = (
-        np.maximum(np.abs(speed[grid.begin]), np.abs(speed[grid.begin + 1]))
-        < STILL * width
-    )
+    speed = _values(model, grid, x, of)
+    at_begin = np.abs(speed[grid.begin])
+    at_end = np.abs(speed[grid.begin + 1])
+    is_slow = np.maximum(at_begin, at_end) < STILL * width
     acceleration = np.sqrt(np.nanmean(grid.rates(speed[:, None]) ** 2))
-    run = grid.trajectory[grid.begin]
-    stretch = (
-        np.cumsum(np.r_[True, (slow[1:] != slow[:-1]) | (run[1:] != run[:-1])]) - 1
-    )
-    lasts = np.bincount(stretch, grid.h)[stretch]
-    return slow & (lasts * acceleration > STAYING * 2 * STILL * width)
+    trajectory = grid.trajectory[grid.begin]
+    is_changed = is_slow[1:] != is_slow[:-1]
+    is_next_trajectory = trajectory[1:] != trajectory[:-1]
+    stretch = np.cumsum(np.r_[True, is_changed | is_next_trajectory]) - 1
+    duration = np.bincount(stretch, grid.h)[stretch]
+    return is_slow & (duration * acceleration > STAYING * 2 * STILL * width)
+
+
+def _finite_values(
+    model: Model, grid: Grid, x: np.ndarray, expression: str
+) -> np.ndarray:
+    """Values of a formula at the nodes, those that are finite."""
+    values = _values(model, grid, x, expression)
+    return values[np.isfinite(values)]
+
+
+def _values(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
+    """Values of a formula at the nodes, (n_nodes,), at the model's present values."""
+    function = model.function(expression)
+    mapped = function.map("mapped", "serial", grid.n_nodes, [3], [])
+    values = mapped(padded(model, x).T, grid.u.T, grid.t[None, :], model.theta)
+    return np.array(values).ravel()

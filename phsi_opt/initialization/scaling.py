@@ -1,4 +1,9 @@
-"""TODO."""
+"""Sizes of states and parameters, found from the data.
+
+A solver sees every unknown divided by its size, so that its tolerance means the same
+for a position in micrometres and a stiffness in N/m. Sizes follow the units of the data
+and need no solve. Here too is the first point of a search: measured states interpolated.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -15,161 +20,208 @@ from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
+NEWTON_STEPS = 10  # of the inversion of a sensor
+LEAST_SIZE = 1e-12  # of a state that is zero all along
+N_STRETCHES = 200  # of a record, over which rates are taken
+N_SLOPES = 25  # nodes at which the slopes of the model in its states are averaged
+N_SENSOR_SLOPES = 50  # nodes at which those of the sensors are averaged
+# Share of a parameter's own value below which its size does not fall: far from its
+# start, in units of its effect, it would meet the solver as a huge number.
+LEAST_SHARE = 1e-3
 
 
 def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Point:
-    """Measured states interpolated, others zero, with the size of every state taken
-    from the data.
+    """Measured states interpolated, others zero, with the size of every unknown.
+
+    Args:
+        model: the model.
+        grid: nodes and measurements.
+        theta: (n_free,) parameters; None: the model's present values.
     """
     grid = invert_sensors(model, grid)
-    x, scale, measured = (
-        np.nan_to_num(grid.y),
-        np.full(model.n_states, np.nan),
-        grid.measured,
-    )
-    runs = list(pairwise([*grid.first.tolist(), grid.n_nodes]))
-    for k in range(model.n_states):
-        for begin, end in runs if not measured[:, k].all() else []:
-            node, seen = (
-                np.arange(begin, end),
-                begin + np.flatnonzero(measured[begin:end, k]),
-            )
-            if len(seen):
-                x[node, k] = np.interp(grid.t[node], grid.t[seen], grid.y[seen, k])
-        if measured[:, k].any():
-            spread = np.nanstd(grid.y[:, k])
-            scale[k] = (
-                spread
-                if spread > 0
-                else max(abs(float(np.nanmean(grid.y[:, k]))), 1e-12)
-            )
     theta = model.theta if theta is None else theta
-    scale = _unmeasured_scale(model, grid, theta, x, scale)
-    return Point(theta, x, theta_scale(model, grid, theta, x, scale), scale)
+    x = _interpolated(grid)
+    x_scale = _measured_scale(grid)
+    if not np.all(np.isfinite(x_scale)):
+        x_scale = _with_unmeasured_scale(model, grid, theta, x, x_scale)
+    return Point(theta, x, theta_scale(model, grid, theta, x, x_scale), x_scale)
 
 
 def point_at(
     model: Model, grid: Grid, unknown: Theta, theta: np.ndarray, x: np.ndarray
 ) -> Point:
-    """The point of theta (in the order of ``unknown``) and the states x at the nodes,
-    with the size of each.
+    """The point of given parameters and states, with the size of each.
+
+    Args:
+        model: the model.
+        grid: nodes and measurements.
+        unknown: names and places of the parameters.
+        theta: (n_theta,) in the order of ``unknown``.
+        x: (n_nodes, n_states) states at the nodes.
     """
-    measured = first_point(model, grid).x_scale
-    x_scale = np.where(
-        grid.measured.any(axis=0), measured, np.maximum(np.std(x, axis=0), 1e-12)
-    )
+    from_data = first_point(model, grid).x_scale
+    from_states = np.maximum(np.std(x, axis=0), LEAST_SIZE)
+    x_scale = np.where(grid.measured.any(axis=0), from_data, from_states)
     sizes = theta_scale(model, grid, unknown.means(theta), x, x_scale)
     return Point(theta, x, unknown.spread(sizes), x_scale)
 
 
 def invert_sensors(model: Model, grid: Grid) -> Grid:
-    """The grid with the states that the sensors, with the parameters' present values,
-    show as what was measured.
+    """The grid with the states behind what the sensors show as what was measured.
+
+    For the parameters' present values, by Newton's method for every channel alone. A
+    sensor that does not change with its state says nothing about it: the reading
+    itself stays.
     """
     if not model.sensor:
         return grid
-    theta, x = model.theta, grid.y.copy()
+    theta = model.theta
+    x = grid.y.copy()
     with np.errstate(all="ignore"):
-        for _ in range(10):  # Newton's method for every channel alone
-            missed = (
-                grid.y - np.array(outputs(model, grid, np.nan_to_num(x).T, theta)).T
-            )
-            slope = np.einsum(
-                "aii->ai", output_slopes(model, grid, np.nan_to_num(x), theta).in_states
-            )
-            step = missed / np.where(np.abs(slope) > SHALLOW, slope, np.nan)
+        for _ in range(NEWTON_STEPS):
+            finite = np.nan_to_num(x)
+            shown = np.array(outputs(model, grid, finite.T, theta)).T
+            slopes = output_slopes(model, grid, finite, theta).in_states
+            own_slope = np.einsum("aii->ai", slopes)
+            is_steep = np.abs(own_slope) > SHALLOW
+            step = (grid.y - shown) / np.where(is_steep, own_slope, np.nan)
             x = x + np.where(np.isfinite(step), step, 0.0)
     return replace(grid, y=x)
 
 
-def _unmeasured_scale(
-    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, scale: np.ndarray
-) -> np.ndarray:
-    """Size of a state that nobody measured: what the measured rates say through the
-    model, else one.
-    """
-    if np.all(np.isfinite(scale)):
-        return scale
-    known = np.isfinite(scale)
-    rate = np.sqrt(np.mean(np.square(_smooth_rates(grid, x)), axis=0))
-    slopes = np.abs(_state_slopes(model, grid, theta, x))
-    result = scale.copy()
-    for k in np.flatnonzero(~known):
-        ratios = [
-            rate[i] / slopes[i, k] for i in np.flatnonzero(known) if slopes[i, k] > 0
-        ]
-        result[k] = min(ratios) if ratios else 1.0
-    return result
-
-
-def _smooth_rates(grid: Grid, x: np.ndarray) -> np.ndarray:
-    """Rates over longer stretches, where the noise of a sample no longer dominates."""
-    stride = max(1, grid.n_nodes // 200)
-    same = grid.trajectory[:-stride] == grid.trajectory[stride:]
-    span = (grid.t[stride:] - grid.t[:-stride])[same]
-    return (
-        (x[stride:] - x[:-stride])[same] / span[:, None]
-        if same.any()
-        else grid.rates(x)
-    )
-
-
-def _state_slopes(
-    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
-) -> np.ndarray:
-    rhs = model.rhs()
-    jacobian = rhs.jacobian()
-    rows = np.linspace(0, grid.n_nodes - 1, 25).astype(int)
-    # Away from the origin, where a higher-order term has no slope.
-    shifted = x + np.where(np.all(x == 0, axis=0), 1.0, 0.0)
-    slopes = [
-        np.array(jacobian(shifted[i], grid.u[i], grid.t[i], theta, 0)[0]) for i in rows
-    ]
-    return np.sqrt(np.mean(np.nan_to_num(np.square(slopes)), axis=0))
+def with_states(grid: Grid, x: np.ndarray) -> Grid:
+    """The grid as if x, (n_nodes, n_states), had been measured at every node."""
+    return replace(grid, y=x)
 
 
 def theta_scale(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, x_scale: np.ndarray
 ) -> np.ndarray:
-    """Size of each parameter: the change that moves some equation by the size of its
-    own rate. Follows the units.
+    """Size of each parameter, (n_free,): the change that shows in the equations.
+
+    It moves some equation by the size of its own rate, or what a sensor shows by the
+    size of the state. So it follows the units.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals.
+        theta: (n_free,) parameters.
+        x: (n_nodes, n_states) states at the nodes.
+        x_scale: (n_states,) size of each state.
     """
     if not len(theta):
         return np.ones(0)
-    rate = np.sqrt(np.mean(np.square(_smooth_rates(grid, x)), axis=0))
+    strength = _equation_strength(model, grid, theta, x, x_scale)
+    if model.sensor:
+        in_sensors = _sensor_strength(model, grid, theta, x) @ (1 / x_scale)
+        strength = np.maximum(strength, in_sensors)
+    own_size = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
+    scale = np.where(strength > 0, 1 / np.maximum(strength, TINY), own_size)
+    return np.maximum(scale, LEAST_SHARE * np.abs(theta))
+
+
+def _interpolated(grid: Grid) -> np.ndarray:
+    """States with their gaps filled along each trajectory; zero if never measured."""
+    x = np.nan_to_num(grid.y)
+    is_measured = grid.measured
+    with_gaps = np.flatnonzero(~is_measured.all(axis=0))
+    for begin, end in pairwise([*grid.first.tolist(), grid.n_nodes]):
+        for k in with_gaps:
+            known = begin + np.flatnonzero(is_measured[begin:end, k])
+            if len(known):
+                x[begin:end, k] = np.interp(
+                    grid.t[begin:end], grid.t[known], grid.y[known, k]
+                )
+    return x
+
+
+def _measured_scale(grid: Grid) -> np.ndarray:
+    """Standard deviation of each measured state, or its size where it is constant.
+
+    (n_states,), NaN where nobody measured it.
+    """
+    scale = np.full(grid.y.shape[1], np.nan)
+    for k in np.flatnonzero(grid.measured.any(axis=0)):
+        deviation = np.nanstd(grid.y[:, k])
+        mean = float(np.nanmean(grid.y[:, k]))
+        scale[k] = deviation if deviation > 0 else max(abs(mean), LEAST_SIZE)
+    return scale
+
+
+def _with_unmeasured_scale(
+    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, scale: np.ndarray
+) -> np.ndarray:
+    """Sizes with those of the states that nobody measured.
+
+    A state is as large as the measured rates that it drives through the model say; one
+    where it drives none.
+    """
+    known = np.flatnonzero(np.isfinite(scale))
+    rate = _rate_size(grid, x)
+    slopes = np.abs(_state_slopes(model, grid, theta, x))
+    result = scale.copy()
+    for k in np.flatnonzero(~np.isfinite(scale)):
+        driven = known[slopes[known, k] > 0]
+        sizes = rate[driven] / slopes[driven, k]
+        result[k] = np.min(sizes) if len(sizes) else 1.0
+    return result
+
+
+def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
+    """Root mean square of each state's rate, (n_states,).
+
+    Over longer stretches, where the noise of a sample no longer dominates.
+    """
+    stride = max(1, grid.n_nodes // N_STRETCHES)
+    is_inside = grid.trajectory[:-stride] == grid.trajectory[stride:]
+    if is_inside.any():
+        duration = (grid.t[stride:] - grid.t[:-stride])[is_inside]
+        change = (x[stride:] - x[:-stride])[is_inside]
+        rates = change / duration[:, None]
+    else:
+        rates = grid.rates(x)
+    return np.sqrt(np.mean(np.square(rates), axis=0))
+
+
+def _state_slopes(
+    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
+) -> np.ndarray:
+    """Root mean square of the slopes of the rates in the states, (n_states, n_states)."""
+    jacobian = model.rhs().jacobian()
+    # Away from the origin, where a higher-order term has no slope.
+    is_zero = np.all(x == 0, axis=0)
+    shifted = x + np.where(is_zero, 1.0, 0.0)
+    slopes = []
+    for node in np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int):
+        at_node = jacobian(shifted[node], grid.u[node], grid.t[node], theta, 0)
+        slopes.append(np.array(at_node[0]))
+    return np.sqrt(np.mean(np.nan_to_num(np.square(slopes)), axis=0))
+
+
+def _equation_strength(
+    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, x_scale: np.ndarray
+) -> np.ndarray:
+    """Largest effect of each parameter on an equation, in units of its rate."""
+    rate = _rate_size(grid, x)
     rate = np.where(rate > 0, rate, x_scale)
     jacobian = np.array(defect_jacobian(model, grid, STARTING_SCHEME)(x.T, theta))
     slopes = jacobian.reshape(grid.n_intervals, -1, len(theta))
     n_finite = np.maximum(np.isfinite(slopes).sum(axis=0), 1)
-    per_equation = np.sqrt(np.nansum(slopes**2, axis=0) / n_finite) / rate[:, None]
-    strength = np.nan_to_num(per_equation.max(axis=0))
-    if (
-        model.sensor
-    ):  # a sensor's parameter moves what is shown, by the size of the state
-        strength = np.maximum(
-            strength, _sensor_strength(model, grid, theta, x) @ (1 / x_scale)
-        )
-    fallback = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
-    scale = np.where(strength > 0, 1 / np.maximum(strength, TINY), fallback)
-    # A parameter far from its start in units of its effect would meet the solver as a
-    # huge number.
-    return np.maximum(scale, 1e-3 * np.abs(theta))
+    mean_square = np.nansum(slopes**2, axis=0) / n_finite
+    per_equation = np.sqrt(mean_square) / rate[:, None]
+    return np.nan_to_num(per_equation.max(axis=0))
 
 
 def _sensor_strength(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
 ) -> np.ndarray:
-    """Root mean square over the nodes of the slope of what is shown in each parameter,
+    """Root mean square of the slope of what is shown in each parameter.
+
     (n_free, n_states).
     """
-    slopes, rows = (
-        model.output().jacobian(),
-        np.linspace(0, grid.n_nodes - 1, 50).astype(int),
-    )
-    found = [np.array(slopes(x[i], grid.u[i], grid.t[i], theta, 0)[3]) for i in rows]
-    return np.sqrt(np.mean(np.square(found), axis=0)).T
-
-
-def with_states(grid: Grid, x: np.ndarray) -> Grid:
-    """The grid as if x had been measured at every node."""
-    return replace(grid, y=x)
+    jacobian = model.output().jacobian()
+    slopes = []
+    for node in np.linspace(0, grid.n_nodes - 1, N_SENSOR_SLOPES).astype(int):
+        at_node = jacobian(x[node], grid.u[node], grid.t[node], theta, 0)
+        slopes.append(np.array(at_node[3]))
+    return np.sqrt(np.mean(np.square(slopes), axis=0)).T
