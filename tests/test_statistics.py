@@ -7,7 +7,11 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from phsi_opt.statistics import autocorrelation_time, effective_sample_share
+from phsi_opt.statistics import (
+    autocorrelation_time,
+    effective_sample_share,
+    local_maxima,
+)
 
 N = 1000
 KEPT = 0.9  # share of the last residual that the next one keeps
@@ -64,3 +68,20 @@ def test_a_slow_error_of_the_model_imitates_slow_traces_and_not_fast_ones(
 
 def test_nothing_explained_needs_no_share() -> None:
     assert effective_sample_share([np.zeros((4, 1))], [np.ones((4, 1))]) == 1.0
+
+
+def test_a_plateau_counts_as_a_peak_as_a_whole_or_by_its_last_value() -> None:
+    values = np.array([2.0, 1.0, 3.0, 3.0, 0.0, 1.0])
+    np.testing.assert_array_equal(
+        local_maxima(values), [True, False, True, True, False, True]
+    )
+    np.testing.assert_array_equal(
+        local_maxima(values, last_of_plateau=True),
+        [True, False, False, True, False, True],
+    )
+
+
+def test_the_ends_of_a_sequence_have_one_neighbour_only() -> None:
+    assert local_maxima(np.array([-5.0])).tolist() == [True]
+    assert local_maxima(np.array([-1.0, -2.0])).tolist() == [True, False]
+    assert not len(local_maxima(np.zeros(0)))

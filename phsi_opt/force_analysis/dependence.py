@@ -24,7 +24,7 @@ from scipy.stats import rankdata
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.force_analysis.force_record import Along, along, spectrum
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, local_maxima
 
 N_FOLDS, N_STRETCHES = (
     5,
@@ -266,7 +266,7 @@ def wave_of(path: Along, w: np.ndarray, kept: np.ndarray) -> float:
     """
     left = np.where(kept, w - w[kept].mean(), 0.0)
     f, amplitude = spectrum(path.t, path.run, left)
-    peaks = f[np.argsort(-amplitude * _is_peak(amplitude))[:3]]
+    peaks = f[np.argsort(-amplitude * local_maxima(amplitude))[:3]]
     rng, places = np.random.default_rng(0), np.flatnonzero(kept)
     chosen = (
         places
@@ -282,11 +282,6 @@ def wave_of(path: Along, w: np.ndarray, kept: np.ndarray) -> float:
         tried = tried[tried > 0] if (tried > 0).any() else peaks
         peaks = tried[[int(np.argmax(_fall(t, y, tried)))]]
     return float(peaks[0])
-
-
-def _is_peak(a: np.ndarray) -> np.ndarray:
-    padded = np.r_[0.0, a, 0.0]
-    return np.asarray((a >= padded[:-2]) & (a >= padded[2:]))
 
 
 def _fall(t: np.ndarray, y: np.ndarray, f: np.ndarray) -> np.ndarray:

@@ -21,7 +21,8 @@ from phsi_opt.initialization.frequency_scan import (
     squared_defects,
     with_entry,
 )
-from phsi_opt.model.model import Entry, Model
+from phsi_opt.model.model import Model
+from phsi_opt.model.slots import Entry
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME

@@ -1,7 +1,7 @@
 """Frequencies by a scan: a needle that no local solver finds.
 
-Once its frequency is fixed, the sine and cosine of a wave enter the defects linearly. So
-the scan solves a linear least-squares problem at every frequency of a grid, and the
+Once its frequency is fixed, the sine and cosine of a wave enter the defects linearly.
+So the scan solves a linear least-squares problem at every frequency of a grid, and the
 frequencies at which the defects fall most are starting values.
 """
 

@@ -2,7 +2,8 @@
 
 A solver sees every unknown divided by its size, so that its tolerance means the same
 for a position in micrometres and a stiffness in N/m. Sizes follow the units of the data
-and need no solve. Here too is the first point of a search: measured states interpolated.
+and need no solve. Here too is the first point of a search, with the measured states
+interpolated.
 """
 
 from dataclasses import replace
@@ -186,7 +187,7 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
 def _state_slopes(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
 ) -> np.ndarray:
-    """Root mean square of the slopes of the rates in the states, (n_states, n_states)."""
+    """Root mean square of the rates' slopes in the states, (n_states, n_states)."""
     jacobian = model.rhs().jacobian()
     # Away from the origin, where a higher-order term has no slope.
     is_zero = np.all(x == 0, axis=0)

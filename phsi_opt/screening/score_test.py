@@ -56,7 +56,7 @@ from phsi_opt.screening.linearized_record import (
     column_scale,
 )
 from phsi_opt.screening.sensitivities import Columns, Trial
-from phsi_opt.statistics import TINY, effective_sample_share
+from phsi_opt.statistics import TINY, effective_sample_share, local_maxima
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.elimination import (
     ReducedSystem,
@@ -590,8 +590,7 @@ class Screen:
 
 def _peaks(y: np.ndarray) -> np.ndarray:
     """Where y is larger than beside it, the largest first."""
-    padded = np.concatenate([[-np.inf], y, [-np.inf]])
-    at = np.flatnonzero((y >= padded[:-2]) & (y > padded[2:]))
+    at = np.flatnonzero(local_maxima(y, last_of_plateau=True))
     return at[np.argsort(-y[at])]
 
 
