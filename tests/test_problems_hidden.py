@@ -332,7 +332,7 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
 ) -> None:
     from pathlib import Path
 
-    from problems.hidden_effects import figure, run, store
+    from problems.hidden_effects import run
     from problems.hidden_effects.rows import ROWS
     from problems.tools import provenance
 
@@ -346,9 +346,6 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
 
     monkeypatch.setattr("sys.argv", ["run.py"])
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
-    monkeypatch.setattr(figure, "RESULTS", tmp_path)
-    for module in (run, store):
-        monkeypatch.setattr(module, "FOLDER", tmp_path / "hidden_effects")
     monkeypatch.setattr(run, "examine", record)
     run.main(["gap_0.01"], 2, jobs=1)
     run.main(["gap_0.01", "nothing"], 3, jobs=1)

@@ -34,9 +34,12 @@ from problems.hidden_effects.machines import (
 )
 from problems.hidden_effects.refit import Refit
 from problems.hidden_effects.rows import (
+    ATTEMPTS,
+    FAINTEST,
     LOUDEST,
     N_TRAIN,
     OF_SIGNAL,
+    PATIENCE,
     QUIETEST,
     STEPS,
     Aim,
@@ -47,11 +50,6 @@ from problems.hidden_effects.rows import (
 from problems.hidden_effects.sizes import drawn_shape, place_of_effect
 from problems.hidden_effects.tanks import tanks_case
 from problems.hidden_effects.truth import SENSORS, Array, Hidden, RunawayError, measured
-
-ATTEMPTS, PATIENCE = 40, 8
-
-
-FAINTEST = 1.5  # ratio that is enough after ``PATIENCE`` attempts
 
 
 def draw(row: Row, seed: int) -> Case:

@@ -8,6 +8,7 @@ import phsi_opt as ph
 from phsi_opt.model.model import Model
 from problems.hidden_effects.cases import draw
 from problems.hidden_effects.rows import Case, Row, Truth
+from problems.tools.intervals import HALF_WIDTH
 from problems.tools.provenance import commit
 
 NOTHING, NAMED, UNEXPLAINED = (
@@ -15,9 +16,6 @@ NOTHING, NAMED, UNEXPLAINED = (
     "missing: named",
     "missing: unexplained",
 )
-
-
-WITHIN = 1.959964
 
 
 DETECTED = (
@@ -138,7 +136,7 @@ def covered(truth: float, estimate: float, error: float) -> float:
     """
     if not np.isfinite(truth):
         return np.nan
-    return float(abs(estimate - truth) <= WITHIN * error)
+    return float(abs(estimate - truth) <= HALF_WIDTH * error)
 
 
 def _two(case: Case) -> dict[str, object]:

@@ -1,68 +1,62 @@
-"""The figure of the page."""
+"""The figure of the page: how often each hidden effect is found."""
 
-import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
 from problems.hidden_effects.rows import NOISE_LEVELS, ROWS
-from problems.hidden_effects.scores import scored
-from problems.tools.provenance import RESULTS
+from problems.hidden_effects.scores import TARGETS, scored
+from problems.tools.pictures import plt, save
+
+COLOURS = dict(zip(NOISE_LEVELS, ("#0072b2", "#009e73", "#d55e00"), strict=True))
+LINES = ("-", ":")  # of the targets, from the highest on
+HIGHEST_LEFT_END = 80.0  # %, of the axis
 
 
 def figure(found: dict[str, pd.DataFrame]) -> None:
-    """Share of cases that are right, per effect and noise, with 95 % intervals."""
-    import matplotlib
+    """Share of cases that are right, per effect and noise, with 95 % intervals.
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    ``found``: the cases of the rows with one hidden effect.
+    """
     effects = list(dict.fromkeys(ROWS[name].effects[0] for name in found))
-    colours = dict(zip(NOISE_LEVELS, ("#0072b2", "#009e73", "#d55e00"), strict=True))
-    fig, ax = plt.subplots(figsize=(8, 1.2 + 0.34 * len(effects)), layout="constrained")
-    lowest = 80.0
+    height = 1.2 + 0.34 * len(effects)
+    fig, ax = plt.subplots(figsize=(8, height), layout="constrained")
+    lowest = HIGHEST_LEFT_END
     for k, noise in enumerate(NOISE_LEVELS):
-        shown = {
-            e: scored(r)
-            for n, r in found.items()
-            for e in ROWS[n].effects
-            if ROWS[n].noise[0] == noise and len(r)
+        rows = {
+            ROWS[name].effects[0]: scored(cases)
+            for name, cases in found.items()
+            if ROWS[name].noise[0] == noise
         }
-        tests = {
-            e: binomtest(int(r["good"].sum()), len(r))
-            for e, r in shown.items()
-            if len(r)
-        }
-        heights = [effects.index(e) + 0.22 * (k - 1) for e in tests]
-        middles = [100 * test.statistic for test in tests.values()]
-        spans = [test.proportion_ci(method="wilson") for test in tests.values()]
-        ends = [
-            [m - 100 * s.low, 100 * s.high - m]
-            for m, s in zip(middles, spans, strict=True)
-        ]
-        lowest = min([lowest, *(100 * s.low for s in spans)])
-        errors = np.maximum(np.array(ends).reshape(-1, 2).T, 0.0)
-        ax.errorbar(
-            middles,
-            heights,
-            xerr=errors,
-            fmt="o",
-            ms=4,
-            lw=1,
-            color=colours[noise],
-            label=f"{noise:.0%} noise",
-        )
-    for target, style in ((95, "-"), (85, ":")):
-        ax.axvline(target, color="0.5", lw=1, ls=style, label=f"target {target} %")
+        shift = 0.22 * (k - 1)
+        for effect, kept in rows.items():
+            if len(kept):
+                place = effects.index(effect) + shift
+                lowest = min(lowest, _point(ax, place, kept, COLOURS[noise]))
+        ax.plot([], [], "o", ms=4, color=COLOURS[noise], label=f"{noise:.0%} noise")
+    targets = sorted(set(TARGETS.values()), reverse=True)
+    for target, style in zip(targets, LINES, strict=True):
+        label = f"target {100 * target:g} %"
+        ax.axvline(100 * target, color="0.5", lw=1, ls=style, label=label)
     ax.set(
         yticks=range(len(effects)),
         yticklabels=effects,
         xlim=(10 * (lowest // 10), 101),
         ylim=(-0.7, len(effects) - 0.3),
-    )
-    ax.set_xlabel(
-        "cases with the right effect in the right equation (%), 95 % intervals"
+        xlabel="cases with the right effect in the right equation (%), 95 % intervals",
     )
     ax.invert_yaxis()
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    fig.savefig(RESULTS / "hidden_effects.png", dpi=150)
-    plt.close(fig)
+    save(fig, "hidden_effects.png", dpi=150)
+
+
+def _point(ax: plt.Axes, place: float, kept: pd.DataFrame, colour: str) -> float:
+    """One share with its interval (Wilson); the interval's lower end in per cent."""
+    test = binomtest(int(kept["good"].sum()), len(kept))
+    interval = test.proportion_ci(method="wilson")
+    middle = 100 * test.statistic
+    below = max(middle - 100 * interval.low, 0.0)
+    above = max(100 * interval.high - middle, 0.0)
+    ax.errorbar(
+        middle, place, xerr=[[below], [above]], fmt="o", ms=4, lw=1, color=colour
+    )
+    return 100 * interval.low

@@ -9,20 +9,16 @@ import phsi_opt as ph
 from problems.hidden_effects.truth import CLOGS, FORCES, LEAKS, OUTSIDE, SENSORS, Array
 
 NOISE_LEVELS = (0.01, 0.03, 0.1)
-
-
-LOUDEST, QUIETEST = 30.0, 3.0  # free-run error over noise floor
-
-
+# Free-run error of the best re-fit without the effect, over the noise floor.
+LOUDEST = 30.0
+QUIETEST = 3.0
+FAINTEST = 1.5  # is enough after `PATIENCE` attempts
+PATIENCE = 8
+ATTEMPTS = 40  # experiments drawn, before a case is given up
 OF_SIGNAL = 0.7  # largest free-run error over the standard deviation of the signal
-
-
-N_TRAIN, N_TEST = 3, 2
-
-
+N_TRAIN = 3
+N_TEST = 2
 STEPS = 1  # between samples, where a machine is simulated quickly
-
-
 LOSS = (
     "viscous damping",
     "coulomb friction",
@@ -31,8 +27,6 @@ LOSS = (
     "cubic drag",
     "position-dependent damping",
 )
-
-
 ENERGY = (
     "linear stiffness",
     "quadratic stiffness",
@@ -41,8 +35,6 @@ ENERGY = (
     "coupling stiffness",
     "gap",
 )
-
-
 INPUT = (
     "input gain",
     "quadratic input",
@@ -51,14 +43,8 @@ INPUT = (
     "input lag",
     "input delay",
 )
-
-
 FORCE = ("constant force", "harmonic force", "drifting force", "parametric stiffness")
-
-
 ONE = (*LOSS, *ENERGY, *FORCE, *INPUT, "hysteresis")
-
-
 SEPARATED = (
     "coulomb friction",
     "cubic stiffness",

@@ -1,13 +1,14 @@
-"""The tables in which the examined cases are kept."""
+"""The tables in which the examined cases are kept: results/hidden_effects/<row>.csv.
+
+A case is appended as it is examined, so that an interrupted run goes on where it
+stopped.
+"""
 
 from pathlib import Path
 
 import pandas as pd
 
-from problems.tools.provenance import RESULTS
-
-FOLDER = RESULTS / "hidden_effects"
-
+from problems.tools import provenance
 
 COLUMNS = [
     "row",
@@ -44,12 +45,33 @@ COLUMNS = [
     "outcome",
     "commit",
 ]
+FORMAT = "%.6g"
 
 
 def path_of(name: str) -> Path:
-    return FOLDER / f"{name}.csv"
+    """The table of a row; it may not exist."""
+    return provenance.RESULTS / "hidden_effects" / f"{name}.csv"
 
 
 def table(name: str) -> pd.DataFrame:
-    """The kept cases of a row."""
-    return pd.read_csv(path_of(name))
+    """The kept cases of a row; none where it was not run."""
+    path = path_of(name)
+    if not path.exists():
+        return pd.DataFrame(columns=COLUMNS)
+    return pd.read_csv(path)
+
+
+def append(record: dict[str, object]) -> None:
+    """Keep one more case."""
+    path = path_of(str(record["row"]))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    line = pd.DataFrame([record], columns=COLUMNS)
+    is_new = not path.exists()
+    line.to_csv(path, mode="a", header=is_new, index=False, float_format=FORMAT)
+
+
+def sort(name: str) -> pd.DataFrame:
+    """Put the cases of a row in the order of their seeds."""
+    rows = table(name).sort_values("seed", kind="stable")
+    rows.to_csv(path_of(name), index=False, float_format=FORMAT)
+    return rows
