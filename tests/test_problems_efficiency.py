@@ -122,30 +122,28 @@ def test_likelihood_is_close_to_the_bound_where_one_step_is_not_and_gaps_need_th
 def test_a_failed_fit_is_counted_and_its_interval_does_not_hold_the_truth(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from problems.benchmarks.efficiency import run as efficiency
+    from problems.benchmarks.efficiency import page, run
 
     def fail(*_: object) -> None:
         raise ph.SolveError("no")
 
     monkeypatch.setattr(ph, "identify", fail)
-    rows = efficiency.quick(["duffing_qp_0.1"], 1)["duffing_qp_0.1"]
-    assert efficiency.failures(rows) == 1
-    assert (efficiency.scores(rows)["coverage"] == 0).all()
+    rows = run.quick(["duffing_qp_0.1"], 1)["duffing_qp_0.1"]
+    assert page.failures(rows) == 1
+    assert (page.scores(rows)["coverage"] == 0).all()
 
 
 def test_the_page_is_made_from_the_kept_rows_and_a_run_goes_on_where_it_stopped(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    from problems.benchmarks.efficiency import run as efficiency
+    from problems.benchmarks.efficiency import run
     from problems.tools import provenance
 
-    monkeypatch.setattr("sys.argv", ["efficiency"])
-    for module in (efficiency, provenance):
-        monkeypatch.setattr(module, "RESULTS", tmp_path)
-    monkeypatch.setattr(efficiency, "FOLDER", tmp_path / "efficiency")
-    efficiency.main(["duffing_qp_0.1"], n_seeds=1, jobs=1)
+    monkeypatch.setattr("sys.argv", ["run.py"])
+    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
+    run.main(["duffing_qp_0.1"], n_seeds=1, jobs=1)
     first = pd.read_csv(tmp_path / "efficiency" / "duffing_qp_0.1.csv")
-    efficiency.main(["duffing_qp_0.1"], n_seeds=2, jobs=1)
+    run.main(["duffing_qp_0.1"], n_seeds=2, jobs=1)
     both = pd.read_csv(tmp_path / "efficiency" / "duffing_qp_0.1.csv")
     assert both["seed"].nunique() == 2
     pd.testing.assert_frame_equal(both.head(len(first)), first)
