@@ -22,7 +22,8 @@ from scipy.sparse import csc_matrix
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.program import Assembly, Program
+from phsi_opt.optimization.assembly import Assembly
+from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defect_constraint import DefectConstraint
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.force_prior import ForcePrior
