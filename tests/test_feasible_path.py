@@ -52,30 +52,32 @@ def measured(corner: float) -> ph.Measurements:
     return ph.Measurements.from_arrays([T] * 2, runs, states=["q", "p"])
 
 
-def path_and_solver(
-    model: ph.PseudoHamiltonian, data: ph.Measurements, x: np.ndarray
-) -> tuple[FeasiblePath, Solver]:
-    grid, unknown, loss = (
-        grid_of(data),
-        Theta.of(model, ("run 1", "run 2")),
-        ph.MaximumLikelihood(),
-    )
-    theta = np.array([model.values[name] for name in model.free])
-    point = point_at(model, grid, unknown, theta, x)
-    program = loss.program(model, grid, point, {}, np.array([NOISE, 1.0]), unknown)
-    return FeasiblePath(program, model, grid, unknown, loss, 60.0), Solver(
-        program, SolverSettings()
-    )
+def friction_and_damping_free(corner: float) -> ph.PseudoHamiltonian:
+    return rubbing(corner, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+
+
+def path_of(model: ph.PseudoHamiltonian, data: ph.Measurements) -> FeasiblePath:
+    """The steps from a simulation of the model with its present values."""
+    loss = ph.MaximumLikelihood()
+    grid = grid_of(data)
+    unknown = Theta.of(model, ("run 1", "run 2"))
+    nodes = np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
+    point = point_at(model, grid, unknown, model.theta, nodes)
+    sigma = np.array([NOISE, 1.0])
+    program = loss.program(model, grid, point, {}, sigma, unknown)
+    return FeasiblePath(program, model, grid, unknown, loss)
 
 
 def test_it_finds_the_optimum_that_ipopt_finds() -> None:
     # A corner as wide as this is no hindrance to either.
     data = measured(0.3)
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    nodes = np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
-    path, solver = path_and_solver(model, data, nodes)
-    start, sigma = path.program.start, path.program.set_to
-    mine, ipopt = path.solve(start, sigma), solver.solve(start, sigma)
+    model = friction_and_damping_free(0.3)
+    path = path_of(model, data)
+    solver = Solver(path.program, SolverSettings())
+    start = path.program.start
+    sigma = path.program.set_to
+    mine = path.solve(start, sigma)
+    ipopt = solver.solve(start, sigma)
     assert mine.outcome.success and mine.outcome.infeasibility < 1e-7
     # A thousandth of a fall of -2 log likelihood is a thirtieth of a standard error.
     n = path.program.residual.numel()
@@ -90,21 +92,14 @@ def test_a_parameter_stays_within_its_bounds() -> None:
     model = rubbing(
         0.3, ph.Parameter(0.2, lower=0.0, upper=0.22), ph.Parameter(0.1, lower=0.0)
     )
-    path, _ = path_and_solver(
-        model, data, np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
-    )
+    path = path_of(model, data)
     found = path.solve(path.program.start, path.program.set_to)
     assert found.outcome.success and found.outcome.at_bounds == ("f",)
     assert found.values["theta"][model.free.index("f")] == pytest.approx(0.22)
 
 
 def test_the_limit_of_time_ends_it_and_says_so() -> None:
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    path, _ = path_and_solver(
-        model,
-        measured(0.3),
-        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
-    )
+    path = path_of(friction_and_damping_free(0.3), measured(0.3))
     path.max_seconds = 0.0
     with pytest.raises(
         ph.SolveError,
@@ -121,12 +116,7 @@ def test_the_limit_of_time_ends_it_and_says_so() -> None:
 def test_the_limit_of_iterations_ends_it_and_is_not_one_of_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    path, _ = path_and_solver(
-        model,
-        measured(0.3),
-        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
-    )
+    path = path_of(friction_and_damping_free(0.3), measured(0.3))
     monkeypatch.setattr("phsi_opt.estimation.feasible_path.MAX_ITERATIONS", 1)
     outcome = path.solve(
         path.program.start, path.program.set_to, raise_on_failure=False
@@ -144,11 +134,7 @@ def test_a_model_without_slopes_ends_it() -> None:
         H=ph.formula("1.7*q**2/2 + p**2/2"),
         R={"p": ph.formula("0.1 + sqrt(s)", s=ph.Parameter(0.0, lower=0.0))},
     )
-    path, _ = path_and_solver(
-        model,
-        measured(0.3),
-        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
-    )
+    path = path_of(model, measured(0.3))
     with pytest.raises(
         ph.SolveError, match="the slopes of the model are not finite along its solution"
     ):
@@ -156,12 +142,8 @@ def test_a_model_without_slopes_ends_it() -> None:
 
 
 def test_every_point_is_on_the_model_or_there_is_none() -> None:
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
-    path, _ = path_and_solver(
-        model,
-        measured(0.3),
-        np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS]),
-    )
+    model = friction_and_damping_free(0.3)
+    path = path_of(model, measured(0.3))
     z = path.program.start.copy()
     x = z[path.x].reshape(2, len(T), 2)
     x[:, 1:] = 0.0  # but for the starting states nothing is given
@@ -169,21 +151,15 @@ def test_every_point_is_on_the_model_or_there_is_none() -> None:
     assert found is not None
     states = (found.z * path.program.scale)[path.x].reshape(2, len(T), 2)
     for x, x0 in zip(states, STARTS, strict=True):
-        np.testing.assert_allclose(
-            x, ph.simulate(model, T, x0), atol=2e-4
-        )  # the scheme takes one step per sample
-    assert (
-        path.follow(
-            np.where(np.arange(len(z)) == path.theta.start, -1e6, z),
-            path.program.set_to,
-        )
-        is None
-    )
+        # The scheme takes one step per sample.
+        np.testing.assert_allclose(x, ph.simulate(model, T, x0), atol=2e-4)
+    z[path.theta.start] = -1e6
+    assert path.follow(z, path.program.set_to) is None
 
 
 def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
     data, loss = measured(0.002), ph.MaximumLikelihood(steps=6)
-    model = rubbing(0.002, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    model = friction_and_damping_free(0.002)
     wide = ph.identify(model.with_values({"v0": 0.02}), data, loss)
     lines: list[str] = []
     start = replace(wide, model=wide.model.with_values({"v0": 0.002}))
@@ -200,7 +176,7 @@ def test_a_body_that_sticks_is_fitted_where_ipopt_is_not_quick() -> None:
 
 
 def test_where_all_fails_ipopt_says_why() -> None:
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    model = friction_and_damping_free(0.3)
     with pytest.raises(
         ph.SolveError,
         match=r"the time limit of 1e-06 s ended the solve; .*Maximum_WallTime"
@@ -214,7 +190,7 @@ def test_where_all_fails_ipopt_says_why() -> None:
 
 
 def test_ways_that_the_settings_leave_out_are_not_taken() -> None:
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    model = friction_and_damping_free(0.3)
     data = measured(0.3)
     for way, status in ((FEASIBLE_PATH, "Feasible_Path"), (EXACT, "Solve_Succeeded")):
         fit = ph.identify(model, data, settings=SolverSettings(ways=(way,)))
@@ -231,9 +207,7 @@ def test_a_fit_along_solutions_is_compared_along_solutions(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     data = measured(0.3)
-    fit = ph.identify(
-        rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0)), data
-    )
+    fit = ph.identify(friction_and_damping_free(0.3), data)
     along = replace(fit, outcome=replace(fit.outcome, status="Feasible_Path"))
     found = ph.compare(fit, data)
     used: list[str] = []
@@ -259,7 +233,7 @@ def test_what_settled_at_a_kink_stays_there_when_the_noise_is_estimated_anew(
         )
 
     monkeypatch.setattr(FeasiblePath, "solve", stuck_from_the_second_on)
-    model = rubbing(0.3, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+    model = friction_and_damping_free(0.3)
     only = SolverSettings(ways=(FEASIBLE_PATH,))
     # Two channels whose noise is not as it seems at the start, each by a factor of its
     # own.
@@ -276,19 +250,15 @@ def test_what_settled_at_a_kink_stays_there_when_the_noise_is_estimated_anew(
         ph.identify(model, data, settings=only)
 
 
-def test_where_newton_is_caught_beyond_a_corner_it_begins_again_at_the_state_before() -> (
-    None
-):
+def test_newton_caught_beyond_a_corner_begins_again_at_the_state_before() -> None:
     corner = 0.0005
     model = rubbing(
         corner, ph.Parameter(FRICTION, lower=0.0), ph.Parameter(DAMPING, lower=0.0)
     )
-    nodes = np.concatenate([ph.simulate(model, T, x0) for x0 in STARTS])
-    path, _ = path_and_solver(model, measured(corner), nodes)
+    path = path_of(model, measured(corner))
     z = path.program.start.copy()
-    z[path.x].reshape(2, len(T), 2)[:, 1:, 1] += (
-        0.01  # guesses that slide where the body sticks
-    )
+    velocities = z[path.x].reshape(2, len(T), 2)[:, 1:, 1]
+    velocities += 0.01  # guesses that slide where the body sticks
     assert path.follow(z, path.program.set_to) is not None
     path.march.careful = path.march.quick
     assert path.follow(z, path.program.set_to) is None
