@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.multiple_shooting import (
     FIRST_WINDOWS,
     WINDOW_GROWTH,
@@ -22,7 +23,6 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.solver_chain import (
     SolverChain,
     Transcription,
-    noise_free_is_success,
     ways_after,
 )
 from phsi_opt.estimation.starting_point import StartingPoint
@@ -52,18 +52,22 @@ class _Optimum:
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodSolver:
-    """Maximises the likelihood of a task.
+    """Maximises the likelihood of a problem.
 
-    Attributes:
-        task: what was asked for.
-        loss: the likelihood.
-        is_estimated: (n_states,) whether a state's noise is unknown; it is re-estimated
-            until it stays.
+    Noise that is not known is re-estimated until it stays.
     """
 
-    task: Task
-    loss: MaximumLikelihood
-    is_estimated: np.ndarray
+    problem: LikelihoodProblem
+
+    @property
+    def task(self) -> Task:
+        """What was asked for."""
+        return self.problem.task
+
+    @property
+    def loss(self) -> MaximumLikelihood:
+        """The likelihood."""
+        return self.problem.loss
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
         """The optimum of the whole record, through windows where it needs them."""
@@ -126,18 +130,13 @@ class LikelihoodSolver:
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         noise = NoiseIteration(
             grid=transcription.grid,
-            is_estimated=self.is_estimated,
+            is_estimated=~self.problem.noise.is_known,
             n_theta=len(transcription.unknown),
             huber=self.loss.huber,
             has_l1=any(l1.values()),
         )
-        where = "" if window is None else f" in windows of {window:.3g}"
-        what = (
-            f"maximum likelihood, {len(start.theta)} parameters, "
-            f"{transcription.point.x.size} states{where}"
-        )
         z = transcription.program.start
-        optimum = self._maximum(chain, noise, z, start.sigma, what)
+        optimum = _maximum(chain, noise, z, start.sigma)
         return LikelihoodEstimate(
             task=self.task,
             loss=self.loss,
@@ -166,51 +165,42 @@ class LikelihoodSolver:
         if window is not None:
             grid = cut_into_windows(grid, window)
         program = self.loss.program(model, grid, point, l1, start.sigma, unknown)
-        return Transcription(self.loss, model, grid, unknown, point, program)
+        return Transcription(self.loss, model, grid, unknown, point, program, window)
 
-    def _maximum(
-        self,
-        chain: SolverChain,
-        noise: NoiseIteration,
-        z: np.ndarray,
-        sigma: np.ndarray,
-        what: str,
-    ) -> _Optimum:
-        """Solve, and where the noise is not given, again until its estimate stays."""
-        if not self.is_estimated.any():
-            first = chain.attempt(z, sigma)
-            return _Optimum(self._completed(chain, first, z, sigma, what), sigma)
-        previous = None
-        for _ in range(MOST_NOISE_UPDATES):
-            solution = chain.attempt(z, sigma)
-            is_path = chain.way == FEASIBLE_PATH
-            if previous is not None and is_path and not solution.outcome.success:
-                # The kink where it settled is still in the way; the noise alone is
-                # another, and with it what a step promises.
-                return _Optimum(chain.solver.at(previous, sigma), sigma)
-            solution = self._completed(chain, solution, z, sigma, what)
-            if not solution.outcome.success:
-                break
-            updated = noise.updated(sigma, solution.residual)
-            has_settled = noise.has_settled(sigma, updated)
-            z = solution.z
-            sigma = updated
-            previous = solution
-            if has_settled:
-                return _Optimum(chain.solver.at(solution, sigma), sigma)
-        return _Optimum(solution, sigma)
 
-    def _completed(
-        self,
-        chain: SolverChain,
-        attempt: Solution,
-        z: np.ndarray,
-        sigma: np.ndarray,
-        what: str,
-    ) -> Solution:
-        solution = chain.completed(attempt, z, sigma)
-        self.task.say(f"{what}: {solution.outcome}")
-        return noise_free_is_success(solution)
+def _maximum(
+    chain: SolverChain, noise: NoiseIteration, z: np.ndarray, sigma: np.ndarray
+) -> _Optimum:
+    """Solve, and where the noise is not given, again until its estimate stays.
+
+    Args:
+        chain: solvers of the program.
+        noise: re-estimates what is not given.
+        z: to start from (scaled).
+        sigma: (n_states,) noise to start from.
+    """
+    if not noise.is_estimated.any():
+        attempt = chain.attempt(z, sigma)
+        return _Optimum(chain.completed(attempt, z, sigma), sigma)
+    previous = None
+    for _ in range(MOST_NOISE_UPDATES):
+        solution = chain.attempt(z, sigma)
+        is_path = chain.way == FEASIBLE_PATH
+        if previous is not None and is_path and not solution.outcome.success:
+            # The kink where it settled is still in the way; the noise alone is another,
+            # and with it what a step promises.
+            return _Optimum(chain.solver.at(previous, sigma), sigma)
+        solution = chain.completed(solution, z, sigma)
+        if not solution.outcome.success:
+            break
+        updated = noise.updated(sigma, solution.residual)
+        has_settled = noise.has_settled(sigma, updated)
+        z = solution.z
+        sigma = updated
+        previous = solution
+        if has_settled:
+            return _Optimum(chain.solver.at(solution, sigma), sigma)
+    return _Optimum(solution, sigma)
 
 
 def _ways_of_first_attempt(start: StartingPoint) -> tuple[str, ...]:

@@ -12,9 +12,9 @@ import numpy as np
 
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.missing_force import ForceEstimate, smoothed, softened
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
+from phsi_opt.estimation.missing_force import softened
 from phsi_opt.estimation.multiple_shooting import SHORTEST_WINDOW
-from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.estimation.phsi import PHSIEstimate, PHSISolver, best_of_starts
 from phsi_opt.estimation.problem import Task, silent
 from phsi_opt.estimation.starting_point import StartingPoint
@@ -25,102 +25,74 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid, grid_of
-from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.transcription.parameter_vector import Theta
 
 # Nodes from which on a record with gaps starts through its first part.
 LONG_RECORD = 20_000
 
 
-def from_data(task: Task, loss: MaximumLikelihood, noise: NoiseLevels) -> StartingPoint:
+def from_data(problem: LikelihoodProblem) -> StartingPoint:
     """The starting point found from scratch."""
+    task = problem.task
     task.say("starting values")
     grid = invert_sensors(task.model, grid_of(task.data))
     if grid.measured.all():
-        return _from_complete_data(task, loss, noise, grid)
-    return _from_data_with_gaps(task, loss, noise, grid)
+        return _from_complete_data(problem, grid)
+    return _from_data_with_gaps(problem, grid)
 
 
-def _from_complete_data(
-    task: Task, loss: MaximumLikelihood, noise: NoiseLevels, grid: Grid
-) -> StartingPoint:
+def _from_complete_data(problem: LikelihoodProblem, grid: Grid) -> StartingPoint:
     """The states are the data, the parameters those of the PHSI loss."""
     x = grid.y
-    dynamics = resolve_guesses(task.model.dynamics(), grid, x)
+    dynamics = resolve_guesses(problem.task.model.dynamics(), grid, x)
     if not dynamics.free:
-        return _at_values(task, dynamics, grid, x, noise.sigma)
-    first = _by_phsi_loss(task, dynamics, loss, grid, x)
+        return _at_values(problem, dynamics, grid, x)
+    first = _by_phsi_loss(problem, dynamics, grid, x)
     solved = dynamics.with_values(first.values)
-    start = _at_values(task, solved, grid, x, noise.sigma)
+    start = _at_values(problem, solved, grid, x)
     return replace(start, notes=first.notes)
 
 
-def _from_data_with_gaps(
-    task: Task, loss: MaximumLikelihood, noise: NoiseLevels, grid: Grid
-) -> StartingPoint:
+def _from_data_with_gaps(problem: LikelihoodProblem, grid: Grid) -> StartingPoint:
     """States by smoothing, parameters by the PHSI loss, then both together.
 
     The alternative keeps the parameters of the PHSI loss, and the states smoothed with
     them.
     """
-    core = task.model.dynamics()
+    core = problem.task.model.dynamics()
     guessed = resolve_guesses(core, grid, np.nan_to_num(grid.y))
-    smoothing = smoothed(
-        guessed, grid, noise.sigma, loss.integrator, noise.is_known, rounds=2
-    )
-    noise = replace(noise, sigma=smoothing.sigma)
-    dynamics = resolve_guesses(core, grid, smoothing.x)
+    smoothing = problem.smooth_states(guessed, grid, rounds=2)
+    x = smoothing.x
+    noise = replace(problem.noise, sigma=smoothing.sigma)
+    problem = replace(problem, noise=noise)
+    dynamics = resolve_guesses(core, grid, x)
     if not dynamics.free:
-        return _at_values(task, dynamics, grid, smoothing.x, noise.sigma)
-    first = _by_phsi_loss(task, dynamics, loss, grid, smoothing.x)
+        return _at_values(problem, dynamics, grid, x)
+    first = _by_phsi_loss(problem, dynamics, grid, x)
     confirmed = dynamics.with_values(first.values)
     # States smoothed with the parameters given would only confirm them.
-    given = _given_values(task.model, dynamics)
-    unconfirmed = confirmed.with_values(given)
+    unconfirmed = confirmed.with_values(_given_values(problem.task.model, dynamics))
 
     def alternative() -> StartingPoint:
-        again = _smoothed_again(confirmed, grid, noise, loss, smoothing)
-        start = _at_values(task, confirmed, grid, again.x, again.sigma)
-        return replace(start, notes=first.notes)
+        again = problem.smooth_states(confirmed, grid, rounds=1, prior=smoothing.prior)
+        start = _at_values(problem, confirmed, grid, again.x)
+        return replace(start, sigma=again.sigma, notes=first.notes)
 
-    start = _softened_start(task, unconfirmed, loss, noise, grid, smoothing.x)
+    start = _softened_start(problem, unconfirmed, grid, x)
     return replace(start, notes=first.notes, alternative=alternative)
 
 
-def _smoothed_again(
-    model: Model,
-    grid: Grid,
-    noise: NoiseLevels,
-    loss: MaximumLikelihood,
-    smoothing: ForceEstimate,
-) -> ForceEstimate:
-    """States smoothed with other values, from the prior that a smoothing found."""
-    return smoothed(
-        model,
-        grid,
-        noise.sigma,
-        loss.integrator,
-        noise.is_known,
-        rounds=1,
-        prior=smoothing.prior,
-    )
-
-
 def _softened_start(
-    task: Task,
-    dynamics: Model,
-    loss: MaximumLikelihood,
-    noise: NoiseLevels,
-    grid: Grid,
-    x: np.ndarray,
+    problem: LikelihoodProblem, dynamics: Model, grid: Grid, x: np.ndarray
 ) -> StartingPoint:
     """Parameters and states together, with a missing force that shrinks."""
-    shared = Theta.of(dynamics, task.runs)
+    sigma = problem.noise.sigma
+    shared = Theta.of(dynamics, problem.task.runs)
     smooth = point_at(dynamics, grid, shared, dynamics.theta, x)
-    point = softened(dynamics, grid, shared, smooth, noise.sigma, loss.integrator)
+    point = softened(dynamics, grid, shared, smooth, sigma, problem.loss.integrator)
     values = dict(zip(dynamics.free, point.theta.tolist(), strict=True))
-    moved = dynamics.with_values(values)
-    return _at_values(task, moved, grid, point.x, noise.sigma)
+    return _at_values(problem, dynamics.with_values(values), grid, point.x)
 
 
 def _given_values(model: Model, dynamics: Model) -> dict[str, float]:
@@ -137,12 +109,12 @@ def _given_values(model: Model, dynamics: Model) -> dict[str, float]:
 
 
 def _by_phsi_loss(
-    task: Task, dynamics: Model, loss: MaximumLikelihood, grid: Grid, x: np.ndarray
+    problem: LikelihoodProblem, dynamics: Model, grid: Grid, x: np.ndarray
 ) -> PHSIEstimate:
     """Parameters of the dynamics where the states at the nodes are x, never pruned."""
-    part = replace(task, model=dynamics, pruning=None, say=silent)
+    task = replace(problem.task, model=dynamics, pruning=None, say=silent)
     known = with_states(grid, x)
-    solver = PHSISolver(part, PHSILoss(loss.integrator), known)
+    solver = PHSISolver(task, PHSILoss(problem.loss.integrator), known)
     estimates = []
     for theta in starting_values(dynamics, known, task.l1):
         estimates.append(solver.solve(dynamics, theta, task.l1))
@@ -150,27 +122,29 @@ def _by_phsi_loss(
 
 
 def _by_objective(estimate: PHSIEstimate) -> tuple[bool, float]:
+    """Success first, then the smaller objective."""
     return not estimate.is_success, estimate.solution.outcome.objective
 
 
 def _at_values(
-    task: Task, dynamics: Model, grid: Grid, x: np.ndarray, sigma: np.ndarray
+    problem: LikelihoodProblem, dynamics: Model, grid: Grid, x: np.ndarray
 ) -> StartingPoint:
     """At the values of the dynamics, the sensors' as they are, and the states x."""
+    task = problem.task
     entries = task.model.entries
     values = {name: v for name, v in dynamics.values.items() if name in entries}
     model = resolve_guesses(task.model.with_values(values), grid, x)
     theta = Theta.of(model, task.runs).spread(model.theta)
-    return StartingPoint(model, theta, grid.split(x), sigma)
+    return StartingPoint(model, theta, grid.split(x), problem.noise.sigma)
 
 
-def needs_first_part(task: Task) -> bool:
+def needs_first_part(problem: LikelihoodProblem) -> bool:
     """Whether the record is too long to start on the whole of it.
 
     Along a long record, states that are not measured cannot be found while the
     parameters are still far off.
     """
-    grid = grid_of(task.data)
+    grid = grid_of(problem.task.data)
     return not grid.measured.all() and grid.n_nodes > LONG_RECORD
 
 
@@ -189,46 +163,45 @@ def first_part(task: Task) -> Task:
 
 
 def from_first_part(
-    task: Task,
-    loss: MaximumLikelihood,
-    noise: NoiseLevels,
-    first: LikelihoodEstimate,
+    problem: LikelihoodProblem, first: LikelihoodEstimate
 ) -> StartingPoint:
     """At the parameters of `first_part`, with states for the whole record."""
-    noise = noise.with_estimates(first.sigma)
-    states = states_at(task, first.model, first.theta, loss, noise)
-    return StartingPoint(first.model, first.theta, states, noise.sigma, first.notes)
+    problem = problem.with_noise_of(first.sigma)
+    states = states_at(problem, first.model, first.theta)
+    sigma = problem.noise.sigma
+    return StartingPoint(first.model, first.theta, states, sigma, first.notes)
 
 
-def from_fit(
-    task: Task, loss: MaximumLikelihood, noise: NoiseLevels, start: Fit
-) -> StartingPoint:
+def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     """At a fit's values, and at its states where it has those of these data."""
+    task = problem.task
     fitted_noise = [start.noise.get(name, 1.0) for name in task.model.states]
-    noise = noise.with_estimates(np.array(fitted_noise))
+    problem = problem.with_noise_of(np.array(fitted_noise))
     grid = grid_of(task.data)
-    unknown = Theta.of(task.model, task.runs)
     lengths = [run.n_samples for run in task.data.trajectories]
     has_states = [len(x) for x in start.states] == lengths
     x = _common_states(start, task.model) if has_states else np.nan_to_num(grid.y)
     model = resolve_guesses(task.model, grid, x)
+    unknown = Theta.of(task.model, task.runs)
     theta = unknown.from_values(start.estimates, unknown.spread(model.theta))
     if has_states:
         # The memory of an effect that the fit did not have follows from its states.
         parameters = np.asarray(unknown.by_trajectory(theta))
         states = grid.split(with_memory(model, grid, x, parameters))
     else:
-        states = states_at(task, model, theta, loss, noise)
+        states = states_at(problem, model, theta)
     has_steps = [len(n) + 1 for n in start.steps] == lengths
+    keeps_steps = has_steps and problem.loss.steps is None
     is_related = has_states and _solves_a_model_like(start, task.model)
+    has_same_names = set(start.names) == set(unknown.names)
     return StartingPoint(
         model=model,
         theta=theta,
         states=states,
-        sigma=noise.sigma,
-        steps=start.steps if loss.steps is None and has_steps else (),
+        sigma=problem.noise.sigma,
+        steps=start.steps if keeps_steps else (),
         way=start.outcome.way if is_related else GAUSS_NEWTON,
-        is_optimum=is_related and set(start.names) == set(unknown.names),
+        is_optimum=is_related and has_same_names,
     )
 
 
@@ -246,11 +219,7 @@ def _solves_a_model_like(start: Fit, model: Model) -> bool:
 
 
 def states_at(
-    task: Task,
-    model: Model,
-    theta: np.ndarray,
-    loss: MaximumLikelihood,
-    noise: NoiseLevels,
+    problem: LikelihoodProblem, model: Model, theta: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """States at the samples for given parameters, (n_samples, n_states) per trajectory.
 
@@ -259,11 +228,9 @@ def states_at(
     Raises:
         SolveError: if the smoothing fails.
     """
-    grid = grid_of(task.data)
+    grid = grid_of(problem.task.data)
     if grid.measured.all() and not model.sensor:
         return grid.split(grid.y)
-    values = Theta.of(model, task.runs).by_trajectory(theta)
-    smoothing = smoothed(
-        model, grid, noise.sigma, loss.integrator, noise.is_known, values, rounds=1
-    )
+    values = Theta.of(model, problem.task.runs).by_trajectory(theta)
+    smoothing = problem.smooth_states(model, grid, values, rounds=1)
     return grid.split(smoothing.x)

@@ -18,9 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from phsi_opt.errors import DataError, SolveError
+from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
 from phsi_opt.estimation.likelihood_start import (
     first_part,
@@ -30,7 +31,6 @@ from phsi_opt.estimation.likelihood_start import (
     needs_first_part,
 )
 from phsi_opt.estimation.multi_start import random_starts
-from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.residual_scatter import is_plausible, scatter_warnings
 from phsi_opt.estimation.starting_point import StartingPoint
@@ -39,7 +39,6 @@ from phsi_opt.estimation.support_selection import pruned
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.transcription.parameter_vector import Theta
 
 MOST_STEP_REFINEMENTS = 5
 # Difference of -2 log likelihood up to which two starts found the same optimum: far
@@ -55,16 +54,13 @@ def by_likelihood(
     Refined where needed, and pruned.
 
     Raises:
-        DataError: if a sensor's state is not measured, the values are too few, or the
-            declared noise is none.
+        DataError: as `LikelihoodProblem.of`.
     """
-    _check_sensors(task)
-    _check_number_of_values(task)
-    noise = NoiseLevels.of(task, loss)
-    first = _starting_point(task, loss, noise, start)
-    solver = LikelihoodSolver(task, loss, ~noise.is_known)
+    problem = LikelihoodProblem.of(task, loss)
+    first = _starting_point(problem, start)
+    solver = LikelihoodSolver(problem)
     estimates = []
-    for point in random_starts(first, task, loss, noise):
+    for point in random_starts(first, problem):
         estimates.append(solver.solve_from(point))
     if first.alternative is not None and not is_plausible(_best(estimates)):
         task.say(
@@ -78,43 +74,19 @@ def by_likelihood(
     if loss.steps is None and task.settings.thorough:
         estimate = _with_fine_steps(solver, estimate)
     estimate = _with_few_terms(solver, estimate)
-    warnings = scatter_warnings(estimate, noise.is_known)
+    warnings = scatter_warnings(estimate, problem.noise.is_known)
     return replace(estimate, notes=estimate.notes + warnings)
 
 
-def _check_sensors(task: Task) -> None:
-    for name in task.model.sensor:
-        if name not in task.data.measured:
-            raise DataError(
-                f"the model has a sensor of {name!r}, but {name!r} was never measured; "
-                "leave one of them out."
-            )
-
-
-def _check_number_of_values(task: Task) -> None:
-    data = task.data
-    n_values = sum(int(np.isfinite(run.x).sum()) for run in data.trajectories)
-    n_theta = len(Theta.of(task.model, task.runs))
-    n_unknown = n_theta + data.n_trajectories * task.model.n_states
-    if n_values <= n_unknown:
-        raise DataError(
-            f"{n_values} measured values are too few for {n_unknown} unknowns "
-            f"({n_theta} parameters and the starting states of {data.n_trajectories} "
-            "trajectories); measure more, or fix parameters."
-        )
-
-
-def _starting_point(
-    task: Task, loss: MaximumLikelihood, noise: NoiseLevels, start: Fit | None
-) -> StartingPoint:
+def _starting_point(problem: LikelihoodProblem, start: Fit | None) -> StartingPoint:
     """At a fit, at the solution of a part of a long record, or found from scratch."""
     if start is not None:
-        return from_fit(task, loss, noise, start)
-    if needs_first_part(task):
-        of_part = replace(loss, starts=1, window=None)
-        first = by_likelihood(first_part(task), of_part, None)
-        return from_first_part(task, loss, noise, first)
-    return from_data(task, loss, noise)
+        return from_fit(problem, start)
+    if needs_first_part(problem):
+        of_part = replace(problem.loss, starts=1, window=None)
+        first = by_likelihood(first_part(problem.task), of_part, None)
+        return from_first_part(problem, first)
+    return from_data(problem)
 
 
 def _best(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:

@@ -10,14 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from phsi_opt.errors import SolveError
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_start import states_at
-from phsi_opt.estimation.noise_estimation import NoiseLevels
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.scaling import theta_scale
 from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
 SEED = 0  # the same points every time
@@ -31,37 +30,39 @@ LEAST_STATE_SPREAD = 1e-12  # stands for that of a state that does not move
 
 
 def random_starts(
-    first: StartingPoint, task: Task, loss: MaximumLikelihood, noise: NoiseLevels
+    first: StartingPoint, problem: LikelihoodProblem
 ) -> list[StartingPoint]:
-    """The first point and ``loss.starts - 1`` random ones.
+    """The first point and random ones, ``starts`` of the loss in all.
 
     Their values are those of the first times a log-normal factor; values of zero are
     moved by a share of the parameter's size.
     """
-    if loss.starts == 1:
-        return [first]
-    size = _parameter_sizes(first, task)
-    unknown = Theta.of(first.model, task.runs)
+    starts = [first]
+    if problem.loss.starts == 1:
+        return starts
+    size = _parameter_sizes(first, problem.task)
+    unknown = Theta.of(first.model, problem.task.runs)
     lower = [entry.parameter.lower for entry in unknown.entries]
     upper = [entry.parameter.upper for entry in unknown.entries]
-    noise = replace(noise, sigma=first.sigma)
+    noise = replace(problem.noise, sigma=first.sigma)
+    problem = replace(problem, noise=noise)
     rng = np.random.default_rng(SEED)
-    starts = [first]
-    for _ in range(loss.starts - 1):
-        theta = _moved(first.theta, size, rng)
-        theta = np.clip(theta, lower, upper)
-        starts.append(_with_theta(first, theta, task, loss, noise))
+    while len(starts) < problem.loss.starts:
+        moved = _moved(first.theta, size, rng)
+        theta = np.clip(moved, lower, upper)
+        starts.append(_with_theta(first, theta, problem))
     return starts
 
 
 def _parameter_sizes(first: StartingPoint, task: Task) -> np.ndarray:
-    """(n_theta,) sizes of the parameters that would move the states visibly."""
+    """(n_theta,) changes that move some equation by the size of its rate."""
     unknown = Theta.of(first.model, task.runs)
     grid = grid_of(task.data)
     x = np.concatenate(first.states)
     x_spread = np.maximum(np.std(x, axis=0), LEAST_STATE_SPREAD)
     means = unknown.means(first.theta)
-    return unknown.spread(theta_scale(first.model, grid, means, x, x_spread))
+    size = theta_scale(first.model, grid, means, x, x_spread)
+    return unknown.spread(size)
 
 
 def _moved(theta: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -72,16 +73,12 @@ def _moved(theta: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> np.
 
 
 def _with_theta(
-    first: StartingPoint,
-    theta: np.ndarray,
-    task: Task,
-    loss: MaximumLikelihood,
-    noise: NoiseLevels,
+    first: StartingPoint, theta: np.ndarray, problem: LikelihoodProblem
 ) -> StartingPoint:
     states = first.states
     # Far from the data there may be no states; then those of the first point.
     with suppress(SolveError):
-        states = states_at(task, first.model, theta, loss, noise)
+        states = states_at(problem, first.model, theta)
     return replace(
         first, theta=theta, states=states, way=GAUSS_NEWTON, is_optimum=False
     )

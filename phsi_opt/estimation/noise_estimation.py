@@ -1,4 +1,4 @@
-"""The measurement noise of a likelihood: declared, or estimated with the parameters.
+"""The measurement noise of a likelihood, estimated with the parameters.
 
 The program is solved for a noise that it takes as given; then the noise is set to what
 the residuals show, and the program solved again, until the noise stays. A first guess,
@@ -10,11 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from phsi_opt.data.noise import initial_noise, least_noise
-from phsi_opt.errors import DataError
-from phsi_opt.estimation.problem import Task
+from phsi_opt.data.noise import least_noise
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.losses import MaximumLikelihood
 
 # Change of the logarithm of the noise at which its estimate stays: a tenth of its
 # standard error with 200 values.
@@ -22,52 +19,6 @@ NOISE_TOLERANCE = 0.005
 # Share of the measured values, at least, that counts as degrees of freedom: with fewer
 # the noise would be divided by what is nearly zero.
 LEAST_FREEDOM = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class NoiseLevels:
-    """Noise per state before the first solve.
-
-    Attributes:
-        sigma: (n_states,) standard deviations.
-        is_known: (n_states,) whether it was declared; the others are estimated.
-    """
-
-    sigma: np.ndarray
-    is_known: np.ndarray
-
-    @classmethod
-    def of(cls, task: Task, loss: MaximumLikelihood) -> "NoiseLevels":
-        """The declared noise, and a guess from the data where none is declared."""
-        declared = declared_noise(task, loss)
-        is_known = np.isfinite(declared)
-        return cls(initial_noise(task.data, declared), is_known)
-
-    def with_estimates(self, sigma: np.ndarray) -> "NoiseLevels":
-        """``sigma`` in place of what was not declared."""
-        return NoiseLevels(np.where(self.is_known, self.sigma, sigma), self.is_known)
-
-
-def declared_noise(task: Task, loss: MaximumLikelihood) -> np.ndarray:
-    """Noise per state as the loss or the measurements declare it, (n_states,).
-
-    NaN where it is to be estimated.
-
-    Raises:
-        DataError: if it is not a number above zero, or the loss declares that of some
-            measured states only.
-    """
-    data = task.data
-    noise = loss.noise if loss.noise is not None else data.noise or {}
-    for name in data.measured:
-        is_missing = loss.noise is not None and name not in noise
-        is_wrong = name in noise and not (np.isfinite(noise[name]) and noise[name] > 0)
-        if is_missing or is_wrong:
-            raise DataError(
-                f"noise of the measured state {name!r} is {noise.get(name)!r}; "
-                "expected a number above zero."
-            )
-    return np.array([noise.get(name, np.nan) for name in data.states])
 
 
 @dataclass(frozen=True, eq=False)

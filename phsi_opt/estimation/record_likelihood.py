@@ -12,6 +12,7 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, NoiseLevels
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
@@ -93,5 +94,6 @@ class RecordLikelihood:
             steps=tuple(steps),
             way=way,
         )
-        none_estimated = np.zeros(model.n_states, dtype=bool)
-        return LikelihoodSolver(task, self.loss, none_estimated).solve_from(start)
+        noise = NoiseLevels.known(self.sigma)
+        problem = LikelihoodProblem(task, self.loss, noise)
+        return LikelihoodSolver(problem).solve_from(start)

@@ -67,6 +67,7 @@ class Transcription:
         unknown: names and places of the free parameters.
         point: to start from, with the scale of each unknown.
         program: the nonlinear program.
+        window: length of the windows in time, None: whole trajectories.
     """
 
     loss: MaximumLikelihood
@@ -75,6 +76,14 @@ class Transcription:
     unknown: Theta
     point: Point
     program: Program
+    window: float | None = None
+
+    def __str__(self) -> str:
+        where = "" if self.window is None else f" in windows of {self.window:.3g}"
+        return (
+            f"maximum likelihood, {len(self.unknown)} parameters, "
+            f"{self.point.x.size} states{where}"
+        )
 
     @property
     def has_path(self) -> bool:
@@ -113,12 +122,19 @@ class SolverChain:
         return self.solver.solve(z, sigma, raise_on_failure=False)
 
     def completed(
-        self, solution: Solution, z: np.ndarray, sigma: np.ndarray
+        self, attempt: Solution, z: np.ndarray, sigma: np.ndarray
     ) -> Solution:
-        """The solution of the next ways until one succeeds, where ``solution`` failed.
+        """The attempt or, where it failed, the solution of the next way that succeeds.
 
         Of two failures that of IPOPT is kept, because it says more.
         """
+        solution = self._of_next_ways(attempt, z, sigma)
+        self._say(f"{self._transcription}: {solution.outcome}")
+        return noise_free_is_success(solution)
+
+    def _of_next_ways(
+        self, solution: Solution, z: np.ndarray, sigma: np.ndarray
+    ) -> Solution:
         while not solution.outcome.success:
             way = next(self._untried, None)
             if way is None:
