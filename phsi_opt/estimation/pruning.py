@@ -12,7 +12,7 @@ from scipy.stats import chi2, norm
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import Model
 
-SLOTS = ("H", "R", "F")
+TERM_SLOTS = ("H", "R", "F")
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Pruning:
                 "least 0."
             )
         for slot in self.slots:
-            if slot not in SLOTS:
+            if slot not in TERM_SLOTS:
                 raise ModelError(
                     f"slot {slot!r} of Pruning is unknown; expected 'H', 'R' or 'F'."
                 )
