@@ -19,7 +19,7 @@ from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.simulation.simulate import simulate
-from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
+from phsi_opt.transcription.losses import MaximumLikelihood, MissingForce, PHSILoss
 
 K, M, D = 40.0, 2.5, 0.8  # N/m, kg, kg/s
 
@@ -69,10 +69,10 @@ def deviations(fit: Fit, truth: dict[str, float]) -> dict[str, float]:
     }
 
 
-# ---- recovery --------------------------------------------------------------------------------------------------------
+# ---- recovery ------------------------------------------------------------------------
 
 
-def test_stiffness_and_damping_are_recovered_from_positions_within_three_standard_errors(
+def test_stiffness_and_damping_are_recovered_from_positions_within_three_errors(
     position_fit: Fit,
 ) -> None:
     assert max(deviations(position_fit, {"k": K, "R_p": D}).values()) < 3
@@ -158,7 +158,7 @@ def test_pruning_recovers_the_support_of_a_driven_spring_from_clean_data() -> No
     )
 
 
-# ---- invariance ------------------------------------------------------------------------------------------------------
+# ---- invariance ----------------------------------------------------------------------
 
 
 def test_measuring_in_millimetres_changes_only_the_units(position_fit: Fit) -> None:
@@ -198,7 +198,7 @@ def test_the_order_of_trajectories_and_columns_does_not_matter(
     assert fit.values["R_p"] == pytest.approx(position_fit.values["R_p"], rel=1e-5)
 
 
-# ---- what the data cannot tell ---------------------------------------------------------------------------------------
+# ---- what the data cannot tell -------------------------------------------------------
 
 
 def test_stiffness_and_mass_that_cannot_be_told_apart_are_flagged() -> None:
@@ -206,7 +206,7 @@ def test_stiffness_and_mass_that_cannot_be_told_apart_are_flagged() -> None:
     assert any("k" in w and "m" in w and "cannot tell" in w for w in fit.warnings)
 
 
-# ---- refusals --------------------------------------------------------------------------------------------------------
+# ---- refusals ------------------------------------------------------------------------
 
 
 def test_a_state_that_is_not_in_the_data_is_refused() -> None:
@@ -230,7 +230,7 @@ def test_a_model_without_free_parameters_is_refused() -> None:
 def test_the_phsi_loss_refuses_a_state_that_nobody_measured() -> None:
     with pytest.raises(
         DataError,
-        match="state 'p' was never measured, but PHSILoss takes the states from the data",
+        match="'p' was never measured, but PHSILoss takes the states from the data",
     ):
         identify(spring(), positions_only(), PHSILoss())
 
@@ -241,6 +241,7 @@ def test_the_phsi_loss_refuses_a_state_that_nobody_measured() -> None:
         ({"l1": {"G": 1.0}}, "l1 names slot 'G'"),
         ({"l1": -1.0}, "must be a finite number of at least 0"),
         ({"loss": "phsi"}, "is not a loss"),
+        ({"loss": MissingForce()}, "is not a loss that finds .* estimated by diagnose"),
         (
             {"loss": MaximumLikelihood(noise={"p": 0.1})},
             "noise of the measured state 'q' is None",

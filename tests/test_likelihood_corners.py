@@ -56,7 +56,7 @@ def loaded_fit(loads: ph.Measurements) -> ph.Fit:
     return ph.identify(spring(ph.Parameter(2.5, lower=0.1, per_trajectory=True)), loads)
 
 
-# ---- parameters per trajectory ---------------------------------------------------------------------------------------
+# ---- parameters per trajectory -------------------------------------------------------
 
 
 def test_a_known_run_is_compared_with_its_own_parameters(
@@ -106,7 +106,7 @@ def test_a_scan_of_a_frequency_per_trajectory_is_refused() -> None:
         ph.Parameter(guess=Scan("t"), per_trajectory=True)
 
 
-# ---- sensors ---------------------------------------------------------------------------------------------------------
+# ---- sensors -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("gain", [2.0, 5.0, 10.0])
@@ -173,7 +173,7 @@ def test_a_drifting_sensor_does_not_hide_the_friction() -> None:
     assert str(ph.diagnose(fit, data).effects[0]) == "coulomb friction on p"
 
 
-# ---- outliers --------------------------------------------------------------------------------------------------------
+# ---- outliers ------------------------------------------------------------------------
 
 
 def test_the_standard_errors_of_huber_are_those_of_repeated_draws() -> None:
@@ -204,7 +204,7 @@ def test_a_comparison_keeps_the_loss_of_the_fit() -> None:
     assert comparison.simulated[0][0, 0] == pytest.approx(2.0, abs=0.02)
 
 
-# ---- starts and files ------------------------------------------------------------------------------------------------
+# ---- starts and files ----------------------------------------------------------------
 
 
 def test_a_loaded_fit_is_a_start_and_has_the_profile_of_the_fit_it_was(
@@ -256,7 +256,7 @@ def test_a_fit_of_shorter_records_is_still_a_start() -> None:
     ] == pytest.approx(0.7, abs=0.05)
 
 
-# ---- noise -----------------------------------------------------------------------------------------------------------
+# ---- noise ---------------------------------------------------------------------------
 
 
 def test_noise_may_be_known_of_one_channel_and_estimated_of_the_other() -> None:
