@@ -20,8 +20,8 @@ MOST_INTERVALS = 64  # between two samples
 VISIBLE_ERROR = 0.1
 SAFETY = 1.2  # on the fall of the error that is wanted: the steps round it up anyway
 ORDER = 4  # the error of an interval's integration, per length, falls with h^ORDER
-LARGEST_FACTOR = 16  # on the intervals of a gap in one refinement
-LOST_FACTOR = 4  # where the finer integration left the numbers
+MOST_PER_ROUND = 16  # factor on the intervals of a gap in one refinement
+LOST_FACTOR = 4  # the factor where the finer integration left the numbers
 
 
 def finer_steps(estimate: LikelihoodEstimate) -> list[np.ndarray] | None:
@@ -84,7 +84,7 @@ def _refinement(error: np.ndarray, visible: float) -> np.ndarray:
     typical = np.sum(size**2) / max(np.sum(size), TINY)
     fall = SAFETY * visible / VISIBLE_ERROR * size / max(typical, TINY)
     factor = np.ceil(fall ** (1 / ORDER))
-    return np.clip(factor, 1, LARGEST_FACTOR)
+    return np.clip(factor, 1, MOST_PER_ROUND)
 
 
 def _refined(steps: Sequence[np.ndarray], factor: np.ndarray) -> list[np.ndarray]:
