@@ -10,9 +10,9 @@ from scipy.sparse import csc_matrix, diags
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise
 from phsi_opt.estimation.missing_force import ForceEstimate, Linearised, estimate_force
-from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
-from phsi_opt.model.structure import canonical, forced_rows, position_rows
-from phsi_opt.model.terms import damping, formula, polynomials
+from phsi_opt.model.model import PseudoHamiltonian
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import damping, formula
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import grid_of
@@ -136,11 +136,3 @@ def test_the_whitened_prior_is_an_ornstein_uhlenbeck_process() -> None:
     np.testing.assert_allclose(
         covariance, expected, atol=1e-11
     )  # an inverse of condition 1e3: rounding times that
-
-
-def test_only_equations_that_are_not_kinematic_may_lack_a_force() -> None:
-    assert position_rows(spring()) == (0,)
-    assert forced_rows(spring()) == (1,)
-    assert forced_rows(
-        FirstOrder(states=["a", "b"], F={"a": polynomials(["a", "b"], 1)})
-    ) == (0, 1)

@@ -84,12 +84,6 @@ def test_the_efforts_are_the_gradient_of_the_energy() -> None:
     )
 
 
-def test_canonical_is_the_structure_matrix_of_hamilton() -> None:
-    np.testing.assert_array_equal(
-        canonical(2), [[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]]
-    )
-
-
 def test_a_first_order_model_takes_its_states_as_efforts() -> None:
     model = FirstOrder(
         states=("a", "b"),
@@ -284,9 +278,3 @@ def test_an_effect_with_an_unknown_place_is_refused() -> None:
         ModelError, match="equation of effect 'extra': 'x' is not a state"
     ):
         spring().add(Effect("extra", "F", "x", formula("1")))
-
-
-@pytest.mark.parametrize("n", [0, -1, 1.0, "2"])
-def test_canonical_needs_a_whole_number_of_positions(n: Any) -> None:
-    with pytest.raises(ModelError, match="n is the number of positions"):
-        canonical(n)

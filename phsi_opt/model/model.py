@@ -21,7 +21,7 @@ from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.symbolic import (
     Expressions,
-    Point,
+    Symbols,
     expressions_at,
     formulas_function,
     output_function,
@@ -84,9 +84,9 @@ class Model(BaseModel):
             u: the inputs.
             t: the time.
             values: the parameters, by name.
-            backend: the library of these symbols.
+            backend: the library whose symbols these are.
         """
-        return expressions_at(self, Point(x, u, t, values, backend))
+        return expressions_at(self, Symbols(x, u, t, values, backend))
 
     def rhs(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, theta in the order of `free`."""

@@ -6,7 +6,7 @@ solvers.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -33,15 +33,15 @@ class Expressions:
 
 
 @dataclass(frozen=True)
-class Point:
-    """Where a model is evaluated: symbols or numbers for all that its terms name.
+class Symbols:
+    """What a model is evaluated in: symbols for all that its terms name.
 
     Args:
         x: the states.
         u: the inputs.
         t: the time.
         values: the parameters, by name.
-        backend: the library of these symbols.
+        backend: the library whose symbols these are.
     """
 
     x: Sequence[Any]
@@ -51,13 +51,13 @@ class Point:
     backend: Backend = CASADI
 
 
-def expressions_at(model: BaseModel, point: Point) -> Expressions:
-    """Energy, efforts, loss, force and sensor terms of the model at the point."""
-    at_states = _Sums(point, _variables(model, point))
-    energy = at_states.total(model.H, "H")
-    efforts = _efforts(model, energy, point)
+def expressions_at(model: BaseModel, symbols: Symbols) -> Expressions:
+    """Energy, efforts, loss, force and sensor terms of the model in these symbols."""
+    in_states = _Sums(symbols, _variables(model, symbols))
+    energy = in_states.total(model.H, "H")
+    efforts = _efforts(model, energy, symbols)
     by_name = dict(zip(model.efforts, efforts, strict=True))
-    sums = at_states.knowing(by_name)
+    sums = in_states.knowing(by_name)
     return Expressions(
         energy=energy,
         efforts=efforts,
@@ -67,21 +67,21 @@ def expressions_at(model: BaseModel, point: Point) -> Expressions:
     )
 
 
-def _variables(model: BaseModel, point: Point) -> dict[str, Any]:
-    states = dict(zip(model.states, point.x, strict=True))
-    inputs = dict(zip(model.inputs, point.u, strict=True))
-    return {**states, **inputs, "t": point.t}
+def _variables(model: BaseModel, symbols: Symbols) -> dict[str, Any]:
+    states = dict(zip(model.states, symbols.x, strict=True))
+    inputs = dict(zip(model.inputs, symbols.u, strict=True))
+    return {**states, **inputs, "t": symbols.t}
 
 
 @dataclass(frozen=True)
 class _Sums:
-    """Sums of terms at a point, in the variables that are known there by name."""
+    """Sums of terms in the variables that are known by name."""
 
-    point: Point
-    known: Mapping[str, Any] = field(default_factory=dict)
+    symbols: Symbols
+    known: Mapping[str, Any]
 
     def knowing(self, more: Mapping[str, Any]) -> "_Sums":
-        return _Sums(self.point, {**self.known, **more})
+        return _Sums(self.symbols, {**self.known, **more})
 
     def total(self, terms: Dictionary, place: str) -> Any:
         total = 0
@@ -90,9 +90,9 @@ class _Sums:
         return total
 
     def value(self, term: Term, place: str) -> Any:
-        values = self.point.values
+        values = self.symbols.values
         inner = {name: values[term.inner_name(name, place)] for name in term.inner}
-        body = evaluate(term.body, {**self.known, **inner}, self.point.backend)
+        body = evaluate(term.body, {**self.known, **inner}, self.symbols.backend)
         if term.is_formula:
             return body
         return values[term.coefficient_name(place)] * body
@@ -117,8 +117,8 @@ def _force(model: BaseModel, equation: str, sums: _Sums) -> Any:
     if not on_slopes:
         return force
     slopes = {}
-    for name, u in zip(model.slopes, sums.point.u, strict=True):
-        slopes[name] = _slope(force, u, sums.point.backend)
+    for name, u in zip(model.slopes, sums.symbols.u, strict=True):
+        slopes[name] = _slope(force, u, sums.symbols.backend)
     return force + sums.knowing(slopes).total(Dictionary(tuple(on_slopes)), place)
 
 
@@ -129,12 +129,12 @@ def _slope(expression: Any, variable: Any, backend: Backend) -> Any:
     return expression.diff(variable) if hasattr(expression, "diff") else 0
 
 
-def _efforts(model: BaseModel, energy: Any, point: Point) -> list[Any]:
+def _efforts(model: BaseModel, energy: Any, symbols: Symbols) -> list[Any]:
     """dH/dx; in a model without energy the states themselves."""
-    x = point.x
+    x = symbols.x
     if not model.has_energy:
         return list(x)
-    if point.backend is not CASADI:
+    if symbols.backend is not CASADI:
         return [energy.diff(name) if energy != 0 else energy for name in x]
     if not isinstance(energy, ca.SX):  # a number: no terms, or none with a state
         return _rows(ca.SX.zeros(len(x)))
@@ -171,15 +171,17 @@ class Arguments:
         values: dict[str, Any] = dict(model.values)
         for i, name in enumerate(free):
             values[name] = self.theta[i]
-        self.point = Point(_rows(self.x), _rows(self.u), self.t, values)
+        self.symbols = Symbols(_rows(self.x), _rows(self.u), self.t, values)
 
-    def function(self, name: str, value: ca.SX, *value_name: str) -> ca.Function:
+    def function(self, name: str, value: ca.SX, value_name: str) -> ca.Function:
         """The CasADi function (x, u, t, theta) -> value."""
-        arguments = [self.x, self.u, self.t, self.theta]
-        values = [ca.densify(value)]
-        if not value_name:
-            return ca.Function(name, arguments, values)
-        return ca.Function(name, arguments, values, list(self.names), list(value_name))
+        return ca.Function(
+            name,
+            [self.x, self.u, self.t, self.theta],
+            [ca.densify(value)],
+            list(self.names),
+            [value_name],
+        )
 
 
 def _rows(column: ca.SX) -> list[ca.SX]:
@@ -189,7 +191,7 @@ def _rows(column: ca.SX) -> list[ca.SX]:
 def rhs_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> dx/dt."""
     arguments = Arguments(model)
-    parts = expressions_at(model, arguments.point)
+    parts = expressions_at(model, arguments.symbols)
     return arguments.function("rhs", derivative(model, parts), "dx")
 
 
@@ -198,7 +200,7 @@ def output_function(model: BaseModel) -> ca.Function:
     arguments = Arguments(model)
     shown = arguments.x
     if model.sensor:
-        parts = expressions_at(model, arguments.point)
+        parts = expressions_at(model, arguments.symbols)
         shown = shown + ca.vertcat(*map(ca.SX, parts.sensor))
     return arguments.function("output", shown, "y")
 
@@ -206,9 +208,9 @@ def output_function(model: BaseModel) -> ca.Function:
 def formulas_function(model: BaseModel, formulas: Sequence[str]) -> ca.Function:
     """CasADi function (x, u, t, theta) -> values of the formulas, as one column."""
     arguments = Arguments(model)
-    point = arguments.point
-    parts = expressions_at(model, point)
+    symbols = arguments.symbols
+    parts = expressions_at(model, symbols)
     efforts = dict(zip(model.efforts, parts.efforts, strict=True))
-    known = {**_variables(model, point), **efforts, **point.values}
+    known = {**_variables(model, symbols), **efforts, **symbols.values}
     values = [ca.SX(evaluate(text, known)) for text in formulas]
-    return arguments.function("formulas", ca.vertcat(*values))
+    return arguments.function("formulas", ca.vertcat(*values), "values")
