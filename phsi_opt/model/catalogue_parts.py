@@ -8,14 +8,14 @@ import numpy as np
 from phsi_opt.model.parameters import Parameter, Tried
 from phsi_opt.model.terms import Dictionary, Term, formula
 
-# Rims and clipping limits to try, as shares of the largest level or value: dense close
-# to it, because a limit that is reached rarely cuts little.
+# Rims and clipping limits to try, as shares of the largest level or value; closer to
+# each other near the largest one, where a limit is passed briefly.
 LIMITS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)
 # Upper bound, as a share of the largest value: no rim, play or limit beyond it does
 # anything.
 LARGEST_VALUE = 1.0
-# Lags and delays to try, in times between samples: each about 1.6 times the last one,
-# from well below what the sampling shows to the length of a short record.
+# Lags and delays to try, in times between samples: from a share of one sample on, each
+# about 1.6 times the last one.
 DELAYS = (
     *(0.25, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0),
     *(13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0),
