@@ -44,11 +44,7 @@ def model() -> PseudoHamiltonian:
     return made.with_values(values)
 
 
-def theta_of(made: PseudoHamiltonian) -> np.ndarray:
-    return np.array([made.values[name] for name in made.free])
-
-
-# ---- layout ----------------------------------------------------------------------------------------------------------
+# ---- layout
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 7])
@@ -111,7 +107,7 @@ def test_a_defect_is_named_by_trajectory_interval_and_row() -> None:
     assert label(2 * 15) == "trajectory=1, interval=5, row=0"
 
 
-# ---- defects ---------------------------------------------------------------------------------------------------------
+# ---- defects
 
 
 def complete() -> tuple[Any, np.ndarray]:
@@ -122,7 +118,7 @@ def complete() -> tuple[Any, np.ndarray]:
 @pytest.mark.parametrize("scheme", INTEGRATORS)
 def test_the_jacobian_of_the_defects_is_that_of_finite_differences(scheme: str) -> None:
     made, (grid, x) = model(), complete()
-    theta, step = theta_of(made), 1e-6
+    theta, step = made.theta, 1e-6
     jacobian = np.array(defect_jacobian(made, grid, scheme)(x.T, theta))
 
     def flat(at: np.ndarray) -> np.ndarray:
@@ -141,7 +137,7 @@ def test_the_jacobian_of_the_defects_is_that_of_finite_differences(scheme: str) 
 @pytest.mark.parametrize("scheme", INTEGRATORS)
 def test_all_defects_are_those_of_the_intervals_one_by_one(scheme: str) -> None:
     made, (grid, x) = model(), complete()
-    theta, one = theta_of(made), defect(model(), scheme)
+    theta, one = made.theta, defect(model(), scheme)
     together = np.array(defects(made, grid, scheme, x.T, theta)).T
     for k, i in enumerate(grid.begin):
         alone = np.array(
@@ -152,10 +148,8 @@ def test_all_defects_are_those_of_the_intervals_one_by_one(scheme: str) -> None:
 
 def test_chosen_columns_are_those_of_the_whole_jacobian() -> None:
     made, (grid, x) = model(), complete()
-    whole = np.array(defect_jacobian(made, grid, "srk4")(x.T, theta_of(made)))
-    some = np.array(
-        defect_jacobian(made, grid, "srk4", only=[4, 1])(x.T, theta_of(made))
-    )
+    whole = np.array(defect_jacobian(made, grid, "srk4")(x.T, made.theta))
+    some = np.array(defect_jacobian(made, grid, "srk4", only=[4, 1])(x.T, made.theta))
     np.testing.assert_allclose(
         some, whole[:, [4, 1]], rtol=1e-13
     )  # the same derivatives, perhaps reordered sums
@@ -164,7 +158,7 @@ def test_chosen_columns_are_those_of_the_whole_jacobian() -> None:
 def test_intervals_that_are_left_out_take_their_defects_with_them() -> None:
     made, (grid, x) = model(), complete()
     keep = np.array([0, 3, 6])
-    fewer = np.array(defects(made, grid.intervals(keep), "rk4", x.T, theta_of(made)))
+    fewer = np.array(defects(made, grid.intervals(keep), "rk4", x.T, made.theta))
     np.testing.assert_array_equal(
-        fewer, np.array(defects(made, grid, "rk4", x.T, theta_of(made)))[:, keep]
+        fewer, np.array(defects(made, grid, "rk4", x.T, made.theta))[:, keep]
     )

@@ -55,7 +55,7 @@ def test_the_defect_of_an_exact_solution_shrinks_with_the_claimed_order(
     np.testing.assert_allclose(orders[-1], scheme.order, atol=0.25)
 
 
-def test_halving_the_step_divides_the_defect_of_srk4_by_sixteen_on_a_driven_pendulum() -> (
+def test_halving_the_step_divides_srk4s_defect_by_sixteen_on_a_driven_pendulum() -> (
     None
 ):
     solution = solve_ivp(

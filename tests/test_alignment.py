@@ -1,0 +1,65 @@
+"""Measurements in the model's order: columns follow names, nothing is copied idly."""
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.transcription.alignment import aligned
+
+X = np.arange(12.0).reshape(6, 2)
+U = np.arange(12.0, 24.0).reshape(6, 2)
+
+
+def data(states: tuple[str, ...], inputs: tuple[str, ...] = ()) -> ph.Measurements:
+    return ph.Measurements.from_arrays(
+        np.arange(6.0),
+        X[:, : len(states)],
+        U[:, : len(inputs)] if inputs else None,
+        states=list(states),
+        inputs=list(inputs),
+    )
+
+
+def model(inputs: tuple[str, ...] = ()) -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=("q", "p"),
+        inputs=inputs,
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0)),
+    )
+
+
+def test_measurements_in_the_models_order_are_returned_as_they_are() -> None:
+    record = data(("q", "p"))
+    assert aligned(model(), record) is record
+
+
+def test_columns_follow_the_names_of_states_and_inputs() -> None:
+    run = aligned(model(("u", "v")), data(("p", "q"), ("v", "u"))).trajectories[0]
+    np.testing.assert_array_equal(run.x, X[:, ::-1])
+    np.testing.assert_array_equal(run.u, U[:, ::-1])
+
+
+def test_the_memory_of_an_effect_is_added_as_never_measured() -> None:
+    effects = {e.name: e for e in ph.catalogue(model()) if e.equation == "p"}
+    larger = model().add(effects["hysteresis"])
+    record = aligned(larger, data(("q", "p")))
+    assert record.states == larger.states
+    assert np.isnan(record.trajectories[0].x[:, 2:]).all()
+    assert aligned(larger, record) is record
+
+
+def test_states_and_inputs_that_do_not_match_are_named() -> None:
+    with pytest.raises(
+        ph.DataError,
+        match=r"state 'p' of the model is not in the measurements \(q\); declare it "
+        r"as not measured: states=\{\.\.\., 'p': None\}",
+    ):
+        aligned(model(), data(("q",)))
+    with pytest.raises(ph.DataError, match="input 'u' of the model is not in the"):
+        aligned(model(("u",)), data(("q", "p")))
+    only_q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
+    with pytest.raises(
+        ph.DataError, match="state 'p' of the measurements is not in the model; leave"
+    ):
+        aligned(only_q, data(("q", "p")))
