@@ -1,0 +1,254 @@
+"""The result of `hybrid`: a dictionary model and a trained force, and their file."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import DataError, ModelError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.json_file import read_json
+from phsi_opt.estimation.result import Identified
+from phsi_opt.learning.force_signals import without_signals
+from phsi_opt.learning.network import TrainedForce
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.simulation.simulate import simulate
+from phsi_opt.transcription.alignment import aligned
+
+FORMAT = "phsi_opt hybrid 1"
+HINGE_DECIMALS = 6  # of places and widths in the text of a distilled force
+DEPENDENT = 1e-10  # share of the largest singular value below which hinges are the same
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hybrid(Identified):
+    """Result of `hybrid`: dx/dt = dictionary model + force of the network.
+
+    Attributes:
+        fit: the dictionary part, identified beside the force.
+        force: the trained network.
+        convergence: a row per turn with turn, loss (mean squared defect),
+            coefficient_change (largest change of a coefficient, relative to the largest
+            of its slot), force_change (root mean square, relative to the force) and
+            n_terms.
+        converged: whether neither moved any more in the last turn.
+    """
+
+    fit: Fit
+    force: TrainedForce
+    convergence: pd.DataFrame
+    converged: bool
+
+    @property
+    def loss_value(self) -> float:
+        """Mean squared defect with the force."""
+        return float(self.convergence["loss"].iloc[-1])
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard error by name at the trained force.
+
+        What the force itself leaves uncertain is not in it.
+        """
+        return {name: self.fit.std_errors[name] for name in self.model.entries}
+
+    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
+        """States (n_samples, n_states) with the force of the network, by SciPy.
+
+        Args:
+            t: increasing times (n_samples,).
+            x0: states (n_states,) at t[0].
+            u: inputs (n_samples, n_inputs) at t; None for a model without inputs.
+        """
+        return simulate(self.model, t, x0, u, hold=self.hold, force=self._added)
+
+    def _added(self, t: float, x: np.ndarray) -> np.ndarray:
+        """What the network adds to dx/dt, (n_states,)."""
+        total = np.zeros(self.model.n_states)
+        total[list(self.force.rows)] = self.force(x)[0]
+        return total
+
+    def without_force(self) -> Fit:
+        """The dictionary alone: the system with the outside force switched off."""
+        return replace(self.fit, model=self.model)
+
+    def equations(self) -> list[str]:
+        """The right-hand sides; the network appears by its name."""
+        names = [self.model.states[i] for i in self.force.columns]
+        inside = ", ".join(names)
+        lines = super().equations()
+        for row in self.force.rows:
+            lines[row] += f" + network_{self.model.states[row]}({inside})"
+        return lines
+
+    def distilled(self, data: Measurements, knots: int = 12) -> dict[str, Dictionary]:
+        """The force as a dictionary of smooth hinges, for a network of one variable.
+
+        Then all is one program. With knots v_k at quantiles of the visited values, w
+        half their median distance, and coefficients by least squares over the data::
+
+            F(v) = c + a v + sum_k b_k sqrt((v - v_k)^2 + w^2)
+
+        Args:
+            data: whose states were visited.
+            knots: number of hinges.
+
+        Returns:
+            A dictionary by equation.
+
+        Raises:
+            ModelError: if the network has more than one variable.
+        """
+        if len(self.force.columns) != 1:
+            raise ModelError(
+                f"the network depends on {len(self.force.columns)} variables; "
+                "only a force of one can be distilled. "
+                "Give NeuralForce(variables=...) one state."
+            )
+        column = self.force.columns[0]
+        runs = aligned(self.model, data).trajectories
+        x = np.concatenate([run.x for run in runs])
+        x = x[np.isfinite(x).all(axis=1)]
+        bodies, terms = _hinges(self.model.states[column], x[:, column], knots)
+        scale = np.sqrt(np.mean(terms**2, axis=0))
+        scaled = np.linalg.lstsq(terms / scale, self.force(x), rcond=DEPENDENT)[0]
+        coefficients = scaled / scale[:, None]
+        found = {}
+        for equation, column_of in zip(
+            self.force.equations, coefficients.T, strict=True
+        ):
+            found[equation] = _dictionary(bodies, column_of)
+        return found
+
+    def save(self, path: str | Path) -> None:
+        """Write dictionary, network and table of turns as JSON.
+
+        The file holds numbers and formulas, no code.
+        """
+        content = {
+            "format": FORMAT,
+            "fit": self.fit.content(),
+            "force": self._force_content(),
+            "convergence": self.convergence.to_dict("list"),
+            "converged": self.converged,
+            "seconds": self.seconds,
+        }
+        Path(path).write_text(json.dumps(content) + "\n", encoding="utf-8")
+
+    def _force_content(self) -> dict[str, Any]:
+        force = self.force
+        layers = [[weights.tolist(), bias.tolist()] for weights, bias in force.layers]
+        return {
+            "equations": list(force.equations),
+            "variables": [self.model.states[i] for i in force.columns],
+            "shift": force.shift.tolist(),
+            "spread": force.spread.tolist(),
+            "seen": force.seen.tolist(),
+            "layers": layers,
+        }
+
+    @staticmethod
+    def load(path: str | Path) -> "Hybrid":
+        """Read what `save` wrote; never runs code from the file.
+
+        Raises:
+            DataError: for anything else.
+        """
+        return read_json(path, FORMAT, "a hybrid", _from_content)
+
+    def __str__(self) -> str:
+        last = self.convergence.iloc[-1]
+        ended = "stopped at the limit of turns, still moving"
+        if self.converged:
+            ended = "neither moves any more"
+        turns = (
+            f"  {len(self.convergence)} turns with the network, {self.seconds:.1f} s: "
+            f"{ended} (last change of a coefficient {last['coefficient_change']:.1e}, "
+            f"of the force {last['force_change']:.1e})"
+        )
+        return "\n".join([str(self.fit), *self.equations(), turns])
+
+    __repr__ = __str__
+
+
+def _hinges(name: str, visited: np.ndarray, knots: int) -> tuple[list[str], np.ndarray]:
+    """Texts of the terms, and their values (n_samples, 2 + n_knots) where visited."""
+    inner_shares = np.linspace(0.0, 1.0, knots + 2)[1:-1]
+    quantiles = np.quantile(visited, inner_shares)
+    places = np.unique(np.round(quantiles, HINGE_DECIMALS))
+    width = 1.0
+    if len(places) > 1:
+        width = round(float(np.median(np.diff(places))) / 2, HINGE_DECIMALS)
+    bodies = ["1", name]
+    columns = [np.ones_like(visited), visited]
+    for place in places:
+        bodies.append(f"sqrt(({name} - {float(place)!r})**2 + {width!r}**2)")
+        columns.append(np.sqrt((visited - place) ** 2 + width**2))
+    return bodies, np.column_stack(columns)
+
+
+def _dictionary(bodies: list[str], coefficients: np.ndarray) -> Dictionary:
+    terms = []
+    for body, coefficient in zip(bodies, coefficients, strict=True):
+        terms.append(Term(body, Parameter(float(coefficient))))
+    return Dictionary(tuple(terms))
+
+
+def _from_content(content: dict[str, Any]) -> Hybrid:
+    fit = Fit.from_content(content["fit"])
+    equations = tuple(str(name) for name in content["force"]["equations"])
+    model = without_signals(fit.model, equations)
+    return Hybrid(
+        model=model,
+        hold=fit.hold,
+        seconds=float(content["seconds"]),
+        removed=fit.removed,
+        fit=fit,
+        force=_force_from(content["force"], equations, model),
+        convergence=pd.DataFrame(content["convergence"]),
+        converged=bool(content["converged"]),
+    )
+
+
+def _force_from(
+    stored: dict[str, Any], equations: tuple[str, ...], model: Model
+) -> TrainedForce:
+    layers = []
+    for weights, bias in stored["layers"]:
+        layers.append((np.array(weights, dtype=float), np.array(bias, dtype=float)))
+    variables = stored["variables"]
+    force = TrainedForce(
+        equations=equations,
+        columns=tuple(model.index(n, "variable of the network") for n in variables),
+        rows=tuple(model.index(n, "equation of the network") for n in equations),
+        shift=np.array(stored["shift"], dtype=float),
+        spread=np.array(stored["spread"], dtype=float),
+        seen=np.array(stored["seen"], dtype=float),
+        layers=tuple(layers),
+    )
+    if not _fits_together(force):
+        raise DataError(
+            "the layers of the network do not fit together "
+            "or to its equations and variables."
+        )
+    return force
+
+
+def _fits_together(force: TrainedForce) -> bool:
+    """Whether the arrays of a force have the sizes of its variables and equations."""
+    n_inputs = len(force.columns)
+    if force.shift.shape != (n_inputs,):
+        return False
+    if force.spread.shape[-1:] != (n_inputs,) or force.seen.shape[-1:] != (n_inputs,):
+        return False
+    for weights, bias in force.layers:
+        if weights.shape != (len(bias), n_inputs):
+            return False
+        n_inputs = len(bias)
+    return n_inputs == len(force.rows)

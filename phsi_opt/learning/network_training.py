@@ -1,0 +1,198 @@
+"""Training of a force network on what a model leaves of the data, by AdamW in torch.
+
+torch is imported inside, so that a trained force can be used without it.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from phsi_opt.errors import ModelError
+from phsi_opt.learning.network import NeuralForce, TrainedForce
+from phsi_opt.optimization.torch_threads import one_thread
+
+# Least scale of a variable or a target: keeps quotients finite where it is constant.
+LEAST_SCALE = 1e-12
+LEFT_OUT = 0  # the fold that chooses the epoch
+
+TorchLayers = list[tuple[Any, Any]]  # (weight (n_out, n_in), bias) of every layer
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet:
+    """What a force must be at the stages of the steps.
+
+    Attributes:
+        stages: states (n_intervals, 2, n_states) at the stages of SRK4.
+        target: (n_intervals, n_equations), the mean of the force over the two stages.
+        folds: (n_intervals,), number of the fold of every interval.
+    """
+
+    stages: np.ndarray
+    target: np.ndarray
+    folds: np.ndarray
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long and how fast: epochs, the first learning rate, the seed of the order."""
+
+    epochs: int
+    rate: float
+    seed: int
+
+
+def untrained(
+    settings: NeuralForce,
+    rows: tuple[int, ...],
+    columns: tuple[int, ...],
+    x: np.ndarray,
+) -> TrainedForce:
+    """The force before training: no layers, the scale of its variables from the data.
+
+    Args:
+        settings: of the force.
+        rows: numbers of its equations.
+        columns: numbers of the states that it depends on.
+        x: states (n_intervals, 2, n_states).
+    """
+    variables = x[:, :, columns]
+    shift = variables.mean(axis=(0, 1))
+    spread = np.maximum(variables.std(axis=(0, 1)), LEAST_SCALE)
+    seen = _range(variables)
+    return TrainedForce(settings.equations, columns, rows, shift, spread, seen, ())
+
+
+def _range(variables: np.ndarray) -> np.ndarray:
+    return np.stack([variables.min(axis=(0, 1)), variables.max(axis=(0, 1))])
+
+
+def train(
+    settings: NeuralForce,
+    before: TrainedForce,
+    data: TrainingSet,
+    schedule: Schedule,
+) -> TrainedForce:
+    """Minimise the mean squared difference between the force's mean and the target.
+
+    AdamW (Loshchilov and Hutter 2019) with a learning rate that falls along a cosine.
+    The epoch is kept that predicts the fold `LEFT_OUT` best, which is left out.
+
+    Args:
+        settings: of the force.
+        before: where to start; without layers (see `untrained`): at random weights.
+        data: what it must be.
+        schedule: epochs, learning rate and seed.
+
+    Raises:
+        ModelError: if torch is not installed.
+    """
+    try:
+        import torch
+    except ImportError:
+        raise ModelError(
+            "a neural force needs torch: pip install 'phsi_opt[neural]'."
+        ) from None
+
+    variables = data.stages[:, :, before.columns]
+    scale = np.maximum(np.sqrt(np.mean(data.target**2, axis=0)), LEAST_SCALE)
+    with one_thread():
+        generator = torch.Generator().manual_seed(schedule.seed)
+        z = torch.tensor((variables - before.shift) / before.spread)
+        y = torch.tensor(data.target / scale)
+        if before.layers:
+            layers = _scaled_layers(before, scale)
+        else:
+            sizes = [len(before.columns), *settings.hidden, len(before.rows)]
+            layers = _random_layers(sizes, generator)
+        folds = torch.tensor(data.folds)
+        arrays = _descended(layers, z, y, folds, settings, schedule, generator)
+    weights, bias = arrays[-1]
+    arrays[-1] = (weights * scale[:, None], bias * scale)
+    return replace(before, seen=_range(variables), layers=tuple(arrays))
+
+
+def _descended(
+    layers: TorchLayers,
+    z: Any,
+    y: Any,
+    folds: Any,
+    settings: NeuralForce,
+    schedule: Schedule,
+    generator: Any,
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The layers of the epoch with the least error on the fold that is left out."""
+    import torch
+
+    def error(chosen: Any) -> Any:
+        mean = _forward(layers, z[chosen]).mean(dim=1)
+        return torch.mean((mean - y[chosen]) ** 2)
+
+    used = torch.nonzero(folds != LEFT_OUT).ravel()
+    left_out = torch.nonzero(folds == LEFT_OUT).ravel()
+    parameters = [array for layer in layers for array in layer]
+    optimiser = torch.optim.AdamW(
+        parameters, lr=schedule.rate, weight_decay=settings.weight_decay
+    )
+    n_steps = schedule.epochs * -(-len(used) // settings.batch)
+    rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, n_steps)
+    least = np.inf
+    best = _arrays(layers)
+    for _ in range(schedule.epochs):
+        order = used[torch.randperm(len(used), generator=generator)]
+        for chosen in order.split(settings.batch):
+            optimiser.zero_grad()
+            error(chosen).backward()
+            optimiser.step()
+            rates.step()
+        with torch.no_grad():
+            now = float(error(left_out))
+        if now < least:
+            least = now
+            best = _arrays(layers)
+    return best
+
+
+def _arrays(layers: TorchLayers) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(w.detach().numpy().copy(), b.detach().numpy().copy()) for w, b in layers]
+
+
+def _random_layers(sizes: list[int], generator: Any) -> TorchLayers:
+    """Uniform within +-1/sqrt(number of inputs), weights and biases alike."""
+    import torch
+
+    def drawn(bound: float, *shape: int) -> Any:
+        draw = torch.rand(shape, generator=generator, dtype=torch.float64)
+        return (bound * (2 * draw - 1)).requires_grad_()
+
+    layers = []
+    for n_in, n_out in pairwise(sizes):
+        bound = 1 / sqrt(n_in)
+        weights = drawn(bound, n_out, n_in)
+        bias = drawn(bound, n_out)
+        layers.append((weights, bias))
+    return layers
+
+
+def _scaled_layers(trained: TrainedForce, scale: np.ndarray) -> TorchLayers:
+    """The layers of a trained force, its output in units of ``scale``."""
+    import torch
+
+    weights, bias = trained.layers[-1]
+    last = (weights / scale[:, None], bias / scale)
+    layers = []
+    for w, b in (*trained.layers[:-1], last):
+        layers.append(
+            (torch.tensor(w).requires_grad_(), torch.tensor(b).requires_grad_())
+        )
+    return layers
+
+
+def _forward(layers: TorchLayers, z: Any) -> Any:
+    for weights, bias in layers[:-1]:
+        z = (z @ weights.T + bias).relu()
+    weights, bias = layers[-1]
+    return z @ weights.T + bias
