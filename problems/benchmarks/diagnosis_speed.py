@@ -1,97 +1,134 @@
 """How long does a diagnosis take, with the full catalogue, as the record grows?
 
-python -m problems.benchmarks.diagnosis_speed [n_samples ...]
+    python -m problems.benchmarks.diagnosis_speed [n_samples ...]
 
-A driven spring with hidden dry friction, position alone measured at 2 % noise: one
-training record of n samples, a third of it held out beside. Times are those of this
-machine while it may have been doing other things as well.
+A driven spring with hidden dry friction, position alone measured: one training record
+of n samples, a third of it held out beside. Times are those of this machine while it
+may have been doing other things as well.
 """
 
-import sys
 import time
+from dataclasses import dataclass, field
 
 import numpy as np
 
 import phsi_opt as ph
+from problems.tools import markdown
+from problems.tools.command_line import chosen
 from problems.tools.provenance import write
 
 SIZES = (1_000, 3_000, 10_000)
-STEP, FRICTION = 0.05, 0.3
+HELD_OUT = 3  # times as many samples are fitted as are held out
+STEP = 0.05
+FRICTION = 0.3
+NOISE = 0.02  # of the standard deviation of the position
+HEAD = [
+    "samples",
+    "effects",
+    "fit of the base model",
+    "diagnosis",
+    "of it: missing force, comparison",
+    "screening",
+    "re-fits and their comparisons",
+    "what it said",
+]
+
+
+@dataclass
+class Stopwatch:
+    """The moments at which a diagnosis reports its steps."""
+
+    moments: dict[str, float] = field(default_factory=dict)
+
+    def report(self, line: str) -> None:
+        """Keep when a step, named by its first word, began."""
+        self.moments.setdefault(line.split()[0], time.perf_counter())
 
 
 def measured(n: int, seed: int) -> ph.Measurements:
     """One record of n samples."""
     rng = np.random.default_rng(seed)
     t = STEP * np.arange(n)
-    frequencies, phases = rng.uniform(0.3, 3.0, 8), rng.uniform(0, 2 * np.pi, 8)
+    frequencies = rng.uniform(0.3, 3.0, 8)
+    phases = rng.uniform(0, 2 * np.pi, 8)
     u = np.sin(np.outer(t, frequencies) + phases).sum(axis=1, keepdims=True) / 2
-    truth = ph.PseudoHamiltonian(
+    x = ph.simulate(_truth(), t, [0.5, 0.0], u)
+    q = x[:, 0] + NOISE * np.std(x[:, 0]) * rng.normal(size=n)
+    nobody = np.full(n, np.nan)  # measured p
+    states = np.column_stack([q, nobody])
+    return ph.Measurements.from_arrays(t, states, u, states=["q", "p"], inputs=["u"])
+
+
+def _truth() -> ph.PseudoHamiltonian:
+    friction = ph.formula("0.1 + f*(dH_dp**4 + 1e-8)**(-0.25)", f=FRICTION)
+    return ph.PseudoHamiltonian(
         states=["q", "p"],
         inputs=["u"],
         S=ph.canonical(1),
         H=ph.formula("2*q**2/2 + p**2/2"),
-        R={"p": ph.formula("0.1 + f*(dH_dp**4 + 1e-8)**(-0.25)", f=FRICTION)},
+        R={"p": friction},
         F={"p": ph.formula("u")},
     )
-    x = ph.simulate(truth, t, [0.5, 0.0], u)
-    q = x[:, 0] + 0.02 * np.std(x[:, 0]) * rng.normal(size=n)
-    return ph.Measurements.from_arrays(
-        t, np.column_stack([q, np.full(n, np.nan)]), u, states=["q", "p"], inputs=["u"]
-    )
 
 
-def timed(n: int) -> str:
-    """One line of the table."""
-    train, test = measured(n, seed=0), measured(n // 3, seed=1)
-    model = ph.PseudoHamiltonian(
+def model() -> ph.PseudoHamiltonian:
+    """The machine without its dry friction."""
+    stiffness = ph.Parameter(1.0, lower=0)
+    return ph.PseudoHamiltonian(
         states=["q", "p"],
         inputs=["u"],
         S=ph.canonical(1),
-        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, lower=0)),
+        H=ph.formula("k*q**2/2 + p**2/2", k=stiffness),
         R=ph.damping("p"),
         F={"p": ph.formula("u")},
     )
+
+
+def timed(n: int) -> list[str]:
+    """The cells of one line of the table."""
+    train = measured(n, seed=0)
+    test = measured(n // HELD_OUT, seed=1)
     began = time.perf_counter()
-    fit = ph.identify(model, train)
+    fit = ph.identify(model(), train)
     fitted = time.perf_counter()
-    lines: list[tuple[float, str]] = []
-    found = ph.diagnose(
-        fit,
-        train,
-        test,
-        progress=lambda line: lines.append((time.perf_counter(), line)),
-    )
+    watch = Stopwatch()
+    found = ph.diagnose(fit, train, test, progress=watch.report)
     ended = time.perf_counter()
-    at = [
-        moment for moment, line in lines if line.startswith(("screening", "re-fitting"))
+    screening = watch.moments["screening"]
+    refits = watch.moments["re-fitting"]
+    seconds = [
+        fitted - began,
+        ended - fitted,
+        screening - fitted,
+        refits - screening,
+        ended - refits,
     ]
-    shares = [at[0] - fitted, at[1] - at[0], ended - at[1]]
-    row = found.candidates.iloc[0]
-    return (
-        f"| {n} | {len(ph.catalogue(model))} | {fitted - began:.1f} | {ended - fitted:.1f} | "
-        + " | ".join(f"{share:.1f}" for share in shares)
-        + f" | {found.verdict}: {found.effects[0]}, {row['coefficient']:.4f} +- {row['std_error']:.4f} |"
-    )
+    first = found.candidates.iloc[0]
+    size = f"{first['coefficient']:.4f} +- {first['std_error']:.4f}"
+    said = f"{found.verdict}: {found.effects[0]}, {size}"
+    n_effects = len(ph.catalogue(model()))
+    return [str(n), str(n_effects), *(f"{s:.1f}" for s in seconds), said]
+
+
+def page(rows: list[list[str]]) -> str:
+    """The result as Markdown."""
+    introduction = markdown.paragraph(f"""
+        A driven spring, position measured at {NOISE:.0%} noise, friction of
+        {FRICTION:g} hidden; the whole catalogue; {HELD_OUT} times fewer samples held
+        out. Seconds; on a machine that may have been doing other things.
+        """)
+    lines = ["# Time of a diagnosis", "", introduction, "", markdown.lines(HEAD, rows)]
+    return "\n".join(lines)
 
 
 def main(sizes: list[int]) -> None:
-    """The page."""
-    head = [
-        "# Time of a diagnosis",
-        "",
-        f"A driven spring, position measured at 2 % noise, friction of {FRICTION} hidden; the whole catalogue; a third",
-        "as many samples held out. Seconds; on a machine that may have been doing other things.",
-        "",
-        "| samples | effects | fit of the base model | diagnosis | of it: missing force, comparison | screening "
-        "| re-fits and their comparisons | what it said |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    lines = []
+    """Time the sizes and write the page."""
+    rows = []
     for n in sizes:
-        lines.append(timed(n))
-        print(lines[-1], flush=True)
-    write("diagnosis_speed.md", "\n".join([*head, *lines]))
+        rows.append(timed(n))
+        print(*rows[-1], sep=" | ", flush=True)
+    write("diagnosis_speed.md", page(rows))
 
 
 if __name__ == "__main__":
-    main([int(float(text)) for text in sys.argv[1:]] or list(SIZES))
+    main([int(float(text)) for text in chosen()] or list(SIZES))

@@ -1,34 +1,34 @@
 """The demonstration over many noise draws, with the friction and without: what is
 named, and how large is it?
 
-python -m problems.benchmarks.friction_seeds [N]
+    python -m problems.benchmarks.friction_seeds [N]
 """
-
-import sys
 
 import pandas as pd
 
 import phsi_opt as ph
-from problems.examples.demo import model
+from problems.examples.demo import COLUMNS, TRAINING_SHARE, model
 from problems.examples.friction_spring import TRUTH, table
+from problems.tools import markdown
+from problems.tools.command_line import chosen
 from problems.tools.provenance import write
+
+N_DRAWS = 10
+HIDDEN = "coulomb friction on p"
+PARAMETER = "coulomb_friction_p"
+NOTHING = "nothing missing"
 
 
 def row(seed: int, friction: float) -> dict[str, object]:
     """One draw: verdict, effects added, friction with its distance from the truth in
     standard errors.
     """
-    data = ph.Measurements.from_dataframe(
-        table(seed, friction),
-        time="t_s",
-        states={"q": "position_m", "p": None},
-        trajectory="run",
-    )
-    study = ph.Study(model(), *data.split(0.6))
+    data = ph.Measurements.from_dataframe(table(seed, friction), **COLUMNS)
+    study = ph.Study(model(), *data.split(TRAINING_SHARE))
     first = study.diagnose()
     study.auto()
     last = study.history.iloc[-1]
-    result = {
+    found = {
         "seed": seed,
         "hidden": friction,
         "verdict": first.verdict,
@@ -37,17 +37,34 @@ def row(seed: int, friction: float) -> dict[str, object]:
         "held_out_over_floor": last.held_out_rmse / last.noise_floor,
         "stopped": study.stopped.split(": held")[0],
     }
-    if "coulomb_friction_p" in study.fit.values:
-        value, error = (
-            study.fit.values["coulomb_friction_p"],
-            study.fit.std_errors["coulomb_friction_p"],
-        )
-        result |= {
-            "coefficient": value,
-            "std_error": error,
-            "z": (value - friction) / error,
-        }
-    return result
+    if PARAMETER not in study.fit.values:
+        return found
+    value = study.fit.values[PARAMETER]
+    error = study.fit.std_errors[PARAMETER]
+    z = (value - friction) / error
+    return {**found, "coefficient": value, "std_error": error, "z": z}
+
+
+def reading(frame: pd.DataFrame) -> str:
+    """What the table says, in a sentence."""
+    with_friction = frame[frame["hidden"] > 0]
+    without = frame[frame["hidden"] == 0]
+    named = with_friction["added"].eq(HIDDEN).sum()
+    quiet = without["verdict"].eq(NOTHING).sum()
+    farthest = with_friction["z"].abs().max()
+    return markdown.paragraph(f"""
+        With the friction hidden, it alone is added in {named} of {len(with_friction)}
+        draws, at most {farthest:.2f} standard errors from the truth; without it,
+        {quiet} of {len(without)} verdicts are "{NOTHING}".
+        """)
+
+
+def page(frame: pd.DataFrame) -> str:
+    """The result as Markdown."""
+    n_draws = frame["seed"].nunique()
+    lines = [f"# The demonstration over {n_draws} noise draws", ""]
+    lines += [reading(frame), "", *markdown.frame(frame)]
+    return "\n".join(lines)
 
 
 def main(n: int) -> pd.DataFrame:
@@ -58,13 +75,10 @@ def main(n: int) -> pd.DataFrame:
             rows.append(row(seed, friction))
             print(rows[-1], flush=True)
     frame = pd.DataFrame(rows)
-    body = frame.to_string(index=False, float_format=lambda v: f"{v:.3g}")
-    write(
-        "friction_seeds.md",
-        f"# The demonstration over {n} noise draws\n\n```text\n{body}\n```",
-    )
+    write("friction_seeds.md", page(frame))
     return frame
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10)
+    given = chosen()
+    main(int(given[0]) if given else N_DRAWS)

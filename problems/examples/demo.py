@@ -3,49 +3,49 @@ what is missing, add it.
 
 The file holds the position of a damped spring in several runs. The model has a spring
 and viscous damping; the measurements hold something more.
+
+    python -m problems.examples.demo
 """
 
 import time
-
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+from typing import Any
 
 import phsi_opt as ph
 from phsi_opt.presentation.report import report_text
 from problems.examples.friction_spring import CSV, NOISE, TRUTH
-from problems.tools.provenance import RESULTS, write
+from problems.tools.pictures import plt, save
+from problems.tools.provenance import write
+
+TRAINING_SHARE = 0.6  # of the runs
+# How the columns of the file are to be read; nobody measured p.
+COLUMNS: dict[str, Any] = {
+    "time": "t_s",
+    "states": {"q": "position_m", "p": None},
+    "trajectory": "run",
+}
+UNITS = {"t": "s", "q": "m", "p": "kg m/s"}
+# Parameters of the last model by the names of the truth.
+TRUE_NAMES = {"coulomb_friction_p": "f", "R_p": "c", "k": "k"}
 
 
 def measurements() -> ph.Measurements:
     """The file that ships with the project."""
-    return ph.Measurements.from_csv(
-        CSV,
-        time="t_s",
-        states={"q": "position_m", "p": None},
-        trajectory="run",
-        units={"t": "s", "q": "m", "p": "kg m/s"},
-    )
+    return ph.Measurements.from_csv(CSV, **COLUMNS, units=UNITS)
 
 
 def model() -> ph.PseudoHamiltonian:
     """Spring, mass and viscous damping; the mass was weighed."""
+    stiffness = ph.Parameter(10.0, lower=0, unit="N/m")
     return ph.PseudoHamiltonian(
         states=["q", "p"],
         S=ph.canonical(1),
-        H=ph.formula(
-            "k*q**2/2 + p**2/(2*m)",
-            k=ph.Parameter(10.0, lower=0, unit="N/m"),
-            m=TRUTH["m"],
-        ),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=stiffness, m=TRUTH["m"]),
         R=ph.damping("p"),
     )
 
 
 def pictures(study: ph.Study, before: ph.Comparison, diagnosis: ph.Diagnosis) -> None:
     """The four pictures of the story, in results/."""
-    RESULTS.mkdir(exist_ok=True)
     plots = {
         "demo_1_before": before.plot,
         "demo_2_missing_force": diagnosis.plot,
@@ -55,43 +55,47 @@ def pictures(study: ph.Study, before: ph.Comparison, diagnosis: ph.Diagnosis) ->
     for name, plot in plots.items():
         figure, ax = plt.subplots(figsize=(8.0, 3.8), layout="constrained")
         plot(ax)
-        figure.savefig(RESULTS / f"{name}.png", dpi=110)
-        plt.close(figure)
+        save(figure, f"{name}.png", dpi=110)
+
+
+def beside_the_truth(fit: ph.Fit) -> list[str]:
+    """The parameters that were found, with their distance from the truth."""
+    said = []
+    for name, symbol in TRUE_NAMES.items():
+        if name in fit.values:
+            value = fit.values[name]
+            error = fit.std_errors[name]
+            distance = abs(value - TRUTH[symbol]) / error
+            said.append(
+                f"{name}: {value:.4g} +- {error:.2g}, true {TRUTH[symbol]:g}, "
+                f"{distance:.1f} standard errors away"
+            )
+    return said
 
 
 def main() -> ph.Study:
     """Run the story and write it down."""
     began = time.perf_counter()
     data = measurements()
-    train, held_out = data.split(0.6)
+    train, held_out = data.split(TRAINING_SHARE)
     print(f"{data}\n")
-    study = ph.Study(
-        model(), train, held_out, progress=lambda line: print(f"... {line}", flush=True)
-    )
-    before, first = study.compare(), study.fit
-    print(f"\n{first}\n\n{before}\n")
+    study = ph.Study(model(), train, held_out, progress=_say)
+    before = study.compare()
+    print(f"\n{study.fit}\n\n{before}\n")
     diagnosis = study.diagnose()
     print(f"\n{diagnosis}\n")
     study.auto()
-    print(
-        f"\n{study.fit}\n\n{study.history.to_string(index=False)}\n\nstopped: {study.stopped}\n"
-    )
-    found = study.fit.parameters.set_index("name")
-    for name, truth in (
-        ("coulomb_friction_p", TRUTH["f"]),
-        ("R_p", TRUTH["c"]),
-        ("k", TRUTH["k"]),
-    ):
-        if name in found.index:
-            row = found.loc[name]
-            print(
-                f"{name}: {row.value:.4g} +- {row.std_error:.2g}, true {truth:g}, "
-                f"{abs(row.value - truth) / row.std_error:.1f} standard errors away"
-            )
+    print(f"\n{study.fit}\n\n{study.history.to_string(index=False)}\n")
+    print(f"stopped: {study.stopped}\n")
+    print(*beside_the_truth(study.fit), sep="\n")
     pictures(study, before, diagnosis)
     write("demo.md", f"{report_text(study)}\nTrue noise: {NOISE:.0%} of the range.")
     print(f"report and pictures: results/demo*; {time.perf_counter() - began:.0f} s")
     return study
+
+
+def _say(line: str) -> None:
+    print(f"... {line}", flush=True)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,10 @@ its measurements.
     dq/dt = p/m
     dp/dt = -k q - c p/m - f sign(p)
 
-Run as a script, it writes the CSV file that `demo.py` reads: only the position, with
-noise of 2 % of its range.
+Run as a script, it writes the CSV file that the demonstration reads: only the position,
+with noise of 2 % of its range.
+
+    python -m problems.examples.friction_spring
 """
 
 from pathlib import Path
@@ -27,25 +29,29 @@ STARTS = [
 ]  # m, kg m/s
 TIMES = np.linspace(0.0, 5.0, 201)  # s
 NOISE = 0.02  # of the range of the position
+SHARPNESS = 1e-3  # m/s, over which the friction turns
 CSV = Path(__file__).parent / "data" / "friction_spring.csv"
 
 
 def simulated(
     friction: float = TRUTH["f"], starts: list[tuple[float, float]] = STARTS
 ) -> list[np.ndarray]:
-    """True states (n_samples, 2) of every run; the friction is sharp to a thousandth of
-    a metre per second.
+    """True states (n_samples, 2) of every run.
+
+    The friction is sharp to a thousandth of a metre per second.
     """
 
-    def f(t: float, x: np.ndarray) -> list[float]:
+    def rates(t: float, x: np.ndarray) -> list[float]:
         v = x[1] / TRUTH["m"]
-        return [v, -TRUTH["k"] * x[0] - TRUTH["c"] * v - friction * np.tanh(v / 1e-3)]
+        force = -TRUTH["k"] * x[0] - TRUTH["c"] * v - friction * np.tanh(v / SHARPNESS)
+        return [v, force]
 
     options = {"method": "LSODA", "rtol": 1e-8, "atol": 1e-10, "max_step": 0.01}
-    return [
-        solve_ivp(f, (TIMES[0], TIMES[-1]), start, t_eval=TIMES, **options).y.T
-        for start in starts
-    ]
+    runs = []
+    for start in starts:
+        solved = solve_ivp(rates, TIMES[[0, -1]], start, t_eval=TIMES, **options)
+        runs.append(solved.y.T)
+    return runs
 
 
 def table(
@@ -54,17 +60,13 @@ def table(
     """The measurements as a table: run, t_s, position_m."""
     rng = np.random.default_rng(seed)
     runs = simulated(friction)
-    deviation = noise * np.ptp(np.concatenate([x[:, 0] for x in runs]))
-    parts = [
-        pd.DataFrame(
-            {
-                "run": f"run {i + 1}",
-                "t_s": TIMES,
-                "position_m": x[:, 0] + deviation * rng.normal(size=len(x)),
-            }
-        )
-        for i, x in enumerate(runs)
-    ]
+    positions = [x[:, 0] for x in runs]
+    deviation = noise * np.ptp(np.concatenate(positions))
+    parts = []
+    for number, q in enumerate(positions, start=1):
+        measured = q + deviation * rng.normal(size=len(q))
+        columns = {"run": f"run {number}", "t_s": TIMES, "position_m": measured}
+        parts.append(pd.DataFrame(columns))
     return pd.concat(parts, ignore_index=True)
 
 
