@@ -1,0 +1,175 @@
+"""What README says of the results is what stands in results/."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from problems.examples.friction_spring import TRUTH
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "results"
+
+
+def words(path: Path) -> str:
+    """A text with every run of blanks as one."""
+    return " ".join(path.read_text(encoding="utf-8").split())
+
+
+@pytest.fixture(scope="module")
+def readme() -> str:
+    return words(ROOT / "README.md")
+
+
+def percent(share: float, digits: int = 0) -> str:
+    return f"{100 * share:.{digits}f}"
+
+
+def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
+    text = (RESULTS / "demo.md").read_text("utf-8")
+    # step, effect, training error, held-out error, noise floor, ...
+    rows = re.findall(r"^ +\d .*?((?:[\d.]+ +){3})", text.split("## ")[1], re.M)
+    errors = [[float(cell) for cell in row.split()] for row in rows]
+    before, after, floor = errors[0][1], errors[-1][1], errors[-1][2]
+    assert f"held-out error {before:.4f} -> {after:.4f} m" in readme
+    assert f"noise floor {floor:.4f} m" in readme
+    assert f"held out: {before:.3f} m, while the noise is {floor:.3f} m" in readme
+    friction = re.search(r"on p, coefficient ([\d.]+) \+- ([\d.]+)", text)
+    assert friction is not None
+    size, error = float(friction[1]), float(friction[2])
+    assert f"coefficient {size:.2f} +- {error:.2f} (true: {TRUTH['f']:g})" in readme
+
+
+def test_the_draws_of_the_demonstration(readme: str) -> None:
+    lines = (RESULTS / "friction_seeds.md").read_text("utf-8").splitlines()
+    rows = [line.split() for line in lines if re.match(r" +\d+ +[02] ", line)]
+    with_friction = [row for row in rows if row[1] == "2"]
+    without = [row for row in rows if row[1] == "0"]
+    farthest = max(abs(float(row[-1])) for row in with_friction)
+    assert (len(with_friction), len(without)) == (8, 8)
+    assert all("named coulomb friction on p" in " ".join(r) for r in with_friction)
+    assert all("nothing missing" in " ".join(row) for row in without)
+    assert "over eight noise draws" in readme
+    assert f"named in all, its size at most {farthest:.2f} standard errors" in readme
+    assert '("nothing missing" in all)' in readme
+
+
+def test_the_solver_beside_gradient_descent(readme: str) -> None:
+    from problems.thesis.compare_page import ratios
+
+    kept = sorted((RESULTS / "thesis").glob("compare_*.csv"))
+    found = ratios(pd.concat([pd.read_csv(path) for path in kept]))
+    n_lower = found["not higher"].sum()
+    excess = (found["loss, best descent"] / found["loss, all terms"] - 1).median()
+    time = 1 / found["times as fast"]
+    assert f"not higher on {n_lower} of {len(found)} data sets" in readme
+    assert f"larger by {percent(excess, 1)} % in the median" in readme
+    assert f"takes {time.min():.1f} to {time.max():.1f} times the time" in readme
+
+
+def test_pruning_by_significance(readme: str) -> None:
+    lines = (RESULTS / "thesis" / "significance.md").read_text("utf-8").splitlines()
+    table = {}
+    for line in lines:
+        if line.startswith(("size", "significance")):
+            rule, numbers = re.split(r"  +", line, maxsplit=1)
+            table[rule] = numbers
+    by_size = [float(cell) for cell in table["size 0.05 alone"].split()]
+    both = [float(cell) for cell in table["size 0.05 and significance 0.01"].split()]
+    assert by_size[1] == both[1] == 1.0
+    assert (
+        f"no spurious term in {percent(by_size[0])} %, threshold and significance in "
+        f"{percent(both[0])} %, and neither misses one" in readme
+    )
+
+
+def test_the_efficiency_beside_the_bound(readme: str) -> None:
+    from problems.benchmarks.efficiency.cases import CASES
+    from problems.benchmarks.efficiency.page import by_chance, scores
+
+    worst, coverage, one_step, seeds = {}, [], [], []
+    for name in CASES:
+        rows = pd.read_csv(RESULTS / "efficiency" / f"{name}.csv")
+        by = {method: scores(part) for method, part in rows.groupby("method")}
+        seeds.append(rows["seed"].nunique())
+        worst[by["likelihood"]["rmse/bound"].max()] = by_chance(seeds[-1])
+        coverage.append(by["likelihood"]["coverage"].mean())
+        if "one-step" in by:
+            one_step.append(by["one-step"]["rmse/bound"].max())
+    assert len(CASES) == 13 and "thirteen experiments" in readme
+    assert f"of {min(seeds)} to {max(seeds)} seeds each" in readme
+    assert (
+        f"at most {max(worst):.2f} times the bound (+- {worst[max(worst)]:.2f}"
+        in readme
+    )
+    low, high = percent(min(coverage), 1), percent(max(coverage), 1)
+    assert f"hold the truth in {low} to {high} %" in readme
+    assert f"is {min(one_step):.0f} to {max(one_step):.0f} times above it" in readme
+
+
+def test_the_chaotic_systems(readme: str) -> None:
+    from problems.benchmarks.chaos import EXPERIMENTS
+
+    lengths = [
+        case.n_steps * case.step * case.lyapunov for case in EXPERIMENTS.values()
+    ]
+    (noise,) = {case.noise for case in EXPERIMENTS.values()}
+    n_terms = len(EXPERIMENTS["lorenz_dictionary"].truth)
+    assert f"a dictionary of {n_terms} terms" in readme
+    assert f"at {percent(noise)} % noise" in readme
+    assert lengths == pytest.approx([25] * len(lengths), abs=2.5)  # "some 25"
+    assert "over some 25 Lyapunov times" in readme
+
+
+def test_the_hidden_effects(readme: str) -> None:
+    from problems.hidden_effects.rows import ONE, ROWS
+    from problems.hidden_effects.scores import scored
+
+    found = {
+        name: pd.read_csv(RESULTS / "hidden_effects" / f"{name}.csv") for name in ROWS
+    }
+    good = {name: scored(rows)["good"].mean() for name, rows in found.items()}
+    one = [good[name] for name, row in ROWS.items() if row.kind == "one"]
+    covered = {
+        name: scored(rows)["covered"].dropna().astype(float)
+        for name, rows in found.items()
+    }
+    by_row = [
+        covered[name].mean()
+        for name, row in ROWS.items()
+        if row.kind == "one" and len(covered[name])
+    ]
+    n_cases = sum(len(rows) for rows in found.values())
+    assert f"In {n_cases:,} cases" in readme
+    least, most = percent(min(one)), percent(max(one))
+    assert f"in {least} to {most} % for each of {len(ONE)} effects" in readme
+    assert f'"nothing missing" in {percent(good["nothing"])} %' in readme
+    assert f'"unexplained" in {percent(good["outside"])} %' in readme
+    assert f"both of two in {percent(good['two_effects'])} %" in readme
+    pooled = pd.concat(covered.values()).mean()
+    assert (
+        f"95 % intervals hold the truth in {percent(pooled)} % "
+        f"({percent(min(by_row))} to {percent(max(by_row))} % by effect and noise"
+        in readme
+    )
+
+
+def test_the_sizes_of_the_timed_diagnoses(readme: str) -> None:
+    lines = (RESULTS / "diagnosis_speed.md").read_text("utf-8").splitlines()
+    sizes = [int(found[1]) for line in lines if (found := re.match(r"\| (\d+)", line))]
+    low, high = (f"{size:,}".replace(",", " ") for size in (min(sizes), max(sizes)))
+    assert f"{low} to {high} samples" in readme
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.rglob("*.md")), ids=lambda p: p.stem)
+def test_the_command_at_the_head_of_a_result_is_a_module_of_the_project(
+    path: Path,
+) -> None:
+    from importlib.util import find_spec
+
+    head = path.read_text("utf-8").splitlines()[0]
+    found = re.match(r"<!-- command: python (-m ([\w.]+)|-c)", head)
+    assert found is not None, head
+    if found[2]:
+        assert find_spec(found[2]) is not None, head
