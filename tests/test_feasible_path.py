@@ -12,8 +12,8 @@ from phsi_opt.estimation import solver_chain
 from phsi_opt.estimation.feasible_path import FeasiblePath
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.initialization.scaling import point_at
+from phsi_opt.optimization.endings import PATH_ITERATIONS
 from phsi_opt.optimization.ipopt import Solver
-from phsi_opt.optimization.outcome import PATH_ITERATIONS
 from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, SolverSettings
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.parameter_vector import Theta

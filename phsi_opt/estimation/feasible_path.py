@@ -20,16 +20,11 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.march import FEASIBLE, March
 from phsi_opt.model.model import Model
+from phsi_opt.optimization import endings
+from phsi_opt.optimization.endings import Ending
 from phsi_opt.optimization.ipopt import Solution, Solver, at_bounds
-from phsi_opt.optimization.outcome import (
-    PATH_ITERATIONS,
-    PATH_TIME,
-    Ending,
-    Outcome,
-    ending_by_time,
-)
+from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
-from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -52,30 +47,7 @@ LARGEST_RIDGE = 1.0
 ENOUGH = 1e-4  # share of the fall that a step promises by its slope, and has to make
 # distance from a bound, over 1 + |value|, up to which a scaled parameter is at it
 CLOSE = 1e-9
-MAX_ITERATIONS = 30
-
-PATH = "along solutions of the model"
-OPTIMUM = Ending(FEASIBLE_PATH, True, f"a local optimum was found {PATH}")
-HAS_SETTLED = Ending(FEASIBLE_PATH, True, f"the likelihood settled {PATH}")
-AT_A_KINK = Ending(
-    FEASIBLE_PATH,
-    True,
-    "the likelihood settled at a kink of the model, where no slope vanishes",
-)
-OTHERWISE = "Start from other values, or use more steps per sample."
-NO_OPTIMUM = Ending(FEASIBLE_PATH, False, f"no optimum was found {PATH}", OTHERWISE)
-NO_SLOPES = Ending(
-    FEASIBLE_PATH,
-    False,
-    "the slopes of the model are not finite along its solution",
-    OTHERWISE,
-)
-OUT_OF_ITERATIONS = Ending(
-    PATH_ITERATIONS,
-    False,
-    f"no optimum was found in {MAX_ITERATIONS} iterations {PATH}",
-    OTHERWISE,
-)
+MAX_ITERATIONS = 30  # where it was measured, successes had taken up to 29
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +149,7 @@ class FeasiblePath:
         began = time.perf_counter()
         place = self.follow(start, set_to)
         if place is None:
-            outcome = self._outcome(start, set_to, NO_OPTIMUM, 0, began)
+            outcome = self._outcome(start, set_to, endings.PATH_FAILED, 0, began)
             z = start
         else:
             descent = self._descended(place, set_to, began)
@@ -231,9 +203,9 @@ class FeasiblePath:
     def _limit(self, iterations: int, began: float) -> Ending | None:
         """The ending by a limit that has been reached, if any."""
         if iterations >= MAX_ITERATIONS:
-            return OUT_OF_ITERATIONS
+            return endings.PATH_OUT_OF_ITERATIONS
         if time.perf_counter() - began > self.max_seconds:
-            return ending_by_time(PATH_TIME, self.max_seconds, f"the steps {PATH}")
+            return endings.path_ending_by_time(self.max_seconds)
         return None
 
     def _advanced(self, now: _Descent, set_to: np.ndarray) -> _Descent:
@@ -241,9 +213,9 @@ class FeasiblePath:
         now = replace(now, iterations=now.iterations + 1)
         step = self._step(now.place, now.ridge, set_to)
         if not np.isfinite(step.promise):
-            return replace(now, ending=NO_SLOPES)
+            return replace(now, ending=endings.PATH_NO_SLOPES)
         if step.promise < PROMISED:
-            return replace(now, ending=OPTIMUM)
+            return replace(now, ending=endings.PATH_OPTIMUM)
         first_share = min(1.0, now.share / SHORTER**2)
         lower = self._lower_place(now.place, step.change, first_share, set_to)
         if lower is not None:
@@ -251,7 +223,7 @@ class FeasiblePath:
         if now.ridge < LARGEST_RIDGE:
             ridge = max(GROWTH * now.ridge, FIRST_RIDGE)
             return replace(now, ridge=ridge, share=1.0)
-        ending = AT_A_KINK if step.promise < AT_KINK else NO_OPTIMUM
+        ending = endings.PATH_AT_KINK if step.promise < AT_KINK else endings.PATH_FAILED
         return replace(now, ending=ending)
 
     def _moved(self, before: _Descent, lower: _Lower) -> _Descent:
@@ -260,9 +232,9 @@ class FeasiblePath:
         fall = 2 * self.half * (recent[0] - objective)
         ending = None
         if fall < SETTLED and before.ridge == 0:
-            ending = HAS_SETTLED
+            ending = endings.PATH_SETTLED
         elif fall < AT_KINK and lower.share < 1:
-            ending = AT_A_KINK
+            ending = endings.PATH_AT_KINK
         ridge = before.ridge / GROWTH if before.ridge > FIRST_RIDGE else 0.0
         return _Descent(
             lower.place, recent, ridge, lower.share, before.iterations, ending

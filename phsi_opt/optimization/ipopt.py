@@ -17,70 +17,11 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import SolveError
-from phsi_opt.optimization.outcome import TIME_LIMITS, Ending, Outcome, ending_by_time
+from phsi_opt.optimization.endings import Ending, ending_of_ipopt
+from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 
-# IPOPT's return statuses; the limits of time are worded elsewhere (`ending_by_time`).
-ENDINGS = (
-    Ending("Solve_Succeeded", True, "a local optimum was found"),
-    Ending(
-        "Solved_To_Acceptable_Level",
-        True,
-        "a local optimum was found to the looser, acceptable tolerance",
-        "Check the standard errors, or scale the data.",
-    ),
-    Ending(
-        "Infeasible_Problem_Detected",
-        False,
-        "no states satisfy the model exactly",
-        "Check signs and bounds of the model, or start from other values.",
-    ),
-    Ending(
-        "Search_Direction_Becomes_Too_Small",
-        False,
-        "the iteration stalled before an optimum",
-        "A term may not be smooth enough; widen its transition or use more steps per "
-        "sample.",
-    ),
-    Ending(
-        "Diverging_Iterates",
-        False,
-        "the iterates grew without limit",
-        "Bound the parameters; the model may be unstable.",
-    ),
-    Ending(
-        "Maximum_Iterations_Exceeded",
-        False,
-        "the iteration limit was reached before an optimum",
-        "Raise max_iterations, or give starting values nearer to the solution.",
-    ),
-    Ending(
-        "Restoration_Failed",
-        False,
-        "no feasible states could be found",
-        "Start from other values, or use more steps per sample.",
-    ),
-    Ending(
-        "Invalid_Number_Detected",
-        False,
-        "the model gave NaN or infinity",
-        "Look for a division by zero, a logarithm or root of a negative number, or a "
-        "missing bound.",
-    ),
-    Ending(
-        "Not_Enough_Degrees_Of_Freedom",
-        False,
-        "there are more equations than unknowns",
-        "Free a parameter.",
-    ),
-    Ending(
-        "User_Requested_Stop",
-        False,
-        "the solve was interrupted",
-        "Run it again to finish.",
-    ),
-)
 AT_KINK = "the iterates settled at a kink of the model, where no slope vanishes"
 # Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over
 # the last `SETTLING` of them the logarithm of the objective, times the number of
@@ -263,13 +204,7 @@ class Solver:
         )
 
     def _ending(self, status: str, stats: Mapping[str, Any]) -> Ending:
-        sentence = f"the solver stopped: {status}"
-        ending = Ending(status, False, sentence, "Try other starting values.")
-        if status in TIME_LIMITS:
-            ending = ending_by_time(status, self.limits.max_seconds)
-        for known in ENDINGS:
-            if known.status == status:
-                ending = known
+        ending = ending_of_ipopt(status, self.limits.max_seconds)
         if ending.is_usable or not self.is_exact:
             return ending
         is_settled = _is_settled(stats, self.program.residual.numel())

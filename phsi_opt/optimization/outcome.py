@@ -6,35 +6,8 @@ it is raised as an error is decided elsewhere.
 
 from dataclasses import dataclass
 
+from phsi_opt.optimization.endings import ITERATION_LIMITS, PATH_STATUSES, TIME_LIMITS
 from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
-
-# What ends the steps along solutions of the model before an optimum, beside IPOPT's own
-# statuses for the same.
-PATH_ITERATIONS = "Feasible_Path_Iterations_Exceeded"
-PATH_TIME = "Feasible_Path_WallTime_Exceeded"
-PATH_STATUSES = (FEASIBLE_PATH, PATH_ITERATIONS, PATH_TIME)
-ITERATION_LIMITS = ("Maximum_Iterations_Exceeded", PATH_ITERATIONS)
-TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded", PATH_TIME)
-
-
-@dataclass(frozen=True)
-class Ending:
-    """What a status says: is the point usable, what happened, and what to do."""
-
-    status: str
-    is_usable: bool
-    sentence: str
-    advice: str = ""
-
-
-def ending_by_time(status: str, max_seconds: float, what: str = "the solve") -> Ending:
-    """The ending of what the user's limit of ``max_seconds`` cut off."""
-    return Ending(
-        status,
-        False,
-        f"the time limit of {max_seconds:g} s ended {what}",
-        "Raise max_seconds, or use fewer samples.",
-    )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,142 @@
+"""The ways in which a solve can end: what each status means, and what to do.
+
+IPOPT's return statuses and those of the steps along solutions of the model. What was
+reached is not said here (`Outcome`).
+"""
+
+from dataclasses import dataclass
+
+from phsi_opt.optimization.settings import FEASIBLE_PATH
+
+# What ends the steps along solutions of the model before an optimum, beside IPOPT's own
+# statuses for the same.
+PATH_ITERATIONS = "Feasible_Path_Iterations_Exceeded"
+PATH_TIME = "Feasible_Path_WallTime_Exceeded"
+PATH_STATUSES = (FEASIBLE_PATH, PATH_ITERATIONS, PATH_TIME)
+ITERATION_LIMITS = ("Maximum_Iterations_Exceeded", PATH_ITERATIONS)
+TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded", PATH_TIME)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """What a status says: is the point usable, what happened, and what to do."""
+
+    status: str
+    is_usable: bool
+    sentence: str
+    advice: str = ""
+
+
+# IPOPT's return statuses, but for its limits of time.
+IPOPT_ENDINGS = (
+    Ending("Solve_Succeeded", True, "a local optimum was found"),
+    Ending(
+        "Solved_To_Acceptable_Level",
+        True,
+        "a local optimum was found to the looser, acceptable tolerance",
+        "Check the standard errors, or scale the data.",
+    ),
+    Ending(
+        "Infeasible_Problem_Detected",
+        False,
+        "no states satisfy the model exactly",
+        "Check signs and bounds of the model, or start from other values.",
+    ),
+    Ending(
+        "Search_Direction_Becomes_Too_Small",
+        False,
+        "the iteration stalled before an optimum",
+        "A term may not be smooth enough; widen its transition or use more steps per "
+        "sample.",
+    ),
+    Ending(
+        "Diverging_Iterates",
+        False,
+        "the iterates grew without limit",
+        "Bound the parameters; the model may be unstable.",
+    ),
+    Ending(
+        "Maximum_Iterations_Exceeded",
+        False,
+        "the iteration limit was reached before an optimum",
+        "Raise max_iterations, or give starting values nearer to the solution.",
+    ),
+    Ending(
+        "Restoration_Failed",
+        False,
+        "no feasible states could be found",
+        "Start from other values, or use more steps per sample.",
+    ),
+    Ending(
+        "Invalid_Number_Detected",
+        False,
+        "the model gave NaN or infinity",
+        "Look for a division by zero, a logarithm or root of a negative number, or a "
+        "missing bound.",
+    ),
+    Ending(
+        "Not_Enough_Degrees_Of_Freedom",
+        False,
+        "there are more equations than unknowns",
+        "Free a parameter.",
+    ),
+    Ending(
+        "User_Requested_Stop",
+        False,
+        "the solve was interrupted",
+        "Run it again to finish.",
+    ),
+)
+
+OTHERWISE = "Start from other values, or use more steps per sample."
+PATH = "along solutions of the model"
+PATH_OPTIMUM = Ending(FEASIBLE_PATH, True, f"a local optimum was found {PATH}")
+PATH_SETTLED = Ending(FEASIBLE_PATH, True, f"the likelihood settled {PATH}")
+PATH_AT_KINK = Ending(
+    FEASIBLE_PATH,
+    True,
+    "the likelihood settled at a kink of the model, where no slope vanishes",
+)
+PATH_FAILED = Ending(FEASIBLE_PATH, False, f"no optimum was found {PATH}", OTHERWISE)
+PATH_NO_SLOPES = Ending(
+    FEASIBLE_PATH,
+    False,
+    "the slopes of the model are not finite along its solution",
+    OTHERWISE,
+)
+PATH_OUT_OF_ITERATIONS = Ending(
+    PATH_ITERATIONS,
+    False,
+    f"the iteration limit was reached before an optimum {PATH}",
+    OTHERWISE,
+)
+
+
+def ending_of_ipopt(status: str, max_seconds: float) -> Ending:
+    """What IPOPT's return status means.
+
+    Args:
+        status: as IPOPT names it.
+        max_seconds: the user's limit of time, in s.
+    """
+    if status in TIME_LIMITS:
+        return _ending_by_time(status, max_seconds, "the solve")
+    for ending in IPOPT_ENDINGS:
+        if ending.status == status:
+            return ending
+    sentence = f"the solver stopped: {status}"
+    return Ending(status, False, sentence, "Try other starting values.")
+
+
+def path_ending_by_time(max_seconds: float) -> Ending:
+    """The ending of steps along solutions that the user's limit of time cut off."""
+    return _ending_by_time(PATH_TIME, max_seconds, f"the steps {PATH}")
+
+
+def _ending_by_time(status: str, max_seconds: float, what: str) -> Ending:
+    return Ending(
+        status,
+        False,
+        f"the time limit of {max_seconds:g} s ended {what}",
+        "Raise max_seconds, or use fewer samples.",
+    )
