@@ -6,15 +6,17 @@ from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.comparison.profile_likelihood import Profile, profile
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
@@ -24,6 +26,7 @@ from phsi_opt.study import Study
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 __all__ = [
+    "Candidate",
     "Comparison",
     "DataError",
     "Diagnosis",
@@ -32,6 +35,7 @@ __all__ = [
     "Fit",
     "MaximumLikelihood",
     "Measurements",
+    "Model",
     "ModelError",
     "PHSILoss",
     "Parameter",
@@ -43,6 +47,7 @@ __all__ = [
     "SolverSettings",
     "Study",
     "Trajectory",
+    "Verdict",
     "canonical",
     "catalogue",
     "compare",

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import fftconvolve
+from scipy.stats import chi2
 
 # Keeps quotients and logarithms of what may be zero finite; far below every number that
 # a measurement or a model can mean, far above the least that float64 can hold.
@@ -107,3 +108,32 @@ def effective_sample_share(
     if not actual > 0:  # nan included
         return 1.0
     return float(min(independent / actual, 1.0))
+
+
+def ljung_box(series: Sequence[np.ndarray]) -> float:
+    """p-value of the hypothesis that residuals are white, by Ljung and Box's test.
+
+    Q = sum over lags k of n (n + 2) r_k^2 / (n - k), with the autocorrelation r_k, is
+    chi-square distributed with as many degrees of freedom as there are lags. At most
+    ten lags of each series are used, a fifth of its length at most (Ljung and Box,
+    Biometrika 65, 1978).
+
+    Args:
+        series: residuals in the order of time, one array (n_samples,) per trajectory.
+
+    Returns:
+        The p-value; NaN where all series are too short.
+    """
+    statistic = 0.0
+    n_lags = 0
+    for residual in series:
+        n = len(residual)
+        lags = min(10, n // 5)
+        n_lags += lags
+        power = float(np.sum(residual**2))
+        if power <= 0:
+            continue
+        for lag in range(1, lags + 1):
+            correlation = np.sum(residual[lag:] * residual[:-lag]) / power
+            statistic += n * (n + 2) * correlation**2 / (n - lag)
+    return float(chi2.sf(statistic, n_lags)) if n_lags else np.nan

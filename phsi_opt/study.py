@@ -1,5 +1,6 @@
-"""The loop: compare, diagnose, add, watch the error fall; stop when nothing more is
-significant, and say why.
+"""The loop: compare, diagnose, add, watch the error fall; stop when nothing is left.
+
+It stops when no further effect is significant, and says why.
 """
 
 from collections.abc import Callable
@@ -9,58 +10,85 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from phsi_opt.comparison.compare import Comparison, compare, compared
-from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of
+from phsi_opt.comparison.compare import Comparison, compare, compare_record
+from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of_change
+from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.diagnose import diagnose
+from phsi_opt.diagnosis.diagnose import diagnose_comparison
+from phsi_opt.diagnosis.effort import ADDED
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.errors import ModelError, PhsiOptError, SolveError
+from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.presentation.report import Section, write_report
 from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# A brief re-fit is an optimum on its own grid: from there a thorough one converges
-# soon, or hardly ever (in up to 43 iterations where it was measured).
-REFINING = SolverSettings(max_iterations=100)
-# rise of -2 log likelihood that is another optimum, and not what steps that are finer
-# cost
-NO_WORSE = 10.0
+HELD_OUT = "held out"
+TRAINING = "training"
+HISTORY_COLUMNS = (
+    "step",
+    "effect",
+    "train_rmse",
+    "held_out_rmse",
+    "noise_floor",
+    "bic",
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step of a study: what was done, the effects that the model has since, the
-    fit, and both comparisons.
+    """One step of a study.
+
+    Attributes:
+        label: what was done.
+        added: the effects that the model has since beyond the base model.
+        fit: of the model.
+        train: its free run on the training record.
+        held_out: its free run on data held out; None where there are none.
     """
 
     label: str
-    effects: tuple[Effect, ...]
+    added: tuple[Effect, ...]
     fit: Fit
     train: Comparison
     held_out: Comparison | None
+
+    @property
+    def judged(self) -> Comparison:
+        """The comparison that judges: on data held out, else on the training record."""
+        return self.held_out or self.train
 
 
 class Study:
     """A model, the measurements it is fitted to, and the effects added so far.
 
-    Args:
-        model: the base model. train: measurements to fit. held_out: measurements to
-            judge by (recommended).
-        loss: how to fit, default `MaximumLikelihood`. progress: called with a line of
-            text as the work goes on.
-
     The model given is never changed; ``study.model`` is the present one. Every error is
     the root mean square of the free-run residual over the measured channels, in the
     channel's unit where there is one, else in standard deviations.
+
+    Args:
+        model: the base model.
+        train: measurements to fit.
+        held_out: measurements to judge by (recommended).
+        loss: how to fit; default `MaximumLikelihood`.
+        progress: called with a line of text as the work goes on, such as ``print``.
+
+    Attributes:
+        steps: what was done so far, the base model first.
+        stopped: why `auto` stopped last.
+
+    Raises:
+        DataError: a state or input of the model is not in the measurements.
+        SolveError: the base model could not be fitted.
     """
 
     def __init__(
@@ -75,16 +103,13 @@ class Study:
         self.base = model
         self.train = aligned(model, train)
         self.held_out = None if held_out is None else aligned(model, held_out)
-        self._loss, self._say = (
-            loss or MaximumLikelihood(),
-            progress or (lambda line: None),
-        )
-        self._diagnoses: dict[int, Diagnosis] = {}
         self.stopped = ""
+        self._loss = loss or MaximumLikelihood()
+        self._say = progress or _silent
+        self._diagnoses: dict[int, Diagnosis] = {}
         self._say("fitting the base model")
-        self.steps: list[Step] = [
-            self._step("base model", (), identify(model, self.train, self._loss))
-        ]
+        fit = identify(model, self.train, self._loss)
+        self.steps: list[Step] = [self._step("base model", (), fit)]
 
     @property
     def fit(self) -> Fit:
@@ -96,67 +121,101 @@ class Study:
         """The present model, with its fitted values."""
         return self.fit.model
 
-    def compare(self) -> Comparison:
-        """The present model against the data held out (the training data where none
-        were).
+    @property
+    def added(self) -> tuple[Effect, ...]:
+        """Effects that the present model has beyond the base model, oldest first."""
+        return self.steps[-1].added
+
+    def compare(self, on: str | None = None) -> Comparison:
+        """The free run of the present model.
+
+        Args:
+            on: ``"held out"`` or ``"training"``; default: the data held out, and the
+                training data where there are none.
+
+        Raises:
+            DataError: data held out are asked for, and there are none.
         """
-        return self.steps[-1].held_out or self.steps[-1].train
+        step = self.steps[-1]
+        if on is None:
+            return step.judged
+        if on == TRAINING:
+            return step.train
+        if on != HELD_OUT:
+            raise DataError(f"on={on!r} is neither {HELD_OUT!r} nor {TRAINING!r}.")
+        if step.held_out is None:
+            raise DataError(
+                f"on={on!r}, but no data were held out; give Study(..., held_out=...)."
+            )
+        return step.held_out
 
     def diagnose(self) -> Diagnosis:
         """What the present model lacks; worked out once per step."""
         key = len(self.steps)
         if key not in self._diagnoses:
-            self._diagnoses[key] = diagnose(
-                self.fit, self.train, self.held_out, loss=self._loss, progress=self._say
+            step = self.steps[-1]
+            self._diagnoses[key] = diagnose_comparison(
+                step.train, step.held_out, loss=self._loss, progress=self._say
             )
         return self._diagnoses[key]
 
     def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
-        """Add an effect (by its name in the catalogue and the equation, or an
-        `Effect`), re-fit, and return the fit.
+        """Add an effect, re-fit, and return the fit.
+
+        Args:
+            effect: an `Effect`, or its name in the catalogue.
+            equation: the equation that a named effect acts in.
+
+        Raises:
+            ModelError: there is no such effect, or it is in the model already.
+            SolveError: the larger model could not be fitted.
         """
         if isinstance(effect, str):
-            if equation is None:
-                raise ModelError(
-                    f"which equation does {effect!r} act in? Write study.add({effect!r}, '<state>')."
-                )
-            effect = effect_named(self.model, effect, equation)
-        known = self._diagnoses.get(len(self.steps))
-        found = (
-            None
-            if known is None
-            else next((c for c in known.ranked if c.effect == effect), None)
-        )
+            effect = self._named(effect, equation)
+        found = self._known_candidate(effect)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
-            alone = diagnose(self.fit, self.train, effects=[effect], loss=self._loss)
-            found = next(iter(alone.ranked), None)
+            alone = diagnose_comparison(
+                self.steps[-1].train, effects=[effect], loss=self._loss
+            )
+            found = alone.ranking[0] if alone.ranking else None
         fit = self._fitted(effect, found)
-        self.steps.append(self._step(str(effect), (*self.effects, effect), fit))
+        self.steps.append(self._step(str(effect), (*self.added, effect), fit))
         return fit
 
     def remove(self, effect: str | Effect, equation: str | None = None) -> Fit:
-        """Take out an effect of an earlier step, re-fit all that is left together, and
-        return the fit.
+        """Take out an effect of an earlier step, re-fit what is left, return the fit.
+
+        Args:
+            effect: an `Effect` that was added, or its name.
+            equation: where several of one name were added, that of the one to remove.
+
+        Raises:
+            ModelError: not exactly one such effect was added.
+            SolveError: the smaller model could not be fitted.
         """
         name = effect if isinstance(effect, str) else effect.name
         place = equation if isinstance(effect, str) else effect.equation
-        found = [
-            e for e in self.effects if e.name == name and place in (None, e.equation)
-        ]
+        found = []
+        for known in self.added:
+            if known.name == name and place in (None, known.equation):
+                found.append(known)
         if len(found) != 1:
+            listed = ", ".join(str(known) for known in self.added) or "none"
             raise ModelError(
-                f"{len(found)} effects named {name!r} on {place or 'any equation'} were added; added are "
-                f"{', '.join(map(str, self.effects)) or 'none'}."
+                f"{len(found)} effects named {name!r} on {place or 'any equation'} were "
+                f"added; added are {listed}."
             )
         self._say(f"removing {found[0]}")
-        kept = tuple(e for e in self.effects if e is not found[0])
+        kept = self._without(found[0])
         self.steps.append(self._step(f"without {found[0]}", kept, self._fit_with(kept)))
         return self.fit
 
     def undo(self) -> Fit:
-        """Take back the last step, with all that it added, and return the fit before
-        it.
+        """Take back the last step, with all that it added; return the fit before it.
+
+        Raises:
+            ModelError: the study is at its base model.
         """
         if len(self.steps) == 1:
             raise ModelError(
@@ -168,25 +227,28 @@ class Study:
         return self.fit
 
     def auto(self, max_steps: int = 4) -> str:
-        """Diagnose and add while an effect is significant; returns (and keeps in
-        ``stopped``) why it stopped.
+        """Diagnose and add while an effect is significant, then say why it stopped.
 
         An effect is added when the diagnosis names it, or when it explains most of what
         is missing; two in one step where the diagnosis found each needed beside the
         other. After each step, effects that were added before and that BIC no longer
         asks for are taken out again.
+
+        Returns:
+            Why it stopped; kept in ``stopped``.
         """
         for _ in range(max_steps):
             diagnosis = self.diagnose()
-            self._say(f"{diagnosis.verdict}: {diagnosis.reason}")
-            if not diagnosis.together:
-                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}"
+            said = f"{diagnosis.verdict}: {diagnosis.reason}"
+            self._say(said)
+            if not diagnosis.proposed:
+                self.stopped = said
                 return self.stopped
             try:
                 self._add_proposed(diagnosis)
             except SolveError as error:
-                which = " and ".join(map(str, diagnosis.together))
-                self.stopped = f"{diagnosis.verdict}: {diagnosis.reason}; {which} could not be added: {error}"
+                which = " and ".join(str(effect) for effect in diagnosis.proposed)
+                self.stopped = f"{said}; {which} could not be added: {error}"
                 return self.stopped
             self._check_earlier()
         self.stopped = (
@@ -196,34 +258,27 @@ class Study:
 
     @property
     def history(self) -> pd.DataFrame:
-        """step, effect, train_rmse, held_out_rmse, noise_floor, bic (`held_out_rmse` is
-        NaN without held-out data).
+        """The steps so far.
+
+        Columns: step, effect, train_rmse, held_out_rmse (NaN without data held out),
+        noise_floor, bic.
         """
         rows = []
         for number, step in enumerate(self.steps):
-            judged = step.held_out or step.train
-            held_out = float("nan") if step.held_out is None else step.held_out.rmse
+            held_out = float("nan")
+            if step.held_out is not None:
+                held_out = step.held_out.rmse
             rows.append(
                 (
                     number,
                     step.label,
                     step.train.rmse,
                     held_out,
-                    judged.noise_floor,
+                    step.judged.noise_floor,
                     step.fit.bic,
                 )
             )
-        return pd.DataFrame(
-            rows,
-            columns=[
-                "step",
-                "effect",
-                "train_rmse",
-                "held_out_rmse",
-                "noise_floor",
-                "bic",
-            ],
-        )
+        return pd.DataFrame(rows, columns=list(HISTORY_COLUMNS))
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""
@@ -235,105 +290,125 @@ class Study:
     def unit(self) -> str:
         """Unit of the errors: that of the channel where one is measured."""
         measured = self.train.measured
-        return (
-            self.train.units.get(measured[0], "")
-            if len(measured) == 1
-            else "standard deviations"
-        )
+        if len(measured) > 1:
+            return "standard deviations"
+        return self.train.units.get(measured[0], "")
 
     def report(self, path: str | Path) -> Path:
-        """Write the study as text (Markdown, ``.md`` or ``.txt``): equations, history,
-        verdict; returns the path.
-        """
-        from phsi_opt.presentation.report import write_report
+        """Write the study as text: equations, history, verdict; return the path.
 
-        return write_report(self, Path(path))
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects that the present model has beyond the base model, in the order in
-        which they were added.
+        Raises:
+            DataError: the file is neither Markdown (``.md``) nor text (``.txt``).
         """
-        return self.steps[-1].effects
+        return write_report(self.report_sections(), Path(path))
+
+    def report_sections(self) -> list[Section]:
+        """History, present model, comparison, verdict, and every diagnosis."""
+        unit = f" ({self.unit})" if self.unit else ""
+        history = self.history.to_string(index=False, float_format=lambda v: f"{v:.4g}")
+        introduction = f"Errors are root mean squares of the free-run residual{unit}."
+        not_asked = "not asked yet: call `study.auto()` or `study.diagnose()`"
+        model = (str(self.fit), "\n".join(self.fit.equations()))
+        sections = [
+            Section("Study", 1, introduction),
+            Section("History", 2, outputs=(history,)),
+            Section("Model", 2, outputs=model),
+            Section("Against the measurements", 2, outputs=(str(self.compare()),)),
+            Section("Verdict", 2, self.stopped or not_asked),
+        ]
+        for number, diagnosis in sorted(self._diagnoses.items()):
+            said = "\n".join(f"- {sentence}" for sentence in diagnosis.sentences)
+            heading = f"Diagnosis before step {number}"
+            sections.append(Section(heading, 3, said, (str(diagnosis),)))
+        return sections
+
+    def _named(self, name: str, equation: str | None) -> Effect:
+        if equation is None:
+            raise ModelError(
+                f"which equation does {name!r} act in? "
+                f"Write study.add({name!r}, '<state>')."
+            )
+        return effect_named(self.model, name, equation)
+
+    def _known_candidate(self, effect: Effect) -> Candidate | None:
+        """What the diagnosis of the present model found of an effect."""
+        known = self._diagnoses.get(len(self.steps))
+        if known is not None:
+            for candidate in known.ranking:
+                if candidate.effect == effect:
+                    return candidate
+        return None
+
+    def _without(self, effect: Effect) -> tuple[Effect, ...]:
+        return tuple(known for known in self.added if known is not effect)
 
     def _add_proposed(self, diagnosis: Diagnosis) -> None:
-        """The effect that the diagnosis proposes; two in one step: each was needed
-        beside the other.
-        """
-        if len(diagnosis.together) > 1 and diagnosis.nearest is not None:
-            self._add_together(diagnosis.together, diagnosis.nearest)
-        else:
-            self.add(diagnosis.together[0])
-
-    def _add_together(self, effects: tuple[Effect, ...], nearest: Fit) -> None:
-        """Add effects in one step, from their brief re-fit."""
-        label = " and ".join(map(str, effects))
+        """What the diagnosis proposes; two in one step: each was needed."""
+        proposed = diagnosis.proposed
+        brief = diagnosis.proposed_fit
+        if len(proposed) == 1 or brief is None:
+            self.add(proposed[0])
+            return
+        label = " and ".join(str(effect) for effect in proposed)
         self._say(f"adding {label}")
-        self.steps.append(
-            self._step(label, (*self.effects, *effects), self._refined(nearest))
-        )
+        fit = self._refined(brief)
+        self.steps.append(self._step(label, (*self.added, *proposed), fit))
 
     def _refined(self, brief: Fit) -> Fit:
-        """A brief re-fit of a diagnosis made thorough; kept itself where that fails or
-        is worse.
-        """
+        """A brief re-fit made thorough; kept itself where that fails or is worse."""
         try:
             thorough = identify(
-                brief.model, self.train, self._loss, start=brief, settings=REFINING
+                brief.model, self.train, self._loss, start=brief, settings=ADDED
             )
         except SolveError:
             return brief
-        return thorough if deviance(thorough) < deviance(brief) + NO_WORSE else brief
+        if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
+            return thorough
+        return brief
 
     def _check_earlier(self) -> None:
         """Take out each earlier effect without which BIC is lower."""
-        for effect in self.effects[:-1]:
+        for effect in self.added[:-1]:
+            kept = self._without(effect)
             try:
-                without = self._fit_with(
-                    tuple(e for e in self.effects if e is not effect)
-                )
+                fit = self._fit_with(kept)
             except PhsiOptError:
                 continue
-            train = self.steps[-1].train
-            smaller = compared(
-                without,
-                self.train,
-                train.noise[: without.model.n_states],
-                without.states,
+            trained = self.steps[-1].train
+            smaller = compare_record(
+                Record.beside(fit, self.train, trained.record.estimate)
             )
-            if delta_bic(self.fit, without, share_of(smaller, train)) < 0:
+            if delta_bic(self.fit, fit, share_of_change(smaller, trained)) < 0:
                 self._say(f"{effect} has become superfluous")
-                kept = tuple(e for e in self.effects if e is not effect)
-                self.steps.append(self._step(f"without {effect}", kept, without))
+                self.steps.append(self._step(f"without {effect}", kept, fit))
 
     def _fitted(self, effect: Effect, found: Candidate | None) -> Fit:
         """The model with the effect, from what the diagnosis found of it."""
         if found is not None and found.fit is not None:
             return self._refined(found.fit)
         values = {} if found is None else found.values
-        return identify(
-            self.model.add(effect).with_values(values),
-            self.train,
-            self._loss,
-            start=self.fit,
-        )
+        larger = self.model.add(effect).with_values(values)
+        return identify(larger, self.train, self._loss, start=self.fit)
 
     def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
-        """The base model with the effects, all parameters re-estimated together from
-        their present values.
-        """
+        """The base model with effects, all parameters re-estimated from the present."""
         model = self.base
         for effect in effects:
             model = model.add(effect)
-        known = {
-            name: value
-            for name, value in self.model.values.items()
-            if name in model.entries
-        }
+        known = {}
+        for name, value in self.model.values.items():
+            if name in model.entries:
+                known[name] = value
         return identify(
             model.with_values(known), self.train, self._loss, start=self.fit
         )
 
-    def _step(self, label: str, effects: tuple[Effect, ...], fit: Fit) -> Step:
-        held_out = None if self.held_out is None else compare(fit, self.held_out)
-        return Step(label, effects, fit, compare(fit, self.train), held_out)
+    def _step(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Step:
+        held_out = None
+        if self.held_out is not None:
+            held_out = compare(fit, self.held_out)
+        return Step(label, added, fit, compare(fit, self.train), held_out)
+
+
+def _silent(line: str) -> None:
+    pass

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from phsi_opt.comparison.model_selection import falls_or_most
+from phsi_opt.comparison.model_selection import falls_or_explains_most
 
 
 class _Errors:
@@ -29,7 +29,7 @@ def test_most_of_an_error_at_the_noise_floor_is_nothing() -> None:
         old = rng.normal(size=200)
         new = old + 0.03 * rng.normal(size=200)
         floor = 0.999 * float(np.sqrt(np.mean(old**2)))
-        accepted += falls_or_most(_Errors(old, floor), _Errors(new, floor))  # type: ignore[arg-type]
+        accepted += falls_or_explains_most(_Errors(old, floor), _Errors(new, floor))  # type: ignore[arg-type]
     assert accepted < 20  # 5 % are asked for
     large, half = 3 * rng.normal(size=12), rng.normal(size=12)
-    assert falls_or_most(_Errors(large, 0.1), _Errors(half, 0.1))  # type: ignore[arg-type]
+    assert falls_or_explains_most(_Errors(large, 0.1), _Errors(half, 0.1))  # type: ignore[arg-type]

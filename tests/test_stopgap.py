@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation.missing_force import force_of
+from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
 from phsi_opt.learning.learned_force import LearnedForce, distil, learned_force
 from phsi_opt.learning.orthogonal_network import Response
@@ -104,7 +104,8 @@ def test_less_is_missing_beside_the_learned_force_and_the_parameters_have_taken_
     pulse: Case,
 ) -> None:
     fit = pulse.learned.fit
-    left, before = force_of(fit, pulse.train).w, pulse.learned.record.w
+    left = Record.of(fit, pulse.train).estimate.w
+    before = pulse.learned.record.w
     assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(before**2))
     # The free run needs both: with the parameters of the first fit, which had stood in
     # for the force, it is worse.
@@ -151,9 +152,7 @@ def test_a_product_of_two_variables_is_distilled_and_the_diagnosis_confirms_it(
 
 def test_terms_that_the_physics_has_are_never_distilled(pulse: Case) -> None:
     record, v = pulse.learned.record, pulse.learned.record.v[:, 0]
-    response = Response.of(
-        pulse.fit, pulse.train, force_of(pulse.fit, pulse.train), row=1
-    )
+    response = Response.of(Record.of(pulse.fit, pulse.train), row=1)
     beside = replace(
         response, residual=response.traces(-(v**3)[:, None])[:, 0]
     )  # what a cubic spring would leave

@@ -10,15 +10,12 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from phsi_opt.comparison.compare import compare
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import ModelError
-from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
-from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation, force_of
-from phsi_opt.force_analysis.dependence import depends_on
-from phsi_opt.force_analysis.energy import power
+from phsi_opt.estimation.missing_force import force_deviation
+from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.force_plots import (
     plot_dependence,
     plot_force,
@@ -27,8 +24,7 @@ from phsi_opt.force_analysis.force_plots import (
     plot_where,
 )
 from phsi_opt.force_analysis.force_record import spectrum
-from phsi_opt.force_analysis.localization import located, uncertain
-from phsi_opt.force_analysis.wording import sentences
+from phsi_opt.force_analysis.localization import uncertain
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
@@ -39,7 +35,7 @@ M, K, D = 2.5, 40.0, 0.8
 UNITS = {"q": "m", "p": "kg m/s", "t": "s", "u": "N"}
 Force = Callable[[float, float, float, float], float]  # of t, q, v, u
 Number = Parameter | float
-Case = tuple[Fit, Measurements, ForceEstimate]
+Case = Record
 
 
 def spring(c: Number | None = None) -> PseudoHamiltonian:
@@ -96,7 +92,7 @@ def spring_with(
         times, states, inputs, states=["q", "p"], inputs=["u"], units=UNITS
     )
     fit = identify(model or spring(), data)
-    return fit, data, force_of(fit, data)
+    return Record.of(fit, data)
 
 
 HIDDEN: dict[str, Force] = {
@@ -143,11 +139,11 @@ def tanks() -> Case:
     )
     b, a1, a2 = (Parameter(0.05, lower=0, upper=1) for _ in range(3))
     fit = identify(model(b, a1, a2), data)
-    return fit, data, force_of(fit, data)
+    return Record.of(fit, data)
 
 
 def best(case: Case, equation: str = "p") -> tuple[str, float]:
-    found = depends_on(case[0], case[2])
+    found = ForceAnalysis.of(case).follows
     first = found[found["equation"] == equation].iloc[0]
     return str(first["variable"]), float(first["share"])
 
@@ -186,8 +182,7 @@ def test_the_variable_that_the_hidden_force_follows_is_named(
 def test_what_the_hidden_force_does_with_energy_is_named(
     cases: dict[str, Case], name: str, cause: str, words: str
 ) -> None:
-    fit, data, estimate = cases[name]
-    found = power(fit, estimate, units=data.units)
+    found = ForceAnalysis.of(cases[name]).energy
     shares = found.table.drop(columns=["equation", "mean_power"]).iloc[0]
     assert shares.drop("unexplained").idxmax() == cause
     assert shares.sum() == pytest.approx(1.0, abs=1e-12)
@@ -195,32 +190,31 @@ def test_what_the_hidden_force_does_with_energy_is_named(
 
 
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
-    fit, _, estimate = spring_with(HIDDEN["friction"], model=spring(D))
-    found = power(fit, estimate)
+    case = spring_with(HIDDEN["friction"], model=spring(D))
+    found = ForceAnalysis.of(case).energy
     assert "takes energy out (it opposes the velocity dH_dp)" in found.sentences[0]
-    speed = np.abs(estimate.x[:, 1] / M).mean()
+    speed = np.abs(case.estimate.x[:, 1] / M).mean()
     # Minus friction times speed, but for what smoothing takes off where the velocity
     # turns.
     assert found.table["mean_power"].iloc[0] == pytest.approx(-3 * speed, rel=0.15)
 
 
 def test_a_short_push_is_placed_in_its_time(cases: dict[str, Case]) -> None:
-    fit, _, estimate = cases["push"]
-    row = located(fit, estimate, ["first", "second"]).iloc[0]
+    row = ForceAnalysis.of(cases["push"]).where.iloc[0]
     begin, end = (float(text) for text in row["time_window"].split(" to "))
     assert 4 - 0.1 <= begin < end <= 5 + 0.1  # a tenth of the record, to a sample
-    assert row["trajectory"] in ("first", "second")
+    assert row["trajectory"] in cases["push"].trajectories
 
 
 def test_a_stiffening_spring_is_strong_at_both_ends_of_the_positions(
     cases: dict[str, Case],
 ) -> None:
-    fit, _, estimate = cases["cubic"]
-    region = located(fit, estimate)["state_region"].iloc[0]
+    case = cases["cubic"]
+    region = ForceAnalysis.of(case).where["state_region"].iloc[0]
     assert region.startswith("q ")
     assert "p" not in region.replace("positions", "")
     bounds = [float(v) for part in region[2:].split(" or ") for v in part.split(" to ")]
-    assert max(abs(v) for v in bounds) > 0.6 * np.abs(estimate.x[:, 0]).max()
+    assert max(abs(v) for v in bounds) > 0.6 * np.abs(case.estimate.x[:, 0]).max()
 
 
 def test_the_frequency_of_a_hidden_wave_is_found_in_even_and_uneven_samples(
@@ -229,28 +223,26 @@ def test_the_frequency_of_a_hidden_wave_is_found_in_even_and_uneven_samples(
     for case in (cases["wave"], spring_with(HIDDEN["wave"], even=False)):
         # The peak of ten seconds is 0.1 wide; noise moves its top by a fraction of
         # that.
-        assert located(case[0], case[2])["frequency"].iloc[0] == pytest.approx(
-            0.4, abs=0.03
-        )
+        frequency = ForceAnalysis.of(case).where["frequency"].iloc[0]
+        assert frequency == pytest.approx(0.4, abs=0.03)
         assert best(case)[0] == "t"
 
 
 def test_where_nothing_is_missing_no_force_is_called_sure(
     cases: dict[str, Case],
 ) -> None:
-    fit, data, estimate = cases["nothing"]
-    assert located(fit, estimate)["times_noise"].iloc[0] < 0.5
-    assert "no missing force is sure" in sentences(fit, estimate, units=data.units)[0]
+    found = ForceAnalysis.of(cases["nothing"])
+    assert found.where["times_noise"].iloc[0] < 0.5
+    assert "no missing force is sure" in found.sentences[0]
 
 
 def test_every_hidden_force_is_surer_than_its_standard_deviation(
     cases: dict[str, Case],
 ) -> None:
     for name in HIDDEN:
-        fit, _, estimate = cases[name]
-        row = located(fit, estimate).iloc[0]
+        row = ForceAnalysis.of(cases[name]).where.iloc[0]
         assert row["times_noise"] > 1
-        typical = float(np.median(force_deviation(estimate)))
+        typical = float(np.median(force_deviation(cases[name].estimate)))
         # The sizes of force and noise have settled within 2 % per update, and both
         # shift the ratio.
         assert row["times_noise"] == pytest.approx(row["strength"] / typical, rel=0.1)
@@ -259,40 +251,38 @@ def test_every_hidden_force_is_surer_than_its_standard_deviation(
 def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
     tanks: Case,
 ) -> None:
-    fit, _, estimate = tanks
-    assert list(located(fit, estimate)["equation"]) == [
+    found = ForceAnalysis.of(tanks)
+    assert list(found.where["equation"]) == [
         "h1",
         "h2",
     ]  # the strongest first
     assert best(tanks, "h1")[0] == "h1"
-    upper, lower = power(fit, estimate).table.to_dict("records")
+    upper, lower = found.energy.table.to_dict("records")
     assert upper["dissipated"] > 0.8
     # The outlets of the second tank are right but for a1 and a2, which the leak has
     # moved.
     assert lower["parameters"] > 0.8
-    assert (
-        "other values of the model's own parameters"
-        in power(fit, estimate).sentences[1]
-    )
+    assert "other values of the model's own parameters" in found.energy.sentences[1]
 
 
 def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:
-    fit, _, estimate = cases["constant"]
+    case = cases["constant"]
     rng = np.random.default_rng(1)
-    noise = replace(estimate, w=rng.normal(size=estimate.w.shape))
-    found = depends_on(fit, noise)
+    noise = rng.normal(size=case.estimate.w.shape)
+    analysis = ForceAnalysis.of(replace(case, estimate=replace(case.estimate, w=noise)))
+    found = analysis.follows
     assert (
         found["share"].max() < 0.1
     )  # 2 to 49 coefficients for 400 values, none of them earned
-    assert power(fit, noise).sentences == ("no clear pattern",)
+    assert analysis.energy.sentences == ("no clear pattern",)
 
 
 def test_shares_do_not_depend_on_the_unit_of_the_force(cases: dict[str, Case]) -> None:
-    fit, _, estimate = cases["cubic"]
-    scaled = depends_on(fit, replace(estimate, w=1e3 * estimate.w))
-    np.testing.assert_allclose(
-        scaled["share"], depends_on(fit, estimate)["share"], atol=1e-9
-    )
+    case = cases["cubic"]
+    larger = replace(case.estimate, w=1e3 * case.estimate.w)
+    scaled = ForceAnalysis.of(replace(case, estimate=larger)).follows
+    plain = ForceAnalysis.of(case).follows
+    np.testing.assert_allclose(scaled["share"], plain["share"], atol=1e-9)
 
 
 @pytest.mark.parametrize("even", [True, False])
@@ -310,7 +300,7 @@ def test_a_sine_has_its_amplitude_in_the_spectrum(even: bool) -> None:
 def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(
     cases: dict[str, Case],
 ) -> None:
-    estimate = cases["cubic"][2]
+    estimate = cases["cubic"].estimate
     draws = uncertain(estimate, n_draws=400)
     # 400 draws tell each standard deviation to 3.5 %; the mean over all intervals
     # better than that.
@@ -320,10 +310,7 @@ def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(
 
 
 def test_sentences_say_size_place_and_cause_with_units(cases: dict[str, Case]) -> None:
-    fit, data, estimate = cases["wave"]
-    (said,) = sentences(
-        fit, estimate, [run.name for run in data.trajectories], data.units
-    )
+    (said,) = ForceAnalysis.of(cases["wave"]).sentences
     for part in (
         "dp/dt lacks a force of rms 2.",
         "(kg m/s)/s",
@@ -340,14 +327,9 @@ def closing() -> Iterator[None]:
     plt.close("all")
 
 
-def diagnosis_of(case: Case) -> Diagnosis:
-    fit, data, estimate = case
-    return Diagnosis(fit, data, estimate, compare(fit, data), (), "", "")
-
-
 @pytest.mark.usefixtures("closing")
 def test_the_four_panels_name_what_they_show(cases: dict[str, Case]) -> None:
-    figure = plot_where(diagnosis_of(cases["cubic"]))
+    figure = plot_where(ForceAnalysis.of(cases["cubic"]))
     assert isinstance(figure, Figure)
     titles = [" ".join(ax.get_title().split()) for ax in figure.axes if ax.get_title()]
     assert len(titles) == 4
@@ -362,7 +344,7 @@ def test_the_four_panels_name_what_they_show(cases: dict[str, Case]) -> None:
 def test_cells_that_were_not_visited_are_blank_and_colours_are_symmetric(
     cases: dict[str, Case],
 ) -> None:
-    ax = plot_map(diagnosis_of(cases["friction"]))
+    ax = plot_map(ForceAnalysis.of(cases["friction"]))
     (mesh,) = ax.collections
     values: np.ma.MaskedArray = np.ma.asarray(mesh.get_array())
     assert 0 < np.ma.count_masked(values) < values.size
@@ -394,32 +376,32 @@ def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
         t, x + 0.01 * rng.normal(size=x.shape), states=["q1", "q2", "p1", "p2"]
     )
     fit = identify(model, data)
-    case = fit, data, force_of(fit, data)
+    case = Record.of(fit, data)
     assert best(case, "p1")[0] == "q1, q2"
-    assert "positions q1, q2" in power(fit, case[2]).sentences[0]
-    ax = plot_map(diagnosis_of(case), "p1")
+    assert "positions q1, q2" in ForceAnalysis.of(case).energy.sentences[0]
+    ax = plot_map(ForceAnalysis.of(case), "p1")
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "q2")
 
 
 @pytest.mark.usefixtures("closing")
 def test_tanks_are_drawn_over_the_states_that_matter(tanks: Case) -> None:
-    diagnosis = diagnosis_of(tanks)
-    ax = plot_map(diagnosis, "h1")
+    analysis = ForceAnalysis.of(tanks)
+    ax = plot_map(analysis, "h1")
     assert {ax.get_xlabel(), ax.get_ylabel()} == {"h1", "h2"}
-    assert "follows h1" in plot_dependence(diagnosis, equation="h1").get_title()
+    assert "follows h1" in plot_dependence(analysis, equation="h1").get_title()
     assert (
-        plot_spectrum(diagnosis, "h2").get_xlabel()
+        plot_spectrum(analysis, "h2").get_xlabel()
         == "frequency (cycles per unit of time)"
     )
-    assert plot_force(diagnosis, "h2").get_ylabel() == "missing force"
+    assert plot_force(analysis, "h2").get_ylabel() == "missing force"
 
 
 @pytest.mark.usefixtures("closing")
 def test_a_variable_or_equation_that_is_not_there_is_refused_by_name(
     cases: dict[str, Case],
 ) -> None:
-    diagnosis = diagnosis_of(cases["wave"])
+    analysis = ForceAnalysis.of(cases["wave"])
     with pytest.raises(ModelError, match=r"variable='velocity'.*known are q, p, u, t"):
-        plot_dependence(diagnosis, "velocity")
+        plot_dependence(analysis, "velocity")
     with pytest.raises(ModelError, match=r"equation='q' has no missing force.*are p\."):
-        plot_map(diagnosis, "q")
+        plot_map(analysis, "q")

@@ -1,30 +1,31 @@
-"""Model against measurements: the free run, its errors, and what the noise alone would
-leave.
+"""Model against measurements: the free run, its errors, and what the noise alone leaves.
+
+A free run begins at a state that was estimated from the whole record and never looks at
+the measurements again. A prediction over one step would hide what a model lacks: every
+sample would correct it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from scipy.stats import chi2
 
-from phsi_opt.comparison.prediction_bands import bands
+from phsi_opt.comparison.energy_balance import energy_balance
+from phsi_opt.comparison.prediction_bands import prediction_bands
+from phsi_opt.criteria import DIVERGED_RUN, HORIZON_RESIDUAL
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate, force_of
-from phsi_opt.estimation.smoothing import explained
-from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
+from phsi_opt.estimation.record import Record
+from phsi_opt.estimation.smoothing import smoothed_states
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.model.model import Model
 from phsi_opt.simulation.free_run import free_run
-from phsi_opt.statistics import TINY
-from phsi_opt.transcription.alignment import aligned
-from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import grid_of
+from phsi_opt.statistics import TINY, ljung_box
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
@@ -32,169 +33,182 @@ if TYPE_CHECKING:
 
     from phsi_opt.presentation.pictures import Channel
 
-# in standard deviations of the measurements: stands for a simulation that broke off
-LOST = 1e3
-# standard deviations of noise beyond which a single residual ends the free-run horizon
-WORST_OF_NOISE = 4.0
+TABLE_COLUMNS = (
+    "state",
+    "unit",
+    "fit_percent",
+    "rmse",
+    "noise_floor",
+    "chi2_dof",
+    "whiteness",
+    "horizon",
+    "n_samples",
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A free run beside the measurements.
 
-    ``simulated``, ``shown`` (what the sensors would show of it) and ``residuals`` hold
-    one array (n_samples, n_states) per trajectory, ``values`` the free parameters that
-    were used in each; ``noise`` is the measurement noise per state, estimated with a
-    free missing force, so that a wrong model does not inflate it.
+    Attributes:
+        record: the fit, the measurements, and the noise that was estimated beside a
+            free missing force, so that a wrong model does not inflate it.
+        values: the free parameters that were used, by trajectory and name.
+        simulated: states of the free run, one (n_samples, n_states) per trajectory.
+        shown: what the sensors would show of it, in the same shape.
+        residuals: measured less shown, in the same shape; NaN where nothing was
+            measured.
     """
 
-    fit: Fit
-    data: Measurements
+    record: Record
     values: Mapping[str, Mapping[str, float]]
     simulated: tuple[np.ndarray, ...]
     shown: tuple[np.ndarray, ...]
     residuals: tuple[np.ndarray, ...]
-    noise: np.ndarray
+
+    @property
+    def fit(self) -> Fit:
+        """The fit that ran."""
+        return self.record.fit
 
     @property
     def model(self) -> Model:
         """The model that ran."""
-        return self.fit.model
+        return self.record.model
+
+    @property
+    def data(self) -> Measurements:
+        """The measurements, in the model's order."""
+        return self.record.data
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of the noise, (n_states,); one for unmeasured states."""
+        return self.record.sigma
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Standard deviation of the noise by measured state, in its unit."""
+        by_state = zip(self.model.states, self.sigma.tolist(), strict=True)
+        return {name: s for name, s in by_state if name in self.data.measured}
 
     @cached_property
     def bands(self) -> tuple[np.ndarray, ...] | None:
-        """Standard deviation of what the free run shows (see `record.bands`), per
-        trajectory; None: not known.
+        """Standard deviation of what the free run shows, per trajectory.
+
+        See `prediction_bands`; None where it is not known.
         """
-        return bands(self.fit, self.data, self.noise, self.simulated, self.values)
+        return prediction_bands(self.record, self.simulated, self.values)
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """Per measured state: unit, fit %, rmse, noise_floor, chi2_dof, whiteness
-        (p-value), horizon, n_samples.
-        """
-        rows = [
-            self._row(k, name)
-            for k, name in enumerate(self.model.states)
-            if name in self.data.measured
-        ]
-        columns = [
-            "state",
-            "unit",
-            "fit_percent",
-            "rmse",
-            "noise_floor",
-            "chi2_dof",
-            "whiteness",
-            "horizon",
-            "n_samples",
-        ]
-        return pd.DataFrame(rows, columns=columns)
+        """A row per measured state.
 
-    def _row(self, k: int, name: str) -> tuple[Any, ...]:
-        r = np.concatenate([run[:, k] for run in self.residuals])
-        y = np.concatenate([run.x[:, k] for run in self.data.trajectories])
-        r, y = r[np.isfinite(y)], y[np.isfinite(y)]
-        rmse = float(np.sqrt(np.mean(r**2)))
-        fit = 100 * (1 - rmse / max(float(np.std(y)), TINY))
-        horizon = min(self._horizon(i, k) for i in range(len(self.residuals)))
+        Columns: state; unit; fit_percent (100 for a perfect free run, 0 for one as good
+        as the mean); rmse and noise_floor in the unit of the state; chi2_dof (their
+        ratio squared); whiteness (p-value of Ljung and Box's test); horizon (time until
+        a residual leaves the noise, in the worst trajectory); n_samples.
+        """
+        rows = []
+        for number, name in enumerate(self.model.states):
+            if name in self.data.measured:
+                rows.append(self._row(number, name))
+        return pd.DataFrame(rows, columns=list(TABLE_COLUMNS))
+
+    def _row(self, number: int, name: str) -> tuple[object, ...]:
+        residual = np.concatenate([run[:, number] for run in self.residuals])
+        measured = np.concatenate([run.x[:, number] for run in self.data.trajectories])
+        is_measured = np.isfinite(measured)
+        residual = residual[is_measured]
+        spread = float(np.std(measured[is_measured]))
+        rmse = float(np.sqrt(np.mean(residual**2)))
+        fit_percent = 100 * (1 - rmse / max(spread, TINY))
+        floor = self.sigma[number]
+        chi2_dof = (rmse / floor) ** 2
+        whiteness = ljung_box([_known(run[:, number]) for run in self.residuals])
+        horizon = min(self._horizon(run, number) for run in range(len(self.residuals)))
         unit = self.data.units.get(name, "")
         return (
             name,
             unit,
-            fit,
+            fit_percent,
             rmse,
-            self.noise[k],
-            (rmse / self.noise[k]) ** 2,
-            self._whiteness(k),
+            floor,
+            chi2_dof,
+            whiteness,
             horizon,
-            len(r),
+            len(residual),
         )
 
-    def _horizon(self, run: int, k: int) -> float:
+    def _horizon(self, trajectory: int, state: int) -> float:
         """Time from the start until a residual leaves the noise."""
-        t, r = self.data.trajectories[run].t, self.residuals[run][:, k]
-        beyond = np.flatnonzero(
-            np.abs(np.nan_to_num(r)) > WORST_OF_NOISE * self.noise[k]
-        )
-        return float((t[beyond[0]] if len(beyond) else t[-1]) - t[0])
-
-    def _whiteness(self, k: int) -> float:
-        """p-value of Ljung and Box's test of the residuals at the first lags."""
-        statistic, n_lags = 0.0, 0
-        for run in self.residuals:
-            r = run[np.isfinite(run[:, k]), k]
-            lags = min(10, len(r) // 5)
-            power = float(np.sum(r**2))
-            for lag in range(1, lags + 1) if power > 0 else ():
-                statistic += (
-                    len(r)
-                    * (len(r) + 2)
-                    * (np.sum(r[lag:] * r[:-lag]) / power) ** 2
-                    / (len(r) - lag)
-                )
-            n_lags += lags
-        return float(chi2.sf(statistic, n_lags)) if n_lags else np.nan
+        t = self.data.trajectories[trajectory].t
+        residual = np.nan_to_num(self.residuals[trajectory][:, state])
+        is_beyond = np.abs(residual) > HORIZON_RESIDUAL * self.sigma[state]
+        beyond = np.flatnonzero(is_beyond)
+        end = t[beyond[0]] if len(beyond) else t[-1]
+        return float(end - t[0])
 
     @property
     def weights(self) -> np.ndarray:
-        """Scale of each state in `rmse`: one where a single channel is measured, else
-        1/(its standard deviation).
+        """Scale of each state in `rmse`, (n_states,).
+
+        One where a single channel is measured, else one over its standard deviation.
         """
-        seen = [name in self.data.measured for name in self.model.states]
-        if sum(seen) == 1:
-            return np.where(seen, 1.0, 0.0)
+        is_measured = [name in self.data.measured for name in self.model.states]
+        if sum(is_measured) == 1:
+            return np.where(is_measured, 1.0, 0.0)
         y = np.concatenate([run.x for run in self.data.trajectories])
-        spread = np.array(
-            [np.nanstd(y[:, k]) if seen[k] else np.inf for k in range(len(seen))]
-        )
+        spread = np.full(len(is_measured), np.inf)
+        for number in np.flatnonzero(is_measured):
+            spread[number] = np.nanstd(y[:, number])
         return 1 / np.where(spread > 0, spread, 1.0)
 
     @cached_property
     def squares(self) -> np.ndarray:
-        """Squared, scaled residuals of all measured values in the order of time,
-        trajectory after trajectory.
-        """
-        rows = [
-            ((r * self.weights) ** 2)[np.isfinite(run.x)] for r, run in self._pairs()
-        ]
-        return np.concatenate(rows)
+        """Squared, scaled residuals of all measured values, (n_values,).
 
-    def _pairs(self) -> list[tuple[np.ndarray, Any]]:
-        return list(zip(self.residuals, self.data.trajectories, strict=True))
+        In the order of time, trajectory after trajectory.
+        """
+        weights = self.weights
+        parts = []
+        for residual, run in zip(self.residuals, self.data.trajectories, strict=True):
+            squared = (residual * weights) ** 2
+            parts.append(squared[np.isfinite(run.x)])
+        return np.concatenate(parts)
 
     @property
     def rmse(self) -> float:
-        """Root mean square of the free-run residual over the measured channels, on the
-        scale of `weights`.
+        """Root mean square of the free-run residual over the measured channels.
+
+        In the unit of the channel where one is measured, else in standard deviations.
         """
         return float(np.sqrt(np.mean(self.squares)))
 
     @property
     def noise_floor(self) -> float:
-        """What the estimated measurement noise alone leaves, on the same scale."""
-        n = np.array(
-            [
-                np.isfinite(
-                    np.concatenate([r.x[:, k] for r in self.data.trajectories])
-                ).sum()
-                for k in range(len(self.weights))
-            ]
-        )
-        return float(np.sqrt(np.sum(n * (self.noise * self.weights) ** 2) / n.sum()))
+        """What the estimated measurement noise alone leaves, on the scale of `rmse`."""
+        y = np.concatenate([run.x for run in self.data.trajectories])
+        n_values = np.isfinite(y).sum(axis=0)
+        squares = n_values * (self.sigma * self.weights) ** 2
+        return float(np.sqrt(np.sum(squares) / n_values.sum()))
 
     @cached_property
     def energy(self) -> pd.DataFrame:
-        """Energy balance of the free run per trajectory: change of H = supplied -
-        dissipated (trapezoid rule).
+        """Energy balance of the free run: change of H = supplied - dissipated.
+
+        A row per trajectory: trajectory, change, supplied, dissipated, by the
+        trapezoidal rule.
         """
         rows = []
         for x, run in zip(self.simulated, self.data.trajectories, strict=True):
             model = self.model.with_values(self.values[run.name])
-            rows.append((run.name, *_energy_balance(model, x, run.t, run.u)))
-        return pd.DataFrame(
-            rows, columns=["trajectory", "change", "supplied", "dissipated"]
-        )
+            balance = energy_balance(model, x, run.t, run.u)
+            rows.append(
+                (run.name, balance.change, balance.supplied, balance.dissipated)
+            )
+        columns = ["trajectory", "change", "supplied", "dissipated"]
+        return pd.DataFrame(rows, columns=columns)
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw measurements and free run of one trajectory.
@@ -239,71 +253,47 @@ class Comparison:
         return channels
 
     def __str__(self) -> str:
+        table = self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}")
         return (
             f"Free run against {self.data.n_samples} samples: rmse {self.rmse:.4g}, "
-            f"noise floor {self.noise_floor:.4g}\n"
-            + self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}")
+            f"noise floor {self.noise_floor:.4g}\n{table}"
         )
 
     __repr__ = __str__
 
 
 def compare(fit: Fit, data: Measurements) -> Comparison:
-    """Simulate the fitted model from starting states estimated from the record, and
-    compare (see `Comparison`).
+    """Simulate a fitted model from estimated starting states, beside the measurements.
 
-    Parameters that every trajectory has of its own are those of the fit for
-    trajectories of the same name, and estimated from the record, with its starting
-    state, for others.
+    Starting states are estimated from the whole record of each trajectory; on the
+    measurements of the fit they are its own. Parameters that every trajectory has of
+    its own are those of the fit for trajectories of the same name, and estimated from
+    the record for others.
+
+    Args:
+        fit: a fit by maximum likelihood or by the PHSI loss.
+        data: measurements that hold the states and inputs of the model.
+
+    Raises:
+        DataError: a state or input of the model is not in the measurements.
+        SolveError: no states were found from which a run could begin.
     """
-    data = aligned(fit.model, data)
-    estimate = force_of(fit, data)
-    return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
+    return compare_record(Record.of(fit, data))
 
 
-def compared(
-    fit: Fit, data: Measurements, sigma: np.ndarray, guess: Sequence[np.ndarray]
-) -> Comparison:
-    """`compare` with the noise known, and states to start from that may lack the memory
-    of the model's effects.
-    """
-    data = aligned(fit.model, data)
-    sigma = np.r_[sigma, np.ones(fit.model.n_states - len(sigma))]
-    # The starting states of a fit to these very measurements are its own; others are
-    # estimated from the record.
-    if fit.states and fit.provenance.get("data_sha256") == data.digest:
-        states: Sequence[np.ndarray] = fit.states
-        values = parameters_of(fit, data)
-    else:
-        values, grid = parameters_of(fit, data), grid_of(data)
-        guess = grid.split(
-            with_memory(
-                fit.model,
-                grid,
-                np.concatenate(guess),
-                parameter_matrix(fit.model, values),
-            )
-        )
-        # Where no states obey the model along the whole record, those of the missing
-        # force are the best to start from. Outliers that the fit set aside must not
-        # make up the noise here.
-        own = np.array(
-            [
-                fit.noise.get(name, s)
-                for name, s in zip(fit.model.states, sigma, strict=True)
-            ]
-        )
-        found = explained(fit, data, sigma if fit.huber is None else own, guess)
-        states, values = found or (guess, values)
-    simulated = tuple(
-        _free_run(fit.model.with_values(values[run.name]), run, x[0], data.hold)
-        for run, x in zip(data.trajectories, states, strict=True)
-    )
-    seen = outputs_at_samples(
-        fit.model, data, simulated, parameter_matrix(fit.model, values)
-    )
-    residuals = tuple(run.x - y for run, y in zip(data.trajectories, seen, strict=True))
-    return Comparison(fit, data, values, simulated, seen, residuals, sigma)
+def compare_record(record: Record) -> Comparison:
+    """`compare` for a record that was made before."""
+    smoothed = smoothed_states(record)
+    parameters = smoothed.parameters
+    simulated = []
+    for run, states in zip(record.data.trajectories, smoothed.states, strict=True):
+        model = record.model.with_values(parameters[run.name])
+        simulated.append(_free_run(model, run, states[0], record.data.hold))
+    theta = parameter_matrix(record.model, parameters)
+    visible = outputs_at_samples(record.model, record.grid, simulated, theta)
+    pairs = zip(record.data.trajectories, visible, strict=True)
+    residuals = tuple(run.x - y for run, y in pairs)
+    return Comparison(record, parameters, tuple(simulated), visible, residuals)
 
 
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:
@@ -311,44 +301,9 @@ def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.nd
     try:
         return free_run(model, run.t, x0, run.u, hold)
     except SolveError:
-        return np.where(
-            np.arange(run.n_samples)[:, None] == 0, x0, LOST * np.nanstd(run.x)
-        )
+        is_first = np.arange(run.n_samples)[:, None] == 0
+        return np.where(is_first, x0, DIVERGED_RUN * np.nanstd(run.x))
 
 
-def _energy_balance(
-    model: Model, x: np.ndarray, t: np.ndarray, u: np.ndarray
-) -> tuple[float, float, float]:
-    import casadi as ca
-
-    n = len(t)
-    sx, su, st = (
-        ca.SX.sym("x", model.n_states),
-        ca.SX.sym("u", model.n_inputs),
-        ca.SX.sym("t"),
-    )
-    e = model.expressions(
-        [sx[i] for i in range(model.n_states)],
-        [su[i] for i in range(model.n_inputs)],
-        st,
-        model.values,
-    )
-    supplied = sum(
-        (f * g for f, g in zip(e.force, e.efforts, strict=True)), start=ca.SX(0)
-    )
-    lost = sum(
-        (r * g**2 for r, g in zip(e.loss, e.efforts, strict=True)), start=ca.SX(0)
-    )
-    powers = ca.Function("p", [sx, su, st], [ca.SX(e.energy), supplied, lost]).map(n)
-    energy, gain, loss = (np.array(v).ravel() for v in powers(x.T, u.T, t[None, :]))
-    return (
-        float(energy[-1] - energy[0]),
-        float(np.trapezoid(gain, t)),
-        float(np.trapezoid(loss, t)),
-    )
-
-
-def compared_from_estimate(
-    fit: Fit, data: Measurements, estimate: ForceEstimate
-) -> Comparison:
-    return compared(fit, data, estimate.sigma, estimate.grid.split(estimate.x))
+def _known(residual: np.ndarray) -> np.ndarray:
+    return residual[np.isfinite(residual)]

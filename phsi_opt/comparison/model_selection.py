@@ -1,56 +1,73 @@
-"""Evidence for a larger model: likelihoods and free-run errors, from residuals that may
-be correlated.
+"""Evidence for a larger model, from residuals that may be correlated in time.
+
+On measured machines residuals are errors of the model as much as noise, and neighbours
+are alike. A likelihood that counts every sample as independent would then find every
+effect significant. Gains are counted for the independent residuals that they are worth.
 """
 
 import numpy as np
+from scipy.stats import chi2
 
 from phsi_opt.comparison.compare import Comparison
+from phsi_opt.criteria import (
+    EXPLAINED_IF_NAMED,
+    EXPLAINED_IF_PROPOSED,
+    FAILING_ERROR,
+    HELD_OUT_FALL_Z,
+    WHITE_ERROR,
+    WHITENESS_LEVEL,
+)
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.statistics import TINY, autocorrelation_time, effective_sample_share
 
-ABOVE_FLOOR = (
-    1.1  # free-run error over the noise floor from which a model counts as failing
-)
-# the same, of white residuals: beside a strong missing force the floor itself is
-# estimated too low
-LIKE_NOISE = 1.25
-# share of the squared error above the floor that is explained, where the rest is not
-# white
-NEARLY_ALL = 0.97
-WHITE = 1e-3  # p-value below which residuals are not white
-# share of the squared error above the floor from which effects that leave more than
-# noise are proposed
-MOST = 0.5
-FALL = 1.65  # standard errors by which the held-out error must fall (one-sided 5 %)
+# Independent values of a record, at least: a logarithm of fewer says nothing.
+FEWEST_INDEPENDENT = 3.0
+# Blocks of time in which errors are compared: two independent values in each, and
+# enough blocks that their scatter can be estimated.
+FEWEST_BLOCKS = 4
+MOST_BLOCKS = 40
 
 
-def is_adequate(comparison: Comparison) -> bool:
-    """Whether the residuals look like noise: as large as the noise floor, and white."""
-    whiteness = comparison.table["whiteness"].to_numpy()
-    is_white = np.nanmin(whiteness) * len(whiteness) > WHITE
-    return bool(is_white and comparison.rmse < LIKE_NOISE * comparison.noise_floor)
+def is_like_noise(comparison: Comparison) -> bool:
+    """Whether the residuals look like noise: as small as the noise floor, and white.
 
-
-def explains(old: Comparison, trained: Comparison, judged: Comparison) -> bool:
-    """Whether a larger model explains what was missing: what it leaves is like noise,
-    or as small as the noise.
+    The whiteness of several channels is tested together (Bonferroni).
     """
-    small = (
-        judged.rmse < ABOVE_FLOOR * judged.noise_floor
-        and trained.rmse < ABOVE_FLOOR * trained.noise_floor
-    )
-    return is_adequate(trained) or (small and explained_share(old, judged) > NEARLY_ALL)
+    p_values = comparison.table["whiteness"].to_numpy()
+    is_white = np.nanmin(p_values) * len(p_values) > WHITENESS_LEVEL
+    is_small = comparison.rmse < WHITE_ERROR * comparison.noise_floor
+    return bool(is_white and is_small)
 
 
-def delta_bic(old: Fit, new: Fit, share: float) -> float:
-    """Change of BIC from one fit to another, for residuals worth ``share`` of as many
-    independent ones.
+def is_failing(comparison: Comparison) -> bool:
+    """Whether the free run is further off than the noise alone would leave it."""
+    return comparison.rmse > FAILING_ERROR * comparison.noise_floor
+
+
+def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> bool:
+    """Whether a larger model explains what was missing.
+
+    What it leaves on the training record is like noise, or as small as the noise there
+    and on the record that judges.
+
+    Args:
+        base: the smaller model on the record that judges.
+        trained: the larger model on the training record.
+        judged: the larger model on the record that judges.
     """
-    n = max(share * new.n_values, 3.0)
-    return float(
-        share * (deviance(new) - deviance(old))
-        + (len(new.names) - len(old.names)) * np.log(n)
+    if is_like_noise(trained):
+        return True
+    is_small = (
+        judged.rmse < FAILING_ERROR * judged.noise_floor
+        and trained.rmse < FAILING_ERROR * trained.noise_floor
     )
+    return is_small and explained_share(base, judged) > EXPLAINED_IF_NAMED
+
+
+def explained_share(old: Comparison, new: Comparison) -> float:
+    """Share of the squared error above the noise floor that a larger model removes."""
+    above_floor = max(old.rmse**2 - old.noise_floor**2, TINY)
+    return (old.rmse**2 - new.rmse**2) / above_floor
 
 
 def deviance(fit: Fit) -> float:
@@ -58,77 +75,102 @@ def deviance(fit: Fit) -> float:
     return fit.bic - len(fit.names) * float(np.log(fit.n_values))
 
 
-def left_over(comparison: Comparison) -> float:
-    """-2 log likelihood of the residuals of a free run, up to a constant; the noise of
-    every channel as they say.
+def delta_bic(old: Fit, new: Fit, share: float) -> float:
+    """Change of the Bayesian information criterion from one fit to another.
+
+    The change is share * (D_new - D_old) + (k_new - k_old) log(share * n), with the
+    deviances D and numbers k of parameters (Schwarz, Annals of Statistics 6, 1978), of
+    residuals that are worth ``share`` of n independent ones.
     """
-    seen = comparison.table[comparison.table["rmse"] > 0]
-    return float(2 * np.sum(seen["n_samples"] * np.log(seen["rmse"])))
+    n_independent = max(share * new.n_values, FEWEST_INDEPENDENT)
+    gain = share * (deviance(new) - deviance(old))
+    n_more = len(new.names) - len(old.names)
+    return float(gain + n_more * np.log(n_independent))
 
 
-def explained_share(old: Comparison, new: Comparison) -> float:
-    """Share of the squared error above the noise floor that is gone."""
-    above = max(old.rmse**2 - old.noise_floor**2, TINY)
-    return (old.rmse**2 - new.rmse**2) / above
+def likelihood_ratio_p_value(old: Fit, new: Fit, share: float) -> float:
+    """p-value of the hypothesis that the parameters which ``new`` has more are zero.
 
-
-def share_of(old: Comparison, new: Comparison) -> float:
-    """`effective_sample_share` for the change from one model to a larger one, on the same
-    data.
+    By Wilks' theorem the fall of the deviance is chi-square distributed; ``share`` of
+    the residuals are independent.
     """
-    n = min(
-        run.shape[1] for run in (old.residuals[0], new.residuals[0])
-    )  # without the memory of the new effects
-    before, after = ([run[:, :n] for run in one.residuals] for one in (old, new))
-    left = np.concatenate(after)
-    size = np.array(
-        [np.sqrt(np.nanmean(r**2)) if np.isfinite(r).any() else np.inf for r in left.T]
-    )
-    size = np.maximum(size, TINY)
-    changes = [
-        np.nan_to_num((a - b) / size) for a, b in zip(before, after, strict=True)
-    ]
-    return effective_sample_share(changes, [np.nan_to_num(r / size) for r in after])
+    gain = (deviance(old) - deviance(new)) * share
+    return float(chi2.sf(max(gain, 0.0), len(new.names) - len(old.names)))
+
+
+def free_run_deviance(comparison: Comparison) -> float:
+    """-2 log likelihood of a free run's residuals, up to a constant.
+
+    The noise of every channel is what its residuals say.
+    """
+    table = comparison.table
+    channels = table[table["rmse"] > 0]
+    return float(2 * np.sum(channels["n_samples"] * np.log(channels["rmse"])))
+
+
+def share_of_change(old: Comparison, new: Comparison) -> float:
+    """`effective_sample_share` for the change from one model to a larger one.
+
+    Both on the same data; states that only one of the models has are left out.
+    """
+    n_states = min(old.residuals[0].shape[1], new.residuals[0].shape[1])
+    before = [run[:, :n_states] for run in old.residuals]
+    after = [run[:, :n_states] for run in new.residuals]
+    size = _channel_sizes(np.concatenate(after))
+    changes = []
+    for smaller, larger in zip(before, after, strict=True):
+        changes.append(np.nan_to_num((smaller - larger) / size))
+    residuals = [np.nan_to_num(run / size) for run in after]
+    return effective_sample_share(changes, residuals)
+
+
+def _channel_sizes(residuals: np.ndarray) -> np.ndarray:
+    """Root mean square of each column; infinite for one without values."""
+    sizes = np.full(residuals.shape[1], np.inf)
+    for number, channel in enumerate(residuals.T):
+        if np.isfinite(channel).any():
+            sizes[number] = np.sqrt(np.nanmean(channel**2))
+    return np.maximum(sizes, TINY)
 
 
 def independent_samples(comparison: Comparison) -> float:
     """Number of independent values that the residuals are worth."""
-    columns = [
-        c[np.isfinite(c)]
-        for run in comparison.residuals
-        for c in (run * comparison.weights).T
-    ]
-    measured = sum(
-        int(np.isfinite(run.x).sum()) for run in comparison.data.trajectories
-    )
-    return max(measured / autocorrelation_time(columns), 3.0)
+    columns = []
+    for run in comparison.residuals:
+        for channel in (run * comparison.weights).T:
+            columns.append(channel[np.isfinite(channel)])
+    n_measured = 0
+    for trajectory in comparison.data.trajectories:
+        n_measured += int(np.isfinite(trajectory.x).sum())
+    return max(n_measured / autocorrelation_time(columns), FEWEST_INDEPENDENT)
 
 
-def falls(old: Comparison, new: Comparison) -> bool:
-    """Whether the error of ``new`` on the same data is significantly below that of
-    ``old``.
+def falls_significantly(old: Comparison, new: Comparison) -> bool:
+    """Whether the error of ``new`` on the same data is significantly below ``old``'s.
 
     Logarithms of mean squares are compared in blocks of time: an error that dies away
     with the motion counts in every block alike.
     """
-    n_blocks = int(
-        np.clip(min(independent_samples(old), independent_samples(new)) / 2, 4, 40)
-    )
-    before, after = (_block_means(one.squares, n_blocks) for one in (old, new))
+    n_independent = min(independent_samples(old), independent_samples(new))
+    n_blocks = int(np.clip(n_independent / 2, FEWEST_BLOCKS, MOST_BLOCKS))
+    before = _block_means(old.squares, n_blocks)
+    after = _block_means(new.squares, n_blocks)
     fall = np.log(before / after)
-    spread = fall.std(ddof=1) / np.sqrt(n_blocks)
-    return bool(fall.mean() > FALL * spread and new.rmse < old.rmse)
+    std_error = fall.std(ddof=1) / np.sqrt(n_blocks)
+    is_significant = fall.mean() > HELD_OUT_FALL_Z * std_error
+    return bool(is_significant and new.rmse < old.rmse)
 
 
-def falls_or_most(old: Comparison, new: Comparison) -> bool:
-    """The same, or most of the error is gone: a record of few independent samples can
-    show no more.
+def falls_or_explains_most(old: Comparison, new: Comparison) -> bool:
+    """Whether the error falls significantly, or most of it is gone.
+
+    A record of few independent samples can show no more.
     """
-    is_above = old.rmse > ABOVE_FLOOR * old.noise_floor
-    return falls(old, new) or (is_above and explained_share(old, new) > MOST)
+    if falls_significantly(old, new):
+        return True
+    return is_failing(old) and explained_share(old, new) > EXPLAINED_IF_PROPOSED
 
 
 def _block_means(squares: np.ndarray, n_blocks: int) -> np.ndarray:
-    return np.array(
-        [max(float(block.mean()), TINY) for block in np.array_split(squares, n_blocks)]
-    )
+    blocks = np.array_split(squares, n_blocks)
+    return np.array([max(float(block.mean()), TINY) for block in blocks])

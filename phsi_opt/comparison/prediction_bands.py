@@ -1,102 +1,109 @@
-"""TODO."""
+"""How certain a free run is: the covariance of the estimates carried to what it shows.
+
+To first order along the run. Both the uncertainty of the parameters, with starting
+states that follow the record, and that of the starting states count. The noise of a
+single measurement is not in it.
+"""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.transcription.elimination import ReducedSystem
-from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.sensors import output_slopes, output_slopes_in_theta
 
-LONGEST = 200_000  # values in a record up to which bands are worked out
+# Values in a record up to which bands are worked out: beyond, they take longer than the
+# fit and are too narrow to be seen.
+MOST_VALUES = 200_000
 
 
-def bands(
-    fit: Fit,
-    data: Measurements,
-    sigma: np.ndarray,
+def prediction_bands(
+    record: Record,
     simulated: Sequence[np.ndarray],
     values: Mapping[str, Mapping[str, float]],
 ) -> tuple[np.ndarray, ...] | None:
-    """Standard deviation of what a free run shows, (n_samples, n_states) per
-    trajectory; None where it is not known.
+    """Standard deviation of what a free run shows.
 
-    Both the uncertainty of the parameters, with starting states that follow the record,
-    and that of the starting states count, to first order along the run. The noise of a
-    single measurement is not in it.
+    Args:
+        record: the fit and the measurements that its starting states follow.
+        simulated: states of the run, one (n_samples, n_states) per trajectory.
+        values: the free parameters of the run, by trajectory and name.
+
+    Returns:
+        One (n_samples, n_states) per trajectory, in the units of the states; None where
+        it is not known.
     """
-    known = np.isfinite(np.diag(fit.covariance))
-    runs = tuple(run.name for run in data.trajectories)
-    unknown = Theta.of(fit.model, runs)
-    if not known.any() or sum(x.size for x in simulated) > LONGEST:
+    fit, grid = record.fit, record.grid
+    model = fit.model
+    has_covariance = np.isfinite(np.diag(fit.covariance)).any()
+    n_values = sum(states.size for states in simulated)
+    if not has_covariance or n_values > MOST_VALUES:
         return None
-    grid, nodes = grid_of(data), np.concatenate(simulated)
+    nodes = np.concatenate(simulated)
     if not np.all(np.isfinite(nodes)) or not grid.measured.any():
         return None
+    unknown = Theta.of(model, record.trajectories)
     theta = np.zeros(len(unknown))
-    theta[unknown.table] = parameter_matrix(fit.model, values)
-    point = point_at(fit.model, grid, unknown, theta, nodes)
-    program = MaximumLikelihood().program(fit.model, grid, point, {}, sigma, unknown)
-    kkt = Solver(program).kkt(program.start, sigma)
-    block, x = program.variables["theta"], program.variables["x"]
+    theta[unknown.table] = parameter_matrix(model, values)
+    point = point_at(model, grid, unknown, theta, nodes)
+    loss = MaximumLikelihood()
+    program = loss.program(model, grid, point, {}, record.sigma, unknown)
+    kkt = Solver(program).kkt(program.start, record.sigma)
     information = kkt.hessian * (int(grid.measured.sum()) / 2)
+    of_theta = program.variables["theta"].slice
+    of_states = program.variables["x"].slice
     reduced = ReducedSystem(
-        grid, fit.model.n_states, information, kkt.jacobian, block.slice, x.slice
+        grid, model.n_states, information, kkt.jacobian, of_theta, of_states
     )
-    covariance = _covariance(fit, unknown, point.theta_scale, reduced.information)
-    starts = grid.first[:, None] * fit.model.n_states + np.arange(fit.model.n_states)
-    following, left = (
-        reduced.following,
-        reduced.start_covariances(starts, grid.trajectory),
+    covariance = _parameter_covariance(
+        fit, unknown, point.theta_scale, reduced.information
     )
-    following, left = (
-        following * point.x_scale[:, None],
-        left * np.outer(point.x_scale, point.x_scale),
-    )
-    if fit.model.sensor:
-        by_x = output_slopes(
-            fit.model, grid, nodes, unknown.by_trajectory(theta)
-        ).in_states
-        following = (
-            by_x @ following
-            + output_slopes_in_theta(unknown, grid, nodes, theta) * point.theta_scale
-        )
-        left = by_x @ left @ by_x.transpose(0, 2, 1)
-    variance = np.einsum(
-        "aij,jk,aik->ai", following, covariance, following
-    ) + np.einsum("aii->ai", left)
-    deviation = np.sqrt(np.maximum(variance, 0.0))
-    return grid.split(deviation)
+    starts = grid.first[:, None] * model.n_states + np.arange(model.n_states)
+    # What the states do when the parameters move, and what is left open beside them.
+    by_theta = reduced.following * point.x_scale[:, None]
+    left_open = reduced.start_covariances(starts, grid.trajectory)
+    left_open = left_open * np.outer(point.x_scale, point.x_scale)
+    if model.sensor:
+        slopes = output_slopes(model, grid, nodes, unknown.by_trajectory(theta))
+        by_state = slopes.in_states
+        direct = output_slopes_in_theta(unknown, grid, nodes, theta)
+        direct = direct * point.theta_scale
+        by_theta = by_state @ by_theta + direct
+        left_open = by_state @ left_open @ by_state.transpose(0, 2, 1)
+    from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
+    from_starts = np.einsum("aii->ai", left_open)
+    variance = from_parameters + from_starts
+    return grid.split(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _covariance(
+def _parameter_covariance(
     fit: Fit, unknown: Theta, scale: np.ndarray, information: np.ndarray
 ) -> np.ndarray:
-    """Covariance of the scaled parameters: that of the fit; what a trajectory has of
-    its own follows its record.
+    """Covariance of the scaled parameters along a record, (n_theta, n_theta).
+
+    That of the fit; what a trajectory has of its own follows its record, given the
+    parameters that it shares with others.
     """
-    known = np.isfinite(np.diag(fit.covariance))
-    fitted = np.where(np.outer(known, known), fit.covariance, 0.0)
-    old = [i for i, name in enumerate(unknown.names) if name in fit.names]
-    new = [i for i, name in enumerate(unknown.names) if name not in fit.names]
-    at = [fit.names.index(unknown.names[i]) for i in old]
+    is_known = np.isfinite(np.diag(fit.covariance))
+    fitted = np.where(np.outer(is_known, is_known), fit.covariance, 0.0)
+    shared = [i for i, name in enumerate(unknown.names) if name in fit.names]
+    own = [i for i, name in enumerate(unknown.names) if name not in fit.names]
+    place = [fit.names.index(unknown.names[i]) for i in shared]
+    of_shared = fitted[np.ix_(place, place)] / np.outer(scale[shared], scale[shared])
     covariance = np.zeros((len(unknown), len(unknown)))
-    covariance[np.ix_(old, old)] = fitted[np.ix_(at, at)] / np.outer(
-        scale[old], scale[old]
-    )
-    if new:
-        own = np.linalg.pinv(information[np.ix_(new, new)], hermitian=True)
-        follow = -own @ information[np.ix_(new, old)]
-        covariance[np.ix_(new, old)] = follow @ covariance[np.ix_(old, old)]
-        covariance[np.ix_(old, new)] = covariance[np.ix_(new, old)].T
-        covariance[np.ix_(new, new)] = (
-            own + follow @ covariance[np.ix_(old, old)] @ follow.T
-        )
+    covariance[np.ix_(shared, shared)] = of_shared
+    if own:
+        conditional = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
+        following = -conditional @ information[np.ix_(own, shared)]
+        crossed = following @ of_shared
+        covariance[np.ix_(own, shared)] = crossed
+        covariance[np.ix_(shared, own)] = crossed.T
+        covariance[np.ix_(own, own)] = conditional + crossed @ following.T
     return covariance

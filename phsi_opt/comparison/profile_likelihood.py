@@ -18,21 +18,23 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, did_you_mean
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.missing_force import force_of
+from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
-from phsi_opt.estimation.smoothing import options, steps_on
+from phsi_opt.estimation.smoothing import likelihood_of, steps_on
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.alignment import aligned
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DIFFERS = (
-    0.1  # share of the half width by which an end may differ from that of the curvature
-)
-CLOSE = 0.02  # accuracy of an end, in half widths
-MOVED = 0.1  # standard errors by which the repeated fit may differ from the fit
-FARTHEST = 8  # half widths beyond which no end is looked for
+# Share of the half width by which an end may differ from that of the curvature before
+# the profile counts as curved.
+CURVED = 0.1
+END_ACCURACY = 0.02  # of an end of the interval, in half widths
+# Standard errors by which the repeated fit may differ from the fit: beyond, the
+# measurements are not those of the fit.
+REPEATED = 0.1
+FARTHEST_END = 8  # half widths beyond which no end is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +46,8 @@ class Profile:
         points: (n, 2) values of the parameter and rise of -2 log likelihood above the
             best fit, sorted by value.
         threshold: rise at the ends of the interval.
-        ci_lower, ci_upper: ends of the interval (limits of confidence); infinite where
-            the profile never reaches the threshold, the bound where a bound of the
-            parameter comes first.
+        ci_lower, ci_upper: ends of the interval; infinite where the profile never reaches the
+            threshold, the bound where a bound of the parameter comes first.
         curvature: the interval from the standard error alone.
     """
 
@@ -68,7 +69,7 @@ class Profile:
         shift = np.abs(
             np.array([self.ci_lower, self.ci_upper]) - np.array(self.curvature)
         )
-        return not np.all(shift <= DIFFERS * half)
+        return not np.all(shift <= CURVED * half)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """The profile beside the parabola of the standard error, with the threshold."""
@@ -110,28 +111,29 @@ def profile(
     that the fit does not have as a free and shared one, or that has no standard error.
     """
     _check(fit, name, level)
-    line = _Line(fit, aligned(fit.model, data), name, progress or (lambda text: None))
-    value, error = line.value, fit.std_errors[name]
-    quantile = float(
-        f_distribution.isf(1 - level, 1, max(fit.n_values - len(fit.names), 1))
-    )
-    half, threshold = error * np.sqrt(quantile), quantile * line.factor
-    p = fit.model.entries[name].parameter
-    lower, upper = (
-        line.end(bound, half, threshold)
-        for bound in (min(p.lower, value), max(p.upper, value))
-    )
-    points = np.array(sorted(line.points.items()))
+    line = _Line(fit, aligned(fit.model, data), name, progress or _silent)
+    value = line.value
+    n_free = max(fit.n_values - len(fit.names), 1)
+    quantile = float(f_distribution.isf(1 - level, 1, n_free))
+    half = fit.std_errors[name] * np.sqrt(quantile)
+    threshold = quantile * line.factor
+    parameter = fit.model.entries[name].parameter
+    lower = line.end(min(parameter.lower, value), half, threshold)
+    upper = line.end(max(parameter.upper, value), half, threshold)
     return Profile(
-        name,
-        value,
-        level,
-        points,
-        threshold,
-        lower,
-        upper,
-        (value - half, value + half),
+        name=name,
+        value=value,
+        level=level,
+        points=np.array(sorted(line.points.items())),
+        threshold=threshold,
+        ci_lower=lower,
+        ci_upper=upper,
+        curvature=(value - half, value + half),
     )
+
+
+def _silent(line: str) -> None:
+    pass
 
 
 def _check(fit: Fit, name: str, level: float) -> None:
@@ -152,39 +154,39 @@ def _check(fit: Fit, name: str, level: float) -> None:
 
 
 class _Line:
-    """The profile as a function of the parameter, with the points that were worked out."""
+    """The profile as a function of the parameter, with the points worked out so far."""
 
     def __init__(
         self, fit: Fit, data: Measurements, name: str, say: Callable[[str], None]
     ) -> None:
-        self.data, self.name, self.say = data, name, say
+        self.data = data
+        self.name = name
+        self.say = say
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
-        self.loss, self.steps, self.way = (
-            options(fit),
-            steps_on(fit, data),
-            fit.outcome.way,
+        self.loss = likelihood_of(fit)
+        self.steps = steps_on(fit, data)
+        self.way = fit.outcome.way
+        best = self._solved(fit.model, _states_of(fit, data))
+        self._check_repeated(fit, best)
+        assert best is not None
+        self.value = best.values[name]
+        self.lowest = best.chi_square
+        self.factor = 1.0
+        if fit.huber is not None:
+            self.factor = best.huber_moments.rise_ratio
+        self.points = {self.value: 0.0}
+        self.states = {self.value: best}
+
+    def _check_repeated(self, fit: Fit, best: LikelihoodEstimate | None) -> None:
+        error = fit.std_errors[self.name]
+        value = fit.values[self.name]
+        if best is not None and abs(best.values[self.name] - value) <= REPEATED * error:
+            return
+        now = "no solution" if best is None else f"{best.values[self.name]:.6g}"
+        raise SolveError(
+            f"the fit could not be repeated on these measurements: {self.name} is "
+            f"{value:.6g} in the fit, now {now}. Are they those of the fit?"
         )
-        model = fit.model
-        states = fit.states
-        if [len(x) for x in states] != [run.n_samples for run in data.trajectories]:
-            estimate = force_of(fit, data)
-            states = tuple(
-                estimate.x[estimate.grid.trajectory == i]
-                for i in range(data.n_trajectories)
-            )
-        best = self._solved(model, states)
-        if (
-            best is None
-            or abs(best.values[name] - fit.values[name]) > MOVED * fit.std_errors[name]
-        ):
-            now = "no solution" if best is None else f"{best.values[name]:.6g}"
-            raise SolveError(
-                f"the fit could not be repeated on these measurements: {name} is {fit.values[name]:.6g} in the fit, "
-                f"now {now}. Are they those of the fit?"
-            )
-        self.value, self.lowest = best.values[name], best.chi_square
-        self.factor = 1.0 if fit.huber is None else best.huber_moments.rise_ratio
-        self.points, self.states = {self.value: 0.0}, {self.value: best}
 
     def _solved(
         self, model: Model, x: Sequence[np.ndarray]
@@ -193,8 +195,9 @@ class _Line:
         return record.maximum(model, x, self.steps, self.way)
 
     def rise(self, held: float) -> float:
-        """-2 log likelihood above the best fit with the parameter held; started from
-        the nearest point known.
+        """-2 log likelihood above the best fit with the parameter held at a value.
+
+        Started from the nearest point known.
         """
         if held in self.points:
             return self.points[held]
@@ -204,36 +207,45 @@ class _Line:
         state = self._solved(model, nearest.states)
         if state is None:
             raise SolveError(f"no fit was found with {self.name} held at {held:g}.")
-        self.states[held], self.points[held] = (
-            state,
-            max(state.chi_square - self.lowest, 0.0),
-        )
-        self.say(
-            f"{self.name} = {held:.6g}: -2 log likelihood rises by {self.points[held]:.3g}"
-        )
-        return self.points[held]
+        rise = max(state.chi_square - self.lowest, 0.0)
+        self.states[held] = state
+        self.points[held] = rise
+        self.say(f"{self.name} = {held:.6g}: -2 log likelihood rises by {rise:.3g}")
+        return rise
 
     def end(self, bound: float, half: float, threshold: float) -> float:
-        """Where the profile crosses the threshold towards the bound; the bound, or
-        infinity, where it does not.
+        """Where the profile crosses the threshold towards a bound of the parameter.
+
+        The bound, or infinity, where it does not.
         """
-        side, reach = (-1.0 if bound < self.value else 1.0), abs(bound - self.value)
-        near, far = 0.0, min(half, reach)
+        side = -1.0 if bound < self.value else 1.0
+        reach = abs(bound - self.value)
 
         def above(distance: float) -> float:
+            if not distance:
+                return -1.0
             # The root of the rise is nearly straight.
-            return (
-                float(np.sqrt(self.rise(self.value + side * distance) / threshold) - 1)
-                if distance
-                else -1.0
-            )
+            rise = self.rise(self.value + side * distance)
+            return float(np.sqrt(rise / threshold) - 1)
 
-        while far > 0 and above(far) < 0:
-            near, far = far, min(1.5 * far, reach)
-            if near == reach or far > FARTHEST * half:
-                return bound if near == reach else side * np.inf
-        return (
-            self.value + side * brentq(above, near, far, xtol=CLOSE * half)
-            if far > 0
-            else bound
-        )
+        near = 0.0
+        far = min(half, reach)
+        if far <= 0:
+            return bound
+        while above(far) < 0:
+            near = far
+            far = min(1.5 * far, reach)
+            if near == reach:
+                return bound
+            if far > FARTHEST_END * half:
+                return side * np.inf
+        crossing = brentq(above, near, far, xtol=END_ACCURACY * half)
+        return self.value + side * crossing
+
+
+def _states_of(fit: Fit, data: Measurements) -> Sequence[np.ndarray]:
+    """The states of the fit at the samples; of other data, beside a missing force."""
+    lengths = [run.n_samples for run in data.trajectories]
+    if [len(x) for x in fit.states] == lengths:
+        return fit.states
+    return Record.of(fit, data).start

@@ -11,12 +11,12 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.experiment_design import Separation, separating
+from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
-from phsi_opt.force_analysis.dependence import depends_on, leading
-from phsi_opt.force_analysis.energy import Power, power
-from phsi_opt.force_analysis.localization import located
-from phsi_opt.force_analysis.wording import sentences
+from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.model.effect import Effect
 
 if TYPE_CHECKING:
@@ -25,126 +25,163 @@ if TYPE_CHECKING:
 
     from phsi_opt.learning.learned_force import LearnedForce
 
+CANDIDATE_COLUMNS = (
+    "effect",
+    "slot",
+    "equation",
+    "coefficient",
+    "std_error",
+    "p_value",
+    "delta_bic",
+    "held_out_rmse",
+    "confusable_with",
+)
+N_PRINTED = 6  # candidates that are printed
+# Rows of `follows` that are no variable a force could be learned on.
+NO_VARIABLES = ("constant", "parameters")
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What `diagnose` found: `verdict`, `reason`, `where`, `missing_force`,
-    `candidates`, `effects`.
+    """What `diagnose` found.
+
+    Attributes:
+        record: the fit along the training record, with its missing force.
+        base: the fit's free run on the record that judges.
+        ranking: the candidates with all that is known of them, best first.
+        verdict: in one phrase; ``reason``: in a sentence.
+        proposed: what the verdict names, or the nearest to it: one effect, or two
+            together; empty where nothing explains enough.
+        proposed_fit: the brief re-fit with them.
     """
 
-    fit: Fit
-    data: Measurements = field(repr=False)
-    estimate: ForceEstimate = field(repr=False)
+    record: Record = field(repr=False)
     base: Comparison = field(repr=False)
-    ranked: tuple[Candidate, ...] = field(repr=False)
-    verdict: str
+    ranking: tuple[Candidate, ...] = field(repr=False)
+    verdict: Verdict
     reason: str
-    together: tuple[
-        Effect, ...
-    ] = ()  # what the verdict names, or the nearest to it: one effect, or two together
-    nearest: Fit | None = field(repr=False, default=None)  # the brief re-fit with them
+    proposed: tuple[Effect, ...] = ()
+    proposed_fit: Fit | None = field(repr=False, default=None)
+
+    @property
+    def fit(self) -> Fit:
+        """The fit that was diagnosed."""
+        return self.record.fit
+
+    @property
+    def data(self) -> Measurements:
+        """The training record."""
+        return self.record.data
+
+    @property
+    def estimate(self) -> ForceEstimate:
+        """States, noise and missing force along the training record."""
+        return self.record.estimate
 
     @property
     def effects(self) -> list[Effect]:
         """The candidate effects, best first."""
-        return [candidate.effect for candidate in self.ranked]
+        return [candidate.effect for candidate in self.ranking]
 
     @property
     def candidates(self) -> pd.DataFrame:
-        """The candidates, best first, as a table with the columns named below.
+        """The candidates, best first.
 
-        delta_bic and held_out_rmse are those of the re-fit, NaN for candidates that
-        screening ruled out.
+        Columns: effect, slot, equation, coefficient, std_error, p_value, delta_bic,
+        held_out_rmse, confusable_with. delta_bic and held_out_rmse are those of the
+        re-fit, NaN for candidates that screening ruled out.
         """
-        rows = [
-            (
-                c.effect.name,
-                c.effect.slot,
-                c.effect.equation,
-                c.coefficient,
-                c.std_error,
-                c.p_value,
-                c.delta_bic,
-                c.held_out_rmse,
-                ", ".join(c.confusable_with),
+        rows = []
+        for candidate in self.ranking:
+            effect = candidate.effect
+            rows.append(
+                (
+                    effect.name,
+                    effect.slot,
+                    effect.equation,
+                    candidate.coefficient,
+                    candidate.std_error,
+                    candidate.p_value,
+                    candidate.delta_bic,
+                    candidate.held_out_rmse,
+                    ", ".join(candidate.confusable_with),
+                )
             )
-            for c in self.ranked
-        ]
-        columns = [
-            "effect",
-            "slot",
-            "equation",
-            "coefficient",
-            "std_error",
-            "p_value",
-            "delta_bic",
-            "held_out_rmse",
-        ]
-        return pd.DataFrame(rows, columns=[*columns, "confusable_with"])
+        return pd.DataFrame(rows, columns=list(CANDIDATE_COLUMNS))
 
     @cached_property
     def missing_force(self) -> pd.DataFrame:
-        """trajectory, t (middle of the interval), then force and standard deviation per
-        equation.
+        """The missing force along every trajectory.
+
+        Columns: trajectory (its name), t (middle of the interval), then per equation
+        the force and its standard deviation (``p`` and ``std_p``), in the unit of the
+        state over that of the time.
         """
-        grid = self.estimate.grid
+        estimate = self.estimate
+        grid = estimate.grid
+        names = self.record.trajectories
+        numbers = grid.trajectory[grid.begin]
         frame = pd.DataFrame(
             {
-                "trajectory": grid.trajectory[grid.begin],
+                "trajectory": [names[number] for number in numbers],
                 "t": grid.t[grid.begin] + grid.h / 2,
             }
         )
-        deviation = force_deviation(self.estimate)
-        for k, row in enumerate(self.estimate.prior.rows):
+        deviation = force_deviation(estimate)
+        for column, row in enumerate(estimate.prior.rows):
             name = self.fit.model.states[row]
-            frame[name], frame[f"std_{name}"] = self.estimate.w[:, k], deviation[:, k]
+            frame[name] = estimate.w[:, column]
+            frame[f"std_{name}"] = deviation[:, column]
         return frame
 
     @cached_property
+    def analysis(self) -> ForceAnalysis:
+        """What the missing force looks like."""
+        return ForceAnalysis.of(self.record)
+
+    @property
     def where(self) -> pd.DataFrame:
-        """Where the missing force is strong, strongest first (see `where.located`)."""
-        return located(self.fit, self.estimate, self.runs)
+        """Where the missing force is strong, strongest first (see `located`)."""
+        return self.analysis.where
 
-    @cached_property
+    @property
     def follows(self) -> pd.DataFrame:
-        """What the missing force depends on, per equation and variable, best first (see
-        `where.depends_on`).
-        """
-        return depends_on(self.fit, self.estimate, self.runs)
+        """What the missing force depends on, best first (see `depends_on`)."""
+        return self.analysis.follows
 
-    @cached_property
-    def power(self) -> Power:
-        """Whether the missing force dissipates, stores or supplies energy (see
-        `where.power`).
+    @property
+    def power(self) -> pd.DataFrame:
+        """Whether the missing force takes energy out, stores or supplies it.
+
+        A row per equation (see `energy.power`).
         """
-        return power(self.fit, self.estimate, self.runs, self.data.units)
+        return self.analysis.energy.table
 
     @property
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
-        return sentences(self.fit, self.estimate, self.runs, self.data.units)
-
-    @property
-    def runs(self) -> tuple[str, ...]:
-        """Names of the trajectories."""
-        return tuple(run.name for run in self.data.trajectories)
+        return self.analysis.sentences
 
     @cached_property
     def separation(self) -> Separation | None:
-        """The experiment that would tell the first two candidates of a tie apart; None
-        where there is no tie.
+        """The experiment that would tell the first two candidates of a tie apart.
+
+        None where there is no tie.
         """
-        fitted = {str(c.effect): c.fit for c in self.ranked if c.fit is not None}
-        first = next(iter(self.ranked), None)
-        if first is None or first.fit is None:
+        if not self.ranking:
             return None
-        rival = next(
-            (fitted[name] for name in first.confusable_with if name in fitted), None
-        )
-        if rival is None:
+        first = self.ranking[0]
+        if first.fit is None:
             return None
-        noise = self.estimate.sigma
-        return separating(first.fit, rival, self.data, noise)
+        fitted = {}
+        for candidate in self.ranking:
+            if candidate.fit is not None:
+                fitted[str(candidate.effect)] = candidate.fit
+        for name in first.confusable_with:
+            if name in fitted:
+                rival = fitted[name]
+                return separating(first.fit, rival, self.data, self.estimate.sigma)
+        return None
 
     def learned_force(
         self,
@@ -152,34 +189,27 @@ class Diagnosis:
         on: Sequence[str] | None = None,
         seed: int = 0,
     ) -> "LearnedForce":
-        """A stop-gap where nothing fits: a network for what one equation lacks (see
-        `stopgap.learned_force`).
+        """A stop-gap where nothing fits: a network for what one equation lacks.
 
-        Default: the equation whose missing force is strongest, and the variable that it
-            depends on most.
+        Args:
+            equation: default: the one whose missing force is strongest.
+            on: variables of the force; default: the one that it depends on most.
+            seed: of the network's first weights.
+
+        See `learned_force`.
         """
-        from phsi_opt.learning.learned_force import learned_force
+        from phsi_opt.learning.learned_force import learned_force_of
 
         equation = equation or str(self.where["equation"].iloc[0])
         if on is None:
-            best = leading(self.follows, equation)
-            known = best is not None and best["variable"] not in (
-                "constant",
-                "parameters",
-            )
-            on = (
-                str(best["variable"]).split(", ")
-                if best is not None and known
-                else self.fit.model.states
-            )
-        return learned_force(
-            self.fit,
-            self.data,
-            self.estimate,
-            equation=equation,
-            on=list(on),
-            seed=seed,
-        )
+            on = self._leading_variables(equation)
+        return learned_force_of(self.record, equation=equation, on=list(on), seed=seed)
+
+    def _leading_variables(self, equation: str) -> Sequence[str]:
+        best = leading(self.follows, equation)
+        if best is None or best["variable"] in NO_VARIABLES:
+            return self.fit.model.states
+        return str(best["variable"]).split(", ")
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw the missing force along one trajectory, with two standard deviations.
@@ -194,25 +224,29 @@ class Diagnosis:
         from phsi_opt.presentation.pictures import plot_missing_force
 
         number = self.data.trajectory_number(trajectory)
-        rows = self.missing_force["trajectory"] == number
+        name = self.record.trajectories[number]
+        rows = self.missing_force["trajectory"] == name
         states = self.fit.model.states
         equations = [states[row] for row in self.estimate.prior.rows]
         along_trajectory = self.missing_force[rows]
         return plot_missing_force(along_trajectory, equations, self.data.units, ax)
 
-    def plot_where(self, equation: str | None = None) -> "Figure":
-        """Missing force along the time, over the states, against what it depends on,
-        and its spectrum.
-        """
+    def figure(self, equation: str | None = None) -> "Figure":
+        """Missing force over time and states, against what it follows, its spectrum."""
         from phsi_opt.force_analysis.force_plots import plot_where
 
-        return plot_where(self, equation)
+        return plot_where(self.analysis, equation)
 
     def __str__(self) -> str:
-        shown = self.candidates.head(6).to_string(
-            index=False, float_format=lambda v: f"{v:.4g}"
+        table = _printed(self.candidates.head(N_PRINTED))
+        return (
+            f"{self.verdict}: {self.reason}\n"
+            f"where it fails\n{_printed(self.where)}\n"
+            f"candidates, best first\n{table}"
         )
-        where = self.where.to_string(index=False, float_format=lambda v: f"{v:.4g}")
-        return f"{self.verdict}: {self.reason}\nwhere it fails\n{where}\ncandidates, best first\n{shown}"
 
     __repr__ = __str__
+
+
+def _printed(table: pd.DataFrame) -> str:
+    return table.to_string(index=False, float_format=lambda v: f"{v:.4g}")

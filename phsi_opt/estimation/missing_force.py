@@ -8,17 +8,12 @@ sum of squares over the number of its well-determined directions, whose trace is
 with fixed random probes, so that the result is deterministic.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.sparse import block_diag, bmat, csc_matrix, diags, identity
 
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
@@ -29,7 +24,7 @@ from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import time_order
 from phsi_opt.transcription.force_prior import ForcePrior
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MissingForce
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
@@ -340,61 +335,6 @@ class Linearised:
             n_forced, -1
         ).sum(axis=1)
         return determined_y, determined_w
-
-
-LARGER = 10.0  # times the rates: size of the force from which a second search begins
-# estimated noise over the scatter of neighbouring samples, beyond which a sensor is
-# doubted
-BEYOND_SCATTER = 1.5
-
-
-def force_of(fit: Fit, data: Measurements) -> ForceEstimate:
-    """The force that the fitted model lacks along measurements that are `aligned` to
-    it, with the noise.
-
-    No force can explain a sensor that contradicts another one; that would count as
-    noise. Where the noise of a channel comes out far beyond the scatter of neighbouring
-    samples, that of all channels is taken from their scatter.
-    """
-    given = np.array(
-        [(data.noise or {}).get(name, np.nan) for name in fit.model.states]
-    )
-    theta = (
-        parameter_matrix(fit.model, parameters_of(fit, data))
-        if fit.by_trajectory
-        else None
-    )
-    model = fit.model if fit.by_trajectory else fit.model.frozen()
-    grid, start = grid_of(data), initial_noise(data, given)
-    estimate = smoothed(model, grid, start, "srk4", np.isfinite(given), theta)
-    measured, scatter = (
-        grid.measured.any(axis=0),
-        np.where(np.isfinite(given), given, initial_noise(data)),
-    )
-
-    def is_doubtful(found: ForceEstimate) -> bool:
-        return bool(np.any(measured & (found.sigma > BEYOND_SCATTER * scatter)))
-
-    if is_doubtful(
-        estimate
-    ):  # a search for the force's size that began too low ends with everything called noise
-        larger = replace(estimate.prior, size=LARGER * default_size(estimate))
-        with suppress(SolveError):
-            again = smoothed(
-                model, grid, scatter, "srk4", np.isfinite(given), theta, prior=larger
-            )
-            estimate = max(estimate, again, key=lambda found: found.log_evidence)
-    if measured.sum() == 1 or not is_doubtful(estimate):
-        return estimate  # one sensor contradicts nobody
-    with suppress(SolveError):
-        return smoothed(model, grid, scatter, "srk4", known_noise=True, theta=theta)
-    return estimate
-
-
-def default_size(estimate: ForceEstimate) -> np.ndarray:
-    """Size of the rates of the forced equations along the estimated states."""
-    rates = np.sqrt(np.mean(estimate.grid.rates(estimate.x) ** 2, axis=0))
-    return np.maximum(rates[list(estimate.prior.rows)], estimate.prior.size)
 
 
 ROUNDER = (1.0, 4.0, 16.0, 64.0)  # factors on the width of corners that are too sharp

@@ -1,106 +1,157 @@
-"""A fitted model along a record: the states that explain the record best, and how
-certain a free run of it is.
+"""The states with which a fitted model explains a record best.
 
 The dynamics hold exactly (zero defects) and the shared parameters stay as they are;
 starting states, and parameters of a trajectory that the fit has not seen, follow from
-the record by maximum likelihood.
+the record by maximum likelihood. A free run begins at the first of these states.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.step_refinement import finer_steps
-from phsi_opt.estimation.trajectory_parameters import parameters_of
 from phsi_opt.model.model import Model
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-REFINEMENTS, FINER = (
-    2,
-    4,
-)  # how often steps along a record are made finer where their error shows, and how much
-MOST_REFINED = 50_000  # states beyond which they are not
+REFINEMENTS = 2  # how often the steps along a record are made finer, at most
+FINER = 4  # factor on the steps where their error shows beside the residuals
+MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
 
 
-def explained(
-    fit: Fit, data: Measurements, sigma: np.ndarray, x: Sequence[np.ndarray]
-) -> tuple[tuple[np.ndarray, ...], dict[str, dict[str, float]]] | None:
-    """States of the model that explain the record best, from the start ``x``, and
-    parameters per trajectory.
+@dataclass(frozen=True, eq=False)
+class SmoothedStates:
+    """States at the samples, and the parameters that belong to them.
 
-    None where no such states are found.
+    Attributes:
+        states: one (n_samples, n_states) per trajectory.
+        parameters: values of the free parameters by trajectory and name.
     """
-    values = parameters_of(fit, data)
-    if not any(e.parameter.per_trajectory for e in fit.model.entries.values()):
-        state = _solved(fit, fit.model.frozen(), data, sigma, x, steps_on(fit, data))
-        return None if state is None else (state.states, values)
-    states: list[np.ndarray] = []
-    for i, run in enumerate(data.trajectories):  # each with its own parameters
-        own = fit.model.with_values(values[run.name])
-        local = () if run.name in fit.by_trajectory else _per_trajectory(fit.model)
-        model = own.with_fixed(
-            {name: value for name, value in own.values.items() if name not in local}
-        )
-        steps = steps_on(fit, data)[i : i + 1]
-        state = _solved(fit, model, data[i], sigma, [x[i]], steps)
+
+    states: Sequence[np.ndarray]
+    parameters: Mapping[str, Mapping[str, float]]
+
+
+def smoothed_states(record: Record) -> SmoothedStates:
+    """The states of a model along a record, from which free runs begin.
+
+    On the measurements of the fit they are those of the fit. Elsewhere they are found
+    by maximum likelihood; where no states obey the model along the whole record, those
+    of the missing force are the best to begin from.
+    """
+    if record.is_of_training:
+        return SmoothedStates(record.fit.states, record.parameters)
+    nodes = np.concatenate(record.start)
+    guess = record.grid.split(
+        with_memory(record.model, record.grid, nodes, record.theta)
+    )
+    found = _most_likely_states(record, _noise_to_weigh_with(record), guess)
+    return found or SmoothedStates(guess, record.parameters)
+
+
+def _noise_to_weigh_with(record: Record) -> np.ndarray:
+    """Outliers that the fit set aside must not make up the noise."""
+    sigma = record.sigma
+    if record.fit.huber is None:
+        return sigma
+    by_state = zip(record.model.states, sigma, strict=True)
+    return np.array([record.fit.noise.get(name, s) for name, s in by_state])
+
+
+def _most_likely_states(
+    record: Record, sigma: np.ndarray, guess: Sequence[np.ndarray]
+) -> SmoothedStates | None:
+    """States by maximum likelihood, parameters per trajectory; None: not found."""
+    fit, data = record.fit, record.data
+    steps = steps_on(fit, data)
+    entries = fit.model.entries.values()
+    if not any(entry.parameter.per_trajectory for entry in entries):
+        state = _accurate(fit, fit.model.frozen(), data, sigma, guess, steps)
         if state is None:
             return None
-        values[run.name].update(state.unknown.values_of(state.theta, run.name))
+        return SmoothedStates(state.states, record.parameters)
+    states: list[np.ndarray] = []
+    parameters: dict[str, Mapping[str, float]] = {}
+    for number, run in enumerate(data.trajectories):
+        known = record.parameters[run.name]
+        model = _with_own_parameters_free(fit, run.name, known)
+        state = _accurate(
+            fit,
+            model,
+            data[number],
+            sigma,
+            [guess[number]],
+            steps[number : number + 1],
+        )
+        if state is None:
+            return None
+        own = state.unknown.values_of(state.theta, run.name)
+        parameters[run.name] = {**known, **own}
         states += state.states
-    return tuple(states), values
+    return SmoothedStates(tuple(states), parameters)
 
 
-def _solved(
+def _with_own_parameters_free(
+    fit: Fit, trajectory: str, values: Mapping[str, float]
+) -> Model:
+    """The model of one trajectory: free is only what it has of its own, if unknown."""
+    model = fit.model.with_values(values)
+    unknown: set[str] = set()
+    if trajectory not in fit.by_trajectory:
+        for name, entry in fit.model.entries.items():
+            if entry.parameter.per_trajectory:
+                unknown.add(name)
+    known = {name: v for name, v in model.values.items() if name not in unknown}
+    return model.with_fixed(known)
+
+
+def _accurate(
     fit: Fit,
     model: Model,
     data: Measurements,
     sigma: np.ndarray,
-    x: Sequence[np.ndarray],
+    guess: Sequence[np.ndarray],
     steps: Sequence[np.ndarray],
 ) -> LikelihoodEstimate | None:
-    """The start of a run, with fine steps.
+    """The most likely states, with steps so fine that an accurate run agrees with them.
 
-    So fine that an accurate run from the first state would not leave the others.
+    An accurate run from the first state would otherwise leave the others.
     """
-    record = RecordLikelihood(data, sigma, options(fit))
-    state = record.start_of_run(model, x, steps, fit.outcome.way)
+    likelihood = RecordLikelihood(data, sigma, likelihood_of(fit))
+    state = likelihood.start_of_run(model, guess, steps, fit.outcome.way)
     for _ in range(REFINEMENTS):
-        if state is None or FINER * state.nodes.size > MOST_REFINED:
+        if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:
             break
-        size = np.sqrt(
-            max(state.solution.outcome.objective, 1.0)
-        )  # beside large residuals an error does not show
+        # Beside large residuals an integration error does not show.
+        size = np.sqrt(max(state.solution.outcome.objective, 1.0))
         if finer_steps(replace(state, sigma=size * state.sigma)) is None:
             break
         steps = [FINER * n for n in steps]
-        again = record.start_of_run(model, state.states, steps, state.way)
-        if again is None:
+        refined = likelihood.start_of_run(model, state.states, steps, state.way)
+        if refined is None:
             break
-        state = again
+        state = refined
     return state
 
 
-def options(fit: Fit) -> MaximumLikelihood:
+def likelihood_of(fit: Fit) -> MaximumLikelihood:
     """The loss of the fit, for a record along which its parameters are known."""
     return MaximumLikelihood(huber=fit.huber)
 
 
 def steps_on(fit: Fit, data: Measurements) -> tuple[np.ndarray, ...]:
-    """Intervals in every gap between samples: those of the fit on its own record, else
-    its median everywhere.
+    """Intervals in every gap between samples, one (n_samples - 1,) per trajectory.
+
+    Those of the fit on its own record, else its median everywhere.
     """
-    if [len(n) + 1 for n in fit.steps] == [run.n_samples for run in data.trajectories]:
+    lengths = [run.n_samples for run in data.trajectories]
+    if [len(steps) + 1 for steps in fit.steps] == lengths:
         return fit.steps
     median = int(np.median(np.concatenate(fit.steps))) if fit.steps else 1
-    return tuple(np.full(run.n_samples - 1, median) for run in data.trajectories)
-
-
-def _per_trajectory(model: Model) -> tuple[str, ...]:
-    return tuple(
-        name for name, entry in model.entries.items() if entry.parameter.per_trajectory
-    )
+    return tuple(np.full(n_samples - 1, median) for n_samples in lengths)

@@ -21,9 +21,8 @@ import numpy as np
 import pandas as pd
 from scipy.stats import rankdata
 
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate
-from phsi_opt.force_analysis.force_record import Along, along, spectrum
+from phsi_opt.criteria import NAMED_CAUSE
+from phsi_opt.force_analysis.force_record import ForceRecord, spectrum
 from phsi_opt.statistics import TINY, local_maxima
 
 N_FOLDS, N_STRETCHES = (
@@ -39,17 +38,9 @@ RIDGE = 1e-3  # weight of the smallness of coefficients, in samples per knot
 MOST_PAIRS = 6  # pairs of states that are looked at
 # intervals (drawn at random where there are more) on which a frequency is refined
 SCANNED = 3000
-CLEAR, SECOND, ADDS, TIED = (
-    0.3,
-    0.2,
-    0.1,
-    0.05,
-)  # shares: a clear pattern; a second cause; worth a row; alike
 
 
-def depends_on(
-    fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()
-) -> pd.DataFrame:
+def depends_on(path: ForceRecord) -> pd.DataFrame:
     """What every missing force follows, best first: equation, variable, share,
     explained.
 
@@ -64,22 +55,27 @@ def depends_on(
     alone, predict. ``explained`` is the rms of what is predicted, of the mean and the
     parameters as well.
     """
-    path = along(fit, estimate, runs)
     return pd.concat(
         [dependence(path, name) for name in path.equations], ignore_index=True
     )
 
 
-def dependence(path: Along, equation: str) -> pd.DataFrame:
+def dependence(path: ForceRecord, equation: str) -> pd.DataFrame:
     """`depends_on` for one equation."""
-    w, fold, base = path.of(equation), folds(path.run), path.imitated(equation)
-    total, mean = float(np.sum(w**2)), path.seen(equation, np.ones((len(w), 1)))
+    w, fold, base = (
+        path.force_on(equation),
+        folds(path.run),
+        path.by_parameters(equation),
+    )
+    total, mean = float(np.sum(w**2)), path.as_estimated(equation, np.ones((len(w), 1)))
     constant = left_out([mean], w, fold)
-    rows = [("constant", share_of(constant, total), constant, ADDS)]
+    rows = [("constant", share_of(constant, total), constant, NAMED_CAUSE)]
     left, fixed = constant, [mean]
     if base.shape[1]:
         parameters = left_out([base], w, fold)
-        rows.append(("parameters", share_of(parameters, total), parameters, ADDS))
+        rows.append(
+            ("parameters", share_of(parameters, total), parameters, NAMED_CAUSE)
+        )
         if (both := left_out([mean, base], w, fold)) < left:
             left, fixed = both, [mean, base]
     rows.sort(key=lambda row: row[2])
@@ -88,7 +84,9 @@ def dependence(path: Along, equation: str) -> pd.DataFrame:
             error = left_out_of_time(path, fixed, w, fold)
         else:
             error = left_out(
-                [*fixed, path.seen(equation, _functions(path, variable))], w, fold
+                [*fixed, path.as_estimated(equation, _functions(path, variable))],
+                w,
+                fold,
             )
         error = min(error, left)
         rows.append(
@@ -107,7 +105,7 @@ def dependence(path: Along, equation: str) -> pd.DataFrame:
     )
 
 
-def variables(path: Along, equation: str) -> list[str]:
+def variables(path: ForceRecord, equation: str) -> list[str]:
     """Names of what the force of an equation may follow; its own effort and position
     come first.
     """
@@ -182,23 +180,23 @@ def share_of(error: float, total: float) -> float:
     return max(0.0, 1 - error / total) if total > 0 else 0.0
 
 
-def cleaned(path: Along, equation: str, variable: str) -> np.ndarray:
+def cleaned(path: ForceRecord, equation: str, variable: str) -> np.ndarray:
     """The force less what the model's parameters explain beside functions of the
     variable: what to plot against it.
     """
     w, functions, base = (
-        path.of(equation),
+        path.force_on(equation),
         _functions(path, variable),
-        path.imitated(equation),
+        path.by_parameters(equation),
     )
-    functions = path.seen(equation, functions)
+    functions = path.as_estimated(equation, functions)
     beside = base - functions @ np.linalg.lstsq(functions, base, rcond=1e-6)[0]
     joint = np.hstack([functions, beside])
     c = np.linalg.lstsq(joint, w, rcond=1e-6)[0]
     return np.asarray(w - beside @ c[functions.shape[1] :])
 
 
-def _functions(path: Along, variable: str) -> np.ndarray:
+def _functions(path: ForceRecord, variable: str) -> np.ndarray:
     names = variable.split(", ")
     if len(names) == 1:
         return hats(path.variable(variable), N_KNOTS)
@@ -206,7 +204,7 @@ def _functions(path: Along, variable: str) -> np.ndarray:
 
 
 def left_out_of_time(
-    path: Along, fixed: Sequence[np.ndarray], w: np.ndarray, fold: np.ndarray
+    path: ForceRecord, fixed: Sequence[np.ndarray], w: np.ndarray, fold: np.ndarray
 ) -> float:
     """As `_left_out`, with functions of the time whose frequency is found anew for
     every fold.
@@ -251,7 +249,7 @@ def pair_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray((of_a[:, :, None] * of_b[:, None, :]).reshape(len(a), -1))
 
 
-def of_time(path: Along, w: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def of_time(path: ForceRecord, w: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """Slow functions of the time, and the wave (with its second harmonic) that fits
     best where ``kept``.
     """
@@ -260,7 +258,7 @@ def of_time(path: Along, w: np.ndarray, kept: np.ndarray) -> np.ndarray:
     return np.column_stack([hats(path.t, N_TIME_KNOTS), *waves])
 
 
-def wave_of(path: Along, w: np.ndarray, kept: np.ndarray) -> float:
+def wave_of(path: ForceRecord, w: np.ndarray, kept: np.ndarray) -> float:
     """Frequency of the wave that fits best where ``kept``, in cycles per unit of time,
     one phase in all runs.
     """
@@ -302,6 +300,6 @@ def leading(found: pd.DataFrame, equation: str) -> pd.Series | None:
         (found["equation"] == equation)
         & ~found["variable"].isin(["constant", "parameters"])
     ]
-    good = listed[listed["share"] > listed["share"].max() - ADDS]
+    good = listed[listed["share"] > listed["share"].max() - NAMED_CAUSE]
     alone = good[~good["variable"].str.contains(",")]
     return (alone if len(alone) else good).iloc[0] if len(good) else None

@@ -9,14 +9,9 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE, SECOND_CAUSE, TIED_CAUSES
 from phsi_opt.force_analysis.dependence import (
-    ADDS,
-    CLEAR,
     N_KNOTS,
-    SECOND,
-    TIED,
     dependence,
     folds,
     hats,
@@ -28,7 +23,7 @@ from phsi_opt.force_analysis.dependence import (
     share_of,
     wave_of,
 )
-from phsi_opt.force_analysis.force_record import Along, along, spaced
+from phsi_opt.force_analysis.force_record import ForceRecord, spaced
 from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.structure import position_rows
 from phsi_opt.statistics import TINY
@@ -60,12 +55,7 @@ CAUSES = (
 SHARES = ("parameters", *CAUSES)
 
 
-def power(
-    fit: Fit,
-    estimate: ForceEstimate,
-    runs: Sequence[str] = (),
-    units: Mapping[str, str] | None = None,
-) -> Power:
+def power(path: ForceRecord) -> Power:
     """Whether the missing force w_i dissipates power w_i dH/dx_i, conserves it, or
     depends on inputs or the time.
 
@@ -76,12 +66,12 @@ def power(
     move along. The kind that predicts the left-out stretches best comes first; others
     follow while they add a fifth.
     """
-    path, rows, said = along(fit, estimate, runs), [], []
+    rows, said = [], []
     for name in path.equations:
-        causes = _Causes.of(path, name, units or {})
+        causes = _Causes.of(path, name)
         shares = causes.in_turn()
         mean_power = float(
-            np.sum(path.of(name) * path.own(name) * path.h) / np.sum(path.h)
+            np.sum(path.force_on(name) * path.effort_of(name) * path.h) / np.sum(path.h)
         )
         each = [shares.get(kind, 0.0) for kind in SHARES]
         rows.append((name, mean_power, *each, 1 - sum(each)))
@@ -98,32 +88,33 @@ class _Causes:
     explains alone.
     """
 
-    path: Along
+    path: ForceRecord
     equation: str
-    units: Mapping[str, str]
     fold: np.ndarray
     columns: Mapping[str, np.ndarray]
 
     @classmethod
-    def of(cls, path: Along, equation: str, units: Mapping[str, str]) -> "_Causes":
+    def of(cls, path: ForceRecord, equation: str) -> "_Causes":
         bases = {
             "constant": np.ones((len(path.t), 1)),
-            "dissipated": _odd(path.own(equation)),
+            "dissipated": _odd(path.effort_of(equation)),
         }
         if partners := _partners(path, equation):
             bases["conserved"] = _sum_of(path, partners)
         if path.inputs.shape[1]:
             bases["inputs"] = _sum_of(path, path.fit.model.inputs)
-        columns = {kind: path.seen(equation, base) for kind, base in bases.items()}
-        columns["parameters"] = path.imitated(equation)
-        return cls(path, equation, units, folds(path.run), columns)
+        columns = {
+            kind: path.as_estimated(equation, base) for kind, base in bases.items()
+        }
+        columns["parameters"] = path.by_parameters(equation)
+        return cls(path, equation, folds(path.run), columns)
 
     def share(self, kinds: Sequence[str]) -> float:
         """Part of the force's mean square that functions of these kinds predict
         together on stretches left out.
         """
         w, fixed = (
-            self.path.of(self.equation),
+            self.path.force_on(self.equation),
             [self.columns[kind] for kind in kinds if kind != "time"],
         )
         timed = "time" in kinds
@@ -155,18 +146,20 @@ class _Causes:
             }
             if not found:
                 return shares
-            kind = next(k for k in found if found[k] >= max(found.values()) - TIED / 2)
-            shares[kind], least = found[kind] - known, SECOND
+            kind = next(
+                k for k in found if found[k] >= max(found.values()) - TIED_CAUSES / 2
+            )
+            shares[kind], least = found[kind] - known, SECOND_CAUSE
             found = {k: self.share((*shares, k)) for k in self.alone if k not in shares}
 
     def sentence(self, shares: Mapping[str, float]) -> str:
         """What the force does, in words, with the share of each cause."""
-        if sum(shares.values()) < CLEAR:
+        if sum(shares.values()) < CLEAR_PATTERN:
             return "no clear pattern"
         named = [
             kind
             for kind, share in shares.items()
-            if share > (ADDS if kind in CAUSES else 0.5)
+            if share > (NAMED_CAUSE if kind in CAUSES else 0.5)
         ]
         said = ", and ".join(
             f"{self._words(kind)} ({100 * shares[kind]:.0f} %)" for kind in named
@@ -175,12 +168,12 @@ class _Causes:
 
     def _tie(self, shares: Mapping[str, float]) -> str:
         first = next((kind for kind in shares if kind in CAUSES), "constant")
-        if first == "constant" or shares[first] <= ADDS:
+        if first == "constant" or shares[first] <= NAMED_CAUSE:
             return ""
         alike = [
             k
             for k, adds in self.alone.items()
-            if k not in shares and adds > self.alone[first] - TIED
+            if k not in shares and adds > self.alone[first] - TIED_CAUSES
         ]
         return (
             f"; not told apart from one that {' or '.join(self._words(k) for k in alike)}"
@@ -192,7 +185,7 @@ class _Causes:
         if kind == "parameters":
             return "is what other values of the model's own parameters would give"
         if kind == "constant":
-            return f"is constant at {self.path.of(self.equation).mean():.3g}"
+            return f"is constant at {self.path.force_on(self.equation).mean():.3g}"
         if kind == "conserved":
             return self._exchange_words()
         if kind == "inputs":
@@ -207,21 +200,21 @@ class _Causes:
         return f"stores and returns energy (it follows {_listed(names, 'position' if momentum else 'state')})"
 
     def _loss_words(self) -> str:
-        model, effort = self.path.fit.model, self.path.own(self.equation)
+        model, effort = self.path.fit.model, self.path.effort_of(self.equation)
         if isinstance(model, FirstOrder):
             return f"follows {self.equation} itself"
         name = f"the {'velocity' if _is_momentum(model, self.equation) else 'effort'} dH_d{self.equation}"
         c = np.linalg.lstsq(
-            self.columns["dissipated"], self.path.of(self.equation), rcond=None
+            self.columns["dissipated"], self.path.force_on(self.equation), rcond=None
         )[0]
         fitted = _odd(effort) @ c
-        if _direction(fitted, effort) < -CLEAR:
+        if _direction(fitted, effort) < -CLEAR_PATTERN:
             return f"takes energy out (it opposes {name})"
         if (
             _direction(
                 fitted + self.path.losses[:, model.states.index(self.equation)], effort
             )
-            < -CLEAR
+            < -CLEAR_PATTERN
         ):
             return f"changes how energy is lost (it follows {name}, by another law than the model's damping)"
         return f"feeds energy in (it pushes along {name})"
@@ -230,14 +223,14 @@ class _Causes:
         period = period_of(self.path, self.equation)
         if period is None:
             return "depends on time: it changes slowly"
-        return f"depends on time: period {period:.3g}{spaced(self.units.get('t', ''))}"
+        return f"depends on time: period {period:.3g}{spaced(self.path.units.get('t', ''))}"
 
 
-def period_of(path: Along, equation: str) -> float | None:
+def period_of(path: ForceRecord, equation: str) -> float | None:
     """Period of the wave in a force that depends on time; None where slow changes are
     larger.
     """
-    w = path.of(equation)
+    w = path.force_on(equation)
     everywhere = np.ones(len(w), dtype=bool)
     columns = of_time(path, w, everywhere)
     c = np.linalg.lstsq(columns, w, rcond=None)[0]
@@ -257,7 +250,7 @@ def _direction(force: np.ndarray, effort: np.ndarray) -> float:
     )
 
 
-def plane_of(path: Along, equation: str) -> tuple[str, ...]:
+def plane_of(path: ForceRecord, equation: str) -> tuple[str, ...]:
     """Variables of a map of the force: position and velocity of a momentum, else the
     best two states (or the one).
 
@@ -275,7 +268,7 @@ def plane_of(path: Along, equation: str) -> tuple[str, ...]:
             if model.S[i][model.states.index(equation)]
         )
         own = [q, f"dH_d{equation}"]
-    if best is None or "," not in best["variable"] or best["share"] < CLEAR:
+    if best is None or "," not in best["variable"] or best["share"] < CLEAR_PATTERN:
         return tuple(own)
     pair = best["variable"].split(", ")
     return tuple(own if equation in pair and own[0] in pair else pair)
@@ -287,7 +280,7 @@ def _is_momentum(model: Model, equation: str) -> bool:
     )
 
 
-def _partners(path: Along, equation: str) -> tuple[str, ...]:
+def _partners(path: ForceRecord, equation: str) -> tuple[str, ...]:
     """States that the equation exchanges energy with: all positions for a momentum,
     otherwise those in its row of S.
     """
@@ -302,7 +295,7 @@ def _odd(effort: np.ndarray) -> np.ndarray:
     return np.asarray(np.sign(effort)[:, None] * hats(np.abs(effort), N_KNOTS // 2))
 
 
-def _sum_of(path: Along, names: Sequence[str]) -> np.ndarray:
+def _sum_of(path: ForceRecord, names: Sequence[str]) -> np.ndarray:
     """Functions of each variable; of two variables also those of both."""
     columns = [hats(path.variable(name), N_KNOTS) for name in names]
     if len(names) == 2:

@@ -1,13 +1,12 @@
 """Pictures of a missing force: over time, over the states, against what it follows, and
 its frequencies.
 
-Each takes a diagnosis and an equation (default: the one whose missing force is surest)
+Each takes an analysis and an equation (default: the one whose missing force is surest)
 and says in its title what to see.
 """
 
 from collections.abc import Sequence
 from textwrap import fill
-from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,29 +14,20 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN
 from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.force_analysis.dependence import CLEAR, cleaned, depends_on, variables
+from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.dependence import cleaned, variables
 from phsi_opt.force_analysis.energy import period_of, plane_of
 from phsi_opt.force_analysis.force_record import (
-    Along,
-    along,
+    ForceRecord,
     force_unit,
     frequency_unit,
     spectrum,
 )
-from phsi_opt.force_analysis.localization import (
-    SEEN,
-    deviation_of,
-    located,
-    region_of,
-    uncertain,
-)
-from phsi_opt.force_analysis.wording import sentences
+from phsi_opt.force_analysis.localization import deviation_of, region_of, uncertain
 from phsi_opt.model.structure import position_rows
 from phsi_opt.statistics import TINY
-
-if TYPE_CHECKING:
-    from phsi_opt.diagnosis.record import Diagnosis
 
 FORCE, CLOUD, LEVEL = "C0", "0.75", "0.55"
 N_CELLS, N_BARS, MOST_DOTS = 14, 16, 4000
@@ -47,28 +37,29 @@ TITLE = 62  # characters of a title's line over a single panel
 LEVEL_SHARE = 0.95
 
 
-def plot_where(diagnosis: "Diagnosis", equation: str | None = None) -> Figure:
+def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> Figure:
     """Force over time, over the states, against what it follows, and its frequencies;
     the sentence says what it is.
     """
-    equation = _equation(diagnosis, equation)
+    equation = _equation(analysis, equation)
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")
-    plot_force(diagnosis, equation, ax=axes[0, 0])
-    plot_map(diagnosis, equation, ax=axes[0, 1])
-    plot_dependence(diagnosis, equation=equation, ax=axes[1, 0])
-    plot_spectrum(diagnosis, equation, ax=axes[1, 1])
-    said = sentences(
-        diagnosis.fit, diagnosis.estimate, diagnosis.runs, diagnosis.data.units
+    plot_force(analysis, equation, ax=axes[0, 0])
+    plot_map(analysis, equation, ax=axes[0, 1])
+    plot_dependence(analysis, equation=equation, ax=axes[1, 0])
+    plot_spectrum(analysis, equation, ax=axes[1, 1])
+    own = next(
+        sentence
+        for sentence in analysis.sentences
+        if sentence.startswith(f"d{equation}/dt")
     )
-    own = next(sentence for sentence in said if sentence.startswith(f"d{equation}/dt"))
     figure.suptitle(fill(own, 120), fontsize=11)
     return figure
 
 
 def plot_force(
-    diagnosis: "Diagnosis",
+    analysis: ForceAnalysis,
     equation: str | None = None,
-    trajectory: int | None = None,
+    trajectory: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """The missing force with two standard deviations along one trajectory (a number),
@@ -78,21 +69,21 @@ def plot_force(
     """
     ax, equation, path = (
         _axes(ax, (8.0, 3.6)),
-        _equation(diagnosis, equation),
-        _along(diagnosis),
+        _equation(analysis, equation),
+        analysis.force,
     )
-    w, runs = path.of(equation), diagnosis.runs
-    run = (
-        int(_row(diagnosis, equation)["trajectory"])
-        if trajectory is None
-        else trajectory
-    )
-    if run not in path.run:
+    w, runs = path.force_on(equation), analysis.force.trajectories
+    name = trajectory or str(_row(analysis, equation)["trajectory"])
+    if name not in runs:
         raise ModelError(
-            f"trajectory={trajectory!r} is not one of the record; expected 0 to {path.run[-1]}."
+            f"trajectory={trajectory!r} is not one of the record; "
+            f"expected one of {', '.join(runs)}.{did_you_mean(name, runs)}"
         )
+    run = runs.index(name)
     part = path.run == run
-    deviation = deviation_of(diagnosis.estimate)[part, path.equations.index(equation)]
+    deviation = deviation_of(analysis.force.estimate)[
+        part, path.equations.index(equation)
+    ]
     ax.plot(path.t[part], w[part], color=FORCE, lw=1.2, label="missing force")
     low, high = w[part] - 2 * deviation, w[part] + 2 * deviation
     ax.fill_between(
@@ -106,14 +97,13 @@ def plot_force(
     )
     ax.axhline(0, color="0.3", lw=0.8)
     outside = np.mean(np.abs(w[part]) > 2 * deviation)
-    name = runs[run] if runs else f"trajectory {run}"
     _titled(
         ax,
         f"{name}: d{equation}/dt surely lacks a force during {100 * outside:.0f} % of the time",
     )
     ax.set(
-        xlabel=_label("t", diagnosis.data.units.get("t", "")),
-        ylabel=_force_label(diagnosis, equation),
+        xlabel=_label("t", analysis.force.units.get("t", "")),
+        ylabel=_force_label(analysis, equation),
     )
     ax.margins(y=0.25)
     ax.legend(loc="upper right", frameon=False, ncols=2)
@@ -121,7 +111,7 @@ def plot_force(
 
 
 def plot_map(
-    diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | None = None
+    analysis: ForceAnalysis, equation: str | None = None, ax: Axes | None = None
 ) -> Axes:
     """Mean missing force over position and velocity, or over the two states that
     predict it best; blank: not visited.
@@ -130,14 +120,14 @@ def plot_map(
     """
     ax, equation, path = (
         _axes(ax, (6.0, 4.6)),
-        _equation(diagnosis, equation),
-        _along(diagnosis),
+        _equation(analysis, equation),
+        analysis.force,
     )
     plane = plane_of(path, equation)
-    region = _region(diagnosis, path, equation, plane)
+    region = _region(analysis, path, equation, plane)
     if len(plane) < 2:
-        return _bars(ax, diagnosis, path, equation, plane[0], region)
-    a, b, w = path.variable(plane[0]), path.variable(plane[1]), path.of(equation)
+        return _bars(ax, analysis, path, equation, plane[0], region)
+    a, b, w = path.variable(plane[0]), path.variable(plane[1]), path.force_on(equation)
     count, edges_a, edges_b = np.histogram2d(a, b, N_CELLS)
     total = np.histogram2d(a, b, (edges_a, edges_b), weights=w)[0]
     mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
@@ -146,20 +136,25 @@ def plot_map(
         edges_a, edges_b, mean.T, cmap="RdBu_r", vmin=-limit, vmax=limit
     )
     ax.figure.colorbar(
-        mesh, ax=ax, label=_force_label(diagnosis, equation, "mean missing force")
+        mesh, ax=ax, label=_force_label(analysis, equation, "mean missing force")
     )
     ax.set(
-        xlabel=_variable_label(diagnosis, plane[0]),
-        ylabel=_variable_label(diagnosis, plane[1]),
+        xlabel=_variable_label(analysis, plane[0]),
+        ylabel=_variable_label(analysis, plane[1]),
     )
     _titled(ax, region)
     return ax
 
 
 def _bars(
-    ax: Axes, diagnosis: "Diagnosis", path: Along, equation: str, name: str, region: str
+    ax: Axes,
+    analysis: ForceAnalysis,
+    path: ForceRecord,
+    equation: str,
+    name: str,
+    region: str,
 ) -> Axes:
-    centre, mean, spread, width = _binned(path.variable(name), path.of(equation))
+    centre, mean, spread, width = _binned(path.variable(name), path.force_on(equation))
     ax.bar(
         centre,
         mean,
@@ -171,8 +166,8 @@ def _bars(
     )
     ax.axhline(0, color="0.3", lw=0.8)
     ax.set(
-        xlabel=_variable_label(diagnosis, name),
-        ylabel=_force_label(diagnosis, equation),
+        xlabel=_variable_label(analysis, name),
+        ylabel=_force_label(analysis, equation),
     )
     ax.legend(frameon=False)
     _titled(ax, region)
@@ -180,7 +175,7 @@ def _bars(
 
 
 def plot_dependence(
-    diagnosis: "Diagnosis",
+    analysis: ForceAnalysis,
     variable: str | None = None,
     equation: str | None = None,
     ax: Axes | None = None,
@@ -194,21 +189,29 @@ def plot_dependence(
     """
     ax, equation, path = (
         _axes(ax, (6.0, 4.6)),
-        _equation(diagnosis, equation),
-        _along(diagnosis),
+        _equation(analysis, equation),
+        analysis.force,
     )
-    found = depends_on(diagnosis.fit, diagnosis.estimate, diagnosis.runs)
+    found = analysis.follows
     found = found[found["equation"] == equation]
     variable = _variable(path, equation, variable, found)
     share = float(found.set_index("variable")["share"][variable])
-    z, label = path.variable(variable), _variable_label(diagnosis, variable)
-    period = period_of(path, equation) if variable == "t" and share >= CLEAR else None
+    z, label = path.variable(variable), _variable_label(analysis, variable)
+    period = (
+        period_of(path, equation)
+        if variable == "t" and share >= CLEAR_PATTERN
+        else None
+    )
     if period is not None:
         z, label = (
             (z - path.t[0]) % period,
             f"{label}, folded to the period of {period:.3g}",
         )
-    w = path.of(equation) if variable == "t" else cleaned(path, equation, variable)
+    w = (
+        path.force_on(equation)
+        if variable == "t"
+        else cleaned(path, equation, variable)
+    )
     centre, mean, spread, _ = _binned(z, w)
     step = max(1, len(z) // MOST_DOTS)
     ax.plot(z[::step], w[::step], ".", ms=3, color=CLOUD, label="force")
@@ -223,28 +226,30 @@ def plot_dependence(
         label="std. deviation",
     )
     ax.axhline(0, color="0.3", lw=0.8)
-    ax.set(xlabel=label, ylabel=_force_label(diagnosis, equation))
+    ax.set(xlabel=label, ylabel=_force_label(analysis, equation))
     ax.margins(y=0.25)
     ax.legend(
         frameon=False, ncols=3, loc="upper center", columnspacing=1.0, handletextpad=0.4
     )
     _titled(
-        ax, _dependence_title(diagnosis, equation, variable, share, _is_constant(found))
+        ax, _dependence_title(analysis, equation, variable, share, _is_constant(found))
     )
     return ax
 
 
 def _dependence_title(
-    diagnosis: "Diagnosis",
+    analysis: ForceAnalysis,
     equation: str,
     variable: str,
     share: float,
     is_constant: bool,
 ) -> str:
-    if _row(diagnosis, equation)["times_noise"] < SEEN:
+    if _row(analysis, equation)["times_noise"] < CERTAIN_FORCE:
         return f"d{equation}/dt: no missing force is sure"
-    verb = "follows" if share >= CLEAR else "hardly follows"
-    constant = "is constant, what varies " if is_constant and share < CLEAR else ""
+    verb = "follows" if share >= CLEAR_PATTERN else "hardly follows"
+    constant = (
+        "is constant, what varies " if is_constant and share < CLEAR_PATTERN else ""
+    )
     return f"The force in d{equation}/dt {constant}{verb} {variable} ({100 * share:.0f} % predicted)"
 
 
@@ -256,19 +261,19 @@ def _is_constant(found: pd.DataFrame) -> bool:
 
 
 def plot_spectrum(
-    diagnosis: "Diagnosis", equation: str | None = None, ax: Axes | None = None
+    analysis: ForceAnalysis, equation: str | None = None, ax: Axes | None = None
 ) -> Axes:
     """Amplitude of the missing force (its mean apart) by frequency, and the level that
     its uncertainty explains.
     """
     ax, equation, path = (
         _axes(ax, (6.0, 4.0)),
-        _equation(diagnosis, equation),
-        _along(diagnosis),
+        _equation(analysis, equation),
+        analysis.force,
     )
-    w, unit = path.of(equation), frequency_unit(diagnosis.data.units)
+    w, unit = path.force_on(equation), frequency_unit(analysis.force.units)
     f, amplitude = spectrum(path.t, path.run, w - w.mean())
-    draws = uncertain(diagnosis.estimate)[:, path.equations.index(equation)]
+    draws = uncertain(analysis.force.estimate)[:, path.equations.index(equation)]
     level = _smooth(
         np.quantile(spectrum(path.t, path.run, draws)[1], LEVEL_SHARE, axis=1)
     )
@@ -290,7 +295,7 @@ def plot_spectrum(
     ax.set_ylim(0, 1.3 * max(amplitude.max(), level.max(), TINY))
     ax.set(
         xlabel=f"frequency ({unit})",
-        ylabel=_force_label(diagnosis, equation, "amplitude"),
+        ylabel=_force_label(analysis, equation, "amplitude"),
     )
     ax.legend(frameon=False, loc="upper right")
     _titled(ax, _spectrum_title(equation, f, amplitude, above, unit, w))
@@ -341,14 +346,14 @@ def _binned(
     )
 
 
-def _equation(diagnosis: "Diagnosis", equation: str | None) -> str:
+def _equation(analysis: ForceAnalysis, equation: str | None) -> str:
     """The equation asked for, or that whose missing force is strongest over its
     uncertainty.
     """
-    model = diagnosis.fit.model
-    forced = [model.states[row] for row in diagnosis.estimate.prior.rows]
+    model = analysis.force.fit.model
+    forced = [model.states[row] for row in analysis.force.estimate.prior.rows]
     if equation is None:
-        table = located(diagnosis.fit, diagnosis.estimate)
+        table = analysis.where
         return str(table["equation"][int(table["times_noise"].argmax())])
     if equation not in forced:
         raise ModelError(
@@ -359,7 +364,7 @@ def _equation(diagnosis: "Diagnosis", equation: str | None) -> str:
 
 
 def _variable(
-    path: Along, equation: str, variable: str | None, found: pd.DataFrame
+    path: ForceRecord, equation: str, variable: str | None, found: pd.DataFrame
 ) -> str:
     """The variable asked for, or the single one that predicts the force best; the time
     for a constant force.
@@ -377,30 +382,26 @@ def _variable(
     return str(found[found["variable"].isin(listed)]["variable"].iloc[0])
 
 
-def _along(diagnosis: "Diagnosis") -> Along:
-    return along(diagnosis.fit, diagnosis.estimate, diagnosis.runs)
-
-
-def _row(diagnosis: "Diagnosis", equation: str) -> pd.Series:
+def _row(analysis: ForceAnalysis, equation: str) -> pd.Series:
     """The equation's row of `located`, with the number of the trajectory."""
-    table = located(diagnosis.fit, diagnosis.estimate)
+    table = analysis.where
     return table[table["equation"] == equation].iloc[0]
 
 
 def _region(
-    diagnosis: "Diagnosis", path: Along, equation: str, plane: Sequence[str]
+    analysis: ForceAnalysis, path: ForceRecord, equation: str, plane: Sequence[str]
 ) -> str:
-    if _row(diagnosis, equation)["times_noise"] < SEEN:
+    if _row(analysis, equation)["times_noise"] < CERTAIN_FORCE:
         return f"d{equation}/dt: no missing force is sure"
-    region = region_of(path, path.of(equation), plane)
+    region = region_of(path, path.force_on(equation), plane)
     if region == "everywhere":
         return f"d{equation}/dt: no region of the states stands out"
     return f"d{equation}/dt: the missing force is strong where {region}"
 
 
-def _variable_label(diagnosis: "Diagnosis", name: str) -> str:
+def _variable_label(analysis: ForceAnalysis, name: str) -> str:
     """Name and unit; a velocity has the unit of its position over that of the time."""
-    units, model = diagnosis.data.units, diagnosis.fit.model
+    units, model = analysis.force.units, analysis.force.fit.model
     if name not in model.efforts:
         return _label(name, units.get(name, ""))
     row = np.array(model.S)[:, model.efforts.index(name)]
@@ -413,9 +414,9 @@ def _variable_label(diagnosis: "Diagnosis", name: str) -> str:
 
 
 def _force_label(
-    diagnosis: "Diagnosis", equation: str, what: str = "missing force"
+    analysis: ForceAnalysis, equation: str, what: str = "missing force"
 ) -> str:
-    return _label(what, force_unit(equation, diagnosis.data.units))
+    return _label(what, force_unit(equation, analysis.force.units))
 
 
 def _titled(ax: Axes, text: str) -> None:

@@ -1,6 +1,6 @@
 """The missing force along a record, beside everything that it may depend on."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -11,6 +11,7 @@ from scipy.fft import next_fast_len
 
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.estimation.record import Record
 from phsi_opt.model.model import Model
 
 LONGEST = 2**18  # points to which a trajectory is resampled for its spectrum
@@ -18,7 +19,7 @@ MOST_SOLVED = 3e7  # numbers held at once for the standard deviation of the forc
 
 
 @dataclass(frozen=True, eq=False)
-class Along:
+class ForceRecord:
     """The missing force and what it may depend on, at the middle of every interval.
 
     force (n_intervals, n_forced) of ``equations``; states, efforts and losses -R dH/dx
@@ -29,6 +30,8 @@ class Along:
 
     fit: Fit
     estimate: ForceEstimate
+    trajectories: tuple[str, ...]
+    units: Mapping[str, str]
     equations: tuple[str, ...]
     t: np.ndarray
     h: np.ndarray
@@ -40,6 +43,43 @@ class Along:
     losses: np.ndarray
     slopes: np.ndarray
 
+    @classmethod
+    def of(cls, record: Record) -> "ForceRecord":
+        """The missing force of a record with states, efforts, inputs and slopes."""
+        estimate = record.estimate
+        grid = estimate.grid
+        x = estimate.x
+        model = record.model.with_values(estimate.rounded)
+        states = (x[grid.begin] + x[grid.begin + 1]) / 2
+        inputs = (grid.u0 + grid.u1) / 2
+        t = grid.t[grid.begin] + grid.h / 2
+        n = len(t)
+        run = grid.trajectory[grid.begin]
+        theta = record.theta
+        of_interval = theta[:, run] if len(theta) else ca.DM(0, n)
+        point = (states.T, inputs.T, t[None, :], of_interval)
+        efforts = model.function(*model.efforts).map(n)(*point)
+        frozen = model.frozen()
+        known = (*point[:3], ca.DM(0, n))
+        with_loss = frozen.rhs().map(n)(*known)
+        without_loss = replace(frozen, R={}).rhs().map(n)(*known)
+        return cls(
+            fit=record.fit,
+            estimate=estimate,
+            trajectories=record.trajectories,
+            units=record.data.units,
+            equations=tuple(model.states[row] for row in estimate.prior.rows),
+            t=t,
+            h=grid.h,
+            run=run,
+            force=estimate.w,
+            states=states,
+            efforts=np.array(efforts).T,
+            inputs=inputs,
+            losses=np.array(with_loss - without_loss).T,
+            slopes=_slopes(model, point, n),
+        )
+
     def variable(self, name: str) -> np.ndarray:
         """Values of a state, an effort, an input or the time ``t``."""
         model = self.fit.model
@@ -47,15 +87,15 @@ class Along:
         known |= dict(zip(model.states, self.states.T, strict=True))
         return (known | dict(zip(model.inputs, self.inputs.T, strict=True)))[name]
 
-    def own(self, equation: str) -> np.ndarray:
+    def effort_of(self, equation: str) -> np.ndarray:
         """The effort of an equation: the velocity, for a momentum."""
         return self.efforts[:, self.fit.model.states.index(equation)]
 
-    def of(self, equation: str) -> np.ndarray:
+    def force_on(self, equation: str) -> np.ndarray:
         """The missing force of an equation."""
         return self.force[:, self.equations.index(equation)]
 
-    def seen(self, equation: str, columns: np.ndarray) -> np.ndarray:
+    def as_estimated(self, equation: str, columns: np.ndarray) -> np.ndarray:
         """What the estimate would show of forces (n_intervals, k) on the equation: less
         what noise and prior hide.
 
@@ -82,51 +122,12 @@ class Along:
             )
         return shown
 
-    def imitated(self, equation: str) -> np.ndarray:
+    def by_parameters(self, equation: str) -> np.ndarray:
         """Slopes of the equation in the parameters that act in it, as the estimate
         would show them.
         """
         columns = self.slopes[:, self.fit.model.states.index(equation)]
-        return self.seen(equation, columns[:, np.any(columns != 0, axis=0)])
-
-
-def along(fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()) -> Along:
-    """Lay out the missing force with states, efforts and inputs; ``runs`` names the
-    trajectories.
-
-    Names matter only where trajectories have parameters of their own.
-    """
-    grid, model, x = estimate.grid, fit.model.with_values(estimate.rounded), estimate.x
-    middle = (x[grid.begin] + x[grid.begin + 1]) / 2
-    u, t = (grid.u0 + grid.u1) / 2, grid.t[grid.begin] + grid.h / 2
-    run = grid.trajectory[grid.begin]
-    own = [fit.by_trajectory.get(name, {}) for name in runs] or [{}] * (
-        int(run[-1]) + 1
-    )
-    theta = np.array(
-        [[{**fit.values, **values}[name] for values in own] for name in model.free]
-    )
-    at = (middle.T, u.T, t[None, :], theta[:, run] if len(theta) else ca.DM(0, len(t)))
-    efforts = np.array(model.function(*model.efforts).map(len(t))(*at)).T
-    frozen, none = model.frozen(), ca.DM(0, len(t))
-    with_loss, without = (
-        m.rhs().map(len(t))(*at[:3], none) for m in (frozen, replace(frozen, R={}))
-    )
-    equations = tuple(model.states[row] for row in estimate.prior.rows)
-    return Along(
-        fit=fit,
-        estimate=estimate,
-        equations=equations,
-        t=t,
-        h=grid.h,
-        run=run,
-        force=estimate.w,
-        states=middle,
-        efforts=efforts,
-        losses=np.array(with_loss - without).T,
-        inputs=u,
-        slopes=_slopes(model, at, len(t)),
-    )
+        return self.as_estimated(equation, columns[:, np.any(columns != 0, axis=0)])
 
 
 def _slopes(model: Model, at: tuple[Any, ...], n: int) -> np.ndarray:

@@ -8,47 +8,39 @@ import numpy as np
 import pandas as pd
 from scipy.sparse.linalg import spsolve
 
-from phsi_opt.estimation.fit import Fit
+from phsi_opt.criteria import OUTSTANDING_FORCE
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
-from phsi_opt.force_analysis.force_record import MOST_SOLVED, Along, along, spectrum
+from phsi_opt.force_analysis.force_record import MOST_SOLVED, ForceRecord, spectrum
 from phsi_opt.statistics import TINY
 
 N_WINDOWS, N_BINS = (
     10,
     8,
 )  # parts of a trajectory, and of the range of a state, in which the force's size is taken
-# a part stands out when the force's size in it exceeds that of the whole record by this
-# factor
-STRONG = 1.3
-# size of the force over its standard deviation below which nothing is said about it
-SEEN = 1.0
 
 
-def located(
-    fit: Fit, estimate: ForceEstimate, runs: Sequence[str] = ()
-) -> pd.DataFrame:
+def located(path: ForceRecord) -> pd.DataFrame:
     """Where the missing force of every equation is strong, strongest first; a row per
     equation that may lack one.
 
-    Columns: equation; trajectory (its name from ``runs``, else its number) and
+    Columns: equation; trajectory (its name) and
     time_window where it is strongest; state_region where it is strong; frequency
     (cycles per unit of time; 0 for a force that is mostly constant); strength (rms);
     times_noise (strength over the typical standard deviation of the estimate: below 1
     it is not sure).
     """
-    path, times = along(fit, estimate, runs), _times_noise(estimate)
+    times = _times_noise(path.estimate)
     rows = []
     for k, name in enumerate(path.equations):
         w = path.force[:, k]
         strength = _rms(w)
         run, window = _window(path, w)
-        trajectory = runs[run] if len(runs) else run
         rows.append(
             (
                 name,
-                trajectory,
+                path.trajectories[run],
                 window,
-                region_of(path, w, fit.model.states),
+                region_of(path, w, path.fit.model.states),
                 _frequency(path, w),
                 strength,
                 times[k],
@@ -99,14 +91,14 @@ def _sizes(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
     return np.sqrt(np.bincount(part, w**2, n_parts) / np.maximum(count, 1))
 
 
-def _window(path: Along, w: np.ndarray) -> tuple[int, str]:
+def _window(path: ForceRecord, w: np.ndarray) -> tuple[int, str]:
     """Number of the trajectory, and the tenth of it, where the force is strongest."""
     count = np.bincount(path.run)
     place = np.arange(len(w)) - (np.cumsum(count) - count)[path.run]
     part = path.run * N_WINDOWS + place * N_WINDOWS // count[path.run]
     size = _sizes(w, part, len(count) * N_WINDOWS)
     best = int(np.argmax(size))
-    if size[best] > STRONG * _rms(w):
+    if size[best] > OUTSTANDING_FORCE * _rms(w):
         inside, note = np.flatnonzero(part == best), ""
     else:
         inside, note = np.flatnonzero(path.run == best // N_WINDOWS), " (throughout)"
@@ -115,7 +107,7 @@ def _window(path: Along, w: np.ndarray) -> tuple[int, str]:
     return best // N_WINDOWS, f"{begin:.3g} to {end:.3g}{note}"
 
 
-def region_of(path: Along, w: np.ndarray, names: Sequence[str]) -> str:
+def region_of(path: ForceRecord, w: np.ndarray, names: Sequence[str]) -> str:
     """Ranges of the variables in which the force is strong; 'everywhere' where none
     stands out.
     """
@@ -128,7 +120,9 @@ def region_of(path: Along, w: np.ndarray, names: Sequence[str]) -> str:
             continue
         part = np.clip(np.searchsorted(edges, z) - 1, 0, len(edges) - 2)
         enough = np.bincount(part, minlength=len(edges) - 1) > 0.02 * len(w)
-        strong = enough & (_sizes(w, part, len(edges) - 1) > STRONG * _rms(w))
+        strong = enough & (
+            _sizes(w, part, len(edges) - 1) > OUTSTANDING_FORCE * _rms(w)
+        )
         if (
             1 <= np.count_nonzero(np.diff(np.r_[False, strong].astype(int)) == 1) <= 2
             and not strong.all()
@@ -149,7 +143,7 @@ def _stretches(edges: np.ndarray, strong: np.ndarray) -> str:
     )
 
 
-def _frequency(path: Along, w: np.ndarray) -> float:
+def _frequency(path: ForceRecord, w: np.ndarray) -> float:
     """Frequency at which the force is strongest, in cycles per unit of time; 0 where
     most of it is constant.
     """

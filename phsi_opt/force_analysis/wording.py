@@ -1,34 +1,32 @@
 """TODO."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import pandas as pd
 
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate
-from phsi_opt.force_analysis.dependence import CLEAR, depends_on, leading
-from phsi_opt.force_analysis.energy import power
+from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN
+from phsi_opt.force_analysis.dependence import leading
+from phsi_opt.force_analysis.energy import Power
 from phsi_opt.force_analysis.force_record import force_unit, frequency_unit, spaced
-from phsi_opt.force_analysis.localization import SEEN, located
 
 
 def sentences(
-    fit: Fit,
-    estimate: ForceEstimate,
-    runs: Sequence[str] = (),
-    units: Mapping[str, str] | None = None,
+    units: Mapping[str, str],
+    where: pd.DataFrame,
+    follows: pd.DataFrame,
+    energy: Power,
 ) -> list[str]:
-    """Plain sentences on where the model fails, an equation each, strongest first;
-    ``units`` as in `Measurements`.
+    """Plain sentences on where the model fails, an equation each, strongest first.
+
+    Args:
+        units: as in `Measurements`.
+        where: from `located`; ``follows``: from `depends_on`; ``energy``: from `power`.
     """
-    known, table = units or {}, located(fit, estimate, runs)
-    energy = power(fit, estimate, runs, known)
     words = dict(zip(energy.table["equation"], energy.sentences, strict=True))
-    found = depends_on(fit, estimate, runs)
-    return [
-        _sentence(row, words[row["equation"]], found, known)
-        for _, row in table.iterrows()
-    ]
+    said = []
+    for _, row in where.iterrows():
+        said.append(_sentence(row, words[row["equation"]], follows, units))
+    return said
 
 
 def _sentence(
@@ -36,14 +34,14 @@ def _sentence(
 ) -> str:
     name, times = row["equation"], row["times_noise"]
     size = f"{row['strength']:.3g}{spaced(force_unit(name, units))}"
-    if times < SEEN:
+    if times < CERTAIN_FORCE:
         return f"d{name}/dt: no missing force is sure (rms {size}, {times:.2g} times its standard deviation)."
     pattern = (
         f"It {words}."
         if words != "no clear pattern"
         else "No single cause explains it."
     )
-    if (best := leading(found, name)) is not None and best["share"] >= CLEAR:
+    if (best := leading(found, name)) is not None and best["share"] >= CLEAR_PATTERN:
         pattern += (
             f" Best predicted from {best['variable']} ({100 * best['share']:.0f} %)."
         )

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from phsi_opt.learning.orthogonal_network import NOTHING, Record, Response
+from phsi_opt.learning.orthogonal_network import NOTHING, ForceSamples, Response
 from phsi_opt.learning.term_candidates import WIDTHS, candidates
 from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.expressions import evaluate
@@ -26,7 +26,7 @@ SPANNED = 1e-6
 
 def short_form(
     names: Sequence[str],
-    record: Record,
+    record: ForceSamples,
     response: Response,
     curve: np.ndarray,
     most: int,
@@ -131,7 +131,7 @@ class _Problem:
     """What is explained, by what, and by which criterion."""
 
     names: Sequence[str]
-    record: Record
+    record: ForceSamples
     response: Response
     target: np.ndarray
     criterion: _Criterion

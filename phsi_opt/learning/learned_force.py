@@ -30,14 +30,14 @@ from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.json_file import read_json
-from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation, force_of
-from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
+from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
+from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
 from phsi_opt.learning.orthogonal_network import (
     NOTHING,
+    ForceSamples,
     Hidden,
     Output,
-    Record,
     Response,
     chosen,
     features_of,
@@ -81,7 +81,7 @@ class LearnedForce:
     hidden: Hidden
     output: Output
     explains: float
-    record: Record = field(repr=False)
+    record: ForceSamples = field(repr=False)
 
     @property
     def seen(self) -> np.ndarray:
@@ -215,7 +215,6 @@ class LearnedForce:
 def learned_force(
     fit: Fit,
     data: Measurements,
-    estimate: ForceEstimate | None = None,
     *,
     equation: str,
     on: Sequence[str],
@@ -227,8 +226,6 @@ def learned_force(
     variables ``on``.
 
     Args:
-        estimate: the missing force on ``data``, such as that of a `Diagnosis`; default:
-            estimated here.
         on: names of states, efforts (``dH_dp``), inputs, or ``t``.
         epochs: the most; how many are used, and the weight of the ridge, is chosen on
             stretches of time left out.
@@ -237,13 +234,32 @@ def learned_force(
 
     Raises `ModelError` for unknown names and `DataError` for fewer than 50 intervals.
     """
+    return learned_force_of(
+        Record.of(fit, data),
+        equation=equation,
+        on=on,
+        seed=seed,
+        epochs=epochs,
+        loss=loss,
+    )
+
+
+def learned_force_of(
+    along: Record,
+    *,
+    equation: str,
+    on: Sequence[str],
+    seed: int = 0,
+    epochs: int = 200,
+    loss: MaximumLikelihood | None = None,
+) -> LearnedForce:
+    """`learned_force` for a record that was made before."""
+    fit, data, estimate = along.fit, along.data, along.estimate
     on = _checked(fit.model, on, epochs)
-    data = aligned(fit.model, data)
-    estimate = estimate or force_of(fit, data)
-    record = _record(fit, data, estimate, equation, on)
+    record = _record(along, equation, on)
     shift, spread = record.v.mean(axis=0), np.maximum(record.v.std(axis=0), 1e-12)
     z = (record.v - shift) / spread
-    response = Response.of(fit, data, estimate, fit.model.index(equation))
+    response = Response.of(along, fit.model.index(equation))
     hidden, output, explains = chosen(z, record, response, epochs, seed)
     if explains <= 0:
         return LearnedForce(
@@ -296,17 +312,12 @@ def _along(
     return np.array(function.map(len(t))(x.T, u.T, np.reshape(t, (1, -1)), theta)).T
 
 
-def _record(
-    fit: Fit,
-    data: Measurements,
-    estimate: ForceEstimate,
-    equation: str,
-    on: tuple[str, ...],
-) -> Record:
+def _record(along: Record, equation: str, on: tuple[str, ...]) -> ForceSamples:
     """Variables, missing force and the physics' columns d rhs_i / d theta in the middle
     of every interval.
     """
-    model, grid = fit.model.with_values(estimate.rounded), estimate.grid
+    estimate = along.estimate
+    model, grid = along.model.with_values(estimate.rounded), estimate.grid
     row = model.index(equation, "equation of a learned force")
     if row not in estimate.prior.rows:
         raise ModelError(
@@ -320,12 +331,12 @@ def _record(
         (estimate.x[grid.begin] + estimate.x[grid.begin + 1]) / 2,
         grid.trajectory[grid.begin],
     )
-    unknown = Theta.of(model, tuple(each.name for each in data.trajectories))
+    unknown = Theta.of(model, along.trajectories)
     points = (
         x,
         (grid.u0 + grid.u1) / 2,
         grid.t[grid.begin] + grid.h / 2,
-        parameter_matrix(model, parameters_of(fit, data))[:, run],
+        along.theta[:, run],
     )
     symbols = [
         ca.SX.sym("s", n) for n in (model.n_states, model.n_inputs, 1, len(model.free))
@@ -338,7 +349,9 @@ def _record(
     std = np.maximum(force_deviation(estimate)[:, k], TINY)
     basis, sizes, _ = np.linalg.svd(columns / std[:, None], full_matrices=False)
     kept = basis[:, sizes > NOTHING * np.max(sizes, initial=0.0)]
-    return Record(_along(model.function(*on), *points), estimate.w[:, k], std, kept)
+    return ForceSamples(
+        _along(model.function(*on), *points), estimate.w[:, k], std, kept
+    )
 
 
 def _re_estimated(
@@ -388,9 +401,9 @@ def distil(
     if not np.any(learned.output[0]):
         return []
     fit, data = learned.physics, aligned(learned.physics.model, data)
-    estimate = force_of(fit, data)
-    record = _record(fit, data, estimate, learned.equation, learned.on)
-    response = Response.of(fit, data, estimate, fit.model.index(learned.equation))
+    along = Record.of(fit, data)
+    record = _record(along, learned.equation, learned.on)
+    response = Response.of(along, fit.model.index(learned.equation))
     terms = short_form(learned.on, record, response, learned.at(record.v), most, share)
     taken = (model or fit.model).entries
     free = (
@@ -457,7 +470,7 @@ def _from_json(content: dict[str, Any]) -> LearnedForce:
         name: np.array(values, dtype=float)
         for name, values in content["record"].items()
     }
-    record = Record(**arrays)
+    record = ForceSamples(**arrays)
     shift, spread = (
         np.array(content["shift"], dtype=float),
         np.array(content["spread"], dtype=float),

@@ -16,12 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.estimation.record import Record
 from phsi_opt.optimization.torch_threads import one_thread
-from phsi_opt.screening.score_test import Screen
+from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.statistics import TINY
 
 N_HIDDEN = 16
@@ -40,7 +38,7 @@ Output = tuple[np.ndarray, float]  # weights (n_hidden,) and bias
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class ForceSamples:
     """The missing force of one equation along the record: variables v (n, n_variables),
     w and its deviation std (n,).
 
@@ -71,43 +69,42 @@ class Response:
     which group of stretches of time an interval and a measured value belong.
     """
 
-    screen: Screen
+    linearized: LinearizedRecord
     row: int
     residual: np.ndarray
     fold: np.ndarray
     value_fold: np.ndarray
 
     @classmethod
-    def of(
-        cls, fit: Fit, data: Measurements, estimate: ForceEstimate, row: int
-    ) -> "Response":
-        """The response of the fit, linearised at the states of the missing-force
-        estimate.
-        """
-        screen, grid = Screen(fit, data, estimate), estimate.grid
+    def of(cls, record: Record, row: int) -> "Response":
+        """The response of a record, linearised at the states of its missing force."""
+        linearized = LinearizedRecord.of(record)
+        grid = linearized.grid
+        is_measured = linearized.weight > 0
         # Two stretches per fold, so that a fold sees the beginning and the end of what
         # decays.
         of_node = np.arange(grid.n_nodes) * 2 * N_FOLDS // grid.n_nodes % N_FOLDS
-        values = np.repeat(of_node, fit.model.n_states)[screen.weight > 0]
-        return cls(
-            screen, row, screen.residual[screen.weight > 0], of_node[grid.begin], values
-        )
+        values = np.repeat(of_node, record.model.n_states)[is_measured]
+        residual = linearized.residual[is_measured]
+        return cls(linearized, row, residual, of_node[grid.begin], values)
 
     def traces(self, forces: np.ndarray) -> np.ndarray:
         """Change (n_values, n_forces) of what is explained by forces (n_intervals,
         n_forces).
         """
-        grid, n_states = self.screen.grid, self.screen.model.n_states
-        D = np.zeros((grid.n_intervals, n_states, forces.shape[1]))
-        D[:, self.row] = -forces
-        Y = np.zeros((grid.n_nodes * n_states, forces.shape[1]))
-        return self.screen.traces(D.reshape(-1, forces.shape[1]), Y)[
-            self.screen.weight > 0
-        ]
+        linearized = self.linearized
+        grid = linearized.grid
+        n_states = linearized.model.n_states
+        n_forces = forces.shape[1]
+        of_defects = np.zeros((grid.n_intervals, n_states, n_forces))
+        of_defects[:, self.row] = -forces
+        of_outputs = np.zeros((grid.n_nodes * n_states, n_forces))
+        traces = linearized.traces(of_defects.reshape(-1, n_forces), of_outputs)
+        return traces[linearized.weight > 0]
 
 
 def chosen(
-    z: np.ndarray, record: Record, response: Response, epochs: int, seed: int
+    z: np.ndarray, record: ForceSamples, response: Response, epochs: int, seed: int
 ) -> tuple[Hidden, Output, float]:
     """Hidden layer, output layer, and the share explained, with epochs and ridge chosen
     on stretches left out.
@@ -146,7 +143,7 @@ def features_of(z: np.ndarray, hidden: Hidden) -> np.ndarray:
     return np.hstack([np.tanh(z @ hidden[0].T + hidden[1]), np.ones((len(z), 1))])
 
 
-def _orthogonal(features: np.ndarray, record: Record) -> np.ndarray:
+def _orthogonal(features: np.ndarray, record: ForceSamples) -> np.ndarray:
     """Orthonormal directions (n_features, n_free) of output weights whose force is
     orthogonal to the physics.
     """
@@ -174,7 +171,7 @@ def _outputs(
 
 
 def _trained(
-    z: np.ndarray, record: Record, used: np.ndarray, epochs: int, seed: int
+    z: np.ndarray, record: ForceSamples, used: np.ndarray, epochs: int, seed: int
 ) -> list[Hidden]:
     """The hidden layer at each of the `STOPS`, by Adam on the weighted squares that the
     physics leaves.

@@ -1,46 +1,57 @@
-"""A study as text."""
+"""A report as Markdown, from sections of text and of output as it is printed."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from phsi_opt.errors import DataError
 
-if TYPE_CHECKING:
-    from phsi_opt.study import Study
+SUFFIXES = (".md", ".txt")
 
 
-def write_report(study: "Study", path: Path) -> Path:
-    """Write the report; raises `DataError` for a kind of file that cannot be written."""
-    if path.suffix not in (".md", ".txt"):
+@dataclass(frozen=True)
+class Section:
+    """A heading with what stands below it.
+
+    Attributes:
+        heading: its text; ``level``: 1 for the title.
+        text: prose or a list, as Markdown.
+        outputs: printed output, each in a block of its own.
+    """
+
+    heading: str
+    level: int
+    text: str = ""
+    outputs: tuple[str, ...] = ()
+
+    @property
+    def paragraphs(self) -> list[str]:
+        """Heading, text and blocks."""
+        found = [f"{'#' * self.level} {self.heading}"]
+        if self.text:
+            found.append(self.text)
+        for output in self.outputs:
+            found.append(f"```text\n{output}\n```")
+        return found
+
+
+def report_text(sections: Sequence[Section]) -> str:
+    """The sections as Markdown."""
+    paragraphs: list[str] = []
+    for section in sections:
+        paragraphs += section.paragraphs
+    return "\n\n".join(paragraphs) + "\n"
+
+
+def write_report(sections: Sequence[Section], path: Path) -> Path:
+    """Write a report.
+
+    Raises:
+        DataError: for a kind of file that cannot be written.
+    """
+    if path.suffix not in SUFFIXES:
         raise DataError(
-            f"a report is written as .md or .txt; {path.name!r} is neither."
+            f"a report is written as {' or '.join(SUFFIXES)}; {path.name!r} is neither."
         )
-    path.write_text(report_text(study), encoding="utf-8")
+    path.write_text(report_text(sections), encoding="utf-8")
     return path
-
-
-def report_text(study: "Study") -> str:
-    """The study as Markdown: history, present model, comparison, verdict."""
-    unit = f" ({study.unit})" if study.unit else ""
-    history = study.history.to_string(index=False, float_format=lambda v: f"{v:.4g}")
-    parts = [
-        "# Study",
-        f"Errors are root mean squares of the free-run residual{unit}.",
-        "## History",
-        _block(history),
-        "## Model",
-        _block(str(study.fit)),
-        _block("\n".join(study.fit.equations())),
-        "## Against the measurements",
-        _block(str(study.compare())),
-        "## Verdict",
-        study.stopped or "not asked yet: call `study.auto()` or `study.diagnose()`",
-    ]
-    for number, diagnosis in sorted(study._diagnoses.items()):
-        said = "\n".join(f"- {sentence}" for sentence in diagnosis.sentences)
-        parts += [f"### Diagnosis before step {number}", said, _block(str(diagnosis))]
-    return "\n\n".join(parts) + "\n"
-
-
-def _block(text: str) -> str:
-    return f"```text\n{text}\n```"

@@ -1,18 +1,297 @@
-"""TODO."""
+"""A record linearised once: what any change of forces or sensors leaves in the residuals.
 
+The likelihood of the whole record is linearised at the states of the missing-force
+estimate, with the dynamics hard::
+
+    minimise 1/2 |r - C z - Y c|^2   over z = (theta, x) and c
+    subject to d + J z + D c = 0
+
+d are the defects of the fitted model at these states, D and Y what some coefficients c
+do to the defects and to what the sensors show. One factorisation serves all of them:
+what is left of D and Y in the weighted residuals, with states and base parameters
+following, is their trace. Linearising at the base model's own trajectory instead would
+compare phases that have run apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, diags, hstack
 
-LINEARIZATION_SCHEME = "srk4"
-BACK = 4  # steps of Newton's method to states that obey the model, at most
-OBEYED, NEARLY = (
-    1e-4,
-    1e-2,
-)  # defects, as shares of those at the missing force's states: none; few enough
-KEPT = 20_000  # rows of every trace scanned that are kept, for the pairs
+from phsi_opt.estimation.record import Record
+from phsi_opt.model.model import Model
+from phsi_opt.transcription.defects import defects
+from phsi_opt.transcription.elimination import ReducedSystem, Step, regularized_inverse
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.sensors import SensorOutputs, output_slopes_in_theta
+
+DEFECT_SCHEME = "srk4"  # the integrator of the defects that are linearised
+# Newton steps to states that obey the model, at most: a free run's steps are finer than
+# those of the record's grid.
+MOST_NEWTON_STEPS = 4
+# Defects of states that obey the model, as shares of those at the missing force's
+# states: small enough to stop, and small enough to be of use when the steps end.
+OBEYING = 1e-4
+NEARLY_OBEYING = 1e-2
+# Rows of every trace that are kept for pairs of effects: their common products are
+# accurate to 1 %, and the memory of a long record stays bounded.
+MOST_KEPT_ROWS = 20_000
 
 
-def column_scale(B: csc_matrix, D: csc_matrix) -> np.ndarray:
-    """Per column of B above D: one over its norm."""
-    norms = np.sqrt(np.asarray(B.power(2).sum(axis=0) + D.power(2).sum(axis=0)).ravel())
+@dataclass(frozen=True, eq=False)
+class LinearizedRecord:
+    """The likelihood of a record, linearised (see the module's text).
+
+    Attributes:
+        record: the fit along the measurements.
+        model: the fitted model, corners of dry friction rounded as in the estimate.
+        states: where it was linearised, (n_nodes, n_states).
+        parameters: values of the free parameters, (n_free, n_trajectories).
+        unknown: the layout of the vector of parameters.
+        theta: their values, (n_theta,), and ``scale``: the size of each.
+        defects: at these states, (n_intervals * n_states,).
+        weight: one over the noise of every value, (n_nodes * n_states,); 0: unmeasured.
+        from_unknowns: slope of the weighted residuals in scaled theta and states.
+        reduced: the system with its states eliminated; ``covariance``: of scaled theta.
+        step: of scaled theta and of the states, to those that obey the model.
+        residual: weighted residuals after that step, (n_nodes * n_states,).
+    """
+
+    record: Record
+    model: Model
+    states: np.ndarray
+    parameters: np.ndarray
+    unknown: Theta
+    theta: np.ndarray
+    scale: np.ndarray
+    defects: np.ndarray = field(repr=False)
+    weight: np.ndarray = field(repr=False)
+    from_unknowns: csc_matrix = field(repr=False)
+    reduced: ReducedSystem = field(repr=False)
+    covariance: np.ndarray = field(repr=False)
+    step: Step = field(repr=False)
+    residual: np.ndarray = field(repr=False)
+
+    @classmethod
+    def of(cls, record: Record, states: np.ndarray | None = None) -> "LinearizedRecord":
+        """Linearise a record, at the states of its missing-force estimate by default."""
+        estimate = record.estimate
+        model = record.model.with_values(estimate.rounded)
+        grid = estimate.grid
+        x = estimate.x if states is None else states
+        unknown = Theta.of(model, record.trajectories)
+        n_theta = len(unknown)
+        theta = np.zeros(n_theta)
+        theta[unknown.table] = record.theta
+        by_trajectory = np.asarray(unknown.by_trajectory(theta))
+
+        state_symbol = ca.MX.sym("x", x.size)
+        theta_symbol = ca.MX.sym("theta", n_theta)
+        columns = ca.reshape(state_symbol, model.n_states, grid.n_nodes)
+        of_theta = unknown.by_trajectory(theta_symbol)
+        d = ca.vec(defects(model, grid, DEFECT_SCHEME, columns, of_theta))
+        slopes = [d, ca.jacobian(d, state_symbol), ca.jacobian(d, theta_symbol)]
+        linear = ca.Function("linear", [state_symbol, theta_symbol], slopes)
+        value, by_states, by_theta = linear(x.ravel(), theta)
+        minus_e = np.array(value).ravel()
+
+        sensed = SensorOutputs.at(model, grid, x, by_trajectory)
+        measured = grid.measured
+        weight = np.where(measured, 1 / estimate.sigma, 0.0).ravel()
+        weighted = diags(weight)
+        direct = output_slopes_in_theta(unknown, grid, x, theta).reshape(
+            x.size, n_theta
+        )
+        weighted_direct = weighted @ csc_matrix(direct)
+        scale = _column_scale(csc_matrix(by_theta.sparse()), weighted_direct)
+        scaled_slopes = by_theta.sparse() @ diags(scale)
+        through_sensors = weighted_direct @ diags(scale)
+        through_states = weighted @ sensed.jacobian
+        from_unknowns = csc_matrix(hstack([through_sensors, through_states]))
+        unexplained = np.where(measured, (grid.y - sensed.values) / estimate.sigma, 0.0)
+        r = unexplained.ravel()
+
+        hessian = csc_matrix(from_unknowns.T @ from_unknowns)
+        jacobian = hstack([scaled_slopes, by_states.sparse()])
+        reduced = ReducedSystem(
+            grid,
+            model.n_states,
+            hessian,
+            jacobian,
+            slice(0, n_theta),
+            slice(n_theta, n_theta + x.size),
+        )
+        covariance = regularized_inverse(reduced.information)
+        gradient = from_unknowns.T @ r
+        step = reduced.solve(
+            gradient[n_theta:], -minus_e, covariance, gradient[:n_theta]
+        )
+        residual = r - from_unknowns @ step.joined
+        return cls(
+            record=record,
+            model=model,
+            states=x,
+            parameters=record.theta,
+            unknown=unknown,
+            theta=theta,
+            scale=scale,
+            defects=minus_e,
+            weight=weight,
+            from_unknowns=from_unknowns,
+            reduced=reduced,
+            covariance=covariance,
+            step=step,
+            residual=residual,
+        )
+
+    @property
+    def grid(self) -> Grid:
+        """Nodes and intervals of the record."""
+        return self.record.estimate.grid
+
+    @property
+    def n_theta(self) -> int:
+        """Number of parameters, those of every trajectory counted."""
+        return len(self.unknown)
+
+    @property
+    def n_values(self) -> int:
+        """Number of measured values."""
+        return int(self.grid.measured.sum())
+
+    @cached_property
+    def misfit(self) -> float:
+        """Squared residuals that the model leaves, in units of the noise variance."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def obeying_states(self) -> np.ndarray:
+        """States that the base model can take, to first order, (n_nodes, n_states)."""
+        return self.states + np.asarray(self.step.x).reshape(self.states.shape)
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """What the sensors show of the obeying states, (n_nodes, n_states)."""
+        by_trajectory = np.asarray(self.unknown.by_trajectory(self.theta))
+        sensed = SensorOutputs.at(
+            self.model, self.grid, self.obeying_states, by_trajectory
+        )
+        return sensed.values
+
+    @cached_property
+    def kept_rows(self) -> np.ndarray:
+        """Rows of measured values that are kept of a trace: all, or a fixed draw."""
+        rows = np.flatnonzero(self.weight)
+        if len(rows) > MOST_KEPT_ROWS:
+            rng = np.random.default_rng(0)
+            rows = rng.choice(rows, MOST_KEPT_ROWS, replace=False)
+        return np.sort(rows)
+
+    def traces(self, of_defects: np.ndarray, of_outputs: np.ndarray) -> np.ndarray:
+        """What is left of changes in the residuals when all that may move has followed.
+
+        Args:
+            of_defects: D, (n_intervals * n_states, k).
+            of_outputs: Y, (n_nodes * n_states, k), not yet weighted.
+
+        Returns:
+            (n_nodes * n_states, k), in units of the noise.
+        """
+        followed = self._followed(of_defects, of_outputs).joined
+        direct = self.weight[:, None] * of_outputs
+        return np.asarray(direct + self.from_unknowns @ followed)
+
+    def _followed(self, of_defects: np.ndarray, of_outputs: np.ndarray) -> Step:
+        """How scaled parameters and states follow the changes D and Y."""
+        gradient = -(self.from_unknowns.T @ (self.weight[:, None] * of_outputs))
+        n = self.n_theta
+        return self.reduced.solve(
+            gradient[n:], -of_defects, self.covariance, gradient[:n]
+        )
+
+    def adjoint(self) -> np.ndarray:
+        """Multipliers of the defects, (n_intervals * n_states,).
+
+        Minus the product of the residual with the trace of each defect.
+        """
+        gradient = self.from_unknowns.T @ self.residual
+        n = self.n_theta
+        return self.reduced.multipliers(gradient[n:], self.covariance, gradient[:n])
+
+    def parameters_with(
+        self,
+        of_defects: np.ndarray,
+        of_outputs: np.ndarray,
+        coefficients: np.ndarray,
+    ) -> dict[str, float]:
+        """Values of the base's parameters beside an effect with given coefficients.
+
+        They move at most half way to their bounds: the linearisation is not trusted
+        further.
+        """
+        by_effect = self._followed(of_defects, of_outputs).theta @ coefficients
+        moved = self.theta + self.scale * (self.step.theta + by_effect)
+        entries = self.unknown.entries
+        lower = np.array([entry.parameter.lower for entry in entries])
+        upper = np.array([entry.parameter.upper for entry in entries])
+        half_way_down = (lower + self.theta) / 2
+        half_way_up = (upper + self.theta) / 2
+        moved = np.clip(moved, half_way_down, half_way_up)
+        return dict(zip(self.unknown.names, moved.tolist(), strict=True))
+
+    def parameters_of(self, model: Model, values: dict[str, float]) -> np.ndarray:
+        """Parameters of a larger model, (n_free, n_trajectories).
+
+        Those of the base as they are; others from ``values``, else at their start.
+        """
+        known = dict(zip(self.model.free, self.parameters, strict=True))
+        n_trajectories = self.parameters.shape[1]
+        default = model.values
+        rows = []
+        for name in model.free:
+            value = values.get(name, default[name])
+            rows.append(known.get(name, np.full(n_trajectories, value)))
+        return np.array(rows).reshape(-1, n_trajectories)
+
+    def by_trajectory(self, values: np.ndarray, size: np.ndarray) -> list[np.ndarray]:
+        """Weighted values over ``size`` per state, (n_samples, n_states) each."""
+        table = values.reshape(self.grid.y.shape) / size
+        return np.split(table, self.grid.first[1:])
+
+    def channel_sizes(self, residual: np.ndarray) -> np.ndarray:
+        """Root mean square of a weighted residual in each state, (n_states,)."""
+        measured = self.grid.measured
+        squares = np.sum(residual.reshape(self.grid.y.shape) ** 2, axis=0)
+        return np.sqrt(squares / np.maximum(measured.sum(axis=0), 1))
+
+    def along(self, run: Sequence[np.ndarray]) -> "LinearizedRecord | None":
+        """The same along states that obey the base model.
+
+        Args:
+            run: its free run, one (n_samples, n_states) per trajectory.
+
+        Returns:
+            None where there are no such states within a few Newton steps.
+        """
+        linearized = LinearizedRecord.of(self.record, np.concatenate(run))
+        reference = np.linalg.norm(self.defects)
+        for _ in range(MOST_NEWTON_STEPS):
+            if np.linalg.norm(linearized.defects) < OBEYING * reference:
+                return linearized
+            held = np.zeros_like(linearized.covariance)
+            back = linearized.reduced.respond(-linearized.defects, held).x
+            states = linearized.states + back.reshape(linearized.states.shape)
+            linearized = LinearizedRecord.of(self.record, states)
+        left = np.linalg.norm(linearized.defects)
+        return linearized if left < NEARLY_OBEYING * reference else None
+
+
+def _column_scale(of_defects: csc_matrix, of_outputs: csc_matrix) -> np.ndarray:
+    """One over the norm of each column of the two matrices above each other."""
+    squares = of_defects.power(2).sum(axis=0) + of_outputs.power(2).sum(axis=0)
+    norms = np.sqrt(np.asarray(squares).ravel())
     return 1 / np.where(norms > 0, norms, 1.0)

@@ -1,10 +1,11 @@
-"""What a candidate's coefficients do to the defects of a record and to what its sensors
-show.
+"""What a candidate's coefficients do to the defects of a record and to its sensors.
+
+A force changes the defects, a sensor's fault what is shown. An effect with a memory
+acts with states of its own, which are integrated along those of the record. A body at
+rest has no friction law: there the force is whatever the rest of the model asks for.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -13,19 +14,22 @@ from phsi_opt.initialization.relative_guesses import corner_widths, intervals_at
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.screening.linearized_record import LINEARIZATION_SCHEME
+from phsi_opt.screening.linearized_record import DEFECT_SCHEME, LinearizedRecord
 from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import defect_function, defect_jacobian
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
-if TYPE_CHECKING:
-    from phsi_opt.screening.score_test import Screen
-
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """An effect in the model: names of its linear coefficients, values to try per inner
-    parameter, frequency.
+    """An effect in the model, with what is to be found and what is to be tried.
+
+    Attributes:
+        effect: the candidate.
+        model: the base model with it.
+        linear: names of its coefficients, in which it is linear.
+        tried: values to try, by inner parameter.
+        frequency: name of the inner parameter that is a frequency, if there is one.
     """
 
     effect: Effect
@@ -35,122 +39,145 @@ class Trial:
     frequency: str | None
 
 
-class Columns:
-    """What a trial's coefficients do to the defects and to what is shown, as functions
-    of its inner parameters.
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What k coefficients of one do.
+
+    Attributes:
+        of_defects: D, (n_intervals * n_states, k).
+        of_outputs: Y, (n_nodes * n_states, k), in the units of the states.
     """
 
-    def __init__(self, screen: "Screen", trial: Trial) -> None:
-        self.screen, self.trial = screen, trial
-        self.chosen = [trial.model.free.index(name) for name in trial.linear]
-        n_runs, n_old = screen.values.shape[1], screen.model.n_states
-        self.states = screen.obeying if trial.effect.slot == "sensor" else screen.x
-        self.memory = (
-            MemoryIntegration(trial.model, screen.grid, self.states)
-            if trial.effect.memory
-            else None
-        )
-        self.slopes = self.function = None
-        self.grid = screen.grid if self.memory is None else screen.grid.apart()
-        if trial.effect.slot != "sensor" and self.chosen:
-            self.slopes = defect_jacobian(
-                trial.model, self.grid, LINEARIZATION_SCHEME, self.chosen, n_runs, n_old
-            )
-        elif trial.effect.slot != "sensor":
-            self.function = defect_function(
-                trial.model, self.grid, LINEARIZATION_SCHEME, n_runs, n_old
-            )
-        self.rest = self._rest()
+    of_defects: np.ndarray
+    of_outputs: np.ndarray
 
-    def _states(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the nodes, and at the nodes of the intervals: a memory acts there
-        with its mean.
+    def first(self, k: int) -> "Change":
+        """What the first k coefficients do."""
+        return Change(self.of_defects[:, :k], self.of_outputs[:, :k])
 
-        A memory shorter than an interval is not what lies half way between its values
-        at the ends.
+
+class Sensitivities:
+    """The change that a trial's coefficients make, as a function of inner parameters."""
+
+    def __init__(self, linearized: LinearizedRecord, trial: Trial) -> None:
+        self.linearized = linearized
+        self.trial = trial
+        self.is_sensor = trial.effect.slot == "sensor"
+        # A sensor's dynamics are right: at the states of the missing force a gain of the
+        # sensor would stand in for every force.
+        self.states = linearized.obeying_states if self.is_sensor else linearized.states
+        self.memory: MemoryIntegration | None = None
+        grid = linearized.grid
+        if trial.effect.memory:
+            self.memory = MemoryIntegration(trial.model, grid, self.states)
+            grid = grid.apart()
+        self.places = [trial.model.free.index(name) for name in trial.linear]
+        self._defect_slopes = self._defects = None
+        if not self.is_sensor:
+            n_trajectories = linearized.parameters.shape[1]
+            n_base_states = linearized.model.n_states
+            layout = (trial.model, grid, DEFECT_SCHEME)
+            if self.places:
+                self._defect_slopes = defect_jacobian(
+                    *layout, self.places, n_trajectories, n_base_states
+                )
+            else:
+                self._defects = defect_function(*layout, n_trajectories, n_base_states)
+        self.at_rest = self._defects_at_rest()
+
+    def __call__(self, values: dict[str, float]) -> Change:
+        """The change at values of the inner parameters, per unit of each coefficient.
+
+        An effect without a coefficient is there as a whole: k is one.
+        """
+        linearized = self.linearized
+        grid = linearized.grid
+        n_states = linearized.model.n_states
+        k = max(len(self.places), 1)
+        theta = linearized.parameters_of(self.trial.model, values)
+        at_nodes, at_interval_ends = self._states_with_memory(theta)
+        of_defects = np.zeros((grid.n_intervals, n_states, k))
+        of_outputs = np.zeros((grid.n_nodes, n_states, k))
+        if self.is_sensor:
+            of_outputs = self._output_change(at_nodes, theta)
+        else:
+            of_defects = self._defect_change(at_interval_ends, theta)
+        of_defects = np.nan_to_num(of_defects.reshape(-1, k))
+        of_outputs = np.nan_to_num(of_outputs.reshape(-1, k))
+        n_rest = self.at_rest.shape[1]
+        if n_rest:
+            moving = np.where(self.at_rest != 0, 0.0, of_defects)
+            of_defects = np.hstack([moving, self.at_rest])
+        return Change(of_defects, np.pad(of_outputs, ((0, 0), (0, n_rest))))
+
+    def _defect_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """(n_intervals, n_states, k)"""
+        linearized = self.linearized
+        n_intervals = linearized.grid.n_intervals
+        n_states = linearized.model.n_states
+        if self._defect_slopes is not None:
+            slopes = np.array(self._defect_slopes(x.T, theta))
+            shape = (n_intervals, self.trial.model.n_states, len(self.places))
+            return slopes.reshape(shape)[:, :n_states]
+        assert self._defects is not None
+        with_effect = np.array(self._defects(x.T, theta)).T[:, :n_states]
+        without = linearized.defects.reshape(n_intervals, n_states)
+        return (with_effect - without)[..., None]
+
+    def _output_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """(n_nodes, n_states, k)"""
+        model = self.trial.model
+        grid = self.linearized.grid
+        n_states = self.linearized.model.n_states
+        if self.places:
+            by_theta = output_slopes(model, grid, x, theta).in_parameters
+            return by_theta[:, :n_states, self.places]
+        with_effect = np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T
+        return (with_effect[:, :n_states] - self.linearized.shown)[..., None]
+
+    def _states_with_memory(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States at the nodes, and at the two ends of every interval.
+
+        A memory acts on an interval with its mean: one that is shorter than an interval
+        is not what lies half way between its values at the ends.
         """
         if self.memory is None:
             return self.states, self.states
         memory = self.memory(theta)
-        x = memory.states
+        begin = self.linearized.grid.begin
+        ends = np.column_stack([begin, begin + 1]).ravel()
         means = memory.interval_means
-        along = x[
-            np.column_stack(
-                [self.screen.grid.begin, self.screen.grid.begin + 1]
-            ).ravel()
-        ]
-        along[:, -means.shape[1] :] = np.repeat(means, 2, axis=0)
-        return x, along
+        at_interval_ends = memory.states[ends]
+        at_interval_ends[:, -means.shape[1] :] = np.repeat(means, 2, axis=0)
+        return memory.states, at_interval_ends
 
-    def _rest(self) -> np.ndarray:
-        """Defects of a body at rest, (n_defects, 1 or 0 columns), where the effect is
-        dry friction on a momentum.
+    def _defects_at_rest(self) -> np.ndarray:
+        """Defects of a body at rest, (n_intervals * n_states, 1 or 0 columns).
 
-        There the friction is what the rest of the model makes it, whatever its
-        coefficient.
+        Where the effect is dry friction on a momentum: at rest the friction is what the
+        rest of the model makes it, whatever its coefficient.
         """
-        screen, entries = self.screen, self.screen.model.entries
-        new = [
-            (name, guess)
-            for name, guess in corner_widths(self.trial.model).items()
-            if name not in entries
-        ]
-        defects = np.zeros((screen.grid.n_intervals, screen.model.n_states))
-        for name, guess in (
-            new[:1]
-            if self.trial.effect.equation in position_of_momentum(screen.model)
-            else ()
-        ):
+        linearized = self.linearized
+        equation = self.trial.effect.equation
+        shape = (linearized.grid.n_intervals, linearized.model.n_states)
+        found = np.zeros(shape)
+        width = self._width_of_new_corner()
+        if width is not None and equation in position_of_momentum(linearized.model):
+            name, of = width
             still = intervals_at_rest(
                 self.trial.model,
-                screen.grid,
-                screen.x,
-                guess.of,
+                linearized.grid,
+                linearized.states,
+                of,
                 self.trial.model.values[name],
             )
-            row = screen.model.index(self.trial.effect.equation)
-            defects[still, row] = -screen.defects.reshape(defects.shape)[still, row]
-        return defects.reshape(-1, 1)[:, : int(defects.any())]
+            row = linearized.model.index(equation)
+            found[still, row] = -linearized.defects.reshape(shape)[still, row]
+        return found.reshape(-1, 1)[:, : int(found.any())]
 
-    @cached_property
-    def own(self) -> "Columns | None":
-        """The columns along the states of the fit."""
-        return None if self.screen.own is None else Columns(self.screen.own, self.trial)
-
-    def __call__(self, values: dict[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """D (n_defects, k) and Y (n_nodes * n_states, k)."""
-        screen, model, grid = self.screen, self.trial.model, self.screen.grid
-        theta = screen.theta_at(model, values)
-        x, along = self._states(theta)
-        n_old, k = screen.model.n_states, max(len(self.chosen), 1)
-        D, Y = (
-            np.zeros((grid.n_intervals, n_old, k)),
-            np.zeros((grid.n_nodes, n_old, k)),
-        )
-        if self.slopes is not None:
-            D = np.array(self.slopes(along.T, theta)).reshape(
-                grid.n_intervals, model.n_states, k
-            )[:, :n_old]
-        elif self.function is None:
-            if self.chosen:
-                Y = output_slopes(model, grid, x, theta).in_parameters[
-                    :, :n_old, self.chosen
-                ]
-            else:
-                Y = (
-                    np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T[
-                        :, :n_old
-                    ]
-                    - screen.shown
-                )[..., None]
-        else:
-            d = np.array(self.function(along.T, theta)).T[:, :n_old]
-            D = (d - screen.defects.reshape(grid.n_intervals, n_old))[..., None]
-        D, Y, n_rest = (
-            np.nan_to_num(D.reshape(-1, k)),
-            np.nan_to_num(Y.reshape(-1, k)),
-            self.rest.shape[1],
-        )
-        if n_rest:
-            D = np.hstack([np.where(self.rest != 0, 0.0, D), self.rest])
-        return D, np.pad(Y, ((0, 0), (0, n_rest)))
+    def _width_of_new_corner(self) -> tuple[str, str] | None:
+        """Name of the width of the effect's corner, and the formula that is rounded."""
+        for name, guess in corner_widths(self.trial.model).items():
+            if name not in self.linearized.model.entries:
+                return name, guess.of
+        return None

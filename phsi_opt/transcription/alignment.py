@@ -5,13 +5,43 @@ in the data. Units and noise stay with their names; values are never changed.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
 from phsi_opt.model.model import Model
+from phsi_opt.transcription.grid import Grid, grid_of
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedData:
+    """Measurements with states and inputs in a model's order, and their layout.
+
+    Attributes:
+        data: the measurements.
+        grid: the same laid out with one interval between neighbouring samples.
+    """
+
+    data: Measurements
+    grid: Grid
+
+    @classmethod
+    def of(cls, model: Model, data: Measurements) -> "AlignedData":
+        """Align and lay out measurements that hold what the model needs.
+
+        Raises:
+            DataError: a state or input of the model is not in the measurements, or one
+                of theirs is not in the model.
+        """
+        data = aligned(model, data)
+        return cls(data, grid_of(data))
+
+    def for_model(self, model: Model) -> "AlignedData":
+        """The same for a larger model; itself where that has no states more."""
+        data = aligned(model, self.data)
+        return self if data is self.data else AlignedData(data, grid_of(data))
 
 
 def aligned(model: Model, data: Measurements) -> Measurements:

@@ -12,9 +12,8 @@ import casadi as ca
 import numpy as np
 from scipy.sparse import bsr_matrix, identity
 
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import argument_symbols, map_nodes
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -68,21 +67,21 @@ def outputs(model: Model, grid: Grid, x: Any, theta: Any) -> Any:
 
 
 def outputs_at_samples(
-    model: Model, data: Measurements, states: Sequence[np.ndarray], theta: np.ndarray
+    model: Model, grid: Grid, states: Sequence[np.ndarray], theta: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """What the sensors show at the samples, (n_samples, n_states) per trajectory.
+    """What the sensors show at the samples, one (n_samples, n_states) per trajectory.
 
     Args:
-        model: the model with its sensors.
-        data: the record that gives times and inputs.
-        states: (n_samples, n_states) per trajectory.
-        theta: (n_free,) parameters, or (n_free, n_trajectories).
+        model: with the terms of its sensors.
+        grid: one interval between neighbouring samples.
+        states: one (n_samples, n_states) per trajectory.
+        theta: the free parameters, (n_free, n_trajectories).
     """
     if not model.sensor:
         return tuple(states)
-    grid = grid_of(data)
-    x = np.concatenate(states).T
-    return grid.split(np.array(outputs(model, grid, x, theta)).T)
+    nodes = np.concatenate(states)
+    visible = np.array(outputs(model, grid, nodes.T, theta))
+    return grid.split(visible.T)
 
 
 def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> OutputSlopes:

@@ -102,7 +102,7 @@ def _one(case: Case) -> dict[str, object]:
         return found | (
             {
                 "misfit": misfit(
-                    case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest
+                    case, fit.model.add(diagnosis.effects[0]), diagnosis.proposed_fit
                 )
             }
             if named
@@ -125,7 +125,7 @@ def _one(case: Case) -> dict[str, object]:
         texts = {f"{truth.effect} on {equation}" for equation in truth.equations}
         found["tie"] = bool(texts & set(str(first.confusable_with).split(", ")))
         found["misfit"] = misfit(
-            case, fit.model.add(diagnosis.effects[0]), diagnosis.nearest
+            case, fit.model.add(diagnosis.effects[0]), diagnosis.proposed_fit
         )
     return found
 
@@ -164,7 +164,7 @@ def _two(case: Case) -> dict[str, object]:
         )
         alike = {
             str(e): alike.get(str(e), {str(e), *ties.get(str(e), "").split(", ")})
-            for e in study.effects
+            for e in study.added
         }
     added = list(alike)
     right, with_ties = (

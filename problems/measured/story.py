@@ -20,10 +20,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.criteria import NAMED, NOTHING, UNEXPLAINED
-from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.errors import PhsiOptError
 from problems.tools.provenance import RESULTS
 
 # p-value, adjusted for all candidates, up to which the first candidate is added where
@@ -48,7 +44,7 @@ class Story:
     """
 
     study: ph.Study
-    diagnoses: list[Diagnosis]
+    diagnoses: list[ph.Diagnosis]
     seconds: list[float]
     how: list[str]
     own: str
@@ -72,7 +68,7 @@ def told(
 ) -> Story:
     """Diagnose and add at most ``max_steps`` effects (see the module's text)."""
     study = ph.Study(model, train, held_out, progress=say)
-    diagnoses: list[Diagnosis] = []
+    diagnoses: list[ph.Diagnosis] = []
     seconds: list[float] = []
     how, own, n_own = [BASE], "", 0
     while True:
@@ -86,10 +82,12 @@ def told(
         try:
             study.auto(max_steps=1)
             stopped = study.stopped
-        except PhsiOptError as error:
+        except ph.PhsiOptError as error:
             stopped = f"{diagnoses[-1].reason}; adding it failed: {error}"
         if len(study.steps) > n_before:
-            how.append("named" if diagnoses[-1].verdict == NAMED else PROPOSED)
+            how.append(
+                "named" if diagnoses[-1].verdict == ph.Verdict.NAMED else PROPOSED
+            )
             how += [REMOVED] * (len(study.steps) - n_before - 1)
             continue
         if not own:
@@ -107,18 +105,18 @@ def told(
     )
 
 
-def _go_on(study: ph.Study, diagnosis: Diagnosis) -> bool:
+def _go_on(study: ph.Study, diagnosis: ph.Diagnosis) -> bool:
     """Add the first re-fitted candidate of an unexplained misfit, if significant and
     the held-out error falls.
     """
-    first = next((c for c in diagnosis.ranked if c.fit is not None), None)
-    if diagnosis.verdict != UNEXPLAINED or first is None:
+    first = next((c for c in diagnosis.ranking if c.fit is not None), None)
+    if diagnosis.verdict != ph.Verdict.UNEXPLAINED or first is None:
         return False
     if not (first.p_value < RATE and first.held_out_rmse < diagnosis.base.rmse):
         return False
     try:
         study.add(first.effect)
-    except PhsiOptError as error:
+    except ph.PhsiOptError as error:
         print(f"not added: {error}", flush=True)
         return False
     return True
@@ -194,7 +192,7 @@ def page(
 
 def _opening(story: Story) -> str:
     n = len(story.study.steps) - 1
-    added = [f"{e.name} on {e.equation}" for e in story.study.effects]
+    added = [f"{e.name} on {e.equation}" for e in story.study.added]
     listed = ", ".join(added) if added else "nothing"
     count = f"{story.n_own} step{'' if story.n_own == 1 else 's'}"
     alone = (
@@ -214,7 +212,7 @@ def _opening(story: Story) -> str:
     )
 
 
-def _chapter(k: int, diagnosis: Diagnosis, scale: float, unit: str) -> list[str]:
+def _chapter(k: int, diagnosis: ph.Diagnosis, scale: float, unit: str) -> list[str]:
     head = "The base model" if k == 0 else f"After step {k}"
     columns = [
         "effect",
@@ -237,9 +235,11 @@ def _chapter(k: int, diagnosis: Diagnosis, scale: float, unit: str) -> list[str]
             ),
             ", ".join(c.confusable_with),
         )
-        for c in diagnosis.ranked[:SHOWN]
+        for c in diagnosis.ranking[:SHOWN]
     ]
-    where = [] if diagnosis.verdict == NOTHING else diagnosis.sentences
+    where = (
+        [] if diagnosis.verdict == ph.Verdict.NOTHING_MISSING else diagnosis.sentences
+    )
     return [
         f"### {head}",
         "",
@@ -252,7 +252,7 @@ def _chapter(k: int, diagnosis: Diagnosis, scale: float, unit: str) -> list[str]
     ]
 
 
-def _sized(c: Candidate) -> str:
+def _sized(c: ph.Candidate) -> str:
     return f"{c.coefficient:.4g}" + (
         "" if np.isnan(c.std_error) else f" +- {c.std_error:.2g}"
     )
@@ -268,7 +268,7 @@ def pictures(story: Story, name: str) -> list[Path]:
     folder = RESULTS / "measured"
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}_missing_force.png", folder / f"{name}_history.png"]
-    where = story.diagnoses[0].plot_where()
+    where = story.diagnoses[0].figure()
     width = max(6.0, 2.2 * len(story.study.steps))
     history, ax = plt.subplots(figsize=(width, 3.8), layout="constrained")
     story.study.plot_history(ax)

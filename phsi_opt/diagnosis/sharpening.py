@@ -1,0 +1,238 @@
+"""The corner of dry friction, made sharper step by step.
+
+A solver needs the corner rounded at first. Beside a body that sticks the rounding
+shows: it creeps where it should rest, and the size of the friction comes out wrong. So
+the width is made smaller on a finer grid as long as the likelihood rises. Where a fit
+was found along solutions of the model, what extends it begins at it: beside a sharp
+corner nothing begins anew.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from math import prod
+
+import numpy as np
+
+from phsi_opt.comparison.model_selection import deviance
+from phsi_opt.criteria import (
+    BESIDE_SHARP_CORNER,
+    BIC_TIE,
+    CORNER_WIDTHS,
+    LAST_CERTAIN_STAGE,
+    SAME_WIDTH,
+    SHARPER_CORNER_DEVIANCE,
+    STEPS_AT_CORNER,
+    STEPS_AT_SHARP_CORNER,
+)
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.base import DiagnosedModel
+from phsi_opt.diagnosis.dry_friction import new_corners
+from phsi_opt.diagnosis.effort import ALONG_SOLUTIONS, AT_CORNER
+from phsi_opt.errors import PhsiOptError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Share
+from phsi_opt.optimization.settings import FEASIBLE_PATH
+
+
+class CornerSharpening:
+    """Sharpens the corners that a larger model has and the diagnosed one has not."""
+
+    def __init__(self, base: DiagnosedModel, data: Measurements) -> None:
+        """Sharpen on ``data``, in the order of the larger model."""
+        self.base = base
+        self.data = data
+
+    def corners(self, model: Model) -> dict[str, Share]:
+        """Widths of the corners that the base has not."""
+        return new_corners(model, self.base.fit.model)
+
+    def sharpened(self, fit: Fit, blunt: Model) -> Fit:
+        """The fit with its corners as sharp as the record asks for.
+
+        Args:
+            fit: with rounded corners, or with corners that were sharpened before:
+                stages that it has behind it are passed over.
+            blunt: the model with the widths from which the stages count.
+        """
+        guesses = self.corners(fit.model)
+        best = fit
+        n_stages = max((len(guess.sharper) for guess in guesses.values()), default=0)
+        for stage in range(n_stages):
+            widths = {}
+            for name, guess in guesses.items():
+                widths[name] = blunt.values[name] * prod(guess.sharper[: stage + 1])
+            if _are_reached(fit.model, widths):
+                continue
+            sharper = self._next(fit, widths, stage, best)
+            if sharper is None:
+                break
+            fit = sharper
+            is_better = deviance(fit) < deviance(best) - BIC_TIE
+            if deviance(fit) < deviance(best) + SHARPER_CORNER_DEVIANCE:
+                best = fit
+            if stage >= LAST_CERTAIN_STAGE and not is_better:
+                break
+        return best
+
+    def _next(
+        self, fit: Fit, widths: dict[str, float], stage: int, best: Fit
+    ) -> Fit | None:
+        """The fit at the widths of a stage, or half way there; None where both fail."""
+        n_steps = STEPS_AT_CORNER
+        if stage > LAST_CERTAIN_STAGE:
+            n_steps = STEPS_AT_SHARP_CORNER
+        sharper = self.at_widths(fit, widths, n_steps)
+        limit = deviance(best) + SHARPER_CORNER_DEVIANCE
+        if sharper is not None and deviance(sharper) <= limit:
+            return sharper
+        half_way = {}
+        for name, width in widths.items():
+            half_way[name] = float(np.sqrt(fit.model.values[name] * width))
+        return self.at_widths(fit, half_way, n_steps) or sharper
+
+    def at_widths(self, fit: Fit, widths: dict[str, float], n_steps: int) -> Fit | None:
+        """The fit with other widths of its corners; None where it fails.
+
+        Args:
+            fit: where to begin.
+            widths: by the names of their parameters.
+            n_steps: in gaps between samples beside a corner, at least.
+        """
+        steps = fit.steps
+        for name, guess in self.corners(fit.model).items():
+            width = fit.model.values[name]
+            steps = finer_at_corner(fit, self.data, guess.of, width, steps, n_steps)
+        is_along_solutions = fit.outcome.way == FEASIBLE_PATH
+        settings = ALONG_SOLUTIONS if is_along_solutions else AT_CORNER
+        model = fit.model.with_values(widths)
+        start = replace(fit, steps=steps)
+        with suppress(PhsiOptError):
+            return identify(
+                model, self.data, self.base.loss, start=start, settings=settings
+            )
+        return None
+
+    def extended(
+        self, model: Model, refinement: int, known: Sequence[Fit]
+    ) -> Fit | None:
+        """The re-fit of a model from the best sharp fit that it extends.
+
+        Args:
+            model: with an effect more than some of the known fits.
+            refinement: steps in every gap between samples, at least.
+            known: fits made before.
+
+        Returns:
+            None where there is none, or where the larger model came out worse.
+        """
+        smaller = []
+        for fit in known:
+            is_sharp = fit.outcome.way == FEASIBLE_PATH
+            if is_sharp and set(fit.model.entries) < set(model.entries):
+                smaller.append(fit)
+        if not smaller or self.base.is_long:
+            return None
+        old = min(smaller, key=deviance)
+        start_model = self._beside_sharp_corner(model, old)
+        if start_model is None:
+            return None
+        steps = tuple(np.maximum(n, refinement) for n in old.steps)
+        start = replace(old, steps=steps)
+        with suppress(PhsiOptError):
+            new = identify(
+                start_model,
+                self.data,
+                self.base.loss,
+                start=start,
+                settings=ALONG_SOLUTIONS,
+            )
+            if deviance(new) < deviance(old) - BIC_TIE:
+                return self.sharpened(new, model)
+            if deviance(new) < deviance(old) + SHARPER_CORNER_DEVIANCE:
+                return new
+        return None
+
+    def _beside_sharp_corner(self, model: Model, old: Fit) -> Model | None:
+        """The larger model with the old widths, its new effects small.
+
+        None where it has a corner that is yet to be sharpened.
+        """
+        widths = {}
+        for name, guess in self.corners(old.model).items():
+            widths[guess.of] = old.model.values[name]
+        values = {}
+        for name, guess in self.corners(model).items():
+            if guess.of not in widths:
+                return None
+            values[name] = widths[guess.of]
+        sharp = model.with_values(values)
+        small = {}
+        for name, entry in model.entries.items():
+            if name not in old.model.entries and entry.prunable:
+                small[entry.name] = BESIDE_SHARP_CORNER * model.values[entry.name]
+        return sharp.with_values(small)
+
+    def with_estimated_widths(self, fit: Fit) -> Fit | None:
+        """The fit with the widths of its corners estimated once, and held again.
+
+        A body that sticks creeps by a share of the width, which shows where it sticks
+        for long. None where there is nothing to estimate, or it fails.
+        """
+        widths = self.corners(fit.model)
+        if not widths or fit.outcome.way != FEASIBLE_PATH:
+            return None
+        with suppress(PhsiOptError):
+            free = identify(
+                fit.model.with_free(widths),
+                self.data,
+                self.base.loss,
+                start=fit,
+                settings=ALONG_SOLUTIONS,
+            )
+            held = fit.model.with_values({name: free.values[name] for name in widths})
+            return identify(
+                held, self.data, self.base.loss, start=free, settings=ALONG_SOLUTIONS
+            )
+        return None
+
+
+def _are_reached(model: Model, widths: dict[str, float]) -> bool:
+    """Whether a model's corners are as sharp as that already."""
+    values = model.values
+    return all(values[name] < SAME_WIDTH * width for name, width in widths.items())
+
+
+def finer_at_corner(
+    fit: Fit,
+    data: Measurements,
+    of: str,
+    width: float,
+    steps: Sequence[np.ndarray],
+    n_steps: int = STEPS_AT_CORNER,
+) -> tuple[np.ndarray, ...]:
+    """More steps in gaps between samples in which a formula passes its corner.
+
+    Args:
+        fit: with states at the samples.
+        data: the measurements of the fit.
+        of: formula that is zero at the corner, such as a velocity.
+        width: of the corner, in the unit of the formula.
+        steps: at present, one (n_samples - 1,) per trajectory.
+        n_steps: in gaps beside a corner, at least.
+    """
+    formula = fit.model.function(of)
+    theta = fit.model.theta
+    refined = []
+    for run, x, n in zip(data.trajectories, fit.states, steps, strict=True):
+        at_samples = formula.map("v", "serial", len(x), [3], [])
+        v = np.array(at_samples(x.T, run.u.T, run.t[None, :], theta)).ravel()
+        passes_zero = v[1:] * v[:-1] < 0
+        is_within = np.minimum(np.abs(v[1:]), np.abs(v[:-1])) < CORNER_WIDTHS * width
+        is_near = passes_zero | is_within
+        # The corner may move to the gap beside.
+        is_near = np.convolve(is_near, np.ones(3))[1:-1] > 0
+        refined.append(np.where(is_near, np.maximum(n, n_steps), n))
+    return tuple(refined)

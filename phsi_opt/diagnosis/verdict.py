@@ -1,0 +1,11 @@
+"""What a diagnosis says in one phrase."""
+
+from enum import StrEnum
+
+
+class Verdict(StrEnum):
+    """Whether something is missing in a model, and whether it is known what."""
+
+    NOTHING_MISSING = "nothing missing"
+    NAMED = "missing: named"
+    UNEXPLAINED = "missing: unexplained"

@@ -1,0 +1,85 @@
+"""The missing force of a fit along measurements, searched from more than one size.
+
+`missing_force` finds force and noise together by their marginal likelihood. That search
+is local: begun too low, it can end with everything called noise. And no force explains
+a sensor that contradicts another one, which would count as noise as well. Where the
+noise of a channel comes out far beyond what neighbouring samples scatter, the search
+is begun again from a larger force, and at last with the noise taken from the scatter.
+"""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import initial_noise
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
+from phsi_opt.estimation.trajectory_parameters import (
+    parameter_matrix,
+    parameters_of,
+)
+from phsi_opt.transcription.grid import Grid
+
+INTEGRATOR = "srk4"
+# Share of the size of the rates along the estimated states: the size of the force from
+# which a second search begins, far above every force that is missing.
+SIZE_OF_SECOND_SEARCH = 10.0
+# Estimated noise over the scatter of neighbouring samples from which a sensor is
+# doubted. The scatter of n samples is itself known to about 1/sqrt(2 n).
+DOUBTFUL_NOISE = 1.5
+
+
+def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
+    """The force that a fitted model lacks along measurements, with states and noise.
+
+    Args:
+        fit: the fitted model.
+        data: measurements with states and inputs in the model's order.
+        grid: the same, laid out with one interval between neighbouring samples.
+
+    Returns:
+        States (n_nodes, n_states), force (n_intervals, n_forced), noise per state.
+
+    Raises:
+        SolveError: no states were found beside which a force explains the data.
+    """
+    given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
+    is_given = np.isfinite(given)
+    model = fit.model.frozen()
+    theta = None
+    if fit.by_trajectory:
+        model = fit.model
+        theta = parameter_matrix(model, parameters_of(fit, data))
+    guess = initial_noise(data, given)
+    estimate = smoothed(model, grid, guess, INTEGRATOR, is_given, theta)
+    measured = grid.measured.any(axis=0)
+    scatter = np.where(is_given, given, initial_noise(data))
+
+    def is_doubtful(found: ForceEstimate) -> bool:
+        return bool(np.any(measured & (found.sigma > DOUBTFUL_NOISE * scatter)))
+
+    if is_doubtful(estimate):
+        size = SIZE_OF_SECOND_SEARCH * rate_size(estimate)
+        larger = replace(estimate.prior, size=size)
+        with suppress(SolveError):
+            second = smoothed(
+                model, grid, scatter, INTEGRATOR, is_given, theta, prior=larger
+            )
+            estimate = max(estimate, second, key=lambda found: found.log_evidence)
+    contradiction_is_possible = measured.sum() > 1
+    if contradiction_is_possible and is_doubtful(estimate):
+        with suppress(SolveError):
+            return smoothed(
+                model, grid, scatter, INTEGRATOR, known_noise=True, theta=theta
+            )
+    return estimate
+
+
+def rate_size(estimate: ForceEstimate) -> np.ndarray:
+    """Root mean square rate of the forced equations, (n_forced,); at least the prior's."""
+    rates = estimate.grid.rates(estimate.x)
+    size = np.sqrt(np.mean(rates**2, axis=0))
+    return np.maximum(size[list(estimate.prior.rows)], estimate.prior.size)

@@ -1,0 +1,118 @@
+"""A fit along measurements: what comparing and diagnosing need of both, made once.
+
+Aligning measurements with a model, laying them out, collecting the parameters of every
+trajectory and estimating the missing force (with it the noise) are the same for every
+question that is asked of a fit. They are done here, and the record is handed on.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.force_search import missing_force_of
+from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.estimation.trajectory_parameters import (
+    parameter_matrix,
+    parameters_of,
+)
+from phsi_opt.model.model import Model
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """A fit beside one set of measurements.
+
+    Attributes:
+        fit: the fit.
+        aligned: the measurements in the model's order, laid out.
+        parameters: values of the free parameters by trajectory and name; for a
+            trajectory that the fit has not seen, the means of the fit.
+        estimate: states, noise and missing force along the measurements. Of a candidate
+            (see `refitted`) it is that of the base model: noise and starting states
+            are then judged alike for all candidates.
+    """
+
+    fit: Fit
+    aligned: AlignedData
+    parameters: Mapping[str, Mapping[str, float]]
+    estimate: ForceEstimate
+
+    @classmethod
+    def of(cls, fit: Fit, data: Measurements) -> "Record":
+        """The record of a fit and measurements that hold its states and inputs.
+
+        Raises:
+            DataError: a state or input of the model is not in the measurements.
+            SolveError: the missing force could not be estimated.
+        """
+        aligned = AlignedData.of(fit.model, data)
+        estimate = missing_force_of(fit, aligned.data, aligned.grid)
+        return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
+
+    @classmethod
+    def beside(cls, fit: Fit, data: Measurements, estimate: ForceEstimate) -> "Record":
+        """The record of a fit whose noise and states begin at an estimate made before."""
+        aligned = AlignedData.of(fit.model, data)
+        return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
+
+    def refitted(self, fit: Fit, aligned: AlignedData | None = None) -> "Record":
+        """The same measurements beside the fit of another model.
+
+        Args:
+            fit: of a model with the same states, or more.
+            aligned: the measurements in that model's order, where they are at hand.
+        """
+        aligned = aligned or self.aligned.for_model(fit.model)
+        return Record(fit, aligned, parameters_of(fit, aligned.data), self.estimate)
+
+    @property
+    def data(self) -> Measurements:
+        """The measurements, states and inputs in the model's order."""
+        return self.aligned.data
+
+    @property
+    def grid(self) -> Grid:
+        """The measurements laid out, one interval between neighbouring samples."""
+        return self.aligned.grid
+
+    @property
+    def model(self) -> Model:
+        """The fitted model."""
+        return self.fit.model
+
+    @property
+    def trajectories(self) -> tuple[str, ...]:
+        """Names of the trajectories."""
+        return tuple(run.name for run in self.data.trajectories)
+
+    @cached_property
+    def theta(self) -> np.ndarray:
+        """The free parameters, (n_free, n_trajectories)."""
+        return parameter_matrix(self.model, self.parameters)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Noise per state, (n_states,); one for states that nobody measured."""
+        n_states = self.model.n_states
+        known = self.estimate.sigma[:n_states]
+        return np.r_[known, np.ones(n_states - len(known))]
+
+    @property
+    def start(self) -> tuple[np.ndarray, ...]:
+        """States of the estimate at the samples, one (n_samples, n_known) per trajectory.
+
+        The memory that a candidate adds is not in them.
+        """
+        return self.estimate.grid.split(self.estimate.x)
+
+    @property
+    def is_of_training(self) -> bool:
+        """Whether these are the very measurements that the fit was made from."""
+        fitted_to = self.fit.provenance.get("data_sha256")
+        return bool(self.fit.states) and fitted_to == self.data.digest

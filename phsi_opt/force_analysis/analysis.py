@@ -1,0 +1,52 @@
+"""What a missing force looks like: where, what it follows, what it does with energy.
+
+One record that is made once and handed to tables, sentences and pictures.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import pandas as pd
+
+from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.dependence import depends_on
+from phsi_opt.force_analysis.energy import Power, power
+from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.force_analysis.localization import located
+from phsi_opt.force_analysis.wording import sentences
+
+
+@dataclass(frozen=True, eq=False)
+class ForceAnalysis:
+    """The missing force of a record and what is said of it.
+
+    Attributes:
+        force: the force along the record, beside everything that it may depend on.
+    """
+
+    force: ForceRecord
+
+    @classmethod
+    def of(cls, record: Record) -> "ForceAnalysis":
+        """The analysis of a record's missing force."""
+        return cls(ForceRecord.of(record))
+
+    @cached_property
+    def where(self) -> pd.DataFrame:
+        """Where the force is strong, strongest first (see `located`)."""
+        return located(self.force)
+
+    @cached_property
+    def follows(self) -> pd.DataFrame:
+        """What the force depends on, best first (see `depends_on`)."""
+        return depends_on(self.force)
+
+    @cached_property
+    def energy(self) -> Power:
+        """Whether the force dissipates, stores or supplies energy (see `power`)."""
+        return power(self.force)
+
+    @cached_property
+    def sentences(self) -> list[str]:
+        """Where the model fails, in plain words, an equation each; strongest first."""
+        return sentences(self.force.units, self.where, self.follows, self.energy)
