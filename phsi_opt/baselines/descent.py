@@ -65,7 +65,7 @@ class Adam:
         Args:
             gradient: of the loss; it is used up.
             rate: the learning rate.
-            l1: weights of |parameter|, or None.
+            l1: weights of ``|parameter|``, or None.
         """
         self.steps += 1
         if self.weight_decay:

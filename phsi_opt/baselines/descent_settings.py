@@ -38,15 +38,15 @@ class Descent:
             (almost) zero in the last epoch.
         force_rate: learning rate of the weights of a neural force; None takes
             ``learning_rate``.
-        prune_every: after every so many epochs, coefficients with |xi| < ``threshold``
-            in ``prune_slots`` become zero for good; None never prunes.
+        prune_every: after every so many epochs, coefficients below ``threshold`` in
+            size, of ``prune_slots``, become zero for good; None never prunes.
         prune_from: epoch before which nothing is pruned (the thesis' code: twice
             ``prune_every``); None begins with the first ``prune_every``.
         threshold: least magnitude of a coefficient that stays.
         prune_slots: slots in which terms are pruned.
         weight_decay: added to the gradient as weight_decay * parameter, as Adam of
             torch does.
-        l1: lambda of |xi| per slot, such as {"H": 0.1, "F": 0.01}.
+        l1: lambda of ``|xi|`` per slot, such as {"H": 0.1, "F": 0.01}.
         l1_off_after: share of the epochs after which that of H is off (the thesis'
             code: half); None keeps it.
         integrator: a name in ``phsi_opt.transcription.integrators``.
@@ -129,7 +129,7 @@ class JointForce:
         equations: states in whose equations it acts.
         variables: states, inputs or "t" that it depends on.
         hidden: widths of the hidden layers, with ReLU.
-        penalty: weight of the mean of |F| over the batch.
+        penalty: weight of the mean of ``|F|`` over the batch.
         first: function of the first hidden layer, "relu" (the text of the thesis) or
             "tanh" (its code, which has two hidden layers); with a large learning rate,
             a narrow input and only ReLU, units die.

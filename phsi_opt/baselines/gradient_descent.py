@@ -44,7 +44,9 @@ def gradient_descent(
     progress: Progress | None = None,
     force: JointForce | None = None,
 ) -> Baseline:
-    """Minimise the PHSI loss by Adam with pruning (thesis Eq. 5.6, Algorithm 6)::
+    """Minimise the PHSI loss by Adam with pruning (thesis Algorithm 6).
+
+    The loss is (thesis Eq. 5.6)::
 
         (1/m) sum |(x1 - x0)/h - Psi|^2 + sum lambda |xi|
 
@@ -171,7 +173,7 @@ class _Run:
         )
 
     def _l1(self, epoch: int) -> Tensor | None:
-        """Weights of |parameter| in an epoch; None if all are zero."""
+        """Weights of ``|parameter|`` in an epoch; None if all are zero."""
         weights = dict(self.settings.l1)
         off_after = self.settings.l1_off_after
         if off_after is not None and epoch > off_after * self.settings.epochs:
@@ -267,7 +269,7 @@ def phsi_loss(
     force: JointForce | None = None,
     weights: Tensor | None = None,
 ) -> float:
-    """(1/m) sum |(x1 - x0)/h - Psi|^2 over all intervals (thesis Eq. 5.6).
+    """``(1/m) sum |(x1 - x0)/h - Psi|^2`` over all intervals (thesis Eq. 5.6).
 
     Args:
         model: with its values.

@@ -49,7 +49,7 @@ class NetworkDescent:
         batch: samples per step.
         hidden: widths of the layers of H, with tanh.
         force_hidden: widths of the layers of F, with ReLU.
-        penalty: weight of the mean of |F| over the batch (the thesis: 0.1 for the
+        penalty: weight of the mean of ``|F|`` over the batch (the thesis: 0.1 for the
             mass-spring).
         weight_decay: of Adam.
         integrator: a name in ``phsi_opt.transcription.integrators``.
@@ -88,9 +88,11 @@ def phnn(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PHNN:
-    """Train H, R and F of dx/dt = (S - R) grad H + F (Eidnes et al. 2023)::
+    """Train H, R and F of dx/dt = (S - R) grad H + F (Eidnes et al. 2023).
 
-        minimise (1/m) sum |(x1 - x0)/h - Psi|^2
+    They minimise::
+
+        (1/m) sum |(x1 - x0)/h - Psi|^2
 
     Args:
         data: every state measured.

@@ -37,7 +37,7 @@ class PHNN:
         neural: where the force acts and what it depends on; None without force.
         hold: of the inputs between samples, as the measurements declared it.
         seconds: wall time of the training.
-        loss_value: (1/m) sum |(x1 - x0)/h - Psi|^2 over all data, without penalty.
+        loss_value: mean of ``|(x1 - x0)/h - Psi|^2`` over all data, without penalty.
         history: a row per epoch with epoch, loss and n_terms (the number of weights).
         settings: the settings that were used, as text.
         method: name of the method.

@@ -78,10 +78,11 @@ def sindy(
     Args:
         model: whose free parameters all enter linearly.
         data: every state at every sample.
-        optimizer: "stlsq": minimise |dx - Theta xi|^2 + ridge |xi|^2 (thesis Eq. 4.9),
-            drop |xi_j| < threshold, repeat. "sr3": minimise |dx - Theta w|^2/2 + lambda
-            |xi|_0 + |w - xi|^2/(2 relaxation), where lambda = threshold^2/(2
-            relaxation) makes ``threshold`` the least coefficient; it uses no ridge.
+        optimizer: "stlsq": minimise ``|dx - Theta xi|^2 + ridge |xi|^2`` (thesis Eq.
+            4.9), drop ``|xi_j| < threshold``, repeat. "sr3": minimise
+            ``|dx - Theta w|^2/2 + lambda |xi|_0 + |w - xi|^2/(2 relaxation)``, where
+            lambda = threshold^2/(2 relaxation) makes ``threshold`` the least
+            coefficient; it uses no ridge.
         threshold: least magnitude of a coefficient that stays, in the units of that
             coefficient.
         ridge: weight on a sum over all rows, as in pysindy (its default). It shrinks
@@ -154,7 +155,9 @@ def lasso(
     *,
     fixed: Mapping[str, float] | None = None,
 ) -> Baseline:
-    """The LASSO of each equation (thesis Eq. 4.8), by CVXPY and Clarabel::
+    """The LASSO of each equation (thesis Eq. 4.8), by CVXPY and Clarabel.
+
+    The coefficients are::
 
         argmin |dx_i - Theta_i xi|^2 + weight |xi|_1
 
@@ -166,7 +169,7 @@ def lasso(
     Args:
         model: whose free parameters all enter linearly.
         data: every state at every sample.
-        weight: of the sum of |coefficient|.
+        weight: of the sum of ``|coefficient|``.
         derivative: as for `sindy`.
         fixed: values at which parameters are held.
 

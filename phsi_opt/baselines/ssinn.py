@@ -61,8 +61,8 @@ class SymplecticDescent:
             is multiplied by the factor. The authors' schedule for Henon-Heiles, 0.1,
             0.01 and 0.001 from the third to the fifth of six epochs, is the default; ()
             keeps the rate.
-        l1: weight of the sum of |coefficient|. The authors take 1e-3; the default is
-            none, as for the other methods.
+        l1: weight of the sum of ``|coefficient|``. The authors take 1e-3; the default
+            is none, as for the other methods.
         loss: "absolute" (the authors' choice) or "squared".
         steps: steps of the scheme per interval; two is what the authors' tolerance
             gives for a step of 0.1.
@@ -120,9 +120,11 @@ def ssinn(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Baseline:
-    """Learn the coefficients of H = T(p) + V(q) (thesis Section 6.1)::
+    """Learn the coefficients of H = T(p) + V(q) (thesis Section 6.1).
 
-        minimise mean |q1 - q(h)| + mean |p1 - p(h)|
+    They minimise::
+
+        mean |q1 - q(h)| + mean |p1 - p(h)|
 
     (q(h), p(h)) is where the fourth-order symplectic scheme ends after the interval,
     started at the sample (q0, p0): for i = 1..4, q += c_i h dT/dp(p), then

@@ -179,12 +179,13 @@ class Steps:
     def loss(
         self, flat: Tensor, tables: Sequence[Tensor], penalty: float = 0.0
     ) -> Tensor:
-        """(1/b) sum |defect|^2 over the b intervals of a batch.
+        """``(1/b) sum |defect|^2`` over the b intervals of a batch.
 
         Args:
             flat: the parameters.
             tables: the rows of ``self.tables`` that belong to the batch.
-            penalty: weight of the mean of |F| of the force network, which is added.
+            penalty: weight of the mean of ``|F|`` of the force network, which is
+                added.
         """
         f = self.dynamics.at(flat)
         defects = self._defects(f, tables)

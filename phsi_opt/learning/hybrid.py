@@ -68,7 +68,7 @@ def hybrid(
             in ``force.equations``.
         data: every state measured.
         force: where the force acts, what it depends on, how it is trained.
-        l1: weights of |coefficient|, as for `identify`.
+        l1: weights of ``|coefficient|``, as for `identify`.
         pruning: of terms, from the third turn on, when the network has taken its part.
         seed: of the network's first weights and of the order of the batches.
         max_turns: limit of the turns.

@@ -13,7 +13,7 @@ SINGULAR = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class _Squares:
-    """|d + A z|^2 = z' normal z + 2 z' right + constant."""
+    """``|d + A z|^2 = z' normal z + 2 z' right + constant``."""
 
     normal: np.ndarray
     right: np.ndarray
@@ -28,7 +28,9 @@ class _Squares:
 def cross_validated(
     columns: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray
 ) -> np.ndarray:
-    """argmin |d + columns z|^2 + weight |z_ridged|^2 over z, (n_columns,).
+    """Least squares with a ridge: the z, (n_columns,), that minimises::
+
+        |d + columns z|^2 + weight |z_ridged|^2
 
     The weight is the largest within a standard error of the one that predicts the folds
     best when they are left out: the smoothest force whose prediction is not
