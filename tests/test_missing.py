@@ -9,7 +9,8 @@ from scipy.sparse import csc_matrix, diags
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise
-from phsi_opt.estimation.missing_force import ForceEstimate, Linearised, estimate_force
+from phsi_opt.estimation.linearized_force import ForceSolution, LinearizedForce, Sizes
+from phsi_opt.estimation.missing_force import ForceEstimate, estimate_force
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula
@@ -18,6 +19,7 @@ from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import MissingForce
 from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.sensors import SensorOutputs
 
 K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02
 START = ([1.0, 0.0], [-0.8, 0.0], [0.6, 1.5])
@@ -116,7 +118,9 @@ def test_the_evidence_is_larger_for_the_right_size_of_the_force_than_for_far_one
         other = ForcePrior(prior.rows, prior.size * factor, prior.time)
         program = MissingForce().program(spring(), grid, point, other, sigma)
         jacobian = csc_matrix(solve(program).kkt.jacobian @ diags(1 / program.scale))
-        return Linearised(grid, point, jacobian, sigma, other).log_evidence()
+        sensors = SensorOutputs.at(spring(), grid, estimate.x, point.theta)
+        at = ForceSolution(grid, estimate.x, estimate.w, jacobian, sensors)
+        return LinearizedForce(at, Sizes(sigma, other)).log_evidence()
 
     assert evidence(1.0) > max(evidence(0.2), evidence(5.0))
 

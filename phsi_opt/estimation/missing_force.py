@@ -3,26 +3,28 @@ the data.
 
 The states and the force are found by one program (`losses.MissingForce`); how large the
 force is, and how large the noise, is chosen by marginal likelihood at the linearised
-solution (Laplace's approximation). The updates are MacKay's: each variance becomes its
-sum of squares over the number of its well-determined directions, whose trace is taken
-with fixed random probes, so that the result is deterministic.
+solution (`linearized_force`). Both take turns until the sizes settle.
 """
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import block_diag, bmat, csc_matrix, diags, identity
+from scipy.sparse import csc_matrix, diags
 
 from phsi_opt.errors import SolveError
+from phsi_opt.estimation.linearized_force import (
+    ForceSolution,
+    Known,
+    LinearizedForce,
+    Sizes,
+)
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
-from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.ipopt import Solution, Solver
+from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import time_order
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MissingForce
@@ -30,31 +32,42 @@ from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import SensorOutputs
 
-Known = bool | np.ndarray  # whether the noise is known, of all states or of each
-N_PROBES = 24
-PROBED = 200_000  # values that all probes together look at, at least
-SHRINKING = (
-    1.0,
-    0.1,
-    0.01,
-)  # sizes of the force while parameters and states are found together
-# iterations while the force's size is still sought: beside sharp friction a generous
-# force takes hundreds
-ROUGH = 30
-SETTLED = 0.02  # change of the logarithm of a variance at which its updates end
-LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
-# violation of the (scaled) dynamics beyond which a search that did not end well is of
-# no use
+# Iterations while the force's size is still sought: beside sharp friction a generous
+# force takes hundreds.
+ROUGHLY = SolverSettings(tolerance=1e-6, max_iterations=30)
+THOROUGHLY = SolverSettings(tolerance=1e-6, max_iterations=200)
+# Where the force only leads to a starting point.
+SOFTLY = SolverSettings(tolerance=1e-4, max_iterations=60)
+# Factors on the force's size while parameters and states are found together.
+SHRINKING = (1.0, 0.1, 0.01)
+MOST_UPDATES = 8  # of the sizes between two solves
+SETTLED = 0.02  # change of the logarithm of a size at which its updates end
+# Violation of the (scaled) dynamics beyond which a search that did not end well is of
+# no use.
 LOST = 1e-2
-GENEROUS = (
-    100.0  # factor on the size of the force after a search from its usual size failed
-)
+# Factor on the force's size after a search from its usual size failed.
+GENEROUS = 100.0
+# The mean duration of a record holds as many of the force's correlation times.
+N_CORRELATION_TIMES = 10
+# Intervals at which the force's standard deviation is worked out exactly.
+MOST_EXACT = 400
 
 
 @dataclass(frozen=True, eq=False)
 class ForceEstimate:
-    """States x (n_nodes, n_states), force w (n_intervals, n_forced), noise per state,
-    prior, and their evidence.
+    """States and missing force along measurements.
+
+    Attributes:
+        x: (n_nodes, n_states) states.
+        w: (n_intervals, n_forced) force in the forced equations ``prior.rows``, in the
+            unit of a rate of their states.
+        sigma: (n_states,) standard deviation of the measurement noise.
+        prior: Of the force, with its size.
+        log_evidence: Logarithm of the marginal likelihood of the sizes, up to a
+            constant.
+        grid: Nodes, intervals and measurements.
+        linear: The problem linearised at the solution, for standard deviations.
+        rounded: Widths of corners that were too sharp for the search, by name.
     """
 
     x: np.ndarray
@@ -63,22 +76,24 @@ class ForceEstimate:
     prior: ForcePrior
     log_evidence: float
     grid: Grid
-    linear: "Linearised"
-    rounded: dict[str, float] = field(
-        default_factory=dict
-    )  # widths of corners that were too sharp for the search
+    linear: LinearizedForce
+    rounded: dict[str, float] = field(default_factory=dict)
 
 
 def default_prior(model: Model, grid: Grid, point: Point) -> ForcePrior:
-    """A generous prior: sizes from the states' own rates, correlation time a fraction
-    of the records.
+    """A generous prior, from the rates of the states at ``point``.
+
+    Its size in each equation is the root mean square of the state's rate, or the
+    state's scale over the duration of a record if that is larger; its correlation time
+    a tenth of the duration.
     """
     rows = forced_rows(model)
     last = np.r_[grid.first[1:] - 1, grid.n_nodes - 1]
     duration = float(np.mean(grid.t[last] - grid.t[grid.first]))
-    rate = np.sqrt(np.mean(np.diff(point.x, axis=0) ** 2, axis=0)) / np.median(grid.h)
+    mean_square = np.mean(np.diff(point.x, axis=0) ** 2, axis=0)
+    rate = np.sqrt(mean_square) / np.median(grid.h)
     size = np.maximum(rate, point.x_scale / duration)[list(rows)]
-    return ForcePrior(rows, size, duration / 10)
+    return ForcePrior(rows, size, duration / N_CORRELATION_TIMES)
 
 
 def estimate_force(
@@ -92,53 +107,100 @@ def estimate_force(
     prior: ForcePrior | None = None,
     integrator: str = "srk4",
 ) -> ForceEstimate:
-    """Estimate states and missing force of ``model`` at ``point.theta``, with force
-    size and unknown noise by evidence.
+    """Estimate states and missing force, with sizes of force and noise by evidence.
 
-    ``point.theta`` is (n_free,), or (n_free, n_trajectories) where trajectories have
-    parameters of their own.
+    Args:
+        model: The model that lacks a force.
+        grid: Nodes, intervals and measurements.
+        point: Where the search begins. Its parameters ``theta``, which stay, are
+            (n_free,), or (n_free, n_trajectories) where trajectories have their own.
+        sigma: (n_states,) noise to begin with.
+        rounds: Solves, each followed by updates of the sizes, at most.
+        known_noise: Whether ``sigma`` is known and stays, of all states or of each.
+        prior: Of the force, to begin with; None: `default_prior`.
+        integrator: The scheme of the defects.
+
+    Raises:
+        SolveError: No states and force were found that obey the dynamics.
     """
     prior = prior or default_prior(model, grid, point)
-    theta = point.theta
     program = MissingForce(integrator).program(model, grid, point, prior, sigma)
-    solver = Solver(program, SolverSettings(tolerance=1e-6, max_iterations=ROUGH))
-    start, evidence = program.start, -np.inf
-    for rest in reversed(range(rounds)):
-        solution = solver.solve(start, np.r_[prior.size, sigma], raise_on_failure=False)
-        if _is_lost(
-            solution
-        ):  # a force large enough lets the states follow the data, whatever the model
-            prior = replace(prior, size=GENEROUS * prior.size)
-            solution = solver.solve(
-                program.start, np.r_[prior.size, sigma], raise_on_failure=False
-            )
-        if _is_lost(solution) or not (rest or solution.outcome.success):
-            solver = Solver(program, SolverSettings(tolerance=1e-6, max_iterations=200))
-            solution = solver.solve(
-                solution.z, np.r_[prior.size, sigma], raise_on_failure=False
-            )
+    search = _Search(program, Sizes(sigma, prior))
+    for n_left in reversed(range(rounds)):
+        solution = search.solve(is_last=n_left == 0)
+        x = solution.values["x"].reshape(point.x.shape)
+        w = solution.values["w"].reshape(grid.n_intervals, len(prior.rows))
+        jacobian = csc_matrix(solution.kkt.jacobian @ diags(1 / program.scale))
+        sensors = SensorOutputs.at(model, grid, x, point.theta)
+        solved = ForceSolution(grid, x, w, jacobian, sensors)
+        before = search.sizes
+        linear = search.update_sizes(solved, known_noise)
+        change = search.sizes.change_from(before)
+        if change < SETTLED and solution.outcome.success:
+            break
+    sizes = search.sizes
+    return ForceEstimate(
+        x, w, sizes.sigma, sizes.prior, linear.log_evidence(), grid, linear
+    )
+
+
+class _Search:
+    """The missing-force program, solved for better and better sizes.
+
+    Attributes:
+        sizes: Of noise and force, at present.
+    """
+
+    def __init__(self, program: Program, sizes: Sizes) -> None:
+        self.sizes = sizes
+        self._program = program
+        self._solver = Solver(program, ROUGHLY)
+        self._start = program.start
+
+    def solve(self, *, is_last: bool) -> Solution:
+        """The solution for the present sizes, from the last solution.
+
+        Raises:
+            SolveError: There is none, with a generous force and many iterations either.
+        """
+        solution = self._solve_from(self._start)
+        if _is_lost(solution):
+            # A force large enough lets the states follow the data, whatever the model.
+            self.sizes = self.sizes.with_force(GENEROUS * self.sizes.prior.size)
+            solution = self._solve_from(self._program.start)
+        is_unfinished = is_last and not solution.outcome.success
+        if _is_lost(solution) or is_unfinished:
+            self._solver = Solver(self._program, THOROUGHLY)
+            solution = self._solve_from(solution.z)
         if _is_lost(solution):
             raise SolveError(
                 f"The missing force could not be estimated: {solution.outcome}"
             )
-        start = solution.z
-        x = solution.values["x"].reshape(point.x.shape)
-        w = solution.values["w"].reshape(grid.n_intervals, len(prior.rows))
-        jacobian = csc_matrix(solution.kkt.jacobian @ diags(1 / program.scale))
-        point = replace(point, x=x, w=w)
-        sensed = SensorOutputs.at(model, grid, x, theta)
-        old = sigma, prior
-        sigma, prior, evidence, linear = _update(
-            grid, point, jacobian, sigma, prior, known_noise, sensed
-        )
-        step = max(
-            np.max(np.abs(np.log(sigma / old[0]))),
-            np.max(np.abs(np.log(prior.size / old[1].size))),
-        )
-        if step < SETTLED and solution.outcome.success:
-            break
-    assert point.w is not None
-    return ForceEstimate(point.x, point.w, sigma, prior, evidence, grid, linear)
+        self._start = solution.z
+        return solution
+
+    def _solve_from(self, start: np.ndarray) -> Solution:
+        settings = np.r_[self.sizes.prior.size, self.sizes.sigma]
+        return self._solver.solve(start, settings, raise_on_failure=False)
+
+    def update_sizes(self, solved: ForceSolution, known: Known) -> LinearizedForce:
+        """Move the sizes to the largest marginal likelihood at the solution.
+
+        Returns:
+            The problem linearised there, for the sizes before the last update.
+        """
+        for _ in range(MOST_UPDATES):
+            linear = LinearizedForce(solved, self.sizes)
+            before = self.sizes
+            self.sizes = linear.improved(known)
+            if self.sizes.change_from(before) < SETTLED:
+                break
+        return linear
+
+
+def _is_lost(solution: Solution) -> bool:
+    outcome = solution.outcome
+    return not outcome.success and outcome.infeasibility > LOST
 
 
 def softened(
@@ -149,195 +211,65 @@ def softened(
     sigma: np.ndarray,
     integrator: str,
 ) -> Point:
-    """Parameters and states together, with a missing force that is generous first and
-    then shrinks.
+    """Parameters and states together, with a force that shrinks from a generous size.
 
     With the force free the dynamics hold softly: the states cannot run away while the
     parameters are still wrong, and the parameters are not confirmed by states that were
     smoothed with them.
+
+    Args:
+        model: The model.
+        grid: Nodes, intervals and measurements.
+        unknown: The parameters that are found.
+        point: Where the search begins.
+        sigma: (n_states,) noise.
+        integrator: The scheme of the defects.
+
+    Returns:
+        The last point at which the dynamics held: parameters and states, without the
+        force.
     """
     prior = default_prior(model, grid, point)
-    program = MissingForce(integrator).program(
-        model, grid, point, prior, sigma, unknown
-    )
-    solver, start = (
-        Solver(program, SolverSettings(tolerance=1e-4, max_iterations=60)),
-        program.start,
-    )
+    loss = MissingForce(integrator)
+    program = loss.program(model, grid, point, prior, sigma, unknown)
+    solver = Solver(program, SOFTLY)
+    start = program.start
     for factor in SHRINKING:
-        solution = solver.solve(
-            start, np.r_[factor * prior.size, sigma], raise_on_failure=False
-        )
+        settings = np.r_[factor * prior.size, sigma]
+        solution = solver.solve(start, settings, raise_on_failure=False)
         if _is_lost(solution):
             break
         start = solution.z
-        point = replace(
-            point,
-            theta=solution.values["theta"],
-            x=solution.values["x"].reshape(point.x.shape),
-        )
+        x = solution.values["x"].reshape(point.x.shape)
+        point = replace(point, theta=solution.values["theta"], x=x)
     return point
 
 
-def _is_lost(solution: Solution) -> bool:
-    return not solution.outcome.success and solution.outcome.infeasibility > LOST
+def force_deviation(estimate: ForceEstimate, most: int = MOST_EXACT) -> np.ndarray:
+    """Standard deviation of the force given the measurements, (n_intervals, n_forced).
 
-
-def _update(
-    grid: Grid,
-    point: Point,
-    jacobian: csc_matrix,
-    sigma: np.ndarray,
-    prior: ForcePrior,
-    known_noise: Known,
-    sensed: SensorOutputs,
-) -> "tuple[np.ndarray, ForcePrior, float, Linearised]":
-    """Noise and force size of largest marginal likelihood in the problem linearised at
-    the point.
+    Args:
+        estimate: The force, with its linearised problem.
+        most: Intervals at which it is exact; in between it is interpolated.
     """
-    evidence = -np.inf
-    for _ in range(8):
-        linear = Linearised(grid, point, jacobian, sigma, prior, sensed)
-        evidence = linear.log_evidence()
-        new_sigma, new_size = linear.improved(known_noise)
-        step = max(
-            np.max(np.abs(np.log(new_sigma / sigma))),
-            np.max(np.abs(np.log(new_size / prior.size))),
-        )
-        sigma, prior = new_sigma, replace(prior, size=new_size)
-        if step < SETTLED:
-            break
-    return sigma, prior, evidence, linear
-
-
-def force_deviation(estimate: ForceEstimate, most: int = 400) -> np.ndarray:
-    """Standard deviation of the force, (n_intervals, n_forced): exact up to ``most``
-    intervals, else interpolated.
-    """
-    linear, (n_intervals, n_forced) = estimate.linear, estimate.w.shape
-    chosen = np.unique(
-        np.linspace(0, n_intervals - 1, min(most, n_intervals)).astype(int)
-    )
-    result = np.zeros((n_intervals, n_forced))
+    linear = estimate.linear
+    n_intervals, n_forced = estimate.w.shape
+    evenly = np.linspace(0, n_intervals - 1, min(most, n_intervals))
+    chosen = np.unique(evenly.astype(int))
+    columns = np.arange(len(chosen))
+    deviation = np.zeros((n_intervals, n_forced))
     for k in range(n_forced):
-        at = linear.n_x + chosen * n_forced + k
-        unit = np.zeros((linear.n_total, len(chosen)))
-        unit[at, np.arange(len(chosen))] = 1.0
-        variance = linear.factor.solve(unit)[at, np.arange(len(chosen))]
-        result[:, k] = np.interp(
-            np.arange(n_intervals), chosen, np.sqrt(np.maximum(variance, 0.0))
-        )
-    return result
+        places = linear.n_x + chosen * n_forced + k
+        units = np.zeros((linear.n_total, len(chosen)))
+        units[places, columns] = 1.0
+        variance = linear.factor.solve(units)[places, columns]
+        exact = np.sqrt(np.maximum(variance, 0.0))
+        deviation[:, k] = np.interp(np.arange(n_intervals), chosen, exact)
+    return deviation
 
 
-class Linearised:
-    """The missing-force problem linearised at a point: one factorisation, then means,
-    variances and evidence.
-    """
-
-    def __init__(
-        self,
-        grid: Grid,
-        point: Point,
-        jacobian: csc_matrix,
-        sigma: np.ndarray,
-        prior: ForcePrior,
-        sensed: SensorOutputs | None = None,
-    ) -> None:
-        assert point.w is not None
-        sensed = sensed or SensorOutputs(point.x, identity(point.x.size, format="csc"))
-        self.grid, self.point, self.sigma, self.prior = grid, point, sigma, prior
-        self.n_x, self.n_w = point.x.size, point.w.size
-        self.whiteners = [prior.whitener(grid, k) for k in range(len(prior.rows))]
-        n_forced = len(prior.rows)
-        order = (
-            np.arange(self.n_w).reshape(-1, n_forced).T.ravel()
-        )  # from force-major to interval-major
-        self.L = block_diag(self.whiteners, format="csc")[:, np.argsort(order)]
-        seen = grid.measured
-        self.weight = np.where(seen, 1 / np.tile(sigma, (grid.n_nodes, 1)), 0.0).ravel()
-        self.seen_of = (
-            diags(self.weight) @ sensed.jacobian
-        )  # from a change of the states to weighted values
-        hessian = block_diag(
-            [self.seen_of.T @ self.seen_of, self.L.T @ self.L], format="csc"
-        )
-        self.n_total = hessian.shape[0] + jacobian.shape[0]
-        n = point.x.shape[1]
-        along = time_order(grid, ("node", n), ("interval", n_forced), ("interval", n))
-        self.factor = Banded(
-            bmat([[hessian, jacobian.T], [jacobian, None]], format="coo"), along
-        )
-        residual = np.where(seen, grid.y - sensed.values, 0.0).ravel()
-        gradient = np.r_[
-            -self.seen_of.T @ (self.weight * residual),
-            self.L.T @ (self.L @ point.w.ravel()),
-        ]
-        step = self.factor.solve(np.r_[-gradient, np.zeros(jacobian.shape[0])])
-        self.residual = residual - sensed.jacobian @ step[: self.n_x]
-        self.innovations = self.L @ (
-            point.w.ravel() + step[self.n_x : self.n_x + self.n_w]
-        )
-
-    def log_evidence(self) -> float:
-        """log p(y | noise, force size), up to a constant of the linearisation point."""
-        misfit = np.sum((self.weight * self.residual) ** 2) + np.sum(
-            self.innovations**2
-        )
-        log_det = self.factor.log_abs_det
-        log_noise = np.sum(np.log(self.weight[self.weight > 0]))
-        log_prior = sum(np.sum(np.log(L.diagonal())) for L in self.whiteners)
-        return float(-misfit / 2 - log_det / 2 + log_noise + log_prior)
-
-    def improved(self, known_noise: Known) -> tuple[np.ndarray, np.ndarray]:
-        """MacKay's update of the noise and of the force size."""
-        determined_y, determined_w = self._well_determined()
-        sigma = self.sigma.copy()
-        seen, squares = (
-            self.grid.measured,
-            self.residual.reshape(self.grid.y.shape) ** 2,
-        )
-        for k in np.flatnonzero(
-            seen.any(axis=0) & ~np.broadcast_to(known_noise, len(sigma))
-        ):
-            free = max(seen[:, k].sum() - determined_y[k], 1.0)
-            sigma[k] = np.sqrt(max(squares[:, k].sum() / free, TINY))
-        per_force = self.innovations.reshape(len(self.prior.rows), -1)
-        ratio = np.array([np.sum(r**2) for r in per_force]) / np.maximum(
-            determined_w, 1e-3
-        )
-        size = self.prior.size * np.sqrt(
-            np.clip(ratio, 1 / LARGEST_CHANGE, LARGEST_CHANGE)
-        )
-        return np.clip(
-            sigma, self.sigma / LARGEST_CHANGE, self.sigma * LARGEST_CHANGE
-        ), size
-
-    def _well_determined(self) -> tuple[np.ndarray, np.ndarray]:
-        """Number of well-determined directions per measured channel and per force."""
-        rng = np.random.default_rng(0)
-        n_probes = int(
-            np.clip(PROBED // self.n_x, 2, N_PROBES)
-        )  # the trace of a longer record needs fewer
-        signs_y = (
-            rng.choice([-1.0, 1.0], (self.n_x, n_probes)) * (self.weight > 0)[:, None]
-        )
-        signs_w = rng.choice([-1.0, 1.0], (self.n_w, n_probes))
-        right = np.zeros((self.n_total, 2 * n_probes))
-        right[: self.n_x, :n_probes] = self.seen_of.T @ signs_y
-        right[self.n_x : self.n_x + self.n_w, n_probes:] = self.L.T @ signs_w
-        left = self.factor.solve(right)
-        along_y = signs_y * (self.seen_of @ left[: self.n_x, :n_probes])
-        along_w = signs_w * (self.L @ left[self.n_x : self.n_x + self.n_w, n_probes:])
-        n_forced = len(self.prior.rows)
-        determined_y = along_y.mean(axis=1).reshape(self.grid.y.shape).sum(axis=0)
-        determined_w = self.n_w / n_forced - along_w.mean(axis=1).reshape(
-            n_forced, -1
-        ).sum(axis=1)
-        return determined_y, determined_w
-
-
-ROUNDER = (1.0, 4.0, 16.0, 64.0)  # factors on the width of corners that are too sharp
+# Factors on the width of corners that are too sharp.
+ROUNDER = (1.0, 4.0, 16.0, 64.0)
 
 
 def smoothed(
@@ -351,24 +283,37 @@ def smoothed(
     rounds: int = 3,
     prior: ForcePrior | None = None,
 ) -> ForceEstimate:
-    """States, also unmeasured ones, by the missing-force program at the model's present
-    values.
+    """States, also unmeasured ones, and missing force at given parameters.
 
-    ``theta``: other values, (n_free, n_trajectories) where trajectories have parameters
-    of their own. Where a corner of dry friction is too sharp for the search, it is
-    rounded.
+    Where a corner of dry friction is too sharp for the search, it is rounded, and the
+    estimate says so.
+
+    Args:
+        model: The model; its present values are the parameters unless ``theta`` is
+            given.
+        grid: Nodes, intervals and measurements.
+        sigma: (n_states,) noise to begin with.
+        integrator: The scheme of the defects.
+        known_noise: Whether ``sigma`` is known and stays, of all states or of each.
+        theta: Other values, (n_free, n_trajectories) where trajectories have parameters
+            of their own.
+        rounds: Solves, each followed by updates of the sizes, at most.
+        prior: Of the force, to begin with; None: `default_prior`.
+
+    Raises:
+        SolveError: No force was found, with rounded corners either.
     """
     point = first_point(model, grid)
-    point = point if theta is None else replace(point, theta=theta)
-    widths = {name: model.values[name] for name in corner_widths(model)}
-    for factor in ROUNDER if widths else (1.0,):
-        rounded = (
-            {}
-            if factor == 1
-            else {name: factor * width for name, width in widths.items()}
-        )
+    if theta is not None:
+        point = replace(point, theta=theta)
+    values = model.values
+    widths = {name: values[name] for name in corner_widths(model)}
+    for factor in ROUNDER if widths else ROUNDER[:1]:
+        rounded = {}
+        if factor != 1:
+            rounded = {name: factor * width for name, width in widths.items()}
         try:
-            found = estimate_force(
+            estimate = estimate_force(
                 model.with_values(rounded),
                 grid,
                 point,
@@ -378,7 +323,7 @@ def smoothed(
                 prior=prior,
                 integrator=integrator,
             )
-            return replace(found, rounded=rounded)
+            return replace(estimate, rounded=rounded)
         except SolveError as error:
             failure = error
     raise failure
