@@ -1,5 +1,9 @@
-"""Standard errors: what the data say about each parameter, and which directions they
-say nothing about.
+"""Covariances of the estimates: what the data say about each parameter.
+
+By `MaximumLikelihood` the covariance is the inverse of the information; by `PHSILoss`,
+whose residuals are not independent, it is a sandwich. A parameter at a bound, and one
+on which the data are silent (`identifiability`), gets NaN: no number is given that is
+not trusted.
 """
 
 from collections.abc import Sequence
@@ -8,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from phsi_opt.estimation.identifiability import silent_directions
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
@@ -16,18 +21,15 @@ from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 
-ROUNDED = (
-    1e-11  # share of the largest information below which it is made of rounding errors
-)
-SAME_FACTOR = (
-    0.005  # share by which relative changes may differ and still be one factor
-)
-
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Covariance of theta (NaN where it is not known) and sentences about what cannot
-    be identified.
+    """What is known about the estimates.
+
+    Attributes:
+        covariance: (n_theta, n_theta); NaN where it is not known.
+        warnings: A sentence per direction that cannot be identified, or why nothing is
+            known.
     """
 
     covariance: np.ndarray
@@ -35,7 +37,7 @@ class Uncertainty:
 
     @property
     def std_errors(self) -> np.ndarray:
-        """Standard errors in the order of theta."""
+        """Standard errors in the order of theta, (n_theta,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def widened(self, factor: float) -> "Uncertainty":
@@ -43,28 +45,28 @@ class Uncertainty:
         return Uncertainty(self.covariance * factor, self.warnings)
 
 
-def unknown(n: int, why: str) -> Uncertainty:
+def unknown(n_theta: int, reason: str) -> Uncertainty:
     """No standard error is given, and why."""
-    return Uncertainty(np.full((n, n), np.nan), (why,))
+    return Uncertainty(np.full((n_theta, n_theta), np.nan), (reason,))
 
 
 def reduced(
     program: Program, solution: Solution, grid: Grid, n_residuals: int
 ) -> ReducedSystem:
-    """The likelihood at the solution in scaled variables, with the states eliminated."""
-    theta, x = program.variables["theta"], program.variables["x"]
-    hessian = solution.kkt.hessian * (
-        n_residuals / 2
-    )  # the objective is 2/N times the likelihood's
+    """The likelihood at the solution in scaled variables, with the states eliminated.
+
+    Args:
+        program: Of the likelihood; its objective is 2/n_residuals times -log p.
+        solution: An optimum of the program.
+        grid: Nodes and intervals of the program.
+        n_residuals: Number of measured values.
+    """
+    theta = program.variables["theta"]
+    x = program.variables["x"]
+    n_states = (x.stop - x.start) // grid.n_nodes
+    hessian = solution.kkt.hessian * (n_residuals / 2)
     jacobian = solution.kkt.jacobian[program.constraints["defect"].slice]
-    return ReducedSystem(
-        grid,
-        (x.stop - x.start) // grid.n_nodes,
-        hessian,
-        jacobian,
-        theta.slice,
-        x.slice,
-    )
+    return ReducedSystem(grid, n_states, hessian, jacobian, theta.slice, x.slice)
 
 
 def of_likelihood(
@@ -74,21 +76,22 @@ def of_likelihood(
     solution: Solution,
     likelihood: ReducedSystem,
 ) -> Uncertainty:
-    """Inverse of the information that is left for theta when the states follow it: the
-    reduced Hessian's inverse.
+    """Inverse of the information about theta that is left when the states follow it.
+
+    Args:
+        names: Of the parameters, in the order of theta.
+        theta: (n_theta,) estimates.
+        program: The program, for the scale of theta and the order of variables.
+        solution: Its solution, for the parameters at bounds.
+        likelihood: What `reduced` makes of the two.
     """
-    block, held = program.variables["theta"], _held(names, solution)
-    return _finished(
-        names,
-        theta,
-        regularized_inverse(likelihood.information, held),
-        program.scale[block.slice],
-        held,
-    )
-
-
-def _held(names: Sequence[str], solution: Solution) -> list[int]:
-    return [i for i, name in enumerate(names) if name in solution.outcome.at_bounds]
+    scale = program.scale[program.variables["theta"].slice]
+    held = _places(names, solution.outcome.at_bounds)
+    scaled = regularized_inverse(likelihood.information, held)
+    silent = silent_directions(names, theta / scale, scaled, held)
+    covariance = scaled * np.outer(scale, scale)
+    not_known = [*held, *silent.parameters]
+    return Uncertainty(_without(covariance, not_known), silent.sentences)
 
 
 def of_defects(
@@ -99,140 +102,66 @@ def of_defects(
     scale: np.ndarray,
     at_bounds: tuple[str, ...],
 ) -> Uncertainty:
-    """Sandwich covariance of the PHSI loss: neighbouring defects share a noisy sample,
-    so they are not independent.
+    """Sandwich covariance of the PHSI loss.
 
-    To first order in the noise e of the samples the gradient of the loss is sum_n G_n
-    e_n, where G_n gathers what the two defects at the sample n make of its noise; so
-    its covariance is sum_n G_n Sigma G_n'. Sigma, a variance per state, comes from the
-    sizes of the defects. The bias that noisy states cause is not in it.
+    Neighbouring defects share a noisy sample, so they are not independent. To first
+    order in the noise e of the samples the gradient of the loss is::
+
+        sum_n G_n e_n
+
+    where G_n gathers what the two defects at the sample n make of its noise; so the
+    covariance of the gradient is sum_n G_n Sigma G_n'. Sigma, a variance per state,
+    comes from the sizes of the defects. The bias that noisy states cause is not in it.
+
+    Args:
+        model: The fitted model.
+        grid: The intervals whose two ends are measured.
+        scheme: Of the defects, such as "srk4".
+        theta: (n_free,) estimates.
+        scale: (n_free,) size of each parameter.
+        at_bounds: Names of the parameters that ended at a bound.
     """
-    n, y = model.n_states, np.nan_to_num(grid.y)
-    jacobian = (
-        np.array(defect_jacobian(model, grid, scheme)(y.T, theta)) * scale
-    ).reshape(grid.n_intervals, n, -1)
-    d = np.array(defects(model, grid, scheme, y.T, theta)).T
-    held = [i for i, name in enumerate(model.free) if name in at_bounds]
+    n_theta = len(theta)
+    y = np.nan_to_num(grid.y)
+    in_theta = np.array(defect_jacobian(model, grid, scheme)(y.T, theta)) * scale
+    jacobian = in_theta.reshape(grid.n_intervals, model.n_states, -1)
     slopes = defect_slopes(model, grid, scheme, y, theta)
-    ends = (slopes.at_begin, slopes.at_end)
-    gathered = np.zeros((grid.n_nodes, n, len(theta)))
-    for node, slope in zip((grid.begin, grid.begin + 1), ends, strict=True):
-        np.add.at(gathered, node, np.einsum("ikj,ikp->ijp", slope, jacobian))
-    variance = nnls(
-        sum(np.mean(slope**2, axis=0) for slope in ends), np.mean(d**2, axis=0)
-    )[0]
-    weighted = (gathered * np.sqrt(variance)[None, :, None]).reshape(-1, len(theta))
-    flat = jacobian.reshape(-1, len(theta))
-    information = flat.T @ flat
-    size = np.trace(information) / max(len(theta), 1)
-    bread = np.linalg.inv(information + RIDGE * size * np.eye(len(theta)))
-    weak, silent = weak_directions(model.free, theta / scale, bread * size, held)
-    return Uncertainty(
-        _known(
-            bread @ (weighted.T @ weighted) @ bread * np.outer(scale, scale),
-            held + silent,
-        ),
-        weak,
-    )
+
+    gathered = np.zeros((grid.n_nodes, model.n_states, n_theta))
+    at_begin = np.einsum("ikj,ikp->ijp", slopes.at_begin, jacobian)
+    at_end = np.einsum("ikj,ikp->ijp", slopes.at_end, jacobian)
+    np.add.at(gathered, grid.begin, at_begin)
+    np.add.at(gathered, grid.begin + 1, at_end)
+
+    noise_to_square = np.mean(slopes.at_begin**2, axis=0)
+    noise_to_square = noise_to_square + np.mean(slopes.at_end**2, axis=0)
+    d = np.array(defects(model, grid, scheme, y.T, theta)).T
+    variance, _ = nnls(noise_to_square, np.mean(d**2, axis=0))
+
+    weighted = gathered * np.sqrt(variance)[None, :, None]
+    weighted = weighted.reshape(-1, n_theta)
+    of_gradient = weighted.T @ weighted
+    by_defect = jacobian.reshape(-1, n_theta)
+    information = by_defect.T @ by_defect
+    mean_information = np.trace(information) / max(n_theta, 1)
+    ridge = RIDGE * mean_information * np.eye(n_theta)
+    bread = np.linalg.inv(information + ridge)
+
+    held = _places(model.free, at_bounds)
+    relative = bread * mean_information
+    silent = silent_directions(model.free, theta / scale, relative, held)
+    covariance = bread @ of_gradient @ bread * np.outer(scale, scale)
+    not_known = [*held, *silent.parameters]
+    return Uncertainty(_without(covariance, not_known), silent.sentences)
 
 
-def _finished(
-    names: Sequence[str],
-    theta: np.ndarray,
-    scaled: np.ndarray,
-    scale: np.ndarray,
-    held: list[int],
-) -> Uncertainty:
-    weak, silent = weak_directions(names, theta / scale, scaled, held)
-    return Uncertainty(_known(scaled * np.outer(scale, scale), held + silent), weak)
+def _places(names: Sequence[str], chosen: Sequence[str]) -> list[int]:
+    return [i for i, name in enumerate(names) if name in chosen]
 
 
-def _known(covariance: np.ndarray, not_known: list[int]) -> np.ndarray:
-    """No number is given for a parameter at its bound, or one that the data do not pin
-    down.
-    """
-    covariance[not_known, :] = covariance[:, not_known] = np.nan
-    return covariance
-
-
-def weak_directions(
-    names: Sequence[str], theta: np.ndarray, scaled: np.ndarray, held: list[int]
-) -> tuple[tuple[str, ...], list[int]]:
-    """A sentence per direction of the scaled theta on which the data are silent (only
-    the ridge holds it).
-    """
-    moving = [i for i in range(len(scaled)) if i not in held]
-    if not moving:
-        return (), []
-    values, vectors = np.linalg.eigh(scaled[np.ix_(moving, moving)])
-    sentences, silent = [], []
-    best = float(np.min(values, where=values > 0, initial=np.inf))
-    for value, vector in zip(values, vectors.T, strict=True):
-        value = (
-            value if value > 0 else 1 / RIDGE
-        )  # rounded below zero: nothing but the ridge
-        spread, own = np.sqrt(value) * np.abs(vector), np.abs(theta[moving])
-        # Beyond the ridge, or so far below the best known direction that only rounding
-        # errors tell it.
-        if (
-            value > 0.01 / RIDGE
-            or value > max(100.0, best / ROUNDED)
-            or _is_scaling(spread, own)
-        ):
-            # Its largest members, and those that it moves by more than their own value.
-            large = np.abs(vector) > 0.1 * np.max(np.abs(vector))
-            large |= (spread > own) & (own > 0)
-            parts = np.flatnonzero(large)
-            members = [moving[i] for i in parts]
-            silent += members
-            sentences.append(
-                _sentence([names[i] for i in members], vector[parts], theta[members])
-            )
-    return tuple(sentences), sorted(set(silent))
-
-
-def _is_scaling(spread: np.ndarray, own: np.ndarray) -> bool:
-    """Whether a direction multiplies several parameters, and no others, by one factor
-    that the data leave open.
-    """
-    members = spread > 0.1 * np.max(spread)
-    members |= spread > 2 * own
-    relative = spread[members] / np.where(own[members] > 0, own[members], np.nan)
-    return bool(
-        members.sum() > 1
-        and np.min(relative) > 2
-        and np.ptp(relative) < SAME_FACTOR * np.max(relative)
-    )
-
-
-def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
-    """What the data cannot tell: the parameters may change together in this direction
-    without a trace.
-    """
-    if len(names) == 1:
-        return f"the data say nothing about {names[0]}: fix it to a known value or remove it"
-    text = f"the data cannot tell {', '.join(names)} apart: "
-    if np.all(theta != 0):
-        relative = change / theta
-        if np.ptp(np.abs(relative)) < 0.02 * np.max(np.abs(relative)):
-            if len(names) > 2 and np.all(relative * relative[0] > 0):
-                return (
-                    text
-                    + "a common factor of all leaves no trace; fix one of them to a known value"
-                )
-            up = [
-                n for n, r in zip(names, relative, strict=True) if r * relative[0] > 0
-            ]
-            down = [n for n in names if n not in up]
-            if len(names) == 2:
-                known = f"{names[0]}*{names[1]}" if down else f"{names[0]}/{names[1]}"
-                return (
-                    text
-                    + f"only {known} is identifiable; fix one of them to a known value"
-                )
-            both = f", and {', '.join(down)} divided by it," if down else ""
-            return (
-                text
-                + f"{', '.join(up)} may be multiplied by a common factor{both} without a trace; fix one of them"
-            )
-    return text + "fix one of them to a known value"
+def _without(covariance: np.ndarray, not_known: list[int]) -> np.ndarray:
+    """The covariance with NaN in the rows and columns of what is not known."""
+    known = covariance.copy()
+    known[not_known, :] = np.nan
+    known[:, not_known] = np.nan
+    return known

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from phsi_opt.estimation.uncertainty import weak_directions
+from phsi_opt.estimation.identifiability import silent_directions
 from phsi_opt.transcription.elimination import regularized_inverse
 
 NAMES = [f"c{i}" for i in range(30)]
@@ -15,7 +15,9 @@ def test_terms_without_significance_are_not_called_a_common_factor() -> None:
         covariance = regularized_inverse(root.T @ root)
         # Estimates of coefficients that are zero: all within their errors.
         theta = rng.multivariate_normal(np.zeros(30), covariance)
-        assert weak_directions(NAMES, theta, covariance, []) == ((), [])
+        silent = silent_directions(NAMES, theta, covariance)
+        assert silent.sentences == ()
+        assert silent.parameters == ()
 
 
 def test_a_factor_that_leaves_no_trace_is_found_among_well_known_parameters() -> None:
@@ -26,11 +28,11 @@ def test_a_factor_that_leaves_no_trace_is_found_among_well_known_parameters() ->
     )  # the first three may be multiplied by one number
     away = np.eye(5) - np.outer(together, together) / (together @ together)
     root = rng.normal(size=(50, 5)) @ away
-    sentences, members = weak_directions(
-        NAMES[:5], theta, regularized_inverse(root.T @ root), []
-    )
-    assert members == [0, 1, 2]
-    assert "c0, c1, c2 apart: a common factor of all leaves no trace" in sentences[0]
+    covariance = regularized_inverse(root.T @ root)
+    silent = silent_directions(NAMES[:5], theta, covariance)
+    assert silent.parameters == (0, 1, 2)
+    text = "c0, c1, c2 apart: a common factor of all leaves no trace"
+    assert text in silent.sentences[0]
 
 
 def test_a_product_and_a_ratio_are_told_apart() -> None:
@@ -42,20 +44,15 @@ def test_a_product_and_a_ratio_are_told_apart() -> None:
     ):
         direction = np.array(along) / np.linalg.norm(along)
         root = rng.normal(size=(50, 2)) @ (np.eye(2) - np.outer(direction, direction))
-        assert (
-            text
-            in weak_directions(
-                NAMES[:2], theta, regularized_inverse(root.T @ root), []
-            )[0][0]
-        )
+        covariance = regularized_inverse(root.T @ root)
+        assert text in silent_directions(NAMES[:2], theta, covariance).sentences[0]
 
 
 def test_a_parameter_without_a_trace_is_named_alone() -> None:
     root = np.diag([1.0, 0.0, 2.0])
-    sentences, members = weak_directions(
-        NAMES[:3], np.ones(3), regularized_inverse(root.T @ root), []
-    )
-    assert members == [1]
-    assert sentences == (
+    covariance = regularized_inverse(root.T @ root)
+    silent = silent_directions(NAMES[:3], np.ones(3), covariance)
+    assert silent.parameters == (1,)
+    assert silent.sentences == (
         "the data say nothing about c1: fix it to a known value or remove it",
     )

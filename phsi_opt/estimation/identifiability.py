@@ -1,0 +1,142 @@
+"""Directions of the parameters on which the data are silent, and sentences about them.
+
+A direction of the scaled parameters is silent where only the ridge of the covariance
+holds it, where rounding errors alone tell it, or where several parameters may be
+multiplied by one factor without a trace. Its parameters get no standard error, and a
+sentence says what could be fixed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from phsi_opt.transcription.elimination import RIDGE
+
+# Share of the largest information below which it is made of rounding errors.
+ROUNDED = 1e-11
+# Share by which relative changes may differ and still be one factor: as a test of a
+# direction, and when the direction is put into words.
+SAME_FACTOR = 0.005
+SAME_FACTOR_IN_WORDS = 0.02
+# Share of the ridge's own variance from which nothing but the ridge holds a direction.
+RIDGE_SHARE = 0.01
+# Variance of scaled parameters up to which rounding errors are not asked for.
+UNSUSPICIOUS = 100.0
+# Share of a direction's largest member from which a parameter belongs to it.
+MEMBER_SHARE = 0.1
+# Standard deviation of a common factor from which it is called open.
+OPEN_FACTOR = 2
+
+
+@dataclass(frozen=True, eq=False)
+class SilentDirections:
+    """What the data do not say.
+
+    Attributes:
+        sentences: One per direction.
+        parameters: Places of the parameters in these directions, increasing.
+    """
+
+    sentences: tuple[str, ...] = ()
+    parameters: tuple[int, ...] = ()
+
+
+def silent_directions(
+    names: Sequence[str],
+    theta: np.ndarray,
+    covariance: np.ndarray,
+    held: Sequence[int] = (),
+) -> SilentDirections:
+    """Find the directions on which the data are silent.
+
+    Args:
+        names: Of the parameters.
+        theta: (n_theta,) scaled parameters.
+        covariance: (n_theta, n_theta) of the scaled parameters, with the ridge.
+        held: Places of parameters that do not move, such as those at a bound.
+    """
+    moving = [i for i in range(len(covariance)) if i not in held]
+    if not moving:
+        return SilentDirections()
+    size = np.abs(theta[moving])
+    variances, directions = np.linalg.eigh(covariance[np.ix_(moving, moving)])
+    best_known = float(np.min(variances, where=variances > 0, initial=np.inf))
+    sentences = []
+    silent: set[int] = set()
+    for eigenvalue, direction in zip(variances, directions.T, strict=True):
+        # Rounded below zero: nothing but the ridge holds the direction.
+        variance = eigenvalue if eigenvalue > 0 else 1 / RIDGE
+        spread = np.sqrt(variance) * np.abs(direction)
+        if _is_unknown(variance, best_known) or _is_scaling(spread, size):
+            places = _members(direction, spread, size)
+            members = [moving[i] for i in places]
+            silent.update(members)
+            of_members = [names[i] for i in members]
+            sentences.append(_sentence(of_members, direction[places], theta[members]))
+    return SilentDirections(tuple(sentences), tuple(sorted(silent)))
+
+
+def _is_unknown(variance: float, best_known: float) -> bool:
+    """Whether only the ridge holds a direction, or only rounding errors tell it."""
+    is_held_by_ridge = variance > RIDGE_SHARE / RIDGE
+    is_rounding = variance > max(UNSUSPICIOUS, best_known / ROUNDED)
+    return is_held_by_ridge or is_rounding
+
+
+def _members(direction: np.ndarray, spread: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Places of its largest members, and of those it moves by more than their size."""
+    change = np.abs(direction)
+    is_member = change > MEMBER_SHARE * np.max(change)
+    is_member |= (spread > size) & (size > 0)
+    return np.flatnonzero(is_member)
+
+
+def _is_scaling(spread: np.ndarray, size: np.ndarray) -> bool:
+    """Whether a direction multiplies several parameters by one factor that is open.
+
+    It changes no others, and the data leave the factor open.
+    """
+    is_member = spread > MEMBER_SHARE * np.max(spread)
+    is_member |= spread > OPEN_FACTOR * size
+    member_size = size[is_member]
+    relative = spread[is_member] / np.where(member_size > 0, member_size, np.nan)
+    has_several = is_member.sum() > 1
+    is_open = np.min(relative) > OPEN_FACTOR
+    is_one_factor = np.ptp(relative) < SAME_FACTOR * np.max(relative)
+    return bool(has_several and is_open and is_one_factor)
+
+
+def _sentence(names: list[str], change: np.ndarray, theta: np.ndarray) -> str:
+    """What may change together without a trace, and what to do about it."""
+    if len(names) == 1:
+        return (
+            f"the data say nothing about {names[0]}: "
+            "fix it to a known value or remove it"
+        )
+    apart = f"the data cannot tell {', '.join(names)} apart: "
+    if np.all(theta != 0):
+        relative = change / theta
+        size = np.abs(relative)
+        if np.ptp(size) < SAME_FACTOR_IN_WORDS * np.max(size):
+            return apart + _common_factor(names, relative)
+    return f"{apart}fix one of them to a known value"
+
+
+def _common_factor(names: list[str], relative: np.ndarray) -> str:
+    """By which factor parameters may be multiplied, or divided, together."""
+    with_first = relative * relative[0] > 0
+    if len(names) == 2:
+        sign = "/" if with_first[1] else "*"
+        known = f"{names[0]}{sign}{names[1]}"
+        return f"only {known} is identifiable; fix one of them to a known value"
+    if np.all(with_first):
+        return (
+            "a common factor of all leaves no trace; fix one of them to a known value"
+        )
+    up = [name for name, is_up in zip(names, with_first, strict=True) if is_up]
+    down = [name for name in names if name not in up]
+    return (
+        f"{', '.join(up)} may be multiplied by a common factor, "
+        f"and {', '.join(down)} divided by it, without a trace; fix one of them"
+    )
