@@ -1,8 +1,10 @@
-"""What every method of identification returns: a model with values, its tables,
-equations, exports and simulation.
+"""What every method of identification returns: a model with the values it found.
+
+Its table, equations, exports and simulation are the same whichever method found the
+values; what only one method knows (covariance, history) is added by its own result.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,18 +29,19 @@ PARAMETER_COLUMNS = [
     "unit",
     "fixed",
 ]
+DIGITS = 6  # of printed numbers: more than most data tell
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Identified:
-    """What every method of identification returns: a model with the values it found,
-    and what can be done with them.
+    """A model with the values that were found, and what can be done with it.
 
     Attributes:
-        model: with the found values as values of its parameters.
-        hold: of the inputs between samples, as the measurements declared it.
-        seconds: wall time of the whole identification, starting values included.
-        removed: terms that were pruned, in order.
+        model: The model; the found values are the values of its parameters.
+        hold: How inputs are held between samples, "linear" or "zero", as the
+            measurements declared it.
+        seconds: Wall time of the whole identification, starting values included.
+        removed: Names of the terms that were pruned, in order.
     """
 
     model: Model
@@ -58,97 +61,119 @@ class Identified:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Table: name, slot, equation, value, std_error, lower, upper, unit, fixed."""
-        rows = [
-            self._row(name, e, self.values[name])
-            for name, e in self.model.entries.items()
-        ]
+        """Table of the parameters: a row each, fixed ones included.
+
+        Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
+        ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the
+        bounds that the solver kept), ``unit``, ``fixed``.
+        """
+        values = self.values
+        rows = []
+        for name, entry in self.model.entries.items():
+            rows.append(self._row(name, entry, values[name]))
         return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
 
-    def _row(self, name: str, e: Entry, value: float) -> tuple[Any, ...]:
-        p = e.parameter
-        return (
-            name,
-            e.slot,
-            e.equation,
-            value,
-            self.std_errors[name],
-            p.lower,
-            p.upper,
-            p.unit,
-            p.fixed,
-        )
+    def _row(self, name: str, entry: Entry, value: float) -> dict[str, Any]:
+        parameter = entry.parameter
+        return {
+            "name": name,
+            "slot": entry.slot,
+            "equation": entry.equation,
+            "value": value,
+            "std_error": self.std_errors[name],
+            "lower": parameter.lower,
+            "upper": parameter.upper,
+            "unit": parameter.unit,
+            "fixed": parameter.fixed,
+        }
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
-        """States (n_samples, n_states) from x0 at t[0], by SciPy; inputs u are held as
-        the measurements declared.
+        """Simulate the fitted model from given starting states, by SciPy.
+
+        Inputs are held between samples as the measurements declared it.
+
+        Args:
+            t: (n_samples,) times, increasing; the simulation starts at ``t[0]``.
+            x0: (n_states,) states at ``t[0]``.
+            u: (n_samples, n_inputs) inputs at the times, or a function of the time;
+                None: the model has none.
+
+        Returns:
+            (n_samples, n_states) states at the times.
+
+        Raises:
+            DataError: An argument has the wrong shape.
+            SolveError: The simulation broke off before the last time.
         """
         return simulate(self.model, t, x0, u, hold=self.hold)
 
     def sympy(self) -> dict[str, sp.Expr]:
-        """SymPy expressions with the fitted numbers: 'H', 'R_<state>', 'F_<state>' and
-        'd<state>/dt'.
+        """The fitted model as SymPy expressions.
+
+        Returns:
+            ``H``, and for every state ``R_<state>``, ``F_<state>`` and the right-hand
+            side ``d<state>/dt``, in the names of states, inputs and ``t``.
         """
+        model = self.model
         # Real while it differentiates, or |q| has no simple derivative; plain names in
         # the result.
-        x, u = (
-            sp.symbols(names, real=True)
-            for names in (self.model.states, self.model.inputs)
-        )
+        x = sp.symbols(model.states, real=True)
+        u = sp.symbols(model.inputs, real=True)
         t = sp.Symbol("t", real=True)
         values = {name: sp.Float(value) for name, value in self.values.items()}
-        e = self.model.expressions(x, u, t, values, SYMPY)
-        result = {"H": sp.sympify(e.energy)}
-        for i, name in enumerate(self.model.states):
-            exchange = sum(
-                (
-                    sp.Float(s) * e.efforts[j]
-                    for j, s in enumerate(self.model.S[i])
-                    if s
-                ),
-                start=sp.Integer(0),
-            )
-            result[f"R_{name}"], result[f"F_{name}"] = (
-                sp.sympify(e.loss[i]),
-                sp.sympify(e.force[i]),
-            )
-            result[f"d{name}/dt"] = sp.expand(
-                exchange - e.loss[i] * e.efforts[i] + e.force[i]
-            )
+        parts = model.expressions(x, u, t, values, SYMPY)
+        efforts = parts.efforts
+        expressions = {"H": sp.sympify(parts.energy)}
+        for i, state in enumerate(model.states):
+            loss = parts.loss[i]
+            force = parts.force[i]
+            exchange = _exchange(model.S[i], efforts)
+            rate = exchange - loss * efforts[i] + force
+            expressions[f"R_{state}"] = sp.sympify(loss)
+            expressions[f"F_{state}"] = sp.sympify(force)
+            expressions[f"d{state}/dt"] = sp.expand(rate)
         plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t)}
-        return {name: expression.xreplace(plain) for name, expression in result.items()}
+        return {name: e.xreplace(plain) for name, e in expressions.items()}
 
     def casadi(self) -> ca.Function:
-        """CasADi function (x, u, t) -> dx/dt with the fitted numbers."""
-        x, u, t = (
-            ca.SX.sym("x", self.model.n_states),
-            ca.SX.sym("u", self.model.n_inputs),
-            ca.SX.sym("t"),
-        )
-        theta = [self.values[name] for name in self.model.free]
-        return ca.Function(
-            "fitted",
-            [x, u, t],
-            [self.model.rhs()(x, u, t, theta)],
-            ["x", "u", "t"],
-            ["dx"],
-        )
+        """The fitted model as a CasADi function (x, u, t) -> dx, with dx = dx/dt.
+
+        x is (n_states,), u (n_inputs,), t a number; the fitted numbers stand in it.
+        """
+        x = ca.SX.sym("x", self.model.n_states)
+        u = ca.SX.sym("u", self.model.n_inputs)
+        t = ca.SX.sym("t")
+        values = self.values
+        theta = [values[name] for name in self.model.free]
+        dx = self.model.rhs()(x, u, t, theta)
+        return ca.Function("fitted", [x, u, t], [dx], ["x", "u", "t"], ["dx"])
 
     def equations(self) -> list[str]:
-        """The right-hand sides with every fitted number (6 digits), one text per state;
-        no term is left out.
+        """The right-hand sides with the fitted numbers, one text per state.
+
+        Numbers have 6 digits; no term is left out, however small.
         """
-        exact = self.sympy()
-        return [
-            f"d{name}/dt = {sp.sstr(exact[f'd{name}/dt'].n(6))}"
-            for name in self.model.states
-        ]
+        return [f"d{s}/dt = {sp.sstr(e)}" for s, e in self._rounded().items()]
 
     def latex(self) -> str:
-        """The right-hand sides as an aligned LaTeX block."""
+        """The right-hand sides as an aligned LaTeX block, numbers with 6 digits."""
+        rows = []
+        for state, expression in self._rounded().items():
+            symbol = sp.latex(sp.Symbol(state))
+            rows.append(rf"\dot{{{symbol}}} &= {sp.latex(expression)}")
+        body = " \\\\\n".join(rows)
+        return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
+
+    def _rounded(self) -> dict[str, sp.Expr]:
+        """The right-hand side of every state, numbers with `DIGITS` digits."""
         exact = self.sympy()
-        rows = [
-            rf"\dot{{{sp.latex(sp.Symbol(n))}}} &= {sp.latex(exact[f'd{n}/dt'].n(6))}"
-            for n in self.model.states
-        ]
-        return "\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}"
+        return {s: exact[f"d{s}/dt"].n(DIGITS) for s in self.model.states}
+
+
+def _exchange(row: Sequence[float], efforts: Sequence[sp.Expr]) -> sp.Expr:
+    """What a row of the structure matrix S makes of the efforts dH/dx."""
+    total = sp.Integer(0)
+    for entry, effort in zip(row, efforts, strict=True):
+        if entry:
+            total = total + sp.Float(entry) * effort
+    return total
