@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from phsi_opt.comparison.compare import Comparison, compare, compare_record
+from phsi_opt.comparison.compare import Comparison, compare_record
 from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of_change
 from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
 from phsi_opt.data.measurements import Measurements
@@ -20,13 +20,13 @@ from phsi_opt.diagnosis.effort import ADDED
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.report import Section, write_report
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
@@ -101,15 +101,27 @@ class Study:
         progress: Callable[[str], None] | None = None,
     ) -> None:
         self.base = model
-        self.train = aligned(model, train)
-        self.held_out = None if held_out is None else aligned(model, held_out)
+        self._train = AlignedData.of(model, train)
+        self._held_out = None
+        if held_out is not None:
+            self._held_out = AlignedData.of(model, held_out)
         self.stopped = ""
         self._loss = loss or MaximumLikelihood()
         self._say = progress or _silent
         self._diagnoses: dict[int, Diagnosis] = {}
         self._say("fitting the base model")
-        fit = identify(model, self.train, self._loss)
+        fit = identify_aligned(model, self._train, self._loss)
         self.steps: list[Step] = [self._step("base model", (), fit)]
+
+    @property
+    def train(self) -> Measurements:
+        """The measurements that are fitted, in the model's order."""
+        return self._train.data
+
+    @property
+    def held_out(self) -> Measurements | None:
+        """The measurements that judge, in the model's order."""
+        return None if self._held_out is None else self._held_out.data
 
     @property
     def fit(self) -> Fit:
@@ -357,8 +369,8 @@ class Study:
     def _refined(self, brief: Fit) -> Fit:
         """A brief re-fit made thorough; kept itself where that fails or is worse."""
         try:
-            thorough = identify(
-                brief.model, self.train, self._loss, start=brief, settings=ADDED
+            thorough = identify_aligned(
+                brief.model, self._train, self._loss, start=brief, settings=ADDED
             )
         except SolveError:
             return brief
@@ -376,7 +388,7 @@ class Study:
                 continue
             trained = self.steps[-1].train
             smaller = compare_record(
-                Record.beside(fit, self.train, trained.record.estimate)
+                Record.beside(fit, self._train, trained.record.estimate)
             )
             if delta_bic(self.fit, fit, share_of_change(smaller, trained)) < 0:
                 self._say(f"{effect} has become superfluous")
@@ -388,7 +400,7 @@ class Study:
             return self._refined(found.fit)
         values = {} if found is None else found.values
         larger = self.model.add(effect).with_values(values)
-        return identify(larger, self.train, self._loss, start=self.fit)
+        return identify_aligned(larger, self._train, self._loss, start=self.fit)
 
     def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
         """The base model with effects, all parameters re-estimated from the present."""
@@ -399,15 +411,16 @@ class Study:
         for name, value in self.model.values.items():
             if name in model.entries:
                 known[name] = value
-        return identify(
-            model.with_values(known), self.train, self._loss, start=self.fit
+        return identify_aligned(
+            model.with_values(known), self._train, self._loss, start=self.fit
         )
 
     def _step(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Step:
+        train = compare_record(Record.of_aligned(fit, self._train))
         held_out = None
-        if self.held_out is not None:
-            held_out = compare(fit, self.held_out)
-        return Step(label, added, fit, compare(fit, self.train), held_out)
+        if self._held_out is not None:
+            held_out = compare_record(Record.of_aligned(fit, self._held_out))
+        return Step(label, added, fit, train, held_out)
 
 
 def _silent(line: str) -> None:

@@ -15,6 +15,7 @@ from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.endings import PATH_ITERATIONS
 from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, SolverSettings
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -278,7 +279,8 @@ def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(
     )
     monkeypatch.setattr("phsi_opt.estimation.feasible_path.MAX_ITERATIONS", 1)
 
-    record = RecordLikelihood(data, sigma, ph.MaximumLikelihood())
+    aligned = AlignedData.of(model, data)
+    record = RecordLikelihood(aligned, sigma, ph.MaximumLikelihood())
     start = record.start_of_run(model, x, steps, FEASIBLE_PATH)
     best = record.maximum(model, x, steps, FEASIBLE_PATH)
     assert start is not None and best is not None

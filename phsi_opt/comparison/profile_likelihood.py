@@ -22,7 +22,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.smoothing import likelihood_of, steps_on
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import AlignedData
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -111,7 +111,7 @@ def profile(
     that the fit does not have as a free and shared one, or that has no standard error.
     """
     _check(fit, name, level)
-    line = _Line(fit, aligned(fit.model, data), name, progress or _silent)
+    line = _Line(fit, AlignedData.of(fit.model, data), name, progress or _silent)
     value = line.value
     n_free = max(fit.n_values - len(fit.names), 1)
     quantile = float(f_distribution.isf(1 - level, 1, n_free))
@@ -157,16 +157,16 @@ class _Line:
     """The profile as a function of the parameter, with the points worked out so far."""
 
     def __init__(
-        self, fit: Fit, data: Measurements, name: str, say: Callable[[str], None]
+        self, fit: Fit, aligned: AlignedData, name: str, say: Callable[[str], None]
     ) -> None:
-        self.data = data
+        self.aligned = aligned
         self.name = name
         self.say = say
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
         self.loss = likelihood_of(fit)
-        self.steps = steps_on(fit, data)
+        self.steps = steps_on(fit, aligned.data)
         self.way = fit.outcome.way
-        best = self._solved(fit.model, _states_of(fit, data))
+        best = self._solved(fit.model, _states_of(fit, aligned))
         self._check_repeated(fit, best)
         assert best is not None
         self.value = best.values[name]
@@ -191,7 +191,7 @@ class _Line:
     def _solved(
         self, model: Model, x: Sequence[np.ndarray]
     ) -> LikelihoodEstimate | None:
-        record = RecordLikelihood(self.data, self.sigma, self.loss)
+        record = RecordLikelihood(self.aligned, self.sigma, self.loss)
         return record.maximum(model, x, self.steps, self.way)
 
     def rise(self, held: float) -> float:
@@ -243,9 +243,9 @@ class _Line:
         return self.value + side * crossing
 
 
-def _states_of(fit: Fit, data: Measurements) -> Sequence[np.ndarray]:
+def _states_of(fit: Fit, aligned: AlignedData) -> Sequence[np.ndarray]:
     """The states of the fit at the samples; of other data, beside a missing force."""
-    lengths = [run.n_samples for run in data.trajectories]
+    lengths = [run.n_samples for run in aligned.data.trajectories]
     if [len(x) for x in fit.states] == lengths:
         return fit.states
-    return Record.of(fit, data).start
+    return Record.of_aligned(fit, aligned).start

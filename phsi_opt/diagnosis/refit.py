@@ -20,7 +20,7 @@ from phsi_opt.diagnosis.effort import BRIEF, IN_EVERY_WAY, THOROUGH
 from phsi_opt.diagnosis.sharpening import CornerSharpening
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -91,7 +91,7 @@ class _Refitting:
         model = resolve_guesses(model, estimate.grid, estimate.x)
         self.model = model.with_values(request.values)
         self.aligned = base.record.aligned.for_model(self.model)
-        self.sharpening = CornerSharpening(base, self.aligned.data)
+        self.sharpening = CornerSharpening(base, self.aligned)
         # The fast part of a memory, that of a short delay, is not seen by steps as long
         # as the samples.
         has_memory = any(effect.memory for effect in request.effects)
@@ -117,7 +117,7 @@ class _Refitting:
 
     def compared(self, fit: Fit) -> Comparison:
         """The free run of a fit on the training record."""
-        return compare_record(self.base.record.refitted(fit, self.aligned))
+        return compare_record(self.base.record.refitted(fit))
 
     def with_steps_as_fine_as_its_run(self, fit: Fit) -> Comparison:
         """The fit's free run; with finer steps where the run leaves the fit's states.
@@ -133,9 +133,9 @@ class _Refitting:
         if distance_from_states(trained) < STRAYED_STATES:
             return trained
         with suppress(PhsiOptError):
-            finer = identify(
+            finer = identify_aligned(
                 fit.model,
-                self.aligned.data,
+                self.aligned,
                 self.base.loss,
                 start=fit,
                 settings=THOROUGH,
@@ -202,9 +202,9 @@ class _Refitting:
         has_corner = bool(self.sharpening.corners(self.model))
         is_hard = has_corner or base.fit.outcome.way == FEASIBLE_PATH
         in_every_way = is_hard or self.request.is_likely
-        return identify(
+        return identify_aligned(
             self.model,
-            self.aligned.data,
+            self.aligned,
             loss,
             start=start,
             settings=IN_EVERY_WAY if in_every_way else BRIEF,

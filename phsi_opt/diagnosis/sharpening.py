@@ -31,19 +31,20 @@ from phsi_opt.diagnosis.dry_friction import new_corners
 from phsi_opt.diagnosis.effort import ALONG_SOLUTIONS, AT_CORNER
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.settings import FEASIBLE_PATH
+from phsi_opt.transcription.alignment import AlignedData
 
 
 class CornerSharpening:
     """Sharpens the corners that a larger model has and the diagnosed one has not."""
 
-    def __init__(self, base: DiagnosedModel, data: Measurements) -> None:
-        """Sharpen on ``data``, in the order of the larger model."""
+    def __init__(self, base: DiagnosedModel, aligned: AlignedData) -> None:
+        """Sharpen on measurements in the order of the larger model."""
         self.base = base
-        self.data = data
+        self.aligned = aligned
 
     def corners(self, model: Model) -> dict[str, Share]:
         """Widths of the corners that the base has not."""
@@ -104,14 +105,16 @@ class CornerSharpening:
         steps = fit.steps
         for name, guess in self.corners(fit.model).items():
             width = fit.model.values[name]
-            steps = finer_at_corner(fit, self.data, guess.of, width, steps, n_steps)
+            steps = finer_at_corner(
+                fit, self.aligned.data, guess.of, width, steps, n_steps
+            )
         is_along_solutions = fit.outcome.way == FEASIBLE_PATH
         settings = ALONG_SOLUTIONS if is_along_solutions else AT_CORNER
         model = fit.model.with_values(widths)
         start = replace(fit, steps=steps)
         with suppress(PhsiOptError):
-            return identify(
-                model, self.data, self.base.loss, start=start, settings=settings
+            return identify_aligned(
+                model, self.aligned, self.base.loss, start=start, settings=settings
             )
         return None
 
@@ -142,9 +145,9 @@ class CornerSharpening:
         steps = tuple(np.maximum(n, refinement) for n in old.steps)
         start = replace(old, steps=steps)
         with suppress(PhsiOptError):
-            new = identify(
+            new = identify_aligned(
                 start_model,
-                self.data,
+                self.aligned,
                 self.base.loss,
                 start=start,
                 settings=ALONG_SOLUTIONS,
@@ -185,16 +188,16 @@ class CornerSharpening:
         if not widths or fit.outcome.way != FEASIBLE_PATH:
             return None
         with suppress(PhsiOptError):
-            free = identify(
+            free = identify_aligned(
                 fit.model.with_free(widths),
-                self.data,
+                self.aligned,
                 self.base.loss,
                 start=fit,
                 settings=ALONG_SOLUTIONS,
             )
             held = fit.model.with_values({name: free.values[name] for name in widths})
-            return identify(
-                held, self.data, self.base.loss, start=free, settings=ALONG_SOLUTIONS
+            return identify_aligned(
+                held, self.aligned, self.base.loss, start=free, settings=ALONG_SOLUTIONS
             )
         return None
 

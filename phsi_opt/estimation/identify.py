@@ -19,7 +19,7 @@ from phsi_opt.estimation.problem import Loss, Progress, Task, silent
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import (
     MaximumLikelihood,
@@ -65,25 +65,62 @@ def identify(
         ModelError: for a model that cannot be solved.
         SolveError: if the solver fails.
     """
+    _check_free(model)
+    return identify_aligned(
+        model,
+        AlignedData.of(model, data),
+        loss,
+        l1,
+        pruning,
+        start=start,
+        settings=settings,
+        raise_on_failure=raise_on_failure,
+        progress=progress,
+    )
+
+
+def identify_aligned(
+    model: Model,
+    aligned: AlignedData,
+    loss: Loss | None = None,
+    l1: Mapping[str, float] | float | None = None,
+    pruning: Pruning | None = None,
+    *,
+    start: Fit | None = None,
+    settings: SolverSettings | None = None,
+    raise_on_failure: bool = True,
+    progress: Progress | None = None,
+) -> Fit:
+    """`identify` for measurements that were aligned with the model before.
+
+    Arguments, result and errors are those of `identify`.
+
+    Raises:
+        ModelError: for a model that cannot be solved.
+        SolveError: if the solver fails.
+    """
     began = time.perf_counter()
-    if not model.free:
-        raise ModelError(
-            "the model has no free parameter, so there is nothing to identify; "
-            "use compare or simulate."
-        )
+    _check_free(model)
     task = Task(
         model=model,
-        data=aligned(model, data),
+        aligned=aligned.for_model(model),
         l1=l1_weights(l1),
         pruning=pruning,
         settings=settings or SolverSettings(),
         say=progress or silent,
     )
-    loss = MaximumLikelihood() if loss is None else loss
-    estimate = estimate_by(loss, task, start)
+    estimate = estimate_by(loss or MaximumLikelihood(), task, start)
     if raise_on_failure:
         _raise_failure(estimate)
     return replace(estimate.fit(), seconds=time.perf_counter() - began)
+
+
+def _check_free(model: Model) -> None:
+    if not model.free:
+        raise ModelError(
+            "the model has no free parameter, so there is nothing to identify; "
+            "use compare or simulate."
+        )
 
 
 def identify_forced(
@@ -111,7 +148,7 @@ def identify_forced(
     """
     task = Task(
         model=model,
-        data=data,
+        aligned=AlignedData.of(model, data),
         l1=l1_weights(l1),
         pruning=pruning,
         settings=SolverSettings(),

@@ -30,7 +30,7 @@ from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.transcription.augmented_states import memory_start_bounds
-from phsi_opt.transcription.grid import grid_of, interpolate_at_nodes
+from phsi_opt.transcription.grid import interpolate_at_nodes
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -155,7 +155,7 @@ class LikelihoodSolver:
         self, start: StartingPoint, l1: dict[str, float], window: float | None
     ) -> Transcription:
         model = start.model
-        grid = grid_of(self.task.data, start.steps)
+        grid = self.task.aligned.grid_with(start.steps)
         unknown = Theta.of(model, self.task.runs)
         nodes = _at_nodes(start.states, start.steps)
         point = point_at(model, grid, unknown, start.theta, nodes)

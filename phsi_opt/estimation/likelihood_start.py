@@ -23,8 +23,9 @@ from phsi_opt.initialization.relative_guesses import corner_widths, resolve_gues
 from phsi_opt.initialization.scaling import invert_sensors, point_at, with_states
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import GAUSS_NEWTON
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -36,7 +37,7 @@ def from_data(problem: LikelihoodProblem) -> StartingPoint:
     """The starting point found from scratch."""
     task = problem.task
     task.say("starting values")
-    grid = invert_sensors(task.model, grid_of(task.data))
+    grid = invert_sensors(task.model, task.grid)
     if grid.measured.all():
         return _from_complete_data(problem, grid)
     return _from_data_with_gaps(problem, grid)
@@ -144,13 +145,13 @@ def needs_first_part(problem: LikelihoodProblem) -> bool:
     Along a long record, states that are not measured cannot be found while the
     parameters are still far off.
     """
-    grid = grid_of(problem.task.data)
+    grid = problem.task.grid
     return not grid.measured.all() and grid.n_nodes > LONG_RECORD
 
 
 def first_part(task: Task) -> Task:
     """The task on the first part of each trajectory, without pruning."""
-    share = LONG_RECORD / 2 / grid_of(task.data).n_nodes
+    share = LONG_RECORD / 2 / task.grid.n_nodes
     runs = []
     for run in task.data.trajectories:
         wanted = max(int(share * run.n_samples), 2 * SHORTEST_WINDOW)
@@ -159,7 +160,7 @@ def first_part(task: Task) -> Task:
     n_samples = sum(run.n_samples for run in runs)
     task.say(f"starting values from the first {n_samples} samples")
     data = replace(task.data, trajectories=tuple(runs))
-    return replace(task, data=data, pruning=None)
+    return replace(task, aligned=AlignedData.of(task.model, data), pruning=None)
 
 
 def from_first_part(
@@ -177,7 +178,7 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
     task = problem.task
     fitted_noise = [start.noise.get(name, 1.0) for name in task.model.states]
     problem = problem.with_noise_of(np.array(fitted_noise))
-    grid = grid_of(task.data)
+    grid = task.grid
     lengths = [run.n_samples for run in task.data.trajectories]
     has_states = [len(x) for x in start.states] == lengths
     x = _common_states(start, task.model) if has_states else np.nan_to_num(grid.y)
@@ -228,7 +229,7 @@ def states_at(
     Raises:
         SolveError: if the smoothing fails.
     """
-    grid = grid_of(problem.task.data)
+    grid = problem.task.grid
     if grid.measured.all() and not model.sensor:
         return grid.split(grid.y)
     values = Theta.of(model, problem.task.runs).by_trajectory(theta)

@@ -16,7 +16,6 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.scaling import theta_scale
 from phsi_opt.optimization.settings import GAUSS_NEWTON
-from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.parameter_vector import Theta
 
 SEED = 0  # the same points every time
@@ -57,7 +56,7 @@ def random_starts(
 def _parameter_sizes(first: StartingPoint, task: Task) -> np.ndarray:
     """(n_theta,) changes that move some equation by the size of its rate."""
     unknown = Theta.of(first.model, task.runs)
-    grid = grid_of(task.data)
+    grid = task.grid
     x = np.concatenate(first.states)
     x_spread = np.maximum(np.std(x, axis=0), LEAST_STATE_SPREAD)
     means = unknown.means(first.theta)

@@ -18,7 +18,7 @@ from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -107,7 +107,7 @@ class PHSISolver:
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     """The best of the solutions from several starts, each pruned."""
-    grid = task.layout(grid_of(task.data))
+    grid = task.layout(task.grid)
     used = complete_intervals(task.model, grid)
     model = resolve_guesses(task.model, used, np.nan_to_num(used.y))
     if start is None:

@@ -10,6 +10,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
@@ -32,7 +33,7 @@ class Task:
 
     Attributes:
         model: with its free parameters at values to start from.
-        data: measurements whose states and inputs are those of the model.
+        aligned: measurements in the model's order, laid out.
         l1: weight of |coefficient| per slot, in units of the scaled loss.
         pruning: how terms are removed; None keeps them all.
         settings: of every solve.
@@ -41,12 +42,22 @@ class Task:
     """
 
     model: Model
-    data: Measurements
+    aligned: AlignedData
     l1: dict[str, float]
     pruning: Pruning | None
     settings: SolverSettings
     say: Progress = silent
     layout: Callable[[Grid], Grid] = unchanged
+
+    @property
+    def data(self) -> Measurements:
+        """The measurements, states and inputs in the model's order."""
+        return self.aligned.data
+
+    @property
+    def grid(self) -> Grid:
+        """The measurements laid out, one interval between neighbouring samples."""
+        return self.aligned.grid
 
     @property
     def runs(self) -> tuple[str, ...]:

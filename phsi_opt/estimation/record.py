@@ -51,25 +51,30 @@ class Record:
             DataError: a state or input of the model is not in the measurements.
             SolveError: the missing force could not be estimated.
         """
-        aligned = AlignedData.of(fit.model, data)
+        return cls.of_aligned(fit, AlignedData.of(fit.model, data))
+
+    @classmethod
+    def of_aligned(cls, fit: Fit, aligned: AlignedData) -> "Record":
+        """`of` for measurements that were aligned with the model before.
+
+        Raises:
+            SolveError: the missing force could not be estimated.
+        """
+        aligned = aligned.for_model(fit.model)
         estimate = missing_force_of(fit, aligned.data, aligned.grid)
         return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
 
     @classmethod
-    def beside(cls, fit: Fit, data: Measurements, estimate: ForceEstimate) -> "Record":
+    def beside(
+        cls, fit: Fit, aligned: AlignedData, estimate: ForceEstimate
+    ) -> "Record":
         """The record of a fit whose noise and states begin at an estimate made before."""
-        aligned = AlignedData.of(fit.model, data)
+        aligned = aligned.for_model(fit.model)
         return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
 
-    def refitted(self, fit: Fit, aligned: AlignedData | None = None) -> "Record":
-        """The same measurements beside the fit of another model.
-
-        Args:
-            fit: of a model with the same states, or more.
-            aligned: the measurements in that model's order, where they are at hand.
-        """
-        aligned = aligned or self.aligned.for_model(fit.model)
-        return Record(fit, aligned, parameters_of(fit, aligned.data), self.estimate)
+    def refitted(self, fit: Fit) -> "Record":
+        """The same measurements beside the fit of a larger model."""
+        return Record.beside(fit, self.aligned, self.estimate)
 
     @property
     def data(self) -> Measurements:

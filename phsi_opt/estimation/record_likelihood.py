@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem, NoiseLevels
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
@@ -19,6 +18,7 @@ from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import HOLDING
 from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON, SolverSettings
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -31,12 +31,12 @@ class RecordLikelihood:
     """The likelihood of a record with its states, and what is free in a model, unknown.
 
     Attributes:
-        data: the record.
+        aligned: the record.
         sigma: (n_states,) the known noise.
         loss: the likelihood.
     """
 
-    data: Measurements
+    aligned: AlignedData
     sigma: np.ndarray
     loss: MaximumLikelihood
 
@@ -85,7 +85,7 @@ class RecordLikelihood:
         steps: Sequence[np.ndarray],
         way: str,
     ) -> LikelihoodEstimate:
-        task = Task(model, self.data, l1={}, pruning=None, settings=settings)
+        task = Task(model, self.aligned, l1={}, pruning=None, settings=settings)
         start = StartingPoint(
             model=model,
             theta=Theta.of(model, task.runs).spread(model.theta),

@@ -17,6 +17,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.model.model import Model
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -68,11 +69,12 @@ def _most_likely_states(
     record: Record, sigma: np.ndarray, guess: Sequence[np.ndarray]
 ) -> SmoothedStates | None:
     """States by maximum likelihood, parameters per trajectory; None: not found."""
-    fit, data = record.fit, record.data
+    fit, aligned = record.fit, record.aligned
+    data = record.data
     steps = steps_on(fit, data)
     entries = fit.model.entries.values()
     if not any(entry.parameter.per_trajectory for entry in entries):
-        state = _accurate(fit, fit.model.frozen(), data, sigma, guess, steps)
+        state = _accurate(fit, fit.model.frozen(), aligned, sigma, guess, steps)
         if state is None:
             return None
         return SmoothedStates(state.states, record.parameters)
@@ -84,7 +86,7 @@ def _most_likely_states(
         state = _accurate(
             fit,
             model,
-            data[number],
+            AlignedData.of(model, data[number]),
             sigma,
             [guess[number]],
             steps[number : number + 1],
@@ -114,7 +116,7 @@ def _with_own_parameters_free(
 def _accurate(
     fit: Fit,
     model: Model,
-    data: Measurements,
+    aligned: AlignedData,
     sigma: np.ndarray,
     guess: Sequence[np.ndarray],
     steps: Sequence[np.ndarray],
@@ -123,7 +125,7 @@ def _accurate(
 
     An accurate run from the first state would otherwise leave the others.
     """
-    likelihood = RecordLikelihood(data, sigma, likelihood_of(fit))
+    likelihood = RecordLikelihood(aligned, sigma, likelihood_of(fit))
     state = likelihood.start_of_run(model, guess, steps, fit.outcome.way)
     for _ in range(REFINEMENTS):
         if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:

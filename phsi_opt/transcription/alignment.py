@@ -5,7 +5,7 @@ in the data. Units and noise stay with their names; values are never changed.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from phsi_opt.transcription.grid import Grid, grid_of
 class AlignedData:
     """Measurements with states and inputs in a model's order, and their layout.
 
+    Made once and handed on: alignments for larger models are kept, so that none is made
+    twice however often it is asked for.
+
     Attributes:
         data: the measurements.
         grid: the same laid out with one interval between neighbouring samples.
@@ -26,6 +29,9 @@ class AlignedData:
 
     data: Measurements
     grid: Grid
+    _larger: dict[tuple[str, ...], "AlignedData"] = field(
+        default_factory=dict, repr=False
+    )
 
     @classmethod
     def of(cls, model: Model, data: Measurements) -> "AlignedData":
@@ -39,9 +45,24 @@ class AlignedData:
         return cls(data, grid_of(data))
 
     def for_model(self, model: Model) -> "AlignedData":
-        """The same for a larger model; itself where that has no states more."""
-        data = aligned(model, self.data)
-        return self if data is self.data else AlignedData(data, grid_of(data))
+        """The same for a model that has states more; itself where it has none."""
+        if (model.states, model.inputs) == (self.data.states, self.data.inputs):
+            return self
+        states = tuple(model.states)
+        if states not in self._larger:
+            self._larger[states] = AlignedData.of(model, self.data)
+        return self._larger[states]
+
+    def grid_with(self, steps: Sequence[np.ndarray]) -> Grid:
+        """The layout with further nodes between samples.
+
+        Args:
+            steps: intervals in every gap between samples, one (n_samples - 1,) per
+                trajectory.
+        """
+        if all(np.all(n == 1) for n in steps):
+            return self.grid
+        return grid_of(self.data, steps)
 
 
 def aligned(model: Model, data: Measurements) -> Measurements:
