@@ -20,7 +20,7 @@ from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import (
     MaximumLikelihood,
     MissingForce,
@@ -148,7 +148,7 @@ def identify_forced(
     """
     task = Task(
         model=model,
-        aligned=AlignedData.of(model, data),
+        aligned=AlignedData(data, grid_of(data)),
         l1=l1_weights(l1),
         pruning=pruning,
         settings=SolverSettings(),
