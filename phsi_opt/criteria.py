@@ -97,8 +97,8 @@ REFIT_TOLERANCE = 1e-7  # of the scaled optimality conditions
 # Iterations of each way of solving: a candidate that takes more is rarely the one. They
 # hold beside those of every brief solve (30 with the Gauss-Newton Hessian, 25 with the
 # exact one, 30 steps along solutions). Measured on twelve hidden effects and
-# experiments and four records of real machines, 1107 solves: those of re-fits that
-# succeeded had taken up to 29, 25 and 29, so that lower limits would change results.
+# experiments and five records of real machines, 1396 solves: those of re-fits that
+# succeeded had taken up to 30, 25 and 29, so that lower limits would change results.
 REFIT_ITERATIONS = 40
 # Iterations beside a sharp corner, where IPOPT converges at once or not at all: in 5 to
 # 11 iterations where it was measured.
