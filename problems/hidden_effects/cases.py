@@ -121,9 +121,9 @@ def _two_case(row: Row, seed: int, rng: np.random.Generator, aim: Aim) -> Case |
     drive = setting.drive and replace(
         setting.drive, values=setting.drive.values[:N_TRAIN]
     )
-    rounded = tuple(rounded(h) for h in both)
+    blunt = tuple(rounded(hidden) for hidden in both)
     y = measured(
-        setting.machine, rounded, setting.starts[:N_TRAIN], drive, setting.t, 2 * STEPS
+        setting.machine, blunt, setting.starts[:N_TRAIN], drive, setting.t, 2 * STEPS
     )
     error = Refit(setting).error(y)
     ratio = float(np.sqrt(1 + (error / aim.noise) ** 2))
