@@ -40,7 +40,8 @@ def prediction_bands(
         One (n_samples, n_states) per trajectory, in the units of the states; None where
         it is not known.
     """
-    fit, grid = record.fit, record.grid
+    fit = record.fit
+    grid = record.grid
     model = fit.model
     has_covariance = np.isfinite(np.diag(fit.covariance)).any()
     n_values = sum(states.size for states in simulated)

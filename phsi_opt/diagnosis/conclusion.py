@@ -51,9 +51,9 @@ def conclusion(base: DiagnosedModel, proposed: Proposal | None) -> Conclusion:
         reason = f"{names}{proposed.size}; {change}"
         return Conclusion(Verdict.NAMED, reason, proposed.effects, proposed.fit)
     share = explained_share(before, after)
-    explains, leaves = "explain", "leave"
-    if len(proposed.effects) == 1:
-        explains, leaves = "explains", "leaves"
+    is_one = len(proposed.effects) == 1
+    explains = "explains" if is_one else "explain"
+    leaves = "leaves" if is_one else "leave"
     reason = (
         f"no known effect explains it all. The nearest, {names}{proposed.size}, "
         f"{explains} {100 * share:.0f} % of the squared error above the noise floor, "

@@ -98,7 +98,8 @@ class _Refitting:
         self.refinement = 2 if has_memory else 1
 
     def result(self) -> Refit:
-        request, model = self.request, self.model
+        request = self.request
+        model = self.model
         fit = self.sharpening.extended(model, self.refinement, request.known)
         blunt = None
         if fit is None:

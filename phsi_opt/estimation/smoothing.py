@@ -69,7 +69,8 @@ def _most_likely_states(
     record: Record, sigma: np.ndarray, guess: Sequence[np.ndarray]
 ) -> SmoothedStates | None:
     """States by maximum likelihood, parameters per trajectory; None: not found."""
-    fit, aligned = record.fit, record.aligned
+    fit = record.fit
+    aligned = record.aligned
     data = record.data
     steps = steps_on(fit, data)
     entries = fit.model.entries.values()

@@ -67,7 +67,8 @@ def _best_points(
     of_kept_rows = test.n_values / len(test.linearized.kept_rows)
     best: dict[tuple[int, int], _Best] = {}
     for a, b in combinations(range(len(scanned)), 2):
-        i, j = scanned[a].owner, scanned[b].owner
+        i = scanned[a].owner
+        j = scanned[b].owner
         if i == j:
             continue
         drop = of_kept_rows * joint.drop(a, b)

@@ -326,7 +326,8 @@ class ScoreTest:
 
     def _expected(self, trial: Trial, point: _Point, n_tried: int) -> Screened | None:
         """What is expected of an effect at its best point; None: it is not excited."""
-        trace, found = point.trace, point.regression
+        trace = point.trace
+        found = point.regression
         k = len(trial.linear) or 1
         strength = self._strength(point.change.first(k))
         is_excited = np.trace(found.information) > LEAST_TRACE * strength**2
