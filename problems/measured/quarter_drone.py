@@ -17,14 +17,15 @@ its mean in between.
     python -m problems.measured.quarter_drone [FOLDER]
 """
 
-import sys
 from pathlib import Path
 
 import numpy as np
 
 import phsi_opt as ph
 from problems.measured.story import page, told
-from problems.tools.data_paths import folder
+from problems.measured.windows import Record
+from problems.tools import markdown
+from problems.tools.data_paths import folder, given, is_present
 from problems.tools.provenance import write
 
 FILES = {
@@ -33,82 +34,64 @@ FILES = {
     "multisine": "sinal4_multiseno",
 }
 FLYING = (20.0, 80.0)  # s
-THIN = 5  # samples of 0.01 s
+SAMPLING = 0.01  # s
+THIN = 5  # samples
 WINDOW = 5.0  # s
-REFERENCE = (
-    "Simulations fitted by hand to 5-second windows of the steps: 8.57 degrees for the base model, 2.85 with a thrust "
-    "offset or a thrust of u squared, 2.46 with a lag of the motor of some 0.1 s, 1.17 with dry friction."
-)
+UNITS = {"q": "rad", "u": "%", "t": "s"}
+# Simulations fitted by hand to the same windows of the steps, to compare: errors in
+# degrees.
+BY_HAND = {
+    "the base model": 8.57,
+    "a thrust offset or a thrust of u squared": 2.85,
+    "a lag of the motor of some 0.1 s": 2.46,
+    "dry friction": 1.17,
+}
 
 
 def load(
     path: Path, record: str, thin: int = THIN, window: float = WINDOW
 ) -> ph.Measurements:
     """One record in windows that share their ends: angle q in rad, command u in %."""
-    table = np.genfromtxt(
-        path / f"{FILES[record]}_malha_fechada.csv", delimiter=",", names=True
+    file = path / f"{FILES[record]}_malha_fechada.csv"
+    table = np.genfromtxt(file, delimiter=",", names=True)
+    t = table["Tempo_s"]
+    flying = (t >= FLYING[0] - 1e-6) & (t <= FLYING[1] + 1e-6)
+    whole = Record(
+        t[flying], np.deg2rad(table["Saida_y"][flying]), table["Controle_u"][flying]
     )
-    flying = (table["Tempo_s"] >= FLYING[0] - 1e-6) & (
-        table["Tempo_s"] <= FLYING[1] + 1e-6
-    )
-    t, q, u = (table[name][flying] for name in ("Tempo_s", "Saida_y", "Controle_u"))
-    n = (len(t) - 1) // thin
-    u = u[: n * thin].reshape(n, thin).mean(axis=1)
-    u, t, q = (
-        np.r_[u, u[-1]],
-        t[: n * thin + 1 : thin],
-        np.deg2rad(q[: n * thin + 1 : thin]),
-    )
-    x = np.column_stack([q, np.full(len(q), np.nan)])
-    size = round(window / (t[1] - t[0]))
-    pieces = [slice(i, i + size + 1) for i in range(0, n - size // 2, size)]
-    return ph.Measurements.from_arrays(
-        [t[p] for p in pieces],
-        [x[p] for p in pieces],
-        [u[p][:, None] for p in pieces],
-        states=["q", "p"],
-        inputs=["u"],
-        hold="zero",
-        units={"q": "rad", "u": "%", "t": "s"},
-    )
+    thinned = whole.thinned(thin)
+    step = thinned.t[1] - thinned.t[0]
+    return thinned.in_windows(round(window / step), UNITS)
 
 
 def model() -> ph.PseudoHamiltonian:
     """Gravity, damping, and a thrust in proportion to the command."""
+    gravity = ph.Parameter(10.0, lower=0, unit="1/s^2")
     return ph.PseudoHamiltonian(
         states=["q", "p"],
         inputs=["u"],
         S=ph.canonical(1),
         R=ph.damping("p"),
-        H=ph.formula("p**2/2 - g*cos(q)", g=ph.Parameter(10.0, lower=0, unit="1/s^2")),
+        H=ph.formula("p**2/2 - g*cos(q)", g=gravity),
         F={"p": ph.formula("b*u", b=ph.Parameter(0.2))},
     )
 
 
 def main(path: Path) -> dict[str, list[float]]:
     """Errors in windows (degrees) per step of the study, per record."""
-    if not path.exists():
-        print(
-            f"skipped: the data are not at {path}; give their folder, or set PHSI_OPT_DATA"
-        )
+    if not is_present(path):
         return {}
     story = told(model(), load(path, "steps"), load(path, "multisine"))
-    steps = story.study.steps
-    swept = [
-        float(np.rad2deg(ph.compare(step.fit, load(path, "swept sine")).rmse))
-        for step in steps
-    ]
-    print(story.study.history.to_string(index=False), swept, sep="\n", flush=True)
-    text = (
-        f"The base model is a pendulum with damping and a thrust in proportion to the command. Fitted are windows of "
-        f"{WINDOW:g} s of the steps, those of the multisine judge, the swept sine is only looked at; all are thinned "
-        f"to every {THIN}th sample, {100 / THIN:g} Hz. {REFERENCE}"
-    )
-    told_so = page(
-        story, "quarter_drone", text, {"swept sine": swept}, np.rad2deg(1.0), "degrees"
-    )
-    write("quarter_drone.md", f"# Quarter-drone arm\n\n{told_so}")
     history = story.study.history
+    test = load(path, "swept sine")
+    swept = []
+    for step in story.study.steps:
+        swept.append(float(np.rad2deg(ph.compare(step.fit, test).rmse)))
+    print(history.to_string(index=False), swept, sep="\n", flush=True)
+    degree = np.rad2deg(1.0)
+    tests = {"swept sine": swept}
+    told_so = page(story, "quarter_drone", _introduction(), tests, degree, "degrees")
+    write("quarter_drone.md", f"# Quarter-drone arm\n\n{told_so}")
     return {
         "steps": list(np.rad2deg(history["train_rmse"])),
         "multisine": list(np.rad2deg(history["held_out_rmse"])),
@@ -116,7 +99,18 @@ def main(path: Path) -> dict[str, list[float]]:
     }
 
 
+def _introduction() -> str:
+    by_hand = [f"{error:g} degrees with {what}" for what, error in BY_HAND.items()]
+    return markdown.paragraph(f"""
+        The base model is a pendulum with damping and a thrust in proportion to the
+        command. Fitted are windows of {WINDOW:g} s of the steps, those of the multisine
+        judge, the swept sine is only looked at; all are thinned to every {THIN}th
+        sample, {1 / (SAMPLING * THIN):g} Hz. Simulations fitted by hand to the same
+        windows of the steps: {", ".join(by_hand)}.
+        """)
+
+
 if __name__ == "__main__":
-    found = main(Path(sys.argv[1]) if len(sys.argv) > 1 else folder("quarter_drone"))
+    found = main(given(folder("quarter_drone")))
     for name, row in found.items():
         assert row[-1] < row[0], f"{name}: the study did not lower the error: {row}"
