@@ -103,8 +103,9 @@ def test_a_story_tells_each_step_and_why_it_ends(
 ) -> None:
     from problems.examples.demo import measurements, model
     from problems.measured import story
+    from problems.tools import provenance
 
-    monkeypatch.setattr(story, "RESULTS", tmp_path)
+    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
     train, held_out = measurements()[:2].split(0.5)
     found = story.told(model(), train, held_out, max_steps=1, say=lambda line: None)
     assert found.how == ["base model", "named"]

@@ -24,7 +24,6 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
-from phsi_opt.model.model import Model
 from problems.tools.command_line import chosen, flag, option
 from problems.tools.provenance import RESULTS, write
 
@@ -61,7 +60,7 @@ class Chaos:
     n_steps: int
     lyapunov: float
     truth: Mapping[str, float]
-    model: Callable[[], Model]
+    model: Callable[[], ph.Model]
     measured: tuple[str, ...]
     noise: float = 0.1
     angles: tuple[str, ...] = ()

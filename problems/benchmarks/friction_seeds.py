@@ -16,7 +16,6 @@ from problems.tools.provenance import write
 N_DRAWS = 10
 HIDDEN = "coulomb friction on p"
 PARAMETER = "coulomb_friction_p"
-NOTHING = "nothing missing"
 
 
 def row(seed: int, friction: float) -> dict[str, object]:
@@ -50,12 +49,12 @@ def reading(frame: pd.DataFrame) -> str:
     with_friction = frame[frame["hidden"] > 0]
     without = frame[frame["hidden"] == 0]
     named = with_friction["added"].eq(HIDDEN).sum()
-    quiet = without["verdict"].eq(NOTHING).sum()
+    quiet = without["verdict"].eq(ph.Verdict.NOTHING_MISSING).sum()
     farthest = with_friction["z"].abs().max()
     return markdown.paragraph(f"""
         With the friction hidden, it alone is added in {named} of {len(with_friction)}
         draws, at most {farthest:.2f} standard errors from the truth; without it,
-        {quiet} of {len(without)} verdicts are "{NOTHING}".
+        {quiet} of {len(without)} verdicts are "{ph.Verdict.NOTHING_MISSING}".
         """)
 
 

@@ -6,7 +6,8 @@ its effects imitates is not counted.
 
 import pandas as pd
 
-from problems.hidden_effects.examination import DETECTED, NAMED
+import phsi_opt as ph
+from problems.hidden_effects.examination import DETECTED
 from problems.hidden_effects.rows import ROWS, Row
 from problems.tools.intervals import share
 
@@ -119,6 +120,6 @@ def _outcomes(wrong: pd.DataFrame) -> pd.Series:
     """What was named; else the verdict; of two effects what the study added."""
     first = wrong["first"] + " on " + wrong["first_equation"]
     verdict = wrong["verdict"].replace("", "failed")
-    came = first.where(wrong["verdict"].eq(NAMED), verdict)
+    came = first.where(wrong["verdict"].eq(ph.Verdict.NAMED), verdict)
     added = "added: " + wrong["added"]
     return added.where(wrong["row"].eq("two_effects"), came)

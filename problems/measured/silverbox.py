@@ -26,7 +26,6 @@ from scipy.signal import resample_poly
 
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.model.model import Model
 from problems.measured.story import Story, page, told
 from problems.tools import markdown
 from problems.tools.data_paths import folder, given, is_present
@@ -148,7 +147,7 @@ def main(path: Path) -> dict[str, list[float]]:
         return {}
     train = load(path, *FIT)
     lines = []
-    candidate: Model = model()
+    candidate: ph.Model = model()
     for effect in (None, *EFFECTS):
         if effect is not None:
             candidate = candidate.add(effect_named(candidate, effect, "p"))

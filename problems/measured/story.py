@@ -9,32 +9,29 @@ the error on the data held out falls.
 """
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
 import phsi_opt as ph
-from problems.tools.provenance import RESULTS
+from problems.tools import markdown
+from problems.tools.pictures import plt, save
 
 # p-value, adjusted for all candidates, up to which the first candidate is added where
 # none is named
 RATE = 0.01
 SHOWN = 6  # candidates per diagnosis on the page
-BASE, PROPOSED, NEAREST, REMOVED = (
-    "base model",
-    "proposed",
-    "first candidate",
-    "superfluous since",
-)
+# How a step was chosen.
+BASE = "base model"
+PROPOSED = "proposed"
+NEAREST = "first candidate"
+REMOVED = "superfluous since"
+
+Tests = Mapping[str, list[float]]  # further errors per step, by name
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Story:
     """A study with the diagnosis of each of its models, the seconds each took, and how
     each step was chosen.
@@ -44,19 +41,34 @@ class Story:
     """
 
     study: ph.Study
-    diagnoses: list[ph.Diagnosis]
-    seconds: list[float]
-    how: list[str]
-    own: str
-    n_own: int
+    diagnoses: list[ph.Diagnosis] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    how: list[str] = field(default_factory=lambda: [BASE])
+    own: str = ""
+    n_own: int = 0
+
+    def diagnose(self) -> ph.Diagnosis:
+        """Diagnose the present model and keep what it took."""
+        began = time.perf_counter()
+        found = self.study.diagnose()
+        self.diagnoses.append(found)
+        self.seconds.append(time.perf_counter() - began)
+        print(found, f"{self.seconds[-1]:.1f} s", sep="\n", flush=True)
+        return found
 
     def time_after(self, step: int) -> str:
         """Seconds of the diagnosis of a step's model; empty for a model that was not
         diagnosed.
         """
-        at = {id(d.fit): s for d, s in zip(self.diagnoses, self.seconds, strict=True)}
-        found = at.get(id(self.study.steps[step].fit))
-        return "" if found is None else f"{found:.0f}"
+        fit = self.study.steps[step].fit
+        for diagnosis, seconds in zip(self.diagnoses, self.seconds, strict=True):
+            if diagnosis.fit is fit:
+                return f"{seconds:.0f}"
+        return ""
+
+
+def _say(line: str) -> None:
+    print(f"... {line}", flush=True)
 
 
 def told(
@@ -64,45 +76,41 @@ def told(
     train: ph.Measurements,
     held_out: ph.Measurements,
     max_steps: int = 4,
-    say: Callable[[str], None] = lambda line: print(f"... {line}", flush=True),
+    say: Callable[[str], None] = _say,
 ) -> Story:
     """Diagnose and add at most ``max_steps`` effects (see the module's text)."""
     study = ph.Study(model, train, held_out, progress=say)
-    diagnoses: list[ph.Diagnosis] = []
-    seconds: list[float] = []
-    how, own, n_own = [BASE], "", 0
+    story = Story(study)
     while True:
-        began = time.perf_counter()
-        diagnoses.append(study.diagnose())
-        seconds.append(time.perf_counter() - began)
-        print(diagnoses[-1], f"{seconds[-1]:.1f} s", sep="\n", flush=True)
+        diagnosis = story.diagnose()
         n_before = len(study.steps)
         if n_before > max_steps:
             break
-        try:
-            study.auto(max_steps=1)
-            stopped = study.stopped
-        except ph.PhsiOptError as error:
-            stopped = f"{diagnoses[-1].reason}; adding it failed: {error}"
-        if len(study.steps) > n_before:
-            how.append(
-                "named" if diagnoses[-1].verdict == ph.Verdict.NAMED else PROPOSED
+        stopped = _one_step(study, diagnosis)
+        n_added = len(study.steps) - n_before
+        if n_added:
+            story.how.append(
+                "named" if diagnosis.verdict == ph.Verdict.NAMED else PROPOSED
             )
-            how += [REMOVED] * (len(study.steps) - n_before - 1)
+            story.how += [REMOVED] * (n_added - 1)
             continue
-        if not own:
-            own, n_own = stopped, n_before - 1
-        if not _go_on(study, diagnoses[-1]):
+        if not story.own:
+            story.own = stopped
+            story.n_own = n_before - 1
+        if not _go_on(study, diagnosis):
             break
-        how.append(NEAREST)
-    return Story(
-        study,
-        diagnoses,
-        seconds,
-        how,
-        own or f"the limit of {max_steps} steps was reached",
-        n_own,
-    )
+        story.how.append(NEAREST)
+    story.own = story.own or f"the limit of {max_steps} steps was reached"
+    return story
+
+
+def _one_step(study: ph.Study, diagnosis: ph.Diagnosis) -> str:
+    """One step of the package's own loop; why it stopped."""
+    try:
+        study.auto(max_steps=1)
+    except ph.PhsiOptError as error:
+        return f"{diagnosis.reason}; adding it failed: {error}"
+    return study.stopped
 
 
 def _go_on(study: ph.Study, diagnosis: ph.Diagnosis) -> bool:
@@ -122,99 +130,81 @@ def _go_on(study: ph.Study, diagnosis: ph.Diagnosis) -> bool:
     return True
 
 
+# --- the page
+
+
 def page(
     story: Story,
     name: str,
     text: str,
-    tests: dict[str, list[float]] | None = None,
+    tests: Tests | None = None,
     scale: float = 1.0,
     unit: str = "",
 ) -> str:
-    """The story as Markdown: ``text`` first, errors times ``scale`` in ``unit``; its
-    pictures go to results/measured.
+    """The story as Markdown; its pictures go to results/measured.
 
-    ``tests``: further errors per step, by name, in ``unit`` already.
+    Args:
+        story: What was told.
+        name: Of the pictures.
+        text: Said first.
+        tests: Further errors per step, by name, in ``unit`` already.
+        scale: Errors are shown times this number.
+        unit: In which errors are shown; that of the study by default.
     """
-    study = story.study
-    unit = unit or study.unit
-    head = [
+    unit = unit or story.study.unit
+    pictures(story, name)
+    parts = ["## What the diagnosis finds without hints", "", text, ""]
+    parts += [_opening(story), "", _steps(story, tests or {}, scale, unit), ""]
+    parts += [f"![free-run error per step](measured/{name}_history.png)", ""]
+    parts += [f"![missing force of the base model](measured/{name}_missing_force.png)"]
+    parts += [""]
+    for step, diagnosis in enumerate(story.diagnoses):
+        parts += _chapter(step, diagnosis, scale, unit)
+    parts += ["### The last model", "", *markdown.block(str(story.study.fit))]
+    return "\n".join(parts).rstrip()
+
+
+def _steps(story: Story, tests: Tests, scale: float, unit: str) -> str:
+    """The table of the steps with their errors."""
+    header = [
         "step",
         "effect",
         "how chosen",
         f"training error ({unit})",
         f"held-out error ({unit})",
         f"noise floor ({unit})",
-        *(f"{test} ({unit})" for test in tests or {}),
+        *(f"{test} ({unit})" for test in tests),
         "seconds of the diagnosis after it",
     ]
-    rows = [
-        (
-            k,
-            effect,
-            story.how[k],
-            *(f"{scale * e:.3g}" for e in errors),
-            *(f"{test[k]:.3g}" for test in (tests or {}).values()),
-            story.time_after(k),
-        )
-        for k, (_, effect, *errors, _) in enumerate(
-            study.history.itertuples(index=False)
-        )
-    ]
-    chapters = [
-        line
-        for k, d in enumerate(story.diagnoses)
-        for line in _chapter(k, d, scale, unit)
-    ]
-    pictures(story, name)
-    return "\n".join(
-        [
-            "## What the diagnosis finds without hints",
-            "",
-            text,
-            "",
-            _opening(story),
-            "",
-            _table(head, rows),
-            "",
-            f"![free-run error per step](measured/{name}_history.png)",
-            "",
-            f"![missing force of the base model](measured/{name}_missing_force.png)",
-            "",
-            *chapters,
-            "### The last model",
-            "",
-            "```text",
-            str(study.fit),
-            "```",
-        ]
-    )
+    rows = []
+    history = story.study.history.itertuples(index=False)
+    for step, (_, effect, *errors, _) in enumerate(history):
+        shown = [f"{scale * error:.3g}" for error in errors]
+        shown += [f"{errors_of_test[step]:.3g}" for errors_of_test in tests.values()]
+        rows.append([step, effect, story.how[step], *shown, story.time_after(step)])
+    return markdown.lines(header, rows)
 
 
 def _opening(story: Story) -> str:
-    n = len(story.study.steps) - 1
+    """What was added, how far the loop went alone, the last verdict."""
     added = [f"{e.name} on {e.equation}" for e in story.study.added]
-    listed = ", ".join(added) if added else "nothing"
-    count = f"{story.n_own} step{'' if story.n_own == 1 else 's'}"
-    alone = (
-        f"On its own the loop takes {count} and then stops: {story.own}."
-        if n > story.n_own
-        else ""
-    )
-    end = story.diagnoses[-1]
-    close = f'The last verdict is "{end.verdict}".'
-    beyond = (
-        f"The first candidates of the table lead {n - story.n_own} further."
-        if n > story.n_own
-        else ""
-    )
-    return " ".join(
-        part for part in (f"Added: {listed}.", alone, beyond, close) if part
-    )
+    n_further = len(story.study.steps) - 1 - story.n_own
+    said = [f"Added: {', '.join(added) or 'nothing'}."]
+    if n_further > 0:
+        plural = "" if story.n_own == 1 else "s"
+        said += [
+            f"On its own the loop takes {story.n_own} step{plural} and then stops: "
+            f"{story.own}.",
+            f"The first candidates of the table lead {n_further} further.",
+        ]
+    said.append(f'The last verdict is "{story.diagnoses[-1].verdict}".')
+    return " ".join(said)
 
 
-def _chapter(k: int, diagnosis: ph.Diagnosis, scale: float, unit: str) -> list[str]:
-    head = "The base model" if k == 0 else f"After step {k}"
-    columns = [
+def _chapter(step: int, diagnosis: ph.Diagnosis, scale: float, unit: str) -> list[str]:
+    """What one diagnosis says."""
+    title = "The base model" if step == 0 else f"After step {step}"
+    header = [
         "effect",
         "equation",
         "coefficient",
@@ -223,56 +213,44 @@ def _chapter(k: int, diagnosis: ph.Diagnosis, scale: float, unit: str) -> list[s
         f"held-out error ({unit})",
         "confusable with",
     ]
-    rows = [
-        (
-            c.effect.name,
-            c.effect.equation,
-            _sized(c),
-            f"{c.p_value:.1g}",
-            *(
-                "" if np.isnan(v) else f"{v:.4g}"
-                for v in (c.delta_bic, scale * c.held_out_rmse)
-            ),
-            ", ".join(c.confusable_with),
-        )
-        for c in diagnosis.ranking[:SHOWN]
-    ]
+    rows = [_candidate(c, scale) for c in diagnosis.ranking[:SHOWN]]
     where = (
         [] if diagnosis.verdict == ph.Verdict.NOTHING_MISSING else diagnosis.sentences
     )
     return [
-        f"### {head}",
+        f"### {title}",
         "",
-        *(f"{s} " for s in where),
+        *(f"{sentence} " for sentence in where),
         "",
         f"Verdict: {diagnosis.verdict}. {diagnosis.reason}.",
         "",
-        _table(columns, rows),
+        markdown.lines(header, rows),
         "",
     ]
 
 
-def _sized(c: ph.Candidate) -> str:
-    return f"{c.coefficient:.4g}" + (
-        "" if np.isnan(c.std_error) else f" +- {c.std_error:.2g}"
-    )
+def _candidate(c: ph.Candidate, scale: float) -> list[str]:
+    """The cells of a candidate; empty where it was not re-fitted."""
+    size = f"{c.coefficient:.4g}"
+    if not np.isnan(c.std_error):
+        size += f" +- {c.std_error:.2g}"
+    held_out = scale * c.held_out_rmse
+    return [
+        c.effect.name,
+        c.effect.equation,
+        size,
+        f"{c.p_value:.1g}",
+        "" if np.isnan(c.delta_bic) else f"{c.delta_bic:.4g}",
+        "" if np.isnan(held_out) else f"{held_out:.4g}",
+        ", ".join(c.confusable_with),
+    ]
 
 
-def _table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    lines = [columns, ["---"] * len(columns), *rows]
-    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
-
-
-def pictures(story: Story, name: str) -> list[Path]:
+def pictures(story: Story, name: str) -> None:
     """The missing force of the base model and the error per step, as PNG."""
-    folder = RESULTS / "measured"
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{name}_missing_force.png", folder / f"{name}_history.png"]
     where = story.diagnoses[0].figure()
+    save(where, f"measured/{name}_missing_force.png", dpi=100)
     width = max(6.0, 2.2 * len(story.study.steps))
     history, ax = plt.subplots(figsize=(width, 3.8), layout="constrained")
     story.study.plot_history(ax)
-    for figure, path in zip((where, history), paths, strict=True):
-        figure.savefig(path, dpi=100)
-        plt.close(figure)
-    return paths
+    save(history, f"measured/{name}_history.png", dpi=100)

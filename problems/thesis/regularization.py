@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
-from phsi_opt.model.model import Model
 from problems.thesis.regularization_page import (
     Run,
     figure,
@@ -146,7 +145,7 @@ def _rms(rates: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.sum(rates**2, axis=1))))
 
 
-def _rates(part: Model, x: np.ndarray) -> np.ndarray:
+def _rates(part: ph.Model, x: np.ndarray) -> np.ndarray:
     """Right-hand side (n_samples, n_states) of a part at the states ``x``."""
     n = len(x)
     no_inputs = np.zeros((0, n))

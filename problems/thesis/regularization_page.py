@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.estimation.result import Identified
-from phsi_opt.model.model import Model
 from problems.tools import markdown
 from problems.tools.pictures import plt, save
 
@@ -35,12 +34,12 @@ class Run:
     result: Identified
 
 
-def inner_part(fit: Identified) -> Model:
+def inner_part(fit: Identified) -> ph.Model:
     """S grad H alone."""
     return replace(fit.model, F={})
 
 
-def outer_part(fit: Identified) -> Model:
+def outer_part(fit: Identified) -> ph.Model:
     """F alone."""
     return ph.FirstOrder(fit.model.states, dict(fit.model.F))
 
@@ -131,7 +130,7 @@ def figure(runs: Sequence[Run]) -> None:
     """
     drawn = [r for r in runs if r.method == "solver" and r.start != "convex"]
     columns = list(dict.fromkeys(run.weights for run in drawn))
-    parts: dict[str, Callable[[Identified], Model]] = {
+    parts: dict[str, Callable[[Identified], ph.Model]] = {
         "S grad H + F": lambda fit: fit.model,
         "S grad H alone": inner_part,
         "F alone": outer_part,
@@ -158,7 +157,7 @@ def figure(runs: Sequence[Run]) -> None:
     save(fig, "thesis/regularization.png", dpi=120)
 
 
-def _panel(ax: plt.Axes, parts: Sequence[Model]) -> None:
+def _panel(ax: plt.Axes, parts: Sequence[ph.Model]) -> None:
     """Orbits of one part of the models of all starts, thinner from start to start."""
     ax.plot(*_circle(), color="0.75", lw=6, label="truth")
     for k, part in enumerate(parts):
@@ -180,7 +179,7 @@ def _circle() -> np.ndarray:
     return np.linalg.norm(START) * np.array([np.cos(angle), np.sin(angle)])
 
 
-def _orbit(part: Model) -> np.ndarray:
+def _orbit(part: ph.Model) -> np.ndarray:
     """Trajectory (2, n) from `START` over one period of the truth.
 
     Cut where it leaves the picture.

@@ -9,7 +9,6 @@ from functools import cache, lru_cache
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.model.model import Model
 from problems.benchmarks.efficiency.cramer_rao import (
     TrueSystem,
     covariance_bound,
@@ -66,7 +65,7 @@ class Case:
     name: str
     title: str
     system: Callable[[], TrueSystem]
-    model: Callable[[], Model]
+    model: Callable[[], ph.Model]
     draw: Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray]]
     t: np.ndarray
     noise: float
@@ -179,7 +178,10 @@ def thesis_draw(
 
 
 def thesis_case(
-    name: str, truth: Callable[[], TrueSystem], model: Callable[[], Model], n_seeds: int
+    name: str,
+    truth: Callable[[], TrueSystem],
+    model: Callable[[], ph.Model],
+    n_seeds: int,
 ) -> Case:
     """An experiment with the data of the thesis: size, starts, noise."""
     s = SYSTEMS[name]
@@ -190,7 +192,7 @@ def thesis_case(
     )
 
 
-def on_support(model: Model, support: Mapping[str, float]) -> Model:
+def on_support(model: ph.Model, support: Mapping[str, float]) -> ph.Model:
     """The model without the terms that are not in ``support``."""
     return model.without(
         {name for name, entry in model.entries.items() if entry.prunable} - set(support)
@@ -232,7 +234,7 @@ def mass_spring() -> TrueSystem:
     )
 
 
-def mass_spring_model() -> Model:
+def mass_spring_model() -> ph.Model:
     """No starting values; the frequency is found by the scan."""
     return on_support(SYSTEMS["mass_spring"].model(), MASS_SPRING)
 
@@ -248,7 +250,7 @@ def schrodinger() -> TrueSystem:
     )
 
 
-def schrodinger_model() -> Model:
+def schrodinger_model() -> ph.Model:
     """All coefficients of the true support, without starting values."""
     return on_support(SYSTEMS["schrodinger"].model(), SYSTEMS["schrodinger"].truth)
 
@@ -264,7 +266,7 @@ def tanks() -> TrueSystem:
     return TrueSystem(states, rates, values, tuple(truth))
 
 
-def tanks_model() -> Model:
+def tanks_model() -> ph.Model:
     """All coefficients of the true support and the damping of the pipes, without
     starting values.
     """
