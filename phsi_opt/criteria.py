@@ -3,7 +3,7 @@
 What stands here changes verdicts, names or rankings. Numbers that only say how finely
 something is computed (knots, bins, probes) stand beside the code that computes it.
 
-The limits of the verdict were set once, on seeds that no page reports; where a
+The limits of the verdict were set once, before the runs that the pages report; where a
 measurement set a value, it is said. Units: "deviance" is -2 log likelihood, in which
 one standard error of one parameter counts as one; "share" is a fraction of one.
 """
@@ -33,6 +33,15 @@ EXPLAINED_IF_NAMED = 0.97
 EXPLAINED_IF_PROPOSED = 0.5
 # Standard errors by which the error on data held out must fall: one-sided 5 %.
 HELD_OUT_FALL_Z = 1.65
+# Blocks of time in which errors are compared: two independent values in each, and so
+# many that their scatter can be estimated (a standard error known to 40 % with four).
+FEWEST_BLOCKS = 4
+MOST_BLOCKS = 40
+# Independent values that a record is worth, at least: BIC takes their logarithm.
+FEWEST_INDEPENDENT = 3.0
+# Estimated noise over the scatter of neighbouring samples from which a sensor is
+# doubted: it contradicts another one, which no force explains.
+DOUBTFUL_NOISE = 1.5
 
 # --- Which candidates are compared
 
@@ -108,7 +117,7 @@ CORNER_ITERATIONS = 15
 THOROUGH_ITERATIONS = 100
 # Intervals of a record beyond which a re-fit that fails is not begun again, and none
 # begins at a sharp corner: on the ball and hoop's 5704 it was sought in vain.
-LONG_RECORD = 4_000
+ONE_ATTEMPT_INTERVALS = 4_000
 # Windows of the longest trajectory through which a re-fit goes that failed along the
 # whole record.
 N_RESTART_WINDOWS = 4

@@ -79,3 +79,35 @@ def _docstrings(tree: ast.Module) -> Iterator[ast.Expr]:
             first = node.body[0]
             assert isinstance(first, ast.Expr)
             yield first
+
+
+def test_a_constant_has_one_name_and_one_value() -> None:
+    values: dict[str, set[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        for name, value in _constants(path):
+            values.setdefault(name, set()).add(value)
+    twice = {name for name, found in values.items() if len(found) > 1}
+    assert twice <= {"FORMAT"}, "the format of each kind of file is its own, no other"
+
+
+def test_every_limit_of_the_diagnosis_is_explained_and_used() -> None:
+    criteria = PACKAGE / "criteria.py"
+    lines = criteria.read_text(encoding="utf-8").splitlines()
+    code = [p.read_text(encoding="utf-8") for p in PACKAGE.rglob("*.py")]
+    explained = False
+    for line in lines[lines.index('"""', 1) + 1 :]:
+        explained = "#" in line or (explained and bool(line))
+        name = line.split(" = ")[0]
+        if " = " in line and name.isupper():
+            assert explained, f"criteria.{name} has no reason"
+            n_files = sum(name in text for text in code)
+            assert n_files > 1, f"criteria.{name} is not used"
+
+
+def _constants(path: Path) -> Iterator[tuple[str, str]]:
+    """Names and values, as written, of the constants of a file."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            name = node.targets[0].id
+            if name.isupper() and len(name) > 1:
+                yield name, ast.unparse(node.value)

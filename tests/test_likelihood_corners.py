@@ -336,5 +336,5 @@ def test_other_data_are_started_from_states_as_accurate_as_the_run(
         return float(np.sqrt(np.mean((left / noise) ** 2)))
 
     fine = error()
-    monkeypatch.setattr("phsi_opt.estimation.smoothing.REFINEMENTS", 0)
+    monkeypatch.setattr("phsi_opt.estimation.smoothing.STEP_REFINEMENTS", 0)
     assert fine < 1.1 and error() > 1.3

@@ -23,7 +23,7 @@ from phsi_opt.transcription.losses import l1_weights
 
 STARTS = ("thesis", "normal", "model")
 DECAYS = ("none", "cosine")
-SLOTS = ("H", "R", "F")
+PRUNED_SLOTS = ("H", "R", "F")
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Descent:
     def _check_slots(self) -> None:
         expected = "slots among 'H', 'R' and 'F'"
         for slot in self.prune_slots:
-            require(slot in SLOTS, "prune_slots", self.prune_slots, expected)
+            require(slot in PRUNED_SLOTS, "prune_slots", self.prune_slots, expected)
 
     def _check_share(self) -> None:
         share = self.l1_off_after

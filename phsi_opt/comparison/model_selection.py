@@ -13,19 +13,15 @@ from phsi_opt.criteria import (
     EXPLAINED_IF_NAMED,
     EXPLAINED_IF_PROPOSED,
     FAILING_ERROR,
+    FEWEST_BLOCKS,
+    FEWEST_INDEPENDENT,
     HELD_OUT_FALL_Z,
+    MOST_BLOCKS,
     WHITE_ERROR,
     WHITENESS_LEVEL,
 )
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.statistics import TINY, autocorrelation_time, effective_sample_share
-
-# Independent values of a record, at least: a logarithm of fewer says nothing.
-FEWEST_INDEPENDENT = 3.0
-# Blocks of time in which errors are compared: two independent values in each, and
-# enough blocks that their scatter can be estimated.
-FEWEST_BLOCKS = 4
-MOST_BLOCKS = 40
 
 
 def is_like_noise(comparison: Comparison) -> bool:

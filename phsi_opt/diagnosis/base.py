@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import LONG_RECORD
+from phsi_opt.criteria import ONE_ATTEMPT_INTERVALS
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -44,7 +44,7 @@ class DiagnosedModel:
     @property
     def is_long(self) -> bool:
         """Whether the record is so long that a re-fit has one attempt."""
-        return n_intervals(self.fit) > LONG_RECORD
+        return n_intervals(self.fit) > ONE_ATTEMPT_INTERVALS
 
 
 def n_intervals(fit: Fit) -> int:

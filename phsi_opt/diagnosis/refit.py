@@ -10,9 +10,9 @@ from phsi_opt.comparison.compare import Comparison, compare_record
 from phsi_opt.comparison.model_selection import delta_bic, is_like_noise
 from phsi_opt.criteria import (
     BIC_TIE,
-    LONG_RECORD,
     N_RESTART_WINDOWS,
     NEAR_NOISE_ERROR,
+    ONE_ATTEMPT_INTERVALS,
     STRAYED_STATES,
 )
 from phsi_opt.diagnosis.base import DiagnosedModel, n_intervals
@@ -129,7 +129,7 @@ class _Refitting:
         trained = self.compared(fit)
         is_along_solutions = fit.outcome.way == FEASIBLE_PATH
         is_enough = is_along_solutions and is_like_noise(trained)
-        if is_enough or n_intervals(fit) > LONG_RECORD:
+        if is_enough or n_intervals(fit) > ONE_ATTEMPT_INTERVALS:
             return trained
         if distance_from_states(trained) < STRAYED_STATES:
             return trained

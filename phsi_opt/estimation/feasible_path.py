@@ -34,8 +34,8 @@ from phsi_opt.transcription.parameter_vector import Theta
 # together make where it has settled, and that they make, or one promises, where a kink
 # is in the way of every longer step.
 PROMISED = 1e-3
-SETTLED = 0.05
-AT_KINK = 1.0
+SETTLED_DEVIANCE = 0.05
+KINK_DEVIANCE = 1.0
 LAST = 3  # steps that are looked at
 SHORTER = 0.3  # factor by which a step is shortened that leads upwards
 TRIALS = 4  # how often
@@ -223,7 +223,11 @@ class FeasiblePath:
         if now.ridge < LARGEST_RIDGE:
             ridge = max(GROWTH * now.ridge, FIRST_RIDGE)
             return replace(now, ridge=ridge, share=1.0)
-        ending = endings.PATH_AT_KINK if step.promise < AT_KINK else endings.PATH_FAILED
+        ending = (
+            endings.PATH_AT_KINK
+            if step.promise < KINK_DEVIANCE
+            else endings.PATH_FAILED
+        )
         return replace(now, ending=ending)
 
     def _moved(self, before: _Descent, lower: _Lower) -> _Descent:
@@ -231,9 +235,9 @@ class FeasiblePath:
         recent = (*before.recent[1:], objective)
         fall = 2 * self.half * (recent[0] - objective)
         ending = None
-        if fall < SETTLED and before.ridge == 0:
+        if fall < SETTLED_DEVIANCE and before.ridge == 0:
             ending = endings.PATH_SETTLED
-        elif fall < AT_KINK and lower.share < 1:
+        elif fall < KINK_DEVIANCE and lower.share < 1:
             ending = endings.PATH_AT_KINK
         ridge = before.ridge / GROWTH if before.ridge > FIRST_RIDGE else 0.0
         return _Descent(

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.checks import HOLDS
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.model_content import Content, model_content, model_from
 from phsi_opt.optimization.outcome import Outcome
 
 FORMAT = "phsi_opt fit 1"
-HOLDS = ("linear", "zero")
 
 
 def fit_content(fit: FitRecord) -> Content:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from phsi_opt.criteria import DOUBTFUL_NOISE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.errors import SolveError
@@ -24,12 +25,9 @@ from phsi_opt.estimation.trajectory_parameters import (
 from phsi_opt.transcription.grid import Grid
 
 INTEGRATOR = "srk4"
-# Share of the size of the rates along the estimated states: the size of the force from
-# which a second search begins, far above every force that is missing.
+# Factor on the size of the rates along the estimated states: from a force so large the
+# second search comes down.
 SIZE_OF_SECOND_SEARCH = 10.0
-# Estimated noise over the scatter of neighbouring samples from which a sensor is
-# doubted. The scatter of n samples is itself known to about 1/sqrt(2 n).
-DOUBTFUL_NOISE = 1.5
 
 
 def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:

@@ -1,7 +1,7 @@
 """Solutions of a model on a grid: from a starting state interval by interval.
 
 In every interval the scheme's defect is solved for the state at the end by Newton's
-method, in compiled chunks of `CHUNK` intervals. This is implicit integration with the
+method, in compiled chunks of `MARCH_CHUNK` intervals. This is implicit integration with the
 very scheme of the likelihood, so that its defects vanish to `FEASIBLE`; it judges
 nothing and chooses no step size.
 """
@@ -16,7 +16,7 @@ from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 
 FEASIBLE = 1e-7  # scaled defect up to which an interval is solved
-CHUNK = 200  # intervals per call of the compiled march
+MARCH_CHUNK = 200  # intervals per call of the compiled march
 # Its own line search keeps Newton's method from going to and fro over a corner.
 NEWTON = {
     "abstol": 1e-10,
@@ -73,9 +73,9 @@ class March:
         n_intervals = len(guess) - 1
         states = guess.copy()
         last = guess[0]
-        for first in range(0, n_intervals, CHUNK):
-            size = min(CHUNK, n_intervals - first)
-            chunk = columns[:, first : first + CHUNK]
+        for first in range(0, n_intervals, MARCH_CHUNK):
+            size = min(MARCH_CHUNK, n_intervals - first)
+            chunk = columns[:, first : first + MARCH_CHUNK]
             ends = _ends(self.quick, last, chunk, size)
             if ends is None:
                 ends = _ends(self.careful, last, chunk, size)
@@ -92,7 +92,7 @@ class March:
         grid = self.grid
         intervals = np.flatnonzero(grid.trajectory[grid.begin] == run)
         n_intervals = len(intervals)
-        n_filled = -(-n_intervals // CHUNK) * CHUNK
+        n_filled = -(-n_intervals // MARCH_CHUNK) * MARCH_CHUNK
         place = np.minimum(np.arange(n_filled), n_intervals - 1)
         filled = intervals[place]
         return np.vstack(
@@ -107,7 +107,7 @@ class March:
         )
 
     def _compiled(self, is_careful: bool) -> ca.Function:
-        """CasADi function (x, [guess, t, h, u0, u1, theta] of `CHUNK` intervals) -> the
+        """CasADi function (x, [guess, t, h, u0, u1, theta] of `MARCH_CHUNK` intervals) -> the
         states at their ends, and defects.
 
         On the wrong side of a corner Newton's method may end where nothing is solved;
@@ -135,7 +135,7 @@ class March:
             again = newton(x0=x, p=known)["x"]
             end = ca.if_else(size(end, known) < FEASIBLE, end, again, True)
         interval = ca.Function("interval", [x, column], [end, size(end, known)])
-        return interval.mapaccum(CHUNK)
+        return interval.mapaccum(MARCH_CHUNK)
 
 
 def _ends(

@@ -41,7 +41,7 @@ SOFTLY = SolverSettings(tolerance=1e-4, max_iterations=60)
 # Factors on the force's size while parameters and states are found together.
 SHRINKING = (1.0, 0.1, 0.01)
 MOST_UPDATES = 8  # of the sizes between two solves
-SETTLED = 0.02  # change of the logarithm of a size at which its updates end
+SETTLED_SIZE = 0.02  # change of the logarithm of a size at which its updates end
 # Violation of the (scaled) dynamics beyond which a search that did not end well is of
 # no use.
 LOST = 1e-2
@@ -136,7 +136,7 @@ def estimate_force(
         before = search.sizes
         linear = search.update_sizes(solved, known_noise)
         change = search.sizes.change_from(before)
-        if change < SETTLED and solution.outcome.success:
+        if change < SETTLED_SIZE and solution.outcome.success:
             break
     sizes = search.sizes
     return ForceEstimate(
@@ -193,7 +193,7 @@ class _Search:
             linear = LinearizedForce(solved, self.sizes)
             before = self.sizes
             self.sizes = linear.improved(known)
-            if self.sizes.change_from(before) < SETTLED:
+            if self.sizes.change_from(before) < SETTLED_SIZE:
                 break
         return linear
 

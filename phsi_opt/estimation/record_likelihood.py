@@ -22,8 +22,8 @@ from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
-BRIEF = SolverSettings(max_iterations=60, thorough=False)
-BRIEF_ALONG_PATH = replace(BRIEF, ways=(FEASIBLE_PATH,))
+BRIEF_SOLVE = SolverSettings(max_iterations=60, thorough=False)
+BRIEF_ALONG_PATH = replace(BRIEF_SOLVE, ways=(FEASIBLE_PATH,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class RecordLikelihood:
                 trajectory.
             way: how the model's own fit was found, one of `WAYS`.
         """
-        estimate = self._solved(BRIEF, model, states, steps, way)
+        estimate = self._solved(BRIEF_SOLVE, model, states, steps, way)
         return estimate if estimate.is_success else None
 
     def start_of_run(

@@ -21,7 +21,7 @@ from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-REFINEMENTS = 2  # how often the steps along a record are made finer, at most
+STEP_REFINEMENTS = 2  # how often the steps along a record are made finer, at most
 FINER = 4  # factor on the steps where their error shows beside the residuals
 MOST_REFINED_STATES = 50_000  # values beyond which steps are not made finer
 
@@ -128,7 +128,7 @@ def _accurate(
     """
     likelihood = RecordLikelihood(aligned, sigma, likelihood_of(fit))
     state = likelihood.start_of_run(model, guess, steps, fit.outcome.way)
-    for _ in range(REFINEMENTS):
+    for _ in range(STEP_REFINEMENTS):
         if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:
             break
         # Beside large residuals an integration error does not show.

@@ -18,7 +18,9 @@ from phsi_opt.transcription.grid import steps_per_gap
 MOST_INTERVALS = 64  # between two samples
 # Integration error that is refined: share of a standard error, or of the noise.
 VISIBLE_ERROR = 0.1
-SAFETY = 1.2  # on the fall of the error that is wanted: the steps round it up anyway
+STEP_SAFETY = (
+    1.2  # on the fall of the error that is wanted: the steps round it up anyway
+)
 ORDER = 4  # the error of an interval's integration, per length, falls with h^ORDER
 MOST_PER_ROUND = 16  # factor on the intervals of a gap in one refinement
 LOST_FACTOR = 4  # the factor where the finer integration left the numbers
@@ -82,7 +84,7 @@ def _refinement(error: np.ndarray, visible: float) -> np.ndarray:
     """(n_intervals,) factors on the intervals that bring the visible share down."""
     size = np.linalg.norm(error, axis=1)
     typical = np.sum(size**2) / max(np.sum(size), TINY)
-    fall = SAFETY * visible / VISIBLE_ERROR * size / max(typical, TINY)
+    fall = STEP_SAFETY * visible / VISIBLE_ERROR * size / max(typical, TINY)
     factor = np.ceil(fall ** (1 / ORDER))
     return np.clip(factor, 1, MOST_PER_ROUND)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue_parts import (
     DELAYS,
-    LARGEST_VALUE,
+    LARGEST_SHARE,
     Delay,
     one_term,
     tried,
@@ -85,13 +85,13 @@ class _Path:
     def _dead_zone(self) -> Effect:
         width = self._parameter("dead_zone")
         body = f"-{self.slope}*{_limited(self.u, width)}"
-        inner = {width: tried(self.u, DEAD_ZONES, LARGEST_VALUE)}
+        inner = {width: tried(self.u, DEAD_ZONES, LARGEST_SHARE)}
         return self._effect("input dead zone", formula(body, **inner))
 
     def _saturation(self) -> Effect:
         limit = self._parameter("saturation")
         body = f"-{self.slope}*({self.u} - {_limited(self.u, limit)})"
-        inner = {limit: tried(self.u, SATURATIONS, LARGEST_VALUE)}
+        inner = {limit: tried(self.u, SATURATIONS, LARGEST_SHARE)}
         return self._effect("input saturation", formula(body, **inner))
 
     def _lag(self) -> Effect:

@@ -4,7 +4,7 @@ They are terms of H in the positions, and act as forces in the equations of the 
 """
 
 from phsi_opt.model.catalogue_parts import (
-    LARGEST_VALUE,
+    LARGEST_SHARE,
     one_term,
     tried,
     underscored,
@@ -38,6 +38,6 @@ def _energy(kind: str, q: str, p: str, body: str) -> Effect:
 
 def _gap(q: str, p: str) -> Effect:
     """A spring with free play, to both sides."""
-    inner = {"play": tried(q, PLAYS, LARGEST_VALUE)}
+    inner = {"play": tried(q, PLAYS, LARGEST_SHARE)}
     body = f"max(abs({q}) - play, 0)**2/2"
     return Effect("gap", "H", p, one_term(body, f"gap_{q}", inner, lower=0.0))

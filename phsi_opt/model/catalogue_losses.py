@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue_parts import (
-    LARGEST_VALUE,
+    LARGEST_SHARE,
     LIMITS,
     one_term,
     tried,
@@ -57,7 +57,7 @@ def losses(model: BaseModel, state: str, position: str | None) -> list[Effect]:
 def overflow_into(model: BaseModel, state: str, source: str) -> Effect:
     """What overflows from one storage, the source, runs into another one."""
     level = effort_of(model, source)
-    inner = {"limit": tried(level, LIMITS, LARGEST_VALUE)}
+    inner = {"limit": tried(level, LIMITS, LARGEST_SHARE)}
     name = f"overflow_{source}_{state}"
     term = one_term(f"max({level} - limit, 0)", name, inner, lower=0.0)
     return Effect(f"overflow from {source}", "F", state, term)
@@ -116,7 +116,7 @@ def _leaks(model: BaseModel, state: str) -> list[Effect]:
     level = effort_of(model, state)
     laminar = Parameter(lower=0.0, fixed=True, guess=Share(level, LAMINAR_LEVEL))
     half = tried(level, HALF_LEVELS)
-    limit = tried(level, LIMITS, LARGEST_VALUE)
+    limit = tried(level, LIMITS, LARGEST_SHARE)
     square_root = f"({level}**2 + e0**2)**(-0.25)"
     saturation = f"1/(1 + abs({level})/half)"
     beyond = f"max(abs({level}) - limit, 0)/max(abs({level}), limit)"

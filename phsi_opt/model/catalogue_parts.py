@@ -13,7 +13,7 @@ from phsi_opt.model.terms import Dictionary, Term, formula
 LIMITS = (0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.97)
 # Upper bound, as a share of the largest value: no rim, play or limit beyond it does
 # anything.
-LARGEST_VALUE = 1.0
+LARGEST_SHARE = 1.0
 # Lags and delays to try, in times between samples: from a share of one sample on, each
 # about 1.6 times the last one.
 DELAYS = (

@@ -4,7 +4,7 @@ They leave the motion as it is: measured = state + sensor terms.
 """
 
 from phsi_opt.model.catalogue_parts import (
-    LARGEST_VALUE,
+    LARGEST_SHARE,
     LIMITS,
     Delay,
     one_term,
@@ -34,7 +34,7 @@ def _linear(kind: str, state: str, body: str) -> Effect:
 def _clipping(state: str) -> Effect:
     limit = f"clipping_{state}"
     body = f"min(max({state}, -{limit}), {limit}) - {state}"
-    inner = {limit: tried(state, LIMITS, LARGEST_VALUE)}
+    inner = {limit: tried(state, LIMITS, LARGEST_SHARE)}
     return Effect("sensor clipping", "sensor", state, formula(body, **inner))
 
 

@@ -22,13 +22,13 @@ from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 
-AT_KINK = "the iterates settled at a kink of the model, where no slope vanishes"
+SETTLED_AT_KINK = "the iterates settled at a kink of the model, where no slope vanishes"
 # Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over
 # the last `SETTLING` of them the logarithm of the objective, times the number of
-# residuals (a change of -2 log likelihood), stays within `SETTLED`, and the constraints
+# residuals (a change of -2 log likelihood), stays within `LEVEL_DEVIANCE`, and the constraints
 # hold to `HOLDING`. Without curvature that would also be slow progress.
 SETTLING = 8
-SETTLED = 0.05
+LEVEL_DEVIANCE = 0.05
 HOLDING = 1e-5
 VIOLATED = 1e-6  # scaled violation beyond which a failure names the constraint
 AT_BOUND = 1e-6  # scaled distance up to which a parameter is at its bound
@@ -208,7 +208,7 @@ class Solver:
         if ending.is_usable or not self.is_exact:
             return ending
         is_settled = _is_settled(stats, self.program.residual.numel())
-        return Ending(status, True, AT_KINK) if is_settled else ending
+        return Ending(status, True, SETTLED_AT_KINK) if is_settled else ending
 
 
 def _options(
@@ -285,7 +285,7 @@ def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
     if len(objective) < SETTLING or not np.all(np.isfinite(objective)):
         return False
     spread = n_residuals * np.ptp(objective)
-    is_level = spread <= SETTLED * np.max(np.abs(objective))
+    is_level = spread <= LEVEL_DEVIANCE * np.max(np.abs(objective))
     return bool(is_level and np.max(violation) < HOLDING)
 
 

@@ -17,7 +17,7 @@ ROW_HEIGHT = 0.32  # inches per parameter: tick labels do not touch
 FRAME_HEIGHT = 1.1  # inches for title and axis below and above the rows
 LEAST_ROWS = 2  # for which a new figure has room
 TITLE_LETTERS = 60  # in a line of the title over the axes of a new figure
-ROOM = 1.15  # range of the axis over the widest interval that it shows
+AXIS_MARGIN = 1.15  # range of the axis over the widest interval that it shows
 
 
 def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) -> Axes:
@@ -46,7 +46,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
 
     percent = np.full(n, np.nan)
     percent[is_sure] = 100 * half_width[is_sure] / size[is_sure]
-    reach = ROOM * float(np.nanmax(percent)) if is_sure.any() else 100.0
+    reach = AXIS_MARGIN * float(np.nanmax(percent)) if is_sure.any() else 100.0
     ax.axvline(0, color=BASELINE, lw=0.8)
     _draw_intervals(ax, np.flatnonzero(is_sure), percent[is_sure])
     _draw_open_signs(ax, np.flatnonzero(is_open), reach)

@@ -37,8 +37,8 @@ MOST_NEWTON_STEPS = 4
 # states: small enough to stop, and small enough to be of use when the steps end.
 OBEYING = 1e-4
 NEARLY_OBEYING = 1e-2
-# Rows of every trace that are kept for pairs of effects: their common products are
-# accurate to 1 %, and the memory of a long record stays bounded.
+# Rows of every trace that are kept for pairs of effects, so that the memory of a long
+# record stays bounded; products of that many rows are known to about 1/sqrt(20 000).
 MOST_KEPT_ROWS = 20_000
 
 

@@ -12,7 +12,7 @@ from itertools import combinations, islice
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.screening.regression import REST_BOUNDS, RIDGE, bounds_of
+from phsi_opt.screening.regression import CORRELATION_RIDGE, REST_BOUNDS, bounds_of
 from phsi_opt.screening.score_test import ScannedPoint, ScoreTest, Screened
 from phsi_opt.statistics import TINY
 
@@ -153,7 +153,7 @@ class _JointRegression:
         residual = test.linearized.residual[test.linearized.kept_rows]
         size = np.maximum(np.linalg.norm(traces, axis=0), TINY)
         columns = traces / size
-        gram = columns.T @ columns + RIDGE * np.eye(len(size))
+        gram = columns.T @ columns + CORRELATION_RIDGE * np.eye(len(size))
         return cls(
             size=size,
             gram=gram,

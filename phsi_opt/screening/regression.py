@@ -11,7 +11,7 @@ from phsi_opt.statistics import TINY
 
 # Share of the diagonal that is added to the correlations of traces: two that are equal
 # to rounding still factorise.
-RIDGE = 1e-10
+CORRELATION_RIDGE = 1e-10
 # A body at rest: up to all of its defects may be explained by the friction that holds it.
 REST_BOUNDS = (0.0, 1.0)
 
@@ -56,7 +56,7 @@ def regression(trial: Trial, trace: np.ndarray, residual: np.ndarray) -> Regress
         return Regression(np.ones(1), drop, information)
     size = np.sqrt(np.maximum(np.diag(information), TINY))
     correlation = information / np.outer(size, size)
-    factor = np.linalg.cholesky(correlation + RIDGE * np.eye(len(size)))
+    factor = np.linalg.cholesky(correlation + CORRELATION_RIDGE * np.eye(len(size)))
     n_rest = trace.shape[1] - len(trial.linear)
     bounds = bounds_of(trial.model, trial.linear) + [REST_BOUNDS] * n_rest
     lower, upper = np.array(bounds).T * size

@@ -35,7 +35,7 @@ from phsi_opt.screening.sensitivities import Change, Sensitivities, Trial
 from phsi_opt.screening.wave_scan import best_frequency
 from phsi_opt.statistics import TINY, effective_sample_share
 
-REFINEMENTS = 2  # rounds of finer values around the best one of a scan
+SCAN_REFINEMENTS = 2  # rounds of finer values around the best one of a scan
 # Share of the misfit that is left at least when its logarithm is taken.
 LEAST_MISFIT = 1e-9
 
@@ -271,7 +271,7 @@ class ScoreTest:
         """The best point among finer and finer values of the one inner parameter."""
         (name,) = candidate.trial.tried
         around = np.sort(candidate.trial.tried[name])
-        for _ in range(REFINEMENTS):
+        for _ in range(SCAN_REFINEMENTS):
             around = _finer(around, best.values[name])
             points = [{name: float(value)} for value in around]
             ranked = self._ranked(candidate, points)
