@@ -12,8 +12,9 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
+from phsi_opt.learning.force_response import Response
 from phsi_opt.learning.learned_force import LearnedForce, distil, learned_force
-from phsi_opt.learning.orthogonal_network import Response
+from phsi_opt.learning.orthogonal_network import OutputLayer
 
 TIMES = np.arange(0.0, 12.01, 0.08)
 PULSE = "-1.5*exp(-((q - 0.6)/0.2)**2)"
@@ -91,21 +92,21 @@ def test_a_force_pulse_outside_the_catalogue_is_learned_and_the_held_out_error_f
 def test_the_learned_force_is_orthogonal_to_what_the_free_parameters_can_produce(
     coupled: Case,
 ) -> None:
-    record = coupled.learned.record
-    assert record.physics.shape[1] == 2  # stiffness and damping
-    force = coupled.learned.at(record.v) / record.std
-    assert np.linalg.norm(record.physics.T @ force) < 1e-9 * np.linalg.norm(force)
+    samples = coupled.learned.samples
+    assert samples.physics.shape[1] == 2  # stiffness and damping
+    force = coupled.learned.at(samples.v) / samples.std
+    assert np.linalg.norm(samples.physics.T @ force) < 1e-9 * np.linalg.norm(force)
     # The missing force itself is not: that share of it went to the parameters.
-    missing = record.w / record.std
-    assert np.linalg.norm(record.physics.T @ missing) > 0.05 * np.linalg.norm(missing)
+    missing = samples.w / samples.std
+    assert np.linalg.norm(samples.physics.T @ missing) > 0.05 * np.linalg.norm(missing)
 
 
-def test_less_is_missing_beside_the_learned_force_and_the_parameters_have_taken_their_part(
+def test_less_is_missing_beside_the_learned_force_and_parameters_take_their_part(
     pulse: Case,
 ) -> None:
     fit = pulse.learned.fit
     left = Record.of(fit, pulse.train).estimate.w
-    before = pulse.learned.record.w
+    before = pulse.learned.samples.w
     assert np.sqrt(np.mean(left**2)) < 0.5 * np.sqrt(np.mean(before**2))
     # The free run needs both: with the parameters of the first fit, which had stood in
     # for the force, it is worse.
@@ -151,12 +152,13 @@ def test_a_product_of_two_variables_is_distilled_and_the_diagnosis_confirms_it(
 
 
 def test_terms_that_the_physics_has_are_never_distilled(pulse: Case) -> None:
-    record, v = pulse.learned.record, pulse.learned.record.v[:, 0]
+    samples = pulse.learned.samples
+    v = samples.v[:, 0]
     response = Response.of(Record.of(pulse.fit, pulse.train), row=1)
     beside = replace(
         response, residual=response.traces(-(v**3)[:, None])[:, 0]
     )  # what a cubic spring would leave
-    (cubic,) = short_form(["q"], record, beside, -2.0 * v - v**3, most=3, share=0.9)
+    (cubic,) = short_form(["q"], samples, beside, -2.0 * v - v**3, most=3, share=0.9)
     assert cubic.body == "q**3" and cubic.coefficient is not None
     # 1 %: the curve is taken in the middle of the intervals, the physics at the stages
     # of SRK4
@@ -168,7 +170,8 @@ def test_a_force_without_a_short_formula_is_not_distilled(
 ) -> None:
     assert distil(pulse.learned, pulse.train, most=1, share=0.999999999) == []
     silent = replace(
-        nothing.learned, output=(np.zeros_like(nothing.learned.output[0]), 0.0)
+        nothing.learned,
+        output=OutputLayer(np.zeros_like(nothing.learned.output.weights), 0.0),
     )
     assert distil(silent, nothing.train) == []
 
@@ -188,7 +191,9 @@ def test_the_formula_in_the_model_is_the_network_and_is_held_at_the_edge_of_the_
     with_force, without = learned.fit.casadi(), learned.physics.casadi()
     added = [float(with_force(row, [], 0.0)[1] - without(row, [], 0.0)[1]) for row in x]
     assert np.allclose(added, learned.force(x), atol=1e-12)
-    assert learned.force([[9.0, 9.0]]) == pytest.approx(learned.at(learned.seen[1:]))
+    assert learned.force([[9.0, 9.0]]) == pytest.approx(
+        learned.at(learned.data_range[1:])
+    )
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(
@@ -199,10 +204,10 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(
         learned_force(pulse.fit, short, equation="p", on=["q"], epochs=2, seed=seed)
         for seed in (3, 3, 4)
     )
-    assert np.array_equal(a.hidden[0], b.hidden[0]) and np.array_equal(
-        a.output[0], b.output[0]
+    assert np.array_equal(a.hidden.weights, b.hidden.weights) and np.array_equal(
+        a.output.weights, b.output.weights
     )
-    assert not np.array_equal(a.hidden[0], c.hidden[0])
+    assert not np.array_equal(a.hidden.weights, c.hidden.weights)
 
 
 def test_a_force_of_an_input_is_learned_in_a_drive_with_held_input() -> None:

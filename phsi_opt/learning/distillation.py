@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from phsi_opt.learning.orthogonal_network import NOTHING, ForceSamples, Response
+from phsi_opt.learning.force_response import Response
+from phsi_opt.learning.force_samples import RANK_TOLERANCE, ForceSamples
 from phsi_opt.learning.term_candidates import WIDTHS, candidates
 from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.expressions import evaluate
@@ -26,7 +27,7 @@ SPANNED = 1e-6
 
 def short_form(
     names: Sequence[str],
-    record: ForceSamples,
+    samples: ForceSamples,
     response: Response,
     curve: np.ndarray,
     most: int,
@@ -40,7 +41,7 @@ def short_form(
 
     Args:
         names: of the variables.
-        record: their values, and the physics.
+        samples: their values, and the physics.
         response: of the residuals to a force.
         curve: (n,), the force along the record.
         most: number of terms.
@@ -50,7 +51,7 @@ def short_form(
         The terms; [] if there are none.
     """
     target = response.traces(curve[:, None])[:, 0]
-    problem = _Problem(names, record, response, target, _criterion(response, target))
+    problem = _Problem(names, samples, response, target, _criterion(response, target))
     listed = problem.listed()
     empty = np.zeros((len(target), 0))
     nothing = float(target @ target)
@@ -131,7 +132,7 @@ class _Problem:
     """What is explained, by what, and by which criterion."""
 
     names: Sequence[str]
-    record: ForceSamples
+    samples: ForceSamples
     response: Response
     target: np.ndarray
     criterion: _Criterion
@@ -140,7 +141,7 @@ class _Problem:
         """The candidates that the physics has not, with their traces."""
         terms = []
         columns = []
-        for term in candidates(self.names, self.record.v):
+        for term in candidates(self.names, self.samples.v):
             values = self.values(term)
             if values is not None:
                 terms.append(term)
@@ -153,14 +154,14 @@ class _Problem:
 
         None where it is not finite, or nothing that the physics has not.
         """
-        known = dict(zip(self.names, self.record.v.T, strict=True))
+        known = dict(zip(self.names, self.samples.v.T, strict=True))
         for name, parameter in term.inner.items():
             known[name] = parameter.start
         with np.errstate(all="ignore"):
             values = evaluate(term.body, known, NUMPY)
-            values = np.broadcast_to(values, self.record.w.shape)
-        physics = self.record.physics
-        scaled = values / self.record.std
+            values = np.broadcast_to(values, self.samples.w.shape)
+        physics = self.samples.physics
+        scaled = values / self.samples.std
         beyond = np.linalg.norm(scaled - physics @ (physics.T @ scaled))
         if np.isfinite(beyond) and beyond > SPANNED * np.linalg.norm(scaled):
             return values
@@ -192,7 +193,7 @@ class _Problem:
         if not free:
             return trial
         start = np.array([trial.term.inner[name].start for name in free])
-        scale = WIDTHS[0] * float(np.max(np.ptp(self.record.v, axis=0)))
+        scale = WIDTHS[0] * float(np.max(np.ptp(self.samples.v, axis=0)))
         best = trial
         least = self.left(chosen, trial.trace)
 
@@ -234,4 +235,4 @@ def _n_parameters(term: Term) -> int:
 
 
 def _least_squares(traces: np.ndarray, target: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.lstsq(traces, target, rcond=NOTHING)[0])
+    return np.asarray(np.linalg.lstsq(traces, target, rcond=RANK_TOLERANCE)[0])

@@ -1,10 +1,12 @@
 """A learned force: a stop-gap for what a model lacks and no known effect explains.
 
-    dx_i/dt = physics_i(x, t, u; theta) + N(v),    v: a few states, efforts dH/dx,
-    inputs or the time
+::
 
-N is a small network (`orthogonal`), fitted to what one equation lacks. On the record it
-is orthogonal to all that the free parameters can produce there: it takes only what they
+    dx_i/dt = physics_i(x, t, u; theta) + N(v)
+
+with v a few states, efforts dH/dx, inputs or the time. N is a small network
+(`orthogonal_network`), fitted to what one equation lacks. On the record it is
+orthogonal to all that the free parameters can produce there: it takes only what they
 cannot explain. They are then re-estimated with N in place. Being a formula, N runs in
 the model like any other term, with inputs as they are held. `distil` writes it as
 terms.
@@ -21,7 +23,6 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.comparison.compare import compare
@@ -30,47 +31,41 @@ from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.json_file import read_json
-from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
-from phsi_opt.learning.orthogonal_network import (
-    NOTHING,
-    ForceSamples,
-    Hidden,
-    Output,
-    Response,
-    chosen,
-    features_of,
-)
+from phsi_opt.learning.force_response import Response
+from phsi_opt.learning.force_samples import ForceSamples, Points
+from phsi_opt.learning.hidden_layer import HiddenLayer, Training
+from phsi_opt.learning.orthogonal_network import OutputLayer, fitted_network
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.statistics import TINY
-from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.transcription.parameter_vector import Theta
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMAT = "phsi_opt learned force 1"
-LEAST = 50  # intervals, so that every stretch holds a few
+SMALLEST_SPREAD = 1e-12  # of a variable, in its unit
+N_CURVE = 300  # points of a drawn curve
+N_MAP = 60  # points to a side of a drawn map
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedForce:
-    """A force N(v) in one ``equation`` that was learned from measurements, beside the
-    ``physics`` it was learned for.
+    """A force N(v) in one equation, learned from measurements beside the physics.
 
     Attributes:
         physics: the fit without the force; its parameters are those re-estimated with
             the force in place.
-        on: the variables v. shift, spread, hidden, output: N = tanh((v - shift)/spread
-            weights' + bias) a + b.
+        equation: the state in whose equation the force acts.
+        on: names of the variables v.
+        shift: (n_variables,), and ``spread``: N is a network of (v - shift) / spread.
+        hidden: layer of the network; ``output``: the other one.
         explains: share of what the fit left in the measurements (the squares of its
             linearised residuals) that the force predicts on stretches of time left out.
             Zero or below: it found nothing, and N is set to zero.
-        record: what it was learned from.
+        samples: what it was learned from.
     """
 
     physics: Fit
@@ -78,111 +73,144 @@ class LearnedForce:
     on: tuple[str, ...]
     shift: np.ndarray
     spread: np.ndarray
-    hidden: Hidden
-    output: Output
+    hidden: HiddenLayer
+    output: OutputLayer
     explains: float
-    record: ForceSamples = field(repr=False)
+    samples: ForceSamples = field(repr=False)
 
     @property
-    def seen(self) -> np.ndarray:
+    def data_range(self) -> np.ndarray:
         """Least and largest value of each variable in the record, (2, n_variables)."""
-        return np.stack([self.record.v.min(axis=0), self.record.v.max(axis=0)])
+        v = self.samples.v
+        return np.stack([v.min(axis=0), v.max(axis=0)])
 
     def at(self, v: Any) -> np.ndarray:
         """The force (n,) at values (n, n_variables) of its variables."""
-        z = (np.clip(np.asarray(v, dtype=float), *self.seen) - self.shift) / self.spread
-        return np.asarray(
-            features_of(z, self.hidden)[:, :-1] @ self.output[0] + self.output[1]
-        )
+        inside = np.clip(np.asarray(v, dtype=float), *self.data_range)
+        z = (inside - self.shift) / self.spread
+        return self.output.at(self.hidden.features(z))
 
     def force(self, x: Any, u: Any = None, t: Any = 0.0) -> np.ndarray:
-        """The force (n,) at states x (n, n_states), inputs u (n, n_inputs) and times t
-        (n,), or at one time.
+        """The force (n,) at states, inputs and times.
+
+        Args:
+            x: (n, n_states).
+            u: (n, n_inputs); None for a model without inputs.
+            t: (n,), or one time.
+
+        Raises:
+            DataError: the shapes do not fit the model.
         """
-        model, x = self.physics.model, np.atleast_2d(np.asarray(x, dtype=float))
-        u = (
-            np.zeros((len(x), 0))
-            if u is None
-            else np.asarray(u, dtype=float).reshape(len(x), -1)
-        )
+        model = self.physics.model
+        x = np.atleast_2d(np.asarray(x, dtype=float))
+        n = len(x)
+        if u is None:
+            u = np.zeros((n, 0))
+        u = np.asarray(u, dtype=float).reshape(n, -1)
         if x.shape[1] != model.n_states or u.shape[1] != model.n_inputs:
             raise DataError(
-                f"x of shape {x.shape} and u of shape {u.shape} do not fit the {model.n_states} states and "
-                f"{model.n_inputs} inputs of the model; give a column for each."
+                f"x of shape {x.shape} and u of shape {u.shape} do not fit the "
+                f"{model.n_states} states and {model.n_inputs} inputs of the model; "
+                "give a column for each."
             )
-        theta = model.theta.reshape(-1, 1).repeat(len(x), axis=1)
-        return self.at(
-            _along(model.function(*self.on), x, u, np.broadcast_to(t, len(x)), theta)
-        )
+        theta = model.theta.reshape(-1, 1).repeat(n, axis=1)
+        points = Points(x, u, np.broadcast_to(t, n), theta)
+        return self.at(points.values(model.function(*self.on)))
 
     @cached_property
     def fit(self) -> Fit:
-        """Physics and force as one fit, the force a sum of formulas: for `compare`,
-        `diagnose`, equations, files.
+        """Physics and force as one fit, for `compare`, `diagnose`, equations, files.
+
+        The force is a sum of formulas.
         """
-        limits = zip(
-            self.on,
-            *self.seen.tolist(),
-            self.shift.tolist(),
-            self.spread.tolist(),
-            strict=True,
-        )
-        z = [
-            f"(min(max({name}, {low!r}), {high!r}) - {mid!r})/{width!r}"
-            for name, low, high, mid, width in limits
-        ]
-        units = zip(*self.hidden, self.output[0].tolist(), strict=True)
-        bodies = [repr(float(self.output[1]))]
-        for weights, bias, size in units:
-            parts = [
-                f"{w!r}*({scaled})"
-                for w, scaled in zip(weights.tolist(), z, strict=True)
-            ]
-            bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {float(bias)!r})")
-        terms = Dictionary(tuple(Term(body) for body in bodies))
-        model = self.physics.model.add(
-            Effect("learned force", "F", self.equation, terms)
-        )
+        dictionary = Dictionary(tuple(Term(body) for body in self._bodies()))
+        effect = Effect("learned force", "F", self.equation, dictionary)
+        model = self.physics.model.add(effect)
         return replace(self.physics, model=model, states=(), steps=())
 
+    def _bodies(self) -> list[str]:
+        """The bias and the weighted units, as formulas of the variables."""
+        variables = self._standardized()
+        bodies = [repr(float(self.output.bias))]
+        sizes = self.output.weights.tolist()
+        units = zip(self.hidden.weights, self.hidden.bias, sizes, strict=True)
+        for weights, bias, size in units:
+            parts = []
+            for weight, z in zip(weights.tolist(), variables, strict=True):
+                parts.append(f"{weight!r}*({z})")
+            bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {float(bias)!r})")
+        return bodies
+
+    def _standardized(self) -> list[str]:
+        """The standardised variables as formulas, held at the edge of the data."""
+        lower, upper = self.data_range.tolist()
+        formulas = []
+        for i, name in enumerate(self.on):
+            inside = f"min(max({name}, {lower[i]!r}), {upper[i]!r})"
+            shift = float(self.shift[i])
+            spread = float(self.spread[i])
+            formulas.append(f"({inside} - {shift!r})/{spread!r}")
+        return formulas
+
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
-        """States (n_samples, n_states) from x0 at t[0], physics and learned force."""
+        """States (n_samples, n_states) from x0 at t[0], physics and learned force.
+
+        Raises:
+            DataError: as in `simulate`.
+            SolveError: the solution cannot be continued.
+        """
         return self.fit.simulate(t, x0, u)
 
     def free_run_rmse(self, data: Measurements) -> float:
-        """Error of the free run on the measurements, starting states estimated from the
-        record, as in `compare`.
+        """Error of the free run on measurements, as in `compare`.
+
+        Starting states are estimated from the record.
         """
         return compare(self.fit, data).rmse
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """The learned force over its first variable, or two, with the missing force and
-        the range of the data.
-        """
-        import matplotlib.pyplot as plt
+        """Draw the learned force over its first variable, or two.
 
-        ax = (
-            plt.subplots(figsize=(7.0, 3.8), layout="constrained")[1]
-            if ax is None
-            else ax
-        )
-        (_plot_curve if len(self.on) == 1 else _plot_map)(self, ax)
-        share = (
-            f"explains {100 * self.explains:.0f} % of left-out stretches"
-            if self.explains > 0
-            else "found nothing"
-        )
+        Beside it the missing force, and the range of the data.
+        """
+        name = f"force in d{self.equation}/dt"
+        ax = self._curve(name, ax) if len(self.on) == 1 else self._map(name, ax)
+        share = "found nothing"
+        if self.explains > 0:
+            share = f"explains {100 * self.explains:.0f} % of left-out stretches"
         ax.set_title(
-            f"Learned force in d{self.equation}/dt: {share};\nit does not extrapolate beyond the data"
+            f"Learned {name}: {share};\nit does not extrapolate beyond the data"
         )
         return ax
 
+    def _curve(self, name: str, ax: "Axes | None") -> "Axes":
+        from phsi_opt.presentation.pictures import plot_learned_curve
+
+        lower, upper = self.data_range[:, 0].tolist()
+        v = np.linspace(lower, upper, N_CURVE)
+        curve = np.column_stack([v, self.at(v[:, None])])
+        samples = np.column_stack([self.samples.v[:, 0], self.samples.beyond_physics])
+        return plot_learned_curve(curve, samples, (self.on[0], name), ax)
+
+    def _map(self, name: str, ax: "Axes | None") -> "Axes":
+        """Over the first two variables, the others at their means."""
+        from phsi_opt.presentation.pictures import plot_learned_map
+
+        lower, upper = self.data_range
+        first = np.linspace(lower[0], upper[0], N_MAP)
+        second = np.linspace(lower[1], upper[1], N_MAP)
+        points = np.tile(self.shift, (N_MAP**2, 1))
+        points[:, 0] = np.tile(first, N_MAP)
+        points[:, 1] = np.repeat(second, N_MAP)
+        force = self.at(points).reshape(N_MAP, N_MAP)
+        labels = (self.on[0], self.on[1], f"learned {name}")
+        return plot_learned_map(
+            first, second, force, samples=self.samples.v[:, :2], labels=labels, ax=ax
+        )
+
     def save(self, path: str | Path) -> None:
-        """Write physics, network and record as JSON: numbers and formulas, no code."""
-        arrays = {
-            name: getattr(self.record, name).tolist()
-            for name in ("v", "w", "std", "physics")
-        }
+        """Write physics, network and samples as JSON: numbers and formulas, no code."""
+        samples = self.samples
         content = {
             "format": FORMAT,
             "physics": self.physics.content(),
@@ -191,25 +219,34 @@ class LearnedForce:
             "shift": self.shift.tolist(),
             "spread": self.spread.tolist(),
             "explains": self.explains,
-            "hidden": [part.tolist() for part in self.hidden],
-            "record": arrays,
-            "output": [self.output[0].tolist(), self.output[1]],
+            "hidden": [self.hidden.weights.tolist(), self.hidden.bias.tolist()],
+            "record": {
+                "v": samples.v.tolist(),
+                "w": samples.w.tolist(),
+                "std": samples.std.tolist(),
+                "physics": samples.physics.tolist(),
+            },
+            "output": [self.output.weights.tolist(), self.output.bias],
         }
         Path(path).write_text(json.dumps(content) + "\n", encoding="utf-8")
 
     @staticmethod
     def load(path: str | Path) -> "LearnedForce":
-        """Read what `save` wrote; raises `DataError` for anything else. Never runs code
-        from the file.
+        """Read what `save` wrote; never runs code from the file.
+
+        Raises:
+            DataError: for anything else.
         """
-        return read_json(path, FORMAT, "a learned force", _from_json)
+        return read_json(path, FORMAT, "a learned force", _from_content)
 
     def __str__(self) -> str:
-        seen = ", ".join(
-            f"{n} {a:.4g} to {b:.4g}"
-            for n, (a, b) in zip(self.on, self.seen.T, strict=True)
+        ranges = []
+        for name, (lower, upper) in zip(self.on, self.data_range.T, strict=True):
+            ranges.append(f"{name} {lower:.4g} to {upper:.4g}")
+        return (
+            f"learned force in d{self.equation}/dt, known for {', '.join(ranges)}: "
+            f"explains {self.explains:.2f} of what is missing"
         )
-        return f"learned force in d{self.equation}/dt, known for {seen}: explains {self.explains:.2f} of what is missing"
 
 
 def learned_force(
@@ -222,30 +259,34 @@ def learned_force(
     epochs: int = 200,
     loss: MaximumLikelihood | None = None,
 ) -> LearnedForce:
-    """Learn the force that ``fit`` lacks in one equation, as a function of the
-    variables ``on``.
+    """Learn the force that a fit lacks in one equation, as a function of variables.
 
     Args:
+        fit: of the model.
+        data: the measurements to learn from.
+        equation: the state whose equation lacks the force.
         on: names of states, efforts (``dH_dp``), inputs, or ``t``.
+        seed: of the network's first weights.
         epochs: the most; how many are used, and the weight of the ridge, is chosen on
             stretches of time left out.
         loss: how the physics is re-estimated with the force in place, default
             `MaximumLikelihood`.
 
-    Raises `ModelError` for unknown names and `DataError` for fewer than 50 intervals.
+    Raises:
+        ModelError: a name is unknown, the equation is one of kinematics, a setting is
+            not possible, or torch is not installed.
+        DataError: there are fewer than 50 intervals, or the measurements do not fit the
+            model.
+        SolveError: the missing force or the physics could not be estimated.
     """
+    record = Record.of(fit, data)
     return learned_force_of(
-        Record.of(fit, data),
-        equation=equation,
-        on=on,
-        seed=seed,
-        epochs=epochs,
-        loss=loss,
+        record, equation=equation, on=on, seed=seed, epochs=epochs, loss=loss
     )
 
 
 def learned_force_of(
-    along: Record,
+    record: Record,
     *,
     equation: str,
     on: Sequence[str],
@@ -253,131 +294,91 @@ def learned_force_of(
     epochs: int = 200,
     loss: MaximumLikelihood | None = None,
 ) -> LearnedForce:
-    """`learned_force` for a record that was made before."""
-    fit, data, estimate = along.fit, along.data, along.estimate
-    on = _checked(fit.model, on, epochs)
-    record = _record(along, equation, on)
-    shift, spread = record.v.mean(axis=0), np.maximum(record.v.std(axis=0), 1e-12)
-    z = (record.v - shift) / spread
-    response = Response.of(along, fit.model.index(equation))
-    hidden, output, explains = chosen(z, record, response, epochs, seed)
-    if explains <= 0:
-        return LearnedForce(
-            fit,
-            equation,
-            on,
-            shift,
-            spread,
-            hidden,
-            (0 * output[0], 0.0),
-            explains,
-            record,
-        )
+    """`learned_force` for a record that was made before.
+
+    Args:
+        record: the fit along the measurements.
+        equation, on, seed, epochs, loss: as in `learned_force`.
+
+    Raises:
+        ModelError, DataError, SolveError: as in `learned_force`.
+    """
+    fit = record.fit
+    on = _checked_names(fit.model, on)
+    _check_epochs(epochs)
+    samples = ForceSamples.of(record, equation, on)
+    shift = samples.v.mean(axis=0)
+    spread = np.maximum(samples.v.std(axis=0), SMALLEST_SPREAD)
+    response = Response.of(record, fit.model.index(equation))
+    z = (samples.v - shift) / spread
+    network = fitted_network(z, samples, response, Training(epochs, seed))
     learned = LearnedForce(
-        fit, equation, on, shift, spread, hidden, output, explains, record
+        physics=fit,
+        equation=equation,
+        on=on,
+        shift=shift,
+        spread=spread,
+        hidden=network.hidden,
+        output=network.output,
+        explains=network.explains,
+        samples=samples,
     )
-    return replace(
-        learned,
-        physics=_re_estimated(learned, data, estimate, loss or MaximumLikelihood()),
-    )
+    if network.explains <= 0:
+        nothing = OutputLayer(0 * network.output.weights, 0.0)
+        return replace(learned, output=nothing)
+    physics = _re_estimated(learned, record, loss or MaximumLikelihood())
+    return replace(learned, physics=physics)
 
 
-def _checked(model: Model, on: Sequence[str], epochs: int) -> tuple[str, ...]:
-    known = (*model.states, *model.efforts, *model.inputs, "t")
+def _checked_names(model: Model, on: Sequence[str]) -> tuple[str, ...]:
     if isinstance(on, str) or not on or len(set(on)) < len(on):
         raise ModelError(
-            f"on={on!r} of a learned force must be a list of different variables, such as ['q']."
+            f"on={on!r} of a learned force must be a list of different variables, "
+            "such as ['q']."
         )
+    known = (*model.states, *model.efforts, *model.inputs, "t")
     for name in on:
         if name not in known:
             raise ModelError(
-                f"variable {name!r} of a learned force is unknown; known are {', '.join(known)}."
-                f"{did_you_mean(str(name), known)}"
+                f"variable {name!r} of a learned force is unknown; "
+                f"known are {', '.join(known)}.{did_you_mean(str(name), known)}"
             )
-    if not isinstance(epochs, int) or epochs < 1:
-        raise ModelError(
-            f"epochs={epochs!r} of a learned force must be a whole number of at least 1."
-        )
     return tuple(on)
 
 
-def _along(
-    function: ca.Function,
-    x: np.ndarray,
-    u: np.ndarray,
-    t: np.ndarray,
-    theta: np.ndarray,
-) -> np.ndarray:
-    """A CasADi function (x, u, t, theta) at every row, (n, n_values)."""
-    return np.array(function.map(len(t))(x.T, u.T, np.reshape(t, (1, -1)), theta)).T
-
-
-def _record(along: Record, equation: str, on: tuple[str, ...]) -> ForceSamples:
-    """Variables, missing force and the physics' columns d rhs_i / d theta in the middle
-    of every interval.
-    """
-    estimate = along.estimate
-    model, grid = along.model.with_values(estimate.rounded), estimate.grid
-    row = model.index(equation, "equation of a learned force")
-    if row not in estimate.prior.rows:
+def _check_epochs(epochs: int) -> None:
+    if not isinstance(epochs, int) or epochs < 1:
         raise ModelError(
-            f"d{equation}/dt is kinematics and lacks no force; learn it in the equation of a momentum."
+            f"epochs={epochs!r} of a learned force must be a whole number "
+            "of at least 1."
         )
-    if grid.n_intervals < LEAST:
-        raise DataError(
-            f"{grid.n_intervals} intervals are too few to learn a force; at least {LEAST} are needed."
-        )
-    x, run = (
-        (estimate.x[grid.begin] + estimate.x[grid.begin + 1]) / 2,
-        grid.trajectory[grid.begin],
-    )
-    unknown = Theta.of(model, along.trajectories)
-    points = (
-        x,
-        (grid.u0 + grid.u1) / 2,
-        grid.t[grid.begin] + grid.h / 2,
-        along.theta[:, run],
-    )
-    symbols = [
-        ca.SX.sym("s", n) for n in (model.n_states, model.n_inputs, 1, len(model.free))
-    ]
-    slope = ca.densify(ca.jacobian(model.rhs()(*symbols)[row], symbols[-1]).T)
-    columns = np.zeros((len(x), len(unknown)))
-    slopes = _along(ca.Function("slope", symbols, [slope]), *points)
-    np.put_along_axis(columns, unknown.table[:, run].T, slopes, axis=1)
-    k = estimate.prior.rows.index(row)
-    std = np.maximum(force_deviation(estimate)[:, k], TINY)
-    basis, sizes, _ = np.linalg.svd(columns / std[:, None], full_matrices=False)
-    kept = basis[:, sizes > NOTHING * np.max(sizes, initial=0.0)]
-    return ForceSamples(
-        _along(model.function(*on), *points), estimate.w[:, k], std, kept
-    )
 
 
 def _re_estimated(
-    learned: LearnedForce,
-    data: Measurements,
-    estimate: ForceEstimate,
-    loss: MaximumLikelihood,
+    learned: LearnedForce, record: Record, loss: MaximumLikelihood
 ) -> Fit:
-    """The physics with its parameters estimated beside the force: what is theirs in the
-    missing force, they take.
+    """The physics with its parameters estimated beside the force.
+
+    What is theirs in the missing force, they take.
     """
-    fit, grid = learned.physics, estimate.grid
+    fit = record.fit
     if not fit.model.free:
         return fit
-    states = tuple(
-        estimate.x[(grid.trajectory == i) & grid.sample]
-        for i in range(data.n_trajectories)
-    )
-    noise = {
-        name: float(s)
-        for name, s in zip(data.states, estimate.sigma, strict=True)
-        if name in data.measured
-    }
-    start = replace(learned.fit, states=states, noise=noise, steps=fit.steps)
+    data = record.data
+    estimate = record.estimate
+    grid = estimate.grid
+    states = []
+    for number in range(data.n_trajectories):
+        is_sample = (grid.trajectory == number) & grid.sample
+        states.append(estimate.x[is_sample])
+    noise = {}
+    for name, sigma in zip(data.states, estimate.sigma, strict=True):
+        if name in data.measured:
+            noise[name] = float(sigma)
+    start = replace(learned.fit, states=tuple(states), noise=noise, steps=fit.steps)
     found = identify(learned.fit.model, data, loss, start=start)
-    model = fit.model.with_values({name: found.values[name] for name in fit.model.free})
+    values = {name: found.values[name] for name in fit.model.free}
+    model = fit.model.with_values(values)
     return replace(found, model=model, states=(), steps=())
 
 
@@ -389,107 +390,95 @@ def distil(
     most: int = 3,
     share: float = 0.9,
 ) -> list[Effect]:
-    """The learned force as effects in slot F, to be added to ``model``, identified and
-    tested again.
+    """Write a learned force as effects in slot F.
 
-    Powers, sines, dry friction, corners and pulses of one variable and products of two
-    are tried (see `short_form`). They are weighed by what they do to the measurements
-    ``data``, beside the physics. [] where ``most`` of them explain less than ``share``
-    of what the learned force does. ``model`` (default: the physics) says which names
-    are free.
+    They are to be added to the model, identified and tested again. Powers, sines, dry
+    friction, corners and pulses of one variable and products of two are tried (see
+    `short_form`), and weighed by what they do to the measurements, beside the physics.
+
+    Args:
+        learned: the force.
+        data: the measurements it was learned from.
+        model: says which names are free; default: the physics.
+        most: number of effects.
+        share: of what the learned force does, that they must explain.
+
+    Returns:
+        The effects; [] where none of so few explain so much.
+
+    Raises:
+        DataError: the measurements do not fit the model.
+        SolveError: the missing force could not be estimated.
     """
-    if not np.any(learned.output[0]):
+    if not np.any(learned.output.weights):
         return []
-    fit, data = learned.physics, aligned(learned.physics.model, data)
-    along = Record.of(fit, data)
-    record = _record(along, learned.equation, learned.on)
-    response = Response.of(along, fit.model.index(learned.equation))
-    terms = short_form(learned.on, record, response, learned.at(record.v), most, share)
-    taken = (model or fit.model).entries
-    free = (
-        name
-        for k in count(1)
-        if (name := f"learned_{learned.equation}_{k}") not in taken
-    )
-    return [
-        Effect(
-            f"learned {term.body}",
-            "F",
-            learned.equation,
-            Dictionary((replace(term, name=name),)),
+    fit = learned.physics
+    record = Record.of(fit, data)
+    samples = ForceSamples.of(record, learned.equation, learned.on)
+    response = Response.of(record, fit.model.index(learned.equation))
+    curve = learned.at(samples.v)
+    terms = short_form(learned.on, samples, response, curve, most, share)
+    names = _free_names(model or fit.model, learned.equation, len(terms))
+    effects = []
+    for term, name in zip(terms, names, strict=True):
+        dictionary = Dictionary((replace(term, name=name),))
+        effects.append(
+            Effect(f"learned {term.body}", "F", learned.equation, dictionary)
         )
-        for term, name in zip(terms, free)  # noqa: B905 - names never end
-    ]
+    return effects
 
 
-def _plot_curve(learned: LearnedForce, ax: "Axes") -> None:
-    low, high = learned.seen[:, 0].tolist()
-    v = np.linspace(low, high, 300)
-    ax.plot(
-        learned.record.v[:, 0],
-        learned.record.beyond_physics,
-        ".",
-        ms=3,
-        color="0.55",
-        label="missing force",
+def _free_names(model: Model, equation: str, number: int) -> list[str]:
+    """So many names of terms that the model does not have."""
+    names: list[str] = []
+    for k in count(1):
+        if len(names) == number:
+            break
+        name = f"learned_{equation}_{k}"
+        if name not in model.entries:
+            names.append(name)
+    return names
+
+
+def _from_content(content: dict[str, Any]) -> LearnedForce:
+    physics = Fit.from_content(content["physics"])
+    equation = str(content["equation"])
+    physics.model.index(equation, "equation of the learned force")
+    names = [str(name) for name in content["on"]]
+    weights, bias = content["hidden"]
+    output_weights, output_bias = content["output"]
+    samples = {name: _array(values) for name, values in content["record"].items()}
+    learned = LearnedForce(
+        physics=physics,
+        equation=equation,
+        on=_checked_names(physics.model, names),
+        shift=_array(content["shift"]),
+        spread=_array(content["spread"]),
+        hidden=HiddenLayer(_array(weights), _array(bias)),
+        output=OutputLayer(_array(output_weights), float(output_bias)),
+        explains=float(content["explains"]),
+        samples=ForceSamples(**samples),
     )
-    ax.plot(v, learned.at(v[:, None]), "-", color="C0", label="learned force")
-    for k, edge in enumerate((low, high)):
-        ax.axvline(
-            edge, color="C2", ls=":", label="range of the data" if k == 0 else None
-        )
-    ax.set(xlabel=learned.on[0], ylabel=f"force in d{learned.equation}/dt")
-    ax.legend(frameon=False)
-
-
-def _plot_map(learned: LearnedForce, ax: "Axes") -> None:
-    """Over the first two variables, the others at their means; the points of the data
-    mark its range.
-    """
-    v = learned.record.v
-    a, b = (np.linspace(low, high, 60) for low, high in learned.seen.T[:2])
-    points = np.tile(learned.shift, (3600, 1))
-    points[:, 0], points[:, 1] = np.tile(a, 60), np.repeat(b, 60)
-    force = learned.at(points).reshape(60, 60)
-    most = float(np.max(np.abs(force)))
-    shades = ax.pcolormesh(
-        a, b, force, shading="gouraud", cmap="coolwarm", vmin=-most, vmax=most
-    )
-    ax.figure.colorbar(shades, ax=ax, label=f"learned force in d{learned.equation}/dt")
-    ax.plot(v[:, 0], v[:, 1], ".", ms=2, color="0.3", label="data")
-    ax.set(xlabel=learned.on[0], ylabel=learned.on[1])
-    ax.legend(frameon=False)
-
-
-def _from_json(content: dict[str, Any]) -> LearnedForce:
-    physics, on = (
-        Fit.from_content(content["physics"]),
-        tuple(str(name) for name in content["on"]),
-    )
-    arrays = {
-        name: np.array(values, dtype=float)
-        for name, values in content["record"].items()
-    }
-    record = ForceSamples(**arrays)
-    shift, spread = (
-        np.array(content["shift"], dtype=float),
-        np.array(content["spread"], dtype=float),
-    )
-    weights, bias = (np.array(part, dtype=float) for part in content["hidden"])
-    output = np.array(content["output"][0], dtype=float), float(content["output"][1])
-    n, m = len(_checked(physics.model, on, 1)), len(bias)
-    shapes = {
-        (record.v.shape[1:], shift.shape, spread.shape): ((n,),) * 3,
-        (weights.shape, output[0].shape): ((m, n), (m,)),
-    }
-    if any(found != expected for found, expected in shapes.items()) or len(
-        record.v
-    ) != len(record.w):
+    if not _fits_together(learned):
         raise DataError(
             "the layers of the network do not fit together or to its variables."
         )
-    equation, explains = str(content["equation"]), float(content["explains"])
-    physics.model.index(equation, "equation of the learned force")
-    return LearnedForce(
-        physics, equation, on, shift, spread, (weights, bias), output, explains, record
+    return learned
+
+
+def _array(values: Any) -> np.ndarray:
+    return np.array(values, dtype=float)
+
+
+def _fits_together(learned: LearnedForce) -> bool:
+    """Whether the shapes of a force are those of one network and its variables."""
+    n_variables = len(learned.on)
+    n_hidden = len(learned.hidden.bias)
+    v = learned.samples.v
+    of_variables = [v.shape[1:], learned.shift.shape, learned.spread.shape]
+    return (
+        all(shape == (n_variables,) for shape in of_variables)
+        and learned.hidden.weights.shape == (n_hidden, n_variables)
+        and learned.output.weights.shape == (n_hidden,)
+        and len(v) == len(learned.samples.w)
     )

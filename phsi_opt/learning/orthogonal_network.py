@@ -1,221 +1,166 @@
-"""A network of one tanh layer for a missing force, kept orthogonal to what the physics
-can produce.
+"""A network of one tanh layer for a missing force, orthogonal to the physics.
 
-N(v) = tanh(z weights' + bias) a + b with z the standardised variables. The hidden layer
-is trained by Adam in torch on the missing force, weighted by its uncertainty. N is
-linear in the output layer, which is found by ridge regression of the measurements'
-residuals on the traces of the hidden units (`screen`: the linearised likelihood,
-dynamics hard, the parameters of the physics moving along): the missing force is a
-smoothed guess, pale where it is sharp, and its deviation from point to point does not
-say how little a curve through many points may err. Only output layers whose force is
-orthogonal to the physics on the record are allowed.
+::
+
+    N(v) = tanh(z weights' + bias) a + b,    z: the standardised variables v
+
+The hidden layer is trained on the missing force (`hidden_layer`). N is linear in the
+output layer, which is found by ridge regression of the measurements' residuals on the
+traces of the hidden units (`LinearizedRecord`: dynamics hard, the parameters of the
+physics moving along): the missing force is a smoothed guess, pale where it is sharp,
+and its deviation from point to point does not say how little a curve through many
+points may err. Only output layers whose force is orthogonal to the physics on the
+record are allowed.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError
-from phsi_opt.estimation.record import Record
-from phsi_opt.optimization.torch_threads import one_thread
-from phsi_opt.screening.linearized_record import LinearizedRecord
+from phsi_opt.learning.force_response import N_FOLDS, Response
+from phsi_opt.learning.force_samples import ForceSamples
+from phsi_opt.learning.hidden_layer import STOPS, HiddenLayer, Training, trained_layers
 from phsi_opt.statistics import TINY
 
-N_HIDDEN = 16
-# bound of the first hidden weights: some units bend within the range, some are nearly
-# straight
-FIRST_WEIGHTS = 2.5
-RATE = 0.02  # of Adam
-N_FOLDS = 5  # groups of stretches of time that are left out in turn
-STOPS = (0.0, 0.2, 0.4, 0.7, 1.0)  # shares of the epochs at which training may stop
-RIDGES = 10.0 ** np.arange(
-    -10, 1
-)  # weights of the squared output weights that are tried, relative to the features
-NOTHING = 1e-8  # share of a column's size below which others explain it
-Hidden = tuple[np.ndarray, np.ndarray]  # weights (n_hidden, n_variables) and bias
-Output = tuple[np.ndarray, float]  # weights (n_hidden,) and bias
+# Weights of the squared output weights that are tried, relative to the features.
+RIDGES = 10.0 ** np.arange(-10, 1)
+# Singular values, over the largest, that count as zero: rounding, of a force on the
+# physics, and of the ridge regression.
+ORTHOGONAL = 1e-12
+NORMAL_RANK_TOLERANCE = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
-class ForceSamples:
-    """The missing force of one equation along the record: variables v (n, n_variables),
-    w and its deviation std (n,).
+class OutputLayer:
+    """Weights (n_hidden,) of the hidden units, and a ``bias``."""
 
-    ``physics`` (n, n_columns): orthonormal basis of the forces that the free parameters
-    can produce, over std.
-    """
+    weights: np.ndarray
+    bias: float
 
-    v: np.ndarray
-    w: np.ndarray
-    std: np.ndarray
-    physics: np.ndarray
-
-    @property
-    def beyond_physics(self) -> np.ndarray:
-        """The missing force (n,) less what the physics can explain of it, by weighted
-        least squares.
-        """
-        scaled = self.w / self.std
-        return np.asarray(scaled - self.physics @ (self.physics.T @ scaled)) * self.std
+    def at(self, features: np.ndarray) -> np.ndarray:
+        """The force (n,) from hidden units and a one, (n, n_hidden + 1)."""
+        return np.asarray(features[:, :-1] @ self.weights + self.bias)
 
 
 @dataclass(frozen=True, eq=False)
-class Response:
-    """What a force in equation ``row`` does to the residuals of the measurements, in
-    units of the noise.
+class Network:
+    """Both layers, and the share of left-out residuals that such networks explain."""
 
-    ``residual`` (n_values,) is what the fit leaves; ``fold`` and ``value_fold`` say to
-    which group of stretches of time an interval and a measured value belong.
+    hidden: HiddenLayer
+    output: OutputLayer
+    explains: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Features:
+    """Hidden units along a record, with a one.
+
+    Attributes:
+        traces: (n_values, n_features), theirs in the residuals.
+        free: (n_features, n_free), orthonormal directions of output weights whose force
+            is orthogonal to the physics.
     """
 
-    linearized: LinearizedRecord
-    row: int
-    residual: np.ndarray
-    fold: np.ndarray
-    value_fold: np.ndarray
+    traces: np.ndarray
+    free: np.ndarray
 
     @classmethod
-    def of(cls, record: Record, row: int) -> "Response":
-        """The response of a record, linearised at the states of its missing force."""
-        linearized = LinearizedRecord.of(record)
-        grid = linearized.grid
-        is_measured = linearized.weight > 0
-        # Two stretches per fold, so that a fold sees the beginning and the end of what
-        # decays.
-        of_node = np.arange(grid.n_nodes) * 2 * N_FOLDS // grid.n_nodes % N_FOLDS
-        values = np.repeat(of_node, record.model.n_states)[is_measured]
-        residual = linearized.residual[is_measured]
-        return cls(linearized, row, residual, of_node[grid.begin], values)
+    def of(
+        cls, features: np.ndarray, samples: ForceSamples, response: Response
+    ) -> "_Features":
+        """From features (n_intervals, n_features)."""
+        traces = response.traces(features)
+        scaled = features / samples.std[:, None]
+        _, sizes, directions = np.linalg.svd(samples.physics.T @ scaled)
+        n_bound = np.sum(sizes > ORTHOGONAL * np.max(sizes, initial=0.0))
+        return cls(traces, np.asarray(directions[n_bound:].T))
 
-    def traces(self, forces: np.ndarray) -> np.ndarray:
-        """Change (n_values, n_forces) of what is explained by forces (n_intervals,
-        n_forces).
+    def outputs(self, used: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
+        """Output weights, bias last, within the free directions: one per ridge.
+
+        Args:
+            used: (n_values,) of bool, the values that are regressed.
+            residual: (n_values,).
         """
-        linearized = self.linearized
-        grid = linearized.grid
-        n_states = linearized.model.n_states
-        n_forces = forces.shape[1]
-        of_defects = np.zeros((grid.n_intervals, n_states, n_forces))
-        of_defects[:, self.row] = -forces
-        of_outputs = np.zeros((grid.n_nodes * n_states, n_forces))
-        traces = linearized.traces(of_defects.reshape(-1, n_forces), of_outputs)
-        return traces[linearized.weight > 0]
+        traces = self.traces[used]
+        free = self.free
+        columns = traces @ free
+        # the bias is free
+        weights = free.T[:, :-1] @ free[:-1]
+        ridge = weights * np.mean(traces**2) * len(traces)
+        normal = columns.T @ columns
+        right = columns.T @ residual[used]
+        outputs = []
+        for weight in RIDGES:
+            regularized = normal + weight * ridge
+            found = np.linalg.lstsq(regularized, right, rcond=NORMAL_RANK_TOLERANCE)
+            outputs.append(free @ found[0])
+        return outputs
 
 
-def chosen(
-    z: np.ndarray, record: ForceSamples, response: Response, epochs: int, seed: int
-) -> tuple[Hidden, Output, float]:
-    """Hidden layer, output layer, and the share explained, with epochs and ridge chosen
-    on stretches left out.
+def fitted_network(
+    z: np.ndarray, samples: ForceSamples, response: Response, training: Training
+) -> Network:
+    """The network, with epochs and ridge chosen on stretches of time left out.
 
-    The share of each fold is that of the choice made on the other folds, so that
-    choosing does not flatter it.
+    Args:
+        z: (n, n_variables), the standardised variables.
+        samples: the missing force there.
+        response: of the residuals to a force.
+        training: of the hidden layer.
+
+    Raises:
+        ModelError: torch is not installed.
     """
-    errors, r = np.zeros((N_FOLDS, len(STOPS), len(RIDGES))), response.residual
-    for k in range(N_FOLDS):
-        used, left = response.fold != k, response.value_fold == k
-        inside = np.clip(z, z[used].min(axis=0), z[used].max(axis=0))
-        for s, hidden in enumerate(_trained(z, record, used, epochs, seed)):
-            features = features_of(inside, hidden)
-            traces, free = response.traces(features), _orthogonal(features, record)
-            for i, output in enumerate(_outputs(traces[~left], r[~left], free)):
-                errors[k, s, i] = np.sum((r[left] - traces[left] @ output) ** 2)
+    errors = _errors_left_out(z, samples, response, training)
     total = errors.sum(axis=0)
-    others = [
-        np.unravel_index(int(np.argmin(total - errors[k])), total.shape)
-        for k in range(N_FOLDS)
-    ]
-    explains = 1 - sum(errors[k][at] for k, at in enumerate(others)) / max(
-        float(r @ r), TINY
-    )
-    best = np.unravel_index(int(np.argmin(total)), total.shape)
-    hidden = _trained(z, record, np.ones(len(z), dtype=bool), epochs, seed)[best[0]]
-    features = features_of(z, hidden)
-    output = _outputs(response.traces(features), r, _orthogonal(features, record))[
-        best[1]
-    ]
-    return hidden, (output[:-1], float(output[-1])), float(explains)
+    stop, ridge = np.unravel_index(int(np.argmin(total)), total.shape)
+    everything = np.ones(len(z), dtype=bool)
+    hidden = trained_layers(z, samples, everything, training)[stop]
+    features = _Features.of(hidden.features(z), samples, response)
+    every_value = np.ones(len(response.residual), dtype=bool)
+    weights = features.outputs(every_value, response.residual)[ridge]
+    output = OutputLayer(weights[:-1], float(weights[-1]))
+    return Network(hidden, output, _explained_share(errors, response.residual))
 
 
-def features_of(z: np.ndarray, hidden: Hidden) -> np.ndarray:
-    """The hidden units and a one, (n, n_hidden + 1)."""
-    return np.hstack([np.tanh(z @ hidden[0].T + hidden[1]), np.ones((len(z), 1))])
+def _errors_left_out(
+    z: np.ndarray, samples: ForceSamples, response: Response, training: Training
+) -> np.ndarray:
+    """Squared residuals of each fold when it is left out.
 
-
-def _orthogonal(features: np.ndarray, record: ForceSamples) -> np.ndarray:
-    """Orthonormal directions (n_features, n_free) of output weights whose force is
-    orthogonal to the physics.
+    Returns:
+        (n_folds, n_stops, n_ridges).
     """
-    _, sizes, directions = np.linalg.svd(
-        record.physics.T @ (features / record.std[:, None])
-    )
-    return np.asarray(
-        directions[np.sum(sizes > 1e-12 * np.max(sizes, initial=0.0)) :].T
-    )
+    residual = response.residual
+    errors = np.zeros((N_FOLDS, len(STOPS), len(RIDGES)))
+    for fold in range(N_FOLDS):
+        used = response.fold != fold
+        left_out = response.value_fold == fold
+        lower = z[used].min(axis=0)
+        upper = z[used].max(axis=0)
+        inside = np.clip(z, lower, upper)
+        for stop, hidden in enumerate(trained_layers(z, samples, used, training)):
+            features = _Features.of(hidden.features(inside), samples, response)
+            outputs = features.outputs(~left_out, residual)
+            for ridge, weights in enumerate(outputs):
+                predicted = features.traces[left_out] @ weights
+                left = residual[left_out] - predicted
+                errors[fold, stop, ridge] = np.sum(left**2)
+    return errors
 
 
-def _outputs(
-    traces: np.ndarray, residual: np.ndarray, free: np.ndarray
-) -> list[np.ndarray]:
-    """Output weights, bias last, within the free directions: one per ridge."""
-    A = traces @ free
-    ridge = (
-        free.T[:, :-1] @ free[:-1] * np.mean(traces**2) * len(traces)
-    )  # the bias is free
-    normal, right = A.T @ A, A.T @ residual
-    return [
-        free @ np.linalg.lstsq(normal + weight * ridge, right, rcond=1e-15)[0]
-        for weight in RIDGES
-    ]
+def _explained_share(errors: np.ndarray, residual: np.ndarray) -> float:
+    """The share of the squared residuals that is predicted when it is left out.
 
-
-def _trained(
-    z: np.ndarray, record: ForceSamples, used: np.ndarray, epochs: int, seed: int
-) -> list[Hidden]:
-    """The hidden layer at each of the `STOPS`, by Adam on the weighted squares that the
-    physics leaves.
+    That of each fold is of the choice made on the other folds, so that choosing does
+    not flatter it.
     """
-    try:
-        import torch
-    except ImportError:
-        raise ModelError(
-            "a learned force needs torch: pip install 'phsi_opt[neural]'."
-        ) from None
-
-    with one_thread():
-        made = torch.Generator().manual_seed(seed)
-
-        def start(bound: float, *shape: int) -> Any:
-            drawn = bound * (
-                2 * torch.rand(shape, generator=made, dtype=torch.float64) - 1
-            )
-            return drawn.requires_grad_()
-
-        layer = [
-            start(FIRST_WEIGHTS, N_HIDDEN, z.shape[1]),
-            start(FIRST_WEIGHTS, N_HIDDEN),
-        ]
-        last = [start(0.1, N_HIDDEN), start(0.1)]
-        target = (record.beyond_physics / record.std)[used]
-        size = max(float(np.sqrt(np.mean(target**2))), 1e-12)
-        points, y = torch.tensor(z[used]), torch.tensor(target / size)
-        weight = torch.tensor(np.median(record.std) / record.std[used])
-        basis = torch.tensor(
-            np.linalg.svd(record.physics[used], full_matrices=False)[0]
-        )
-        optimiser = torch.optim.Adam([*layer, *last], lr=RATE)
-        stops, found = {round(share * epochs) for share in STOPS}, {}
-        for epoch in range(epochs + 1):
-            if epoch in stops:
-                found[epoch] = (
-                    layer[0].detach().numpy().copy(),
-                    layer[1].detach().numpy().copy(),
-                )
-            optimiser.zero_grad()
-            force = weight * (
-                torch.tanh(points @ layer[0].T + layer[1]) @ last[0] + last[1]
-            )
-            torch.mean((force - basis @ (basis.T @ force) - y) ** 2).backward()
-            optimiser.step()
-    return [found[round(share * epochs)] for share in STOPS]
+    total = errors.sum(axis=0)
+    left = 0.0
+    for of_fold in errors:
+        of_others = total - of_fold
+        choice = np.unravel_index(int(np.argmin(of_others)), total.shape)
+        left += of_fold[choice]
+    squares = max(float(residual @ residual), TINY)
+    return float(1 - left / squares)
