@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import AlignedData, aligned
 
 X = np.arange(12.0).reshape(6, 2)
 U = np.arange(12.0, 24.0).reshape(6, 2)
@@ -63,3 +63,23 @@ def test_states_and_inputs_that_do_not_match_are_named() -> None:
         ph.DataError, match="state 'p' of the measurements is not in the model; leave"
     ):
         aligned(only_q, data(("q", "p")))
+
+
+def test_an_alignment_for_a_larger_model_is_made_once_and_for_the_same_model_not_at_all() -> (
+    None
+):
+    effects = {e.name: e for e in ph.catalogue(model()) if e.equation == "p"}
+    record = AlignedData.of(model(), data(("p", "q")))
+    assert record.for_model(model()) is record
+    assert record.for_model(model().add(effects["cubic stiffness"])) is record
+    larger = model().add(effects["hysteresis"])
+    extended = record.for_model(larger)
+    assert extended.data.states == larger.states
+    assert record.for_model(larger) is extended
+
+
+def test_a_layout_without_further_nodes_is_the_one_that_was_made() -> None:
+    record = AlignedData.of(model(), data(("q", "p")))
+    ones = np.ones(5, dtype=int)
+    assert record.grid_with([ones]) is record.grid
+    assert record.grid_with([2 * ones]).n_nodes == 11

@@ -23,3 +23,14 @@ def test_every_public_name_is_exported_once_and_documented() -> None:
         for name in phsi_opt.__all__
         if not (getattr(phsi_opt, name).__doc__ or "").strip()
     ]
+
+
+def test_verdicts_are_texts_and_a_missing_force_is_no_loss_of_identify() -> None:
+    assert [str(verdict) for verdict in phsi_opt.Verdict] == [
+        "nothing missing",
+        "missing: named",
+        "missing: unexplained",
+    ]
+    named: str = phsi_opt.Verdict.NAMED
+    assert named == "missing: named"
+    assert not hasattr(phsi_opt, "MissingForce")

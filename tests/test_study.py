@@ -5,6 +5,8 @@ effects, pictures.
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import matplotlib
 
@@ -15,8 +17,10 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.estimation import record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.presentation.pictures import plot_history
+from phsi_opt.transcription import alignment
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import CSV, TIMES, table
 
@@ -308,3 +312,41 @@ def test_friction_is_found_beside_a_sensor_with_an_offset_and_a_load_that_differ
     # The offset of the sensor stays the sensor's.
     assert abs(fit.values["b"] - 0.4) < 3 * fit.std_errors["b"]
     assert study.compare().rmse < 1.1 * study.compare().noise_floor
+
+
+def test_a_diagnosis_and_a_step_go_on_from_the_record_that_was_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    counted: list[str] = []
+
+    def count(module: ModuleType, name: str) -> None:
+        function = getattr(module, name)
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            counted.append(name)
+            return function(*args, **kwargs)
+
+        monkeypatch.setattr(module, name, call)
+
+    count(record, "missing_force_of")
+    count(alignment, "aligned")
+    data = measurements(2.0, seed=3)
+    study = ph.Study(spring(), *data.split(0.6))
+    once_for_each_of_two_records = ["aligned", "missing_force_of"] * 2
+    assert sorted(counted) == sorted(once_for_each_of_two_records)
+    study.compare()
+    study.diagnose()
+    assert len(counted) == 4
+    study.add("coulomb friction", "p")
+    assert counted[4:] == ["missing_force_of"] * 2
+
+
+def test_the_data_that_a_comparison_is_on_can_be_named(complete: ph.Study) -> None:
+    assert complete.compare() is complete.compare("held out")
+    assert complete.compare("training").data is complete.train
+    with pytest.raises(ph.DataError, match="'test' is neither 'held out' nor"):
+        complete.compare("test")
+    alone = ph.Study(spring(), measurements(0.0, seed=4))
+    assert alone.compare() is alone.compare("training")
+    with pytest.raises(ph.DataError, match="no data were held out"):
+        alone.compare("held out")
