@@ -1,4 +1,4 @@
-"""Every limit that decides what a diagnosis says, with its unit and where it comes from.
+"""Every limit that decides what a diagnosis says, with its unit and its source.
 
 What stands here changes verdicts, names or rankings. Numbers that only say how finely
 something is computed (knots, bins, probes) stand beside the code that computes it.
@@ -69,7 +69,8 @@ REFIT_P_VALUE = 0.1
 # Expected residual variance over that of a candidate which leaves noise, beyond which
 # no other is re-fitted.
 HOPELESS_VARIANCE = 2.0
-# Share of the best score below which a candidate is no rival once the best leaves noise.
+# Share of the best score below which a candidate is no rival once the best leaves
+# noise.
 RIVAL_SCORE = 0.8
 
 # --- Which of them is named
@@ -142,6 +143,26 @@ CLEAR_PATTERN = 0.3  # for "it follows"
 SECOND_CAUSE = 0.2  # beside a stronger cause
 NAMED_CAUSE = 0.1  # for a row, or a word
 TIED_CAUSES = 0.05  # difference up to which two causes are alike
+# Share of a force's mean square from which it is mostly constant, or mostly what other
+# values of the model's parameters would give: more than everything else together.
+MOSTLY_CONSTANT = 0.5
+MOSTLY_PARAMETERS = 0.5
+# Mean power over rms force times rms effort (-1: linear damping) below which a force
+# takes energy out; nearer to zero its direction is not clear.
+OPPOSING_POWER = -CLEAR_PATTERN
+# Rank correlation above which an effort is a monotone function of a state, and is not
+# named beside it.
+MONOTONE_RANK_CORRELATION = 0.9999
+# Share of the record in a bin of a state above which the bin was visited.
+VISITED_BIN = 0.02
+# Ranges of one state in which a force is strong, at most: one, or both ends; strong in
+# more of them it follows no region of that state.
+MOST_STRONG_RANGES = 2
+# Standard deviations by which a force differs from zero where it is surely there.
+SURE_DEVIATIONS = 2
+# Quantile of the spectra of random errors above which a peak of the force stands out:
+# one frequency in twenty is higher by chance.
+SPECTRUM_LEVEL = 0.95
 
 # --- The experiment that separates two effects
 

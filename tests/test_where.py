@@ -17,14 +17,13 @@ from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.force_plots import (
-    plot_dependence,
     plot_force,
-    plot_map,
     plot_spectrum,
     plot_where,
 )
-from phsi_opt.force_analysis.force_record import spectrum
-from phsi_opt.force_analysis.localization import uncertain
+from phsi_opt.force_analysis.force_uncertainty import error_draws
+from phsi_opt.force_analysis.spectrum import spectrum
+from phsi_opt.force_analysis.state_plots import plot_dependence, plot_map
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
@@ -290,18 +289,18 @@ def test_a_sine_has_its_amplitude_in_the_spectrum(even: bool) -> None:
     rng = np.random.default_rng(0)
     one = np.linspace(0, 20, 400) if even else np.sort(rng.uniform(0, 20, 400))
     t, run = np.r_[one, one], np.repeat([0, 1], 400)
-    f, amplitude = spectrum(t, run, 2.0 * np.sin(2 * np.pi * 1.5 * t + run))
-    assert f[np.argmax(amplitude)] == pytest.approx(1.5, abs=0.02)
-    assert amplitude.max() == pytest.approx(
-        2.0, rel=0.01 if even else 0.1
-    )  # gaps are bridged by straight lines
+    found = spectrum(t, run, 2.0 * np.sin(2 * np.pi * 1.5 * t + run))
+    assert found.peak == pytest.approx(1.5, abs=0.02)
+    # Gaps are bridged by straight lines.
+    tolerance = 0.01 if even else 0.1
+    assert found.amplitudes.max() == pytest.approx(2.0, rel=tolerance)
 
 
 def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(
     cases: dict[str, Case],
 ) -> None:
     estimate = cases["cubic"].estimate
-    draws = uncertain(estimate, n_draws=400)
+    draws = error_draws(estimate, n_draws=400)
     # 400 draws tell each standard deviation to 3.5 %; the mean over all intervals
     # better than that.
     ratio = draws.std(axis=2) / force_deviation(estimate)

@@ -10,7 +10,7 @@ import pandas as pd
 
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.dependence import depends_on
-from phsi_opt.force_analysis.energy import Power, power
+from phsi_opt.force_analysis.energy import EnergyExchange, energy_exchange
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.localization import located
 from phsi_opt.force_analysis.wording import sentences
@@ -42,9 +42,9 @@ class ForceAnalysis:
         return depends_on(self.force)
 
     @cached_property
-    def energy(self) -> Power:
-        """Whether the force dissipates, stores or supplies energy (see `power`)."""
-        return power(self.force)
+    def energy(self) -> EnergyExchange:
+        """Whether the force dissipates, stores or supplies energy."""
+        return energy_exchange(self.force)
 
     @cached_property
     def sentences(self) -> list[str]:

@@ -1,58 +1,56 @@
-"""Pictures of a missing force: over time, over the states, against what it follows, and
-its frequencies.
+"""Pictures of a missing force: over time, its frequencies, and all four in one figure.
 
 Each takes an analysis and an equation (default: the one whose missing force is surest)
-and says in its title what to see.
+and says in its title what to see. Those over states stand in `state_plots`.
 """
 
-from collections.abc import Sequence
 from textwrap import fill
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN
+from phsi_opt.criteria import SPECTRUM_LEVEL, SURE_DEVIATIONS
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.dependence import cleaned, variables
-from phsi_opt.force_analysis.energy import period_of, plane_of
-from phsi_opt.force_analysis.force_record import (
-    ForceRecord,
-    force_unit,
-    frequency_unit,
-    spectrum,
-)
-from phsi_opt.force_analysis.localization import deviation_of, region_of, uncertain
-from phsi_opt.model.structure import position_rows
+from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.force_uncertainty import deviation_of, error_draws
+from phsi_opt.force_analysis.localization import is_mostly_constant
+from phsi_opt.force_analysis.plot_parts import draw_band, draw_title, draw_zero
+from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
+from phsi_opt.force_analysis.state_plots import plot_dependence, plot_map
+from phsi_opt.force_analysis.units import frequency_unit
+from phsi_opt.presentation.axes import MEASURED, MODEL, axes_of, label
 from phsi_opt.statistics import TINY
 
-FORCE, CLOUD, LEVEL = "C0", "0.75", "0.55"
-N_CELLS, N_BARS, MOST_DOTS = 14, 16, 4000
-FEWEST = 3  # intervals in a bin that is shown
-TITLE = 62  # characters of a title's line over a single panel
-# of the draws of the estimate's error that stay below the level shown in a spectrum
-LEVEL_SHARE = 0.95
+SENTENCE_LETTERS = 120  # in a line of the sentence over four panels
+# Share of the largest amplitude beyond whose last frequency the spectrum is cut off.
+SHOWN_AMPLITUDE = 0.02
+# Frequencies of the running mean over a level that is taken from few draws.
+N_SMOOTHED = 9
 
 
 def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> Figure:
-    """Force over time, over the states, against what it follows, and its frequencies;
-    the sentence says what it is.
+    """Force over time, over the states, against what it follows, and its frequencies.
+
+    The sentence above says what it is.
+
+    Args:
+        analysis: of the missing force.
+        equation: default: the one whose missing force is surest.
+
+    Raises:
+        ModelError: the equation has no missing force.
     """
-    equation = _equation(analysis, equation)
+    force = EquationForce.of(analysis, equation)
+    equation = force.equation
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")
     plot_force(analysis, equation, ax=axes[0, 0])
     plot_map(analysis, equation, ax=axes[0, 1])
     plot_dependence(analysis, equation=equation, ax=axes[1, 0])
     plot_spectrum(analysis, equation, ax=axes[1, 1])
-    own = next(
-        sentence
-        for sentence in analysis.sentences
-        if sentence.startswith(f"d{equation}/dt")
-    )
-    figure.suptitle(fill(own, 120), fontsize=11)
+    figure.suptitle(fill(force.sentence, SENTENCE_LETTERS), fontsize=11)
     return figure
 
 
@@ -62,370 +60,123 @@ def plot_force(
     trajectory: str | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """The missing force with two standard deviations along one trajectory (a number),
-    by default the strongest.
+    """The missing force along one trajectory, with two standard deviations.
 
-    Raises `ModelError` for a trajectory that is not there.
+    Args:
+        analysis: of the missing force.
+        equation: default: the one whose missing force is surest.
+        trajectory: its name; default: the one where the force is strongest.
+        ax: axes to draw on; None: a new figure.
+
+    Raises:
+        ModelError: the equation has no missing force, or the trajectory is not there.
     """
-    ax, equation, path = (
-        _axes(ax, (8.0, 3.6)),
-        _equation(analysis, equation),
-        analysis.force,
-    )
-    w, runs = path.force_on(equation), analysis.force.trajectories
-    name = trajectory or str(_row(analysis, equation)["trajectory"])
-    if name not in runs:
-        raise ModelError(
-            f"trajectory={trajectory!r} is not one of the record; "
-            f"expected one of {', '.join(runs)}.{did_you_mean(name, runs)}"
-        )
-    run = runs.index(name)
-    part = path.run == run
-    deviation = deviation_of(analysis.force.estimate)[
-        part, path.equations.index(equation)
-    ]
-    ax.plot(path.t[part], w[part], color=FORCE, lw=1.2, label="missing force")
-    low, high = w[part] - 2 * deviation, w[part] + 2 * deviation
-    ax.fill_between(
-        path.t[part],
-        low,
-        high,
-        color=FORCE,
-        alpha=0.2,
-        lw=0,
-        label="two standard deviations",
-    )
-    ax.axhline(0, color="0.3", lw=0.8)
-    outside = np.mean(np.abs(w[part]) > 2 * deviation)
-    _titled(
-        ax,
-        f"{name}: d{equation}/dt surely lacks a force during {100 * outside:.0f} % of the time",
-    )
-    ax.set(
-        xlabel=_label("t", analysis.force.units.get("t", "")),
-        ylabel=_force_label(analysis, equation),
-    )
+    force = EquationForce.of(analysis, equation)
+    name = trajectory or str(force.where["trajectory"])
+    shown = _is_in_trajectory(force, name)
+    ax = axes_of(ax, (8.0, 3.6))
+    t = force.record.t[shown]
+    w = force.w[shown]
+    deviation = deviation_of(force.record.estimate)[shown, force.number]
+    half_width = SURE_DEVIATIONS * deviation
+    ax.plot(t, w, color=MODEL, lw=1.2, label="missing force")
+    draw_band(ax, t, w - half_width, w + half_width, "two standard deviations")
+    draw_zero(ax)
+    ax.set_xlabel(label("t", force.record.units.get("t", "")))
+    ax.set_ylabel(force.force_label())
     ax.margins(y=0.25)
     ax.legend(loc="upper right", frameon=False, ncols=2)
+    percent = f"{100 * np.mean(np.abs(w) > half_width):.0f} %"
+    begin = f"{name}: d{force.equation}/dt"
+    draw_title(ax, f"{begin} surely lacks a force during {percent} of the time")
     return ax
 
 
-def plot_map(
-    analysis: ForceAnalysis, equation: str | None = None, ax: Axes | None = None
-) -> Axes:
-    """Mean missing force over position and velocity, or over the two states that
-    predict it best; blank: not visited.
-
-    Where only one state predicts the force, or there is only one, bars over that state.
-    """
-    ax, equation, path = (
-        _axes(ax, (6.0, 4.6)),
-        _equation(analysis, equation),
-        analysis.force,
-    )
-    plane = plane_of(path, equation)
-    region = _region(analysis, path, equation, plane)
-    if len(plane) < 2:
-        return _bars(ax, analysis, path, equation, plane[0], region)
-    a, b, w = path.variable(plane[0]), path.variable(plane[1]), path.force_on(equation)
-    count, edges_a, edges_b = np.histogram2d(a, b, N_CELLS)
-    total = np.histogram2d(a, b, (edges_a, edges_b), weights=w)[0]
-    mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
-    limit = float(np.ma.max(np.ma.abs(mean))) if mean.count() else 1.0
-    mesh = ax.pcolormesh(
-        edges_a, edges_b, mean.T, cmap="RdBu_r", vmin=-limit, vmax=limit
-    )
-    ax.figure.colorbar(
-        mesh, ax=ax, label=_force_label(analysis, equation, "mean missing force")
-    )
-    ax.set(
-        xlabel=_variable_label(analysis, plane[0]),
-        ylabel=_variable_label(analysis, plane[1]),
-    )
-    _titled(ax, region)
-    return ax
-
-
-def _bars(
-    ax: Axes,
-    analysis: ForceAnalysis,
-    path: ForceRecord,
-    equation: str,
-    name: str,
-    region: str,
-) -> Axes:
-    centre, mean, spread, width = _binned(path.variable(name), path.force_on(equation))
-    ax.bar(
-        centre,
-        mean,
-        0.9 * width,
-        color=FORCE,
-        yerr=spread,
-        ecolor="0.3",
-        label="mean and spread",
-    )
-    ax.axhline(0, color="0.3", lw=0.8)
-    ax.set(
-        xlabel=_variable_label(analysis, name),
-        ylabel=_force_label(analysis, equation),
-    )
-    ax.legend(frameon=False)
-    _titled(ax, region)
-    return ax
-
-
-def plot_dependence(
-    analysis: ForceAnalysis,
-    variable: str | None = None,
-    equation: str | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """The missing force against a variable, by default the one that predicts it best:
-    binned mean and spread.
-
-    What other values of the model's parameters would explain is taken off (see
-    `where.cleaned`), but not against time. Raises `ModelError` for a variable that the
-    force was not compared with.
-    """
-    ax, equation, path = (
-        _axes(ax, (6.0, 4.6)),
-        _equation(analysis, equation),
-        analysis.force,
-    )
-    found = analysis.follows
-    found = found[found["equation"] == equation]
-    variable = _variable(path, equation, variable, found)
-    share = float(found.set_index("variable")["share"][variable])
-    z, label = path.variable(variable), _variable_label(analysis, variable)
-    period = (
-        period_of(path, equation)
-        if variable == "t" and share >= CLEAR_PATTERN
-        else None
-    )
-    if period is not None:
-        z, label = (
-            (z - path.t[0]) % period,
-            f"{label}, folded to the period of {period:.3g}",
+def _is_in_trajectory(force: EquationForce, name: str) -> np.ndarray:
+    """Which intervals belong to a trajectory, (n_intervals,) of bool."""
+    names = force.record.trajectories
+    if name not in names:
+        raise ModelError(
+            f"trajectory={name!r} is not one of the record; "
+            f"expected one of {', '.join(names)}.{did_you_mean(name, names)}"
         )
-    w = (
-        path.force_on(equation)
-        if variable == "t"
-        else cleaned(path, equation, variable)
-    )
-    centre, mean, spread, _ = _binned(z, w)
-    step = max(1, len(z) // MOST_DOTS)
-    ax.plot(z[::step], w[::step], ".", ms=3, color=CLOUD, label="force")
-    ax.plot(centre, mean, "o-", color=FORCE, ms=4, lw=1.4, label="mean in bins")
-    ax.fill_between(
-        centre,
-        mean - spread,
-        mean + spread,
-        color=FORCE,
-        alpha=0.2,
-        lw=0,
-        label="std. deviation",
-    )
-    ax.axhline(0, color="0.3", lw=0.8)
-    ax.set(xlabel=label, ylabel=_force_label(analysis, equation))
-    ax.margins(y=0.25)
-    ax.legend(
-        frameon=False, ncols=3, loc="upper center", columnspacing=1.0, handletextpad=0.4
-    )
-    _titled(
-        ax, _dependence_title(analysis, equation, variable, share, _is_constant(found))
-    )
-    return ax
-
-
-def _dependence_title(
-    analysis: ForceAnalysis,
-    equation: str,
-    variable: str,
-    share: float,
-    is_constant: bool,
-) -> str:
-    if _row(analysis, equation)["times_noise"] < CERTAIN_FORCE:
-        return f"d{equation}/dt: no missing force is sure"
-    verb = "follows" if share >= CLEAR_PATTERN else "hardly follows"
-    constant = (
-        "is constant, what varies " if is_constant and share < CLEAR_PATTERN else ""
-    )
-    return f"The force in d{equation}/dt {constant}{verb} {variable} ({100 * share:.0f} % predicted)"
-
-
-def _is_constant(found: pd.DataFrame) -> bool:
-    """Whether most of a force is constant: its first row of `depends_on`."""
-    return bool(
-        found["variable"].iloc[0] == "constant" and found["share"].iloc[0] > 0.5
-    )
+    return np.asarray(force.record.run == names.index(name))
 
 
 def plot_spectrum(
     analysis: ForceAnalysis, equation: str | None = None, ax: Axes | None = None
 ) -> Axes:
-    """Amplitude of the missing force (its mean apart) by frequency, and the level that
-    its uncertainty explains.
+    """Amplitude of the missing force by frequency, and what its uncertainty explains.
+
+    The mean of the force is taken off.
+
+    Args:
+        analysis: of the missing force.
+        equation: default: the one whose missing force is surest.
+        ax: axes to draw on; None: a new figure.
+
+    Raises:
+        ModelError: the equation has no missing force.
     """
-    ax, equation, path = (
-        _axes(ax, (6.0, 4.0)),
-        _equation(analysis, equation),
-        analysis.force,
+    force = EquationForce.of(analysis, equation)
+    ax = axes_of(ax, (6.0, 4.0))
+    w = force.w
+    found = spectrum(force.record.t, force.record.run, w - w.mean())
+    level = _level(force)
+    unit = frequency_unit(force.record.units)
+    ax.plot(
+        found.frequencies, found.amplitudes, color=MODEL, lw=1.4, label="missing force"
     )
-    w, unit = path.force_on(equation), frequency_unit(analysis.force.units)
-    f, amplitude = spectrum(path.t, path.run, w - w.mean())
-    draws = uncertain(analysis.force.estimate)[:, path.equations.index(equation)]
-    level = _smooth(
-        np.quantile(spectrum(path.t, path.run, draws)[1], LEVEL_SHARE, axis=1)
-    )
-    ax.plot(f, amplitude, color=FORCE, lw=1.4, label="missing force")
     ax.fill_between(
-        f,
+        found.frequencies,
         0,
         level,
-        color=LEVEL,
+        color=MEASURED,
         alpha=0.35,
         lw=0,
         label="what its uncertainty explains",
     )
-    above = np.flatnonzero(amplitude > level)
-    shown = np.flatnonzero(amplitude > 0.02 * amplitude.max())
-    ax.set_xlim(
-        0, f[min(shown[-1] + 1, len(f) - 1)] if len(shown) and len(f) > 1 else None
-    )
-    ax.set_ylim(0, 1.3 * max(amplitude.max(), level.max(), TINY))
-    ax.set(
-        xlabel=f"frequency ({unit})",
-        ylabel=_force_label(analysis, equation, "amplitude"),
-    )
+    ax.set_xlim(0, _last_shown(found))
+    ax.set_ylim(0, 1.3 * max(found.amplitudes.max(), level.max(), TINY))
+    ax.set(xlabel=f"frequency ({unit})", ylabel=force.force_label("amplitude"))
     ax.legend(frameon=False, loc="upper right")
-    _titled(ax, _spectrum_title(equation, f, amplitude, above, unit, w))
+    draw_title(ax, _spectrum_title(force, found, level))
     return ax
 
 
-def _spectrum_title(
-    equation: str,
-    f: np.ndarray,
-    amplitude: np.ndarray,
-    above: np.ndarray,
-    unit: str,
-    w: np.ndarray,
-) -> str:
-    constant = (
-        "mostly constant; what varies" if w.mean() ** 2 > np.mean(w**2) / 2 else ""
-    )
-    if not len(above):
-        return f"d{equation}/dt: {constant or 'the missing force'} is nowhere above its uncertainty"
-    peak = above[np.argmax(amplitude[above])]
-    return f"d{equation}/dt: {constant or 'the missing force'} is strongest at {f[peak]:.3g} {unit}"
+def _level(force: EquationForce) -> np.ndarray:
+    """Amplitude that the errors of the estimate reach, (n_frequencies,).
 
-
-def _smooth(level: np.ndarray, n: int = 9) -> np.ndarray:
-    """Running mean: a quantile of few draws is rough, the level itself is smooth."""
-    return np.convolve(np.pad(level, n // 2, "edge"), np.full(n, 1 / n), "valid")
-
-
-def _binned(
-    z: np.ndarray, w: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Centre, mean and standard deviation in bins of even width with enough values, and
-    the width.
+    A quantile of few draws is rough, the level itself is smooth: so it is averaged over
+    neighbouring frequencies.
     """
-    edges = np.linspace(z.min(), z.max(), N_BARS + 1)
-    part = np.clip(np.searchsorted(edges, z, "right") - 1, 0, N_BARS - 1)
-    count = np.bincount(part, minlength=N_BARS)
-    mean = np.bincount(part, w, N_BARS) / np.maximum(count, 1)
-    spread = np.sqrt(
-        np.bincount(part, (w - mean[part]) ** 2, N_BARS) / np.maximum(count, 1)
-    )
-    enough = count >= FEWEST
-    return (
-        ((edges[:-1] + edges[1:]) / 2)[enough],
-        mean[enough],
-        spread[enough],
-        float(edges[1] - edges[0]),
-    )
+    record = force.record
+    draws = error_draws(record.estimate)[:, force.number]
+    of_draws = spectrum(record.t, record.run, draws).amplitudes
+    rough = np.quantile(of_draws, SPECTRUM_LEVEL, axis=1)
+    padded = np.pad(rough, N_SMOOTHED // 2, "edge")
+    weights = np.full(N_SMOOTHED, 1 / N_SMOOTHED)
+    return np.convolve(padded, weights, "valid")
 
 
-def _equation(analysis: ForceAnalysis, equation: str | None) -> str:
-    """The equation asked for, or that whose missing force is strongest over its
-    uncertainty.
-    """
-    model = analysis.force.fit.model
-    forced = [model.states[row] for row in analysis.force.estimate.prior.rows]
-    if equation is None:
-        table = analysis.where
-        return str(table["equation"][int(table["times_noise"].argmax())])
-    if equation not in forced:
-        raise ModelError(
-            f"equation={equation!r} has no missing force; those that may lack one are {', '.join(forced)}."
-            f"{did_you_mean(equation, forced)}"
-        )
-    return equation
+def _last_shown(found: Spectrum) -> float | None:
+    """The frequency behind the last one with a visible amplitude; None: show all."""
+    amplitudes = found.amplitudes
+    visible = np.flatnonzero(amplitudes > SHOWN_AMPLITUDE * amplitudes.max())
+    last = len(amplitudes) - 1
+    if not len(visible) or last < 1:
+        return None
+    return float(found.frequencies[min(visible[-1] + 1, last)])
 
 
-def _variable(
-    path: ForceRecord, equation: str, variable: str | None, found: pd.DataFrame
-) -> str:
-    """The variable asked for, or the single one that predicts the force best; the time
-    for a constant force.
-    """
-    listed = [name for name in variables(path, equation) if "," not in name]
-    if variable is not None:
-        if variable not in listed:
-            raise ModelError(
-                f"variable={variable!r} is not one that the force was compared with; known are {', '.join(listed)}."
-                f"{did_you_mean(variable, listed)}"
-            )
-        return variable
-    if _is_constant(found):
-        return "t"
-    return str(found[found["variable"].isin(listed)]["variable"].iloc[0])
-
-
-def _row(analysis: ForceAnalysis, equation: str) -> pd.Series:
-    """The equation's row of `located`, with the number of the trajectory."""
-    table = analysis.where
-    return table[table["equation"] == equation].iloc[0]
-
-
-def _region(
-    analysis: ForceAnalysis, path: ForceRecord, equation: str, plane: Sequence[str]
-) -> str:
-    if _row(analysis, equation)["times_noise"] < CERTAIN_FORCE:
-        return f"d{equation}/dt: no missing force is sure"
-    region = region_of(path, path.force_on(equation), plane)
-    if region == "everywhere":
-        return f"d{equation}/dt: no region of the states stands out"
-    return f"d{equation}/dt: the missing force is strong where {region}"
-
-
-def _variable_label(analysis: ForceAnalysis, name: str) -> str:
-    """Name and unit; a velocity has the unit of its position over that of the time."""
-    units, model = analysis.force.units, analysis.force.fit.model
-    if name not in model.efforts:
-        return _label(name, units.get(name, ""))
-    row = np.array(model.S)[:, model.efforts.index(name)]
-    moved = [model.states[i] for i in position_rows(model) if row[i]]
-    return (
-        _label(f"velocity {name}", force_unit(moved[0], units))
-        if moved
-        else f"effort {name}"
-    )
-
-
-def _force_label(
-    analysis: ForceAnalysis, equation: str, what: str = "missing force"
-) -> str:
-    return _label(what, force_unit(equation, analysis.force.units))
-
-
-def _titled(ax: Axes, text: str) -> None:
-    ax.set_title(fill(text, TITLE), fontsize=10)
-
-
-def _axes(ax: Axes | None, size: tuple[float, float]) -> Axes:
-    return plt.subplots(figsize=size, layout="constrained")[1] if ax is None else ax
-
-
-def _label(name: str, unit: str) -> str:
-    return f"{name} ({unit})" if unit else name
+def _spectrum_title(force: EquationForce, found: Spectrum, level: np.ndarray) -> str:
+    what = "the missing force"
+    if is_mostly_constant(force.w):
+        what = "mostly constant; what varies"
+    begin = f"d{force.equation}/dt: {what} is"
+    is_above = found.amplitudes > level
+    if not is_above.any():
+        return f"{begin} nowhere above its uncertainty"
+    above = Spectrum(found.frequencies[is_above], found.amplitudes[is_above])
+    unit = frequency_unit(force.record.units)
+    return f"{begin} strongest at {above.peak:.3g} {unit}"

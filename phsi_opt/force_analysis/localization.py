@@ -1,170 +1,175 @@
-"""Where a model fails: trajectory, times, region of the states and frequency of the
-missing force; sentences on it.
+"""Where a model fails: trajectory, times, states and frequency of the missing force.
+
+Each is found by the size of the force in parts of the record; a part stands out where
+the force is clearly larger there than in the whole.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.sparse.linalg import spsolve
 
-from phsi_opt.criteria import OUTSTANDING_FORCE
-from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
-from phsi_opt.force_analysis.force_record import MOST_SOLVED, ForceRecord, spectrum
-from phsi_opt.statistics import TINY
+from phsi_opt.criteria import (
+    MOST_STRONG_RANGES,
+    MOSTLY_CONSTANT,
+    OUTSTANDING_FORCE,
+    VISITED_BIN,
+)
+from phsi_opt.force_analysis.cross_validation import place_in_run
+from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.force_analysis.force_uncertainty import times_noise
+from phsi_opt.force_analysis.spectrum import spectrum
 
-N_WINDOWS, N_BINS = (
-    10,
-    8,
-)  # parts of a trajectory, and of the range of a state, in which the force's size is taken
+N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
+N_BINS = 8  # parts of the range of a state in which the force's size is taken
+# Quantiles of a state between which its range is cut: a few outliers do not widen it.
+RANGE_QUANTILES = (0.01, 0.99)
+EVERYWHERE = "everywhere"  # the region where none stands out
+THROUGHOUT = (
+    " (throughout)"  # behind the times of a force that no window has for itself
+)
 
 
-def located(path: ForceRecord) -> pd.DataFrame:
-    """Where the missing force of every equation is strong, strongest first; a row per
-    equation that may lack one.
+def located(force: ForceRecord) -> pd.DataFrame:
+    """Where the missing force of every equation is strong, strongest first.
 
-    Columns: equation; trajectory (its name) and
-    time_window where it is strongest; state_region where it is strong; frequency
-    (cycles per unit of time; 0 for a force that is mostly constant); strength (rms);
-    times_noise (strength over the typical standard deviation of the estimate: below 1
-    it is not sure).
+    Returns:
+        A row per equation that may lack a force: equation; trajectory (its name) and
+        time_window where it is strongest; state_region where it is strong; frequency
+        (cycles per unit of time; 0 for a force that is mostly constant); strength
+        (rms); times_noise (strength over the typical standard deviation of the
+        estimate: below 1 it is not sure).
     """
-    times = _times_noise(path.estimate)
+    certainty = times_noise(force.estimate)
     rows = []
-    for k, name in enumerate(path.equations):
-        w = path.force[:, k]
-        strength = _rms(w)
-        run, window = _window(path, w)
-        rows.append(
-            (
-                name,
-                path.trajectories[run],
-                window,
-                region_of(path, w, path.fit.model.states),
-                _frequency(path, w),
-                strength,
-                times[k],
-            )
-        )
-    columns = [
-        "equation",
-        "trajectory",
-        "time_window",
-        "state_region",
-        "frequency",
-        "strength",
-        "times_noise",
-    ]
-    return pd.DataFrame(rows, columns=columns).sort_values(
-        "strength", ascending=False, ignore_index=True
-    )
-
-
-def _times_noise(estimate: ForceEstimate) -> np.ndarray:
-    """Size of the force over its typical (median) standard deviation, per equation.
-
-    Both are those of the last sizes of force and noise: while the force's size still
-    falls towards zero, the stored force is that of a larger size, and would seem
-    certain.
-    """
-    linear, typical = estimate.linear, np.median(deviation_of(estimate), axis=0)
-    force = spsolve(linear.L, linear.innovations).reshape(estimate.w.shape)
-    return np.asarray(np.sqrt(np.mean(force**2, axis=0)) / np.maximum(typical, TINY))
-
-
-def deviation_of(estimate: ForceEstimate) -> np.ndarray:
-    """Standard deviation of the force, (n_intervals, n_forced), at as many intervals as
-    fit in memory, else between.
-    """
-    return force_deviation(
-        estimate, int(np.clip(MOST_SOLVED / estimate.linear.n_total, 16, 400))
-    )
+    for number, equation in enumerate(force.equations):
+        w = force.w[:, number]
+        window = _strongest_window(force, w)
+        row = {
+            "equation": equation,
+            "trajectory": force.trajectories[window.run],
+            "time_window": window.times,
+            "state_region": strong_region(force, w, force.fit.model.states),
+            "frequency": _frequency(force, w),
+            "strength": _rms(w),
+            "times_noise": certainty[number],
+        }
+        rows.append(row)
+    table = pd.DataFrame(rows)
+    return table.sort_values("strength", ascending=False, ignore_index=True)
 
 
 def _rms(w: np.ndarray) -> float:
     return float(np.sqrt(np.mean(w**2)))
 
 
-def _sizes(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
-    """Root mean square of w in every part; 0 for an empty one."""
+def _rms_in_parts(w: np.ndarray, part: np.ndarray, n_parts: int) -> np.ndarray:
+    """Root mean square of w in every part, (n_parts,); 0 for an empty one."""
     count = np.bincount(part, minlength=n_parts)
-    return np.sqrt(np.bincount(part, w**2, n_parts) / np.maximum(count, 1))
+    squares = np.bincount(part, w**2, n_parts)
+    return np.sqrt(squares / np.maximum(count, 1))
 
 
-def _window(path: ForceRecord, w: np.ndarray) -> tuple[int, str]:
-    """Number of the trajectory, and the tenth of it, where the force is strongest."""
-    count = np.bincount(path.run)
-    place = np.arange(len(w)) - (np.cumsum(count) - count)[path.run]
-    part = path.run * N_WINDOWS + place * N_WINDOWS // count[path.run]
-    size = _sizes(w, part, len(count) * N_WINDOWS)
-    best = int(np.argmax(size))
-    if size[best] > OUTSTANDING_FORCE * _rms(w):
-        inside, note = np.flatnonzero(part == best), ""
-    else:
-        inside, note = np.flatnonzero(path.run == best // N_WINDOWS), " (throughout)"
-    first, last = inside[0], inside[-1]
-    begin, end = path.t[first] - path.h[first] / 2, path.t[last] + path.h[last] / 2
-    return best // N_WINDOWS, f"{begin:.3g} to {end:.3g}{note}"
+@dataclass(frozen=True)
+class _Window:
+    """Number of a trajectory, and times along it in words."""
+
+    run: int
+    times: str
 
 
-def region_of(path: ForceRecord, w: np.ndarray, names: Sequence[str]) -> str:
-    """Ranges of the variables in which the force is strong; 'everywhere' where none
-    stands out.
+def _strongest_window(force: ForceRecord, w: np.ndarray) -> _Window:
+    """The tenth of a trajectory where the force is strongest.
+
+    The whole trajectory where that tenth does not stand out.
     """
-    found = []
+    count = np.bincount(force.run)
+    tenth = place_in_run(force.run) * N_WINDOWS // count[force.run]
+    part = force.run * N_WINDOWS + tenth
+    size = _rms_in_parts(w, part, len(count) * N_WINDOWS)
+    strongest = int(np.argmax(size))
+    run = strongest // N_WINDOWS
+    if size[strongest] > OUTSTANDING_FORCE * _rms(w):
+        return _Window(run, _times(force, np.flatnonzero(part == strongest)))
+    whole = _times(force, np.flatnonzero(force.run == run))
+    return _Window(run, whole + THROUGHOUT)
+
+
+def _times(force: ForceRecord, inside: np.ndarray) -> str:
+    """From the begin of the first interval to the end of the last: '4 to 5'."""
+    first = inside[0]
+    last = inside[-1]
+    begin = force.t[first] - force.h[first] / 2
+    end = force.t[last] + force.h[last] / 2
+    return f"{begin:.3g} to {end:.3g}"
+
+
+def strong_region(force: ForceRecord, w: np.ndarray, names: Sequence[str]) -> str:
+    """Ranges of the variables in which a force is strong, in words.
+
+    Args:
+        force: the record, for the variables.
+        w: the force, (n_intervals,).
+        names: of the variables.
+
+    Returns:
+        Such as 'q -1 to -0.6 or 0.7 to 1, p 2 to 3'; 'everywhere' where no range
+        stands out.
+    """
+    regions = []
     for name in names:
-        z = path.variable(name)
-        low, high = np.quantile(z, [0.01, 0.99])
-        edges = np.unique(np.linspace(low, high, N_BINS + 1))
-        if len(edges) < 2:
-            continue
-        part = np.clip(np.searchsorted(edges, z) - 1, 0, len(edges) - 2)
-        enough = np.bincount(part, minlength=len(edges) - 1) > 0.02 * len(w)
-        strong = enough & (
-            _sizes(w, part, len(edges) - 1) > OUTSTANDING_FORCE * _rms(w)
-        )
-        if (
-            1 <= np.count_nonzero(np.diff(np.r_[False, strong].astype(int)) == 1) <= 2
-            and not strong.all()
-        ):
-            found.append(f"{name} {_stretches(edges, strong)}")
-    return ", ".join(found) or "everywhere"
+        ranges = _strong_ranges(force.variable(name), w)
+        if ranges:
+            regions.append(f"{name} {ranges}")
+    return ", ".join(regions) or EVERYWHERE
 
 
-def _stretches(edges: np.ndarray, strong: np.ndarray) -> str:
-    """Neighbouring strong bins joined: '-1 to -0.6 or 0.7 to 1'."""
-    change = np.diff(np.r_[False, strong, False].astype(int))
-    begins, ends = (
-        edges[np.flatnonzero(change == 1)],
-        edges[np.flatnonzero(change == -1)],
-    )
-    return " or ".join(
-        f"{low:.3g} to {high:.3g}" for low, high in zip(begins, ends, strict=True)
-    )
+def _strong_ranges(z: np.ndarray, w: np.ndarray) -> str:
+    """Ranges of a variable z (n,) in which w (n,) is strong; "" for none."""
+    low, high = np.quantile(z, RANGE_QUANTILES)
+    edges = np.unique(np.linspace(low, high, N_BINS + 1))
+    n_bins = len(edges) - 1
+    if n_bins < 1:
+        return ""
+    part = np.clip(np.searchsorted(edges, z) - 1, 0, n_bins - 1)
+    is_visited = np.bincount(part, minlength=n_bins) > VISITED_BIN * len(w)
+    is_large = _rms_in_parts(w, part, n_bins) > OUTSTANDING_FORCE * _rms(w)
+    is_strong = is_visited & is_large
+    if is_strong.all():
+        return ""
+    ranges = _joined(edges, is_strong)
+    if len(ranges) > MOST_STRONG_RANGES:
+        return ""
+    return " or ".join(ranges)
 
 
-def _frequency(path: ForceRecord, w: np.ndarray) -> float:
-    """Frequency at which the force is strongest, in cycles per unit of time; 0 where
-    most of it is constant.
+def _joined(edges: np.ndarray, is_strong: np.ndarray) -> list[str]:
+    """Ranges of neighbouring strong bins: ['-1 to -0.6', '0.7 to 1'].
+
+    Args:
+        edges: of the bins, (n_bins + 1,).
+        is_strong: (n_bins,) of bool.
     """
-    if np.mean(w) ** 2 > np.mean(w**2) / 2:
+    change = np.diff(np.r_[False, is_strong, False].astype(int))
+    begins = edges[change == 1]
+    ends = edges[change == -1]
+    ranges = []
+    for begin, end in zip(begins, ends, strict=True):
+        ranges.append(f"{begin:.3g} to {end:.3g}")
+    return ranges
+
+
+def is_mostly_constant(w: np.ndarray) -> bool:
+    """Whether most of a force's mean square is that of its mean."""
+    return bool(np.mean(w) ** 2 > MOSTLY_CONSTANT * np.mean(w**2))
+
+
+def _frequency(force: ForceRecord, w: np.ndarray) -> float:
+    """Frequency at which the force is strongest, in cycles per unit of time.
+
+    It is 0 where most of the force is constant.
+    """
+    if is_mostly_constant(w):
         return 0.0
-    f, amplitude = spectrum(path.t, path.run, w - np.mean(w))
-    return float(f[np.argmax(amplitude)]) if amplitude.any() else 0.0
-
-
-def uncertain(estimate: ForceEstimate, n_draws: int = 24, seed: int = 0) -> np.ndarray:
-    """Draws of the estimate's error, (n_intervals, n_forced, n_draws), with its
-    correlation in time.
-
-    They are solutions of the linearised problem for random noise and random innovations
-    of the prior, whose covariance is that of the force given the measurements.
-    """
-    linear, rng = estimate.linear, np.random.default_rng(seed)
-    right = np.zeros((linear.n_total, n_draws))
-    right[: linear.n_x] = linear.seen_of.T @ rng.normal(
-        size=(linear.seen_of.shape[0], n_draws)
-    )
-    w = slice(linear.n_x, linear.n_x + linear.n_w)
-    right[w] = linear.L.T @ rng.normal(size=(linear.L.shape[0], n_draws))
-    return np.asarray(linear.factor.solve(right)[w]).reshape(*estimate.w.shape, n_draws)
+    return spectrum(force.t, force.run, w - np.mean(w)).peak

@@ -1,4 +1,7 @@
-"""TODO."""
+"""Where a model fails, in plain sentences: size, place, cause of each missing force.
+
+Nothing is computed here; the numbers come from the tables of an analysis.
+"""
 
 from collections.abc import Mapping
 
@@ -6,73 +9,71 @@ import pandas as pd
 
 from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN
 from phsi_opt.force_analysis.dependence import leading
-from phsi_opt.force_analysis.energy import Power
-from phsi_opt.force_analysis.force_record import force_unit, frequency_unit, spaced
+from phsi_opt.force_analysis.energy import EnergyExchange
+from phsi_opt.force_analysis.energy_wording import NO_PATTERN
+from phsi_opt.force_analysis.localization import EVERYWHERE, THROUGHOUT
+from phsi_opt.force_analysis.units import force_unit, frequency_unit, spaced
 
 
 def sentences(
     units: Mapping[str, str],
     where: pd.DataFrame,
     follows: pd.DataFrame,
-    energy: Power,
+    energy: EnergyExchange,
 ) -> list[str]:
     """Plain sentences on where the model fails, an equation each, strongest first.
 
     Args:
         units: as in `Measurements`.
-        where: from `located`; ``follows``: from `depends_on`; ``energy``: from `power`.
+        where: from `located`.
+        follows: from `depends_on`.
+        energy: from `energy_exchange`.
     """
-    words = dict(zip(energy.table["equation"], energy.sentences, strict=True))
-    said = []
+    causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
+    texts = []
     for _, row in where.iterrows():
-        said.append(_sentence(row, words[row["equation"]], follows, units))
-    return said
+        equation = row["equation"]
+        pattern = _pattern(causes[equation], leading(follows, equation))
+        texts.append(_sentence(row, pattern, units))
+    return texts
 
 
-def _sentence(
-    row: pd.Series, words: str, found: pd.DataFrame, units: Mapping[str, str]
-) -> str:
-    name, times = row["equation"], row["times_noise"]
-    size = f"{row['strength']:.3g}{spaced(force_unit(name, units))}"
-    if times < CERTAIN_FORCE:
-        return f"d{name}/dt: no missing force is sure (rms {size}, {times:.2g} times its standard deviation)."
-    pattern = (
-        f"It {words}."
-        if words != "no clear pattern"
-        else "No single cause explains it."
-    )
-    if (best := leading(found, name)) is not None and best["share"] >= CLEAR_PATTERN:
-        pattern += (
-            f" Best predicted from {best['variable']} ({100 * best['share']:.0f} %)."
-        )
-    sure = f"{times:.2g} times its standard deviation"
-    return f"d{name}/dt lacks a force of rms {size}, {sure}; {_place(row, units)}. {pattern}"
+def _sentence(row: pd.Series, pattern: str, units: Mapping[str, str]) -> str:
+    """Size and place of one row of `located`, and the pattern of its force."""
+    equation = row["equation"]
+    times_noise = row["times_noise"]
+    size = f"rms {row['strength']:.3g}{spaced(force_unit(equation, units))}"
+    certainty = f"{times_noise:.2g} times its standard deviation"
+    if times_noise < CERTAIN_FORCE:
+        return f"d{equation}/dt: no missing force is sure ({size}, {certainty})."
+    place = _place(row, units)
+    return f"d{equation}/dt lacks a force of {size}, {certainty}; {place}. {pattern}"
+
+
+def _pattern(cause: str, best: pd.Series | None) -> str:
+    """What the force does with energy, and what predicts it best."""
+    pattern = f"It {cause}."
+    if cause == NO_PATTERN:
+        pattern = "No single cause explains it."
+    if best is None or best["share"] < CLEAR_PATTERN:
+        return pattern
+    percent = f"{100 * best['share']:.0f} %"
+    return f"{pattern} Best predicted from {best['variable']} ({percent})."
 
 
 def _place(row: pd.Series, units: Mapping[str, str]) -> str:
     """Trajectory, times, region and frequency of one row of `located`, in words."""
-    run = (
-        row["trajectory"]
-        if isinstance(row["trajectory"], str)
-        else f"trajectory {row['trajectory']}"
-    )
-    window, region, unit = (
-        row["time_window"],
-        row["state_region"],
-        spaced(units.get("t", "")),
-    )
-    place = (
-        "about as strong all the time"
-        if "throughout" in window
-        else f"strongest in {run}, t = {window}{unit}"
-    )
-    place += (
-        ""
-        if region == "everywhere"
-        else f"{';' if 'throughout' in window else ','} strong where {region}"
-    )
-    return place + (
-        f"; mostly at {row['frequency']:.3g} {frequency_unit(units)}"
-        if row["frequency"] > 0
-        else ""
-    )
+    window = row["time_window"]
+    region = row["state_region"]
+    is_throughout = window.endswith(THROUGHOUT)
+    if is_throughout:
+        place = "about as strong all the time"
+    else:
+        unit = spaced(units.get("t", ""))
+        place = f"strongest in {row['trajectory']}, t = {window}{unit}"
+    if region != EVERYWHERE:
+        mark = ";" if is_throughout else ","
+        place += f"{mark} strong where {region}"
+    if row["frequency"] > 0:
+        place += f"; mostly at {row['frequency']:.3g} {frequency_unit(units)}"
+    return place

@@ -1,0 +1,129 @@
+"""What a missing force does with energy, in words.
+
+Each function gives the end of a sentence that begins with "It" or "The force".
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from phsi_opt.criteria import (
+    CLEAR_PATTERN,
+    MOSTLY_PARAMETERS,
+    NAMED_CAUSE,
+    OPPOSING_POWER,
+    TIED_CAUSES,
+)
+from phsi_opt.force_analysis.causes import CAUSES, Causes, exchange_partners
+from phsi_opt.force_analysis.piecewise_linear import odd_basis
+from phsi_opt.force_analysis.time_basis import period_of
+from phsi_opt.force_analysis.units import spaced
+from phsi_opt.model.model import FirstOrder
+from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.statistics import TINY
+
+NO_PATTERN = "no clear pattern"
+
+
+def energy_sentence(causes: Causes) -> str:
+    """What the force does, with the share of each cause that is worth naming."""
+    contributions = causes.contributions
+    if sum(contributions.values()) < CLEAR_PATTERN:
+        return NO_PATTERN
+    parts = []
+    for kind, share in contributions.items():
+        least = NAMED_CAUSE if kind in CAUSES else MOSTLY_PARAMETERS
+        if share > least:
+            parts.append(f"{_words(causes, kind)} ({100 * share:.0f} %)")
+    return (", and ".join(parts) + _tie(causes)) or NO_PATTERN
+
+
+def _tie(causes: Causes) -> str:
+    """Which other causes would explain as much as the strongest one."""
+    contributions = causes.contributions
+    first = next((kind for kind in contributions if kind in CAUSES), "constant")
+    if first == "constant" or contributions[first] <= NAMED_CAUSE:
+        return ""
+    least_gain = causes.alone[first] - TIED_CAUSES
+    alike = []
+    for kind, gain in causes.alone.items():
+        if kind not in contributions and gain > least_gain:
+            alike.append(_words(causes, kind))
+    if not alike:
+        return ""
+    return f"; not told apart from one that {' or '.join(alike)}"
+
+
+def _words(causes: Causes, kind: str) -> str:
+    """What a force of one kind does."""
+    if kind == "parameters":
+        return "is what other values of the model's own parameters would give"
+    if kind == "constant":
+        mean = causes.force.force_on(causes.equation).mean()
+        return f"is constant at {mean:.3g}"
+    if kind == "conserved":
+        return _exchange_words(causes)
+    if kind == "inputs":
+        return f"follows {_listed(causes.force.fit.model.inputs, 'input')}"
+    if kind == "time":
+        return _time_words(causes)
+    return _loss_words(causes)
+
+
+def _exchange_words(causes: Causes) -> str:
+    model = causes.force.fit.model
+    partners = exchange_partners(model, causes.equation)
+    is_momentum = causes.equation in position_of_momentum(model)
+    followed = _listed(partners, "position" if is_momentum else "state")
+    return f"stores and returns energy (it follows {followed})"
+
+
+def _loss_words(causes: Causes) -> str:
+    """Whether the force, and it with the model's own loss, opposes the effort."""
+    force = causes.force
+    equation = causes.equation
+    model = force.fit.model
+    if isinstance(model, FirstOrder):
+        return f"follows {equation} itself"
+    is_momentum = equation in position_of_momentum(model)
+    name = f"the {'velocity' if is_momentum else 'effort'} dH_d{equation}"
+    effort = force.effort_of(equation)
+    fitted = odd_basis(effort) @ _loss_coefficients(causes)
+    if _relative_power(fitted, effort) < OPPOSING_POWER:
+        return f"takes energy out (it opposes {name})"
+    whole_loss = fitted + force.loss_in(equation)
+    if _relative_power(whole_loss, effort) < OPPOSING_POWER:
+        return (
+            f"changes how energy is lost (it follows {name}, "
+            "by another law than the model's damping)"
+        )
+    return f"feeds energy in (it pushes along {name})"
+
+
+def _loss_coefficients(causes: Causes) -> np.ndarray:
+    """Of the odd functions of the effort, fitted to the force, (n_functions,)."""
+    w = causes.force.force_on(causes.equation)
+    return np.linalg.lstsq(causes.bases["dissipated"], w, rcond=None)[0]
+
+
+def _relative_power(force: np.ndarray, effort: np.ndarray) -> float:
+    """Mean power of a force over the product of rms force and rms effort.
+
+    It is -1 for linear damping, and 0 where no energy goes in or out on the whole.
+    """
+    size = float(np.linalg.norm(force) * np.linalg.norm(effort))
+    return float(force @ effort / max(size, TINY))
+
+
+def _time_words(causes: Causes) -> str:
+    force = causes.force
+    period = period_of(force, causes.equation)
+    if period is None:
+        return "depends on time: it changes slowly"
+    return f"depends on time: period {period:.3g}{spaced(force.units.get('t', ''))}"
+
+
+def _listed(names: Sequence[str], noun: str) -> str:
+    """The names with their noun: "the input u", "the positions q1, q2"."""
+    plural = "s" if len(names) > 1 else ""
+    return f"the {noun}{plural} {', '.join(names)}"

@@ -1,0 +1,98 @@
+"""Amplitude spectra of signals along trajectories, with even or uneven samples.
+
+They say at which frequency a missing force is strong. Trajectories are joined by their
+mean squares, so phases need not agree; nothing is said of slow changes below one cycle
+per trajectory.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.fft import next_fast_len
+
+# Points to which a trajectory is resampled at most: one short step among millions of
+# long ones does not decide the size of the transform.
+MOST_POINTS = 2**18
+SHORTEST_RUN = 3  # samples of a trajectory that has a spectrum
+# Share of one cycle per longest trajectory from which frequencies are kept: rounding
+# does not lose that one cycle.
+LEAST_CYCLES = 0.999
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Amplitudes by frequency.
+
+    Attributes:
+        frequencies: cycles per unit of time, (n_frequencies,), increasing.
+        amplitudes: (n_frequencies,), or (n_frequencies, k) for k signals; a sine of
+            amplitude A has the peak A.
+    """
+
+    frequencies: np.ndarray
+    amplitudes: np.ndarray
+
+    @property
+    def peak(self) -> float:
+        """Frequency of the largest amplitude of one signal; 0 where all are 0."""
+        if not self.amplitudes.any():
+            return 0.0
+        return float(self.frequencies[np.argmax(self.amplitudes)])
+
+
+def spectrum(
+    t: np.ndarray, run: np.ndarray, signal: np.ndarray, n_points: int = 4
+) -> Spectrum:
+    """Amplitude spectrum of one signal or several along trajectories.
+
+    Trajectories are resampled to even steps, tapered (Hann), and averaged in the mean
+    square. Frequencies below one cycle per longest trajectory are left out.
+
+    Args:
+        t: times, (n,), increasing along each trajectory.
+        run: number of the trajectory of each time, (n,); each trajectory is contiguous.
+        signal: (n,), or (n, k) for k signals.
+        n_points: frequencies per resolved one.
+    """
+    runs = _runs(run)
+    durations = [float(t[part][-1] - t[part][0]) for part in runs]
+    duration = max(durations, default=0.0)
+    if duration == 0.0:
+        return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
+    typical_steps = [float(np.median(np.diff(t[part]))) for part in runs]
+    step = max(min(typical_steps), duration / MOST_POINTS)
+    n_fft = next_fast_len(n_points * int(duration / step + 2), real=True)
+    mean_square = np.zeros((n_fft // 2 + 1, *signal.shape[1:]))
+    for part in runs:
+        weight = (part.stop - part.start) / len(t)
+        amplitude = _amplitude(t[part], signal[part], step, n_fft)
+        mean_square += weight * amplitude**2
+    frequencies = np.fft.rfftfreq(n_fft, step)
+    kept = frequencies >= LEAST_CYCLES / duration
+    return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
+
+
+def _runs(run: np.ndarray) -> list[slice]:
+    """Where each trajectory stands that is long enough."""
+    begins = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
+    edges = [*begins, len(run)]
+    runs = []
+    for begin, end in pairwise(edges):
+        if end - begin >= SHORTEST_RUN:
+            runs.append(slice(begin, end))
+    return runs
+
+
+def _amplitude(
+    t: np.ndarray, signal: np.ndarray, step: float, n_fft: int
+) -> np.ndarray:
+    """Amplitudes of one trajectory, (n_fft // 2 + 1,) or (n_fft // 2 + 1, k)."""
+    even = np.arange(t[0], t[-1] + step / 2, step)
+    taper = np.hanning(len(even) + 2)[1:-1]
+    columns = signal.reshape(len(t), -1).T
+    sampled = np.array([np.interp(even, t, column) for column in columns]).T
+    tapered = sampled * taper[:, None]
+    transform = np.fft.rfft(tapered, n_fft, axis=0)
+    amplitude = 2 * np.abs(transform) / taper.sum()
+    return amplitude.reshape(-1, *signal.shape[1:])
