@@ -38,7 +38,7 @@ Case = Record
 
 
 def spring(c: Number | None = None) -> PseudoHamiltonian:
-    """A driven spring whose stiffness and, unless it is given, damping are to be found."""
+    """A driven spring whose stiffness, and damping unless given, are to be found."""
     k, c = Parameter(30.0, lower=0), Parameter(0.5, lower=0) if c is None else c
     return PseudoHamiltonian(
         states=["q", "p"],

@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate, Linearised
+from phsi_opt.estimation.linearized_force import LinearizedForce
+from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.force_uncertainty import MOST_SOLVED
 from phsi_opt.model.model import Model
@@ -141,7 +142,7 @@ class ForceRecord:
 
 
 def _hidden(
-    linear: Linearised, of_equation: np.ndarray, forces: np.ndarray
+    linear: LinearizedForce, of_equation: np.ndarray, forces: np.ndarray
 ) -> np.ndarray:
     """C P^-1 w for forces (n_intervals, k) at places ``of_equation`` of all forces."""
     n_forces = forces.shape[1]

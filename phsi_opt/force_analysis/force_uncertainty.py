@@ -1,6 +1,6 @@
 """How well an estimate knows its missing force: deviations, certainty, random errors.
 
-All come from the linearised problem at the estimate (`missing_force.Linearised`), whose
+All come from the problem linearised at the estimate (`linearized_force`), whose
 covariance is that of the force given the measurements.
 """
 
