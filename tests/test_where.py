@@ -1,6 +1,4 @@
-"""Where a model fails: the missing force is placed in time, state space and frequency,
-and what it follows is named.
-"""
+"""Where a model fails: in time, states and frequency, and what the force follows."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -39,7 +37,8 @@ Case = Record
 
 def spring(c: Number | None = None) -> PseudoHamiltonian:
     """A driven spring whose stiffness, and damping unless given, are to be found."""
-    k, c = Parameter(30.0, lower=0), Parameter(0.5, lower=0) if c is None else c
+    k = Parameter(30.0, lower=0)
+    c = Parameter(0.5, lower=0) if c is None else c
     return PseudoHamiltonian(
         states=["q", "p"],
         inputs=["u"],
@@ -50,6 +49,20 @@ def spring(c: Number | None = None) -> PseudoHamiltonian:
     )
 
 
+def on_momentum(
+    force: Force | None, t: np.ndarray, u: np.ndarray
+) -> Callable[[float, np.ndarray], np.ndarray]:
+    """What a force adds to dq/dt and dp/dt, with the input u (n,) at the times t (n,)."""
+
+    def hidden(time: float, x: np.ndarray) -> np.ndarray:
+        if force is None:
+            return np.zeros(2)
+        u_then = float(np.interp(time, t, u))
+        return np.array([0.0, force(time, x[0], x[1] / M, u_then)])
+
+    return hidden
+
+
 def spring_with(
     force: Force | None,
     p_seen: bool = False,
@@ -57,34 +70,28 @@ def spring_with(
     model: PseudoHamiltonian | None = None,
     n: int = 121,
 ) -> Case:
-    """Two trajectories of a spring with a hidden force, and the spring without it
-    fitted to them.
+    """A spring fitted to two trajectories of itself with a hidden force.
+
+    Args:
+        force: on the momentum; None: nothing is missing.
+        p_seen: whether the momentum is measured beside the position.
+        even: whether samples are evenly spaced.
+        model: fitted; None: the spring with unknown stiffness and damping.
+        n: samples of each trajectory.
     """
-    rng, true = np.random.default_rng(0), spring().with_values({"k": K, "c": D})
+    rng = np.random.default_rng(0)
+    true = spring().with_values({"k": K, "c": D})
     times, states, inputs = [], [], []
     for start in ([1.0, 0.0], [-0.8, 2.0]):
-        t = (
-            np.linspace(0, 10, n)
-            if even
-            else np.sort(np.r_[0.0, 10.0, rng.uniform(0, 10, n - 2)])
-        )
+        t = np.linspace(0, 10, n)
+        if not even:
+            t = np.sort(np.r_[0.0, 10.0, rng.uniform(0, 10, n - 2)])
         u = 6 * np.sin(1.3 * t) + 5 * np.sin(3.7 * t + 1)
-
-        def hidden(
-            at: float, x: np.ndarray, t: np.ndarray = t, u: np.ndarray = u
-        ) -> np.ndarray:
-            return np.array(
-                [
-                    0.0,
-                    0.0
-                    if force is None
-                    else force(at, x[0], x[1] / M, float(np.interp(at, t, u))),
-                ]
-            )
-
-        x = simulate(true, t, start, u, force=hidden)
+        x = simulate(true, t, start, u, force=on_momentum(force, t, u))
         y = x + np.array([0.01, 0.1]) * rng.normal(size=x.shape)
-        states.append(y if p_seen else np.column_stack([y[:, 0], np.full(n, np.nan)]))
+        if not p_seen:
+            y[:, 1] = np.nan
+        states.append(y)
         times.append(t)
         inputs.append(u[:, None])
     data = Measurements.from_arrays(
@@ -94,42 +101,64 @@ def spring_with(
     return Record.of(fit, data)
 
 
+def friction(t: float, q: float, v: float, u: float) -> float:
+    return -3 * float(np.tanh(v / 1e-2))
+
+
+def cubic(t: float, q: float, v: float, u: float) -> float:
+    return -25 * q**3
+
+
+def wave(t: float, q: float, v: float, u: float) -> float:
+    return 3 * float(np.sin(2 * np.pi * 0.4 * t + 0.3))
+
+
+def dead_zone(t: float, q: float, v: float, u: float) -> float:
+    return -float(np.clip(u, -3, 3))
+
+
+def constant(t: float, q: float, v: float, u: float) -> float:
+    return 4.0
+
+
+def push(t: float, q: float, v: float, u: float) -> float:
+    return 6.0 if 4 < t < 5 else 0.0
+
+
 HIDDEN: dict[str, Force] = {
-    "friction": lambda t, q, v, u: -3 * float(np.tanh(v / 1e-2)),
-    "cubic": lambda t, q, v, u: -25 * q**3,
-    "wave": lambda t, q, v, u: 3 * float(np.sin(2 * np.pi * 0.4 * t + 0.3)),
-    "dead zone": lambda t, q, v, u: -float(np.clip(u, -3, 3)),
-    "constant": lambda t, q, v, u: 4.0,
-    "push": lambda t, q, v, u: 6.0 if 4 < t < 5 else 0.0,
+    "friction": friction,
+    "cubic": cubic,
+    "wave": wave,
+    "dead zone": dead_zone,
+    "constant": constant,
+    "push": push,
 }
 
 
 @pytest.fixture(scope="module")
 def cases() -> dict[str, Case]:
     found = {name: spring_with(force) for name, force in HIDDEN.items()}
-    return {
-        **found,
-        "friction, both": spring_with(HIDDEN["friction"], p_seen=True),
-        "nothing": spring_with(None),
-    }
+    found["friction, both"] = spring_with(friction, p_seen=True)
+    found["nothing"] = spring_with(None)
+    return found
 
 
 @pytest.fixture(scope="module")
 def tanks() -> Case:
-    """Two tanks, the upper with a hidden leak; both levels measured, outlets and pump
-    to be found.
+    """Two tanks, the upper with a hidden leak.
+
+    Both levels are measured, outlets and pump are to be found.
     """
 
     def model(b: Number, a1: Number, a2: Number, leak: str = "0") -> FirstOrder:
-        out1, out2 = "sqrt(h1**2 + 0.01)**0.5", "sqrt(h2**2 + 0.01)**0.5"
+        out1 = "sqrt(h1**2 + 0.01)**0.5"
+        out2 = "sqrt(h2**2 + 0.01)**0.5"
         upper = formula(f"b*u - a1*{out1} - {leak}", b=b, a1=a1)
-        return FirstOrder(
-            ["h1", "h2"],
-            {"h1": upper, "h2": formula(f"a1*{out1} - a2*{out2}", a1=a1, a2=a2)},
-            ["u"],
-        )
+        lower = formula(f"a1*{out1} - a2*{out2}", a1=a1, a2=a2)
+        return FirstOrder(["h1", "h2"], {"h1": upper, "h2": lower}, ["u"])
 
-    rng, t = np.random.default_rng(5), 4.0 * np.arange(300)
+    rng = np.random.default_rng(5)
+    t = 4.0 * np.arange(300)
     u = np.repeat(rng.uniform(0.5, 4.0, 30), 10)[:, None]
     x = simulate(model(0.06, 0.07, 0.06, "0.005*h1**2"), t, [2.0, 2.0], u, hold="zero")
     y = x + 0.01 * rng.normal(size=x.shape)
@@ -189,7 +218,7 @@ def test_what_the_hidden_force_does_with_energy_is_named(
 
 
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
-    case = spring_with(HIDDEN["friction"], model=spring(D))
+    case = spring_with(friction, model=spring(D))
     found = ForceAnalysis.of(case).energy
     assert "takes energy out (it opposes the velocity dH_dp)" in found.sentences[0]
     speed = np.abs(case.estimate.x[:, 1] / M).mean()
@@ -219,7 +248,7 @@ def test_a_stiffening_spring_is_strong_at_both_ends_of_the_positions(
 def test_the_frequency_of_a_hidden_wave_is_found_in_even_and_uneven_samples(
     cases: dict[str, Case],
 ) -> None:
-    for case in (cases["wave"], spring_with(HIDDEN["wave"], even=False)):
+    for case in (cases["wave"], spring_with(wave, even=False)):
         # The peak of ten seconds is 0.1 wide; noise moves its top by a fraction of
         # that.
         frequency = ForceAnalysis.of(case).where["frequency"].iloc[0]
@@ -251,10 +280,7 @@ def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
     tanks: Case,
 ) -> None:
     found = ForceAnalysis.of(tanks)
-    assert list(found.where["equation"]) == [
-        "h1",
-        "h2",
-    ]  # the strongest first
+    assert list(found.where["equation"]) == ["h1", "h2"]  # the strongest first
     assert best(tanks, "h1")[0] == "h1"
     upper, lower = found.energy.table.to_dict("records")
     assert upper["dissipated"] > 0.8
@@ -270,9 +296,8 @@ def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:
     noise = rng.normal(size=case.estimate.w.shape)
     analysis = ForceAnalysis.of(replace(case, estimate=replace(case.estimate, w=noise)))
     found = analysis.follows
-    assert (
-        found["share"].max() < 0.1
-    )  # 2 to 49 coefficients for 400 values, none of them earned
+    # 2 to 49 coefficients for 400 values, none of them earned.
+    assert found["share"].max() < 0.1
     assert analysis.energy.sentences == ("no clear pattern",)
 
 
@@ -288,7 +313,8 @@ def test_shares_do_not_depend_on_the_unit_of_the_force(cases: dict[str, Case]) -
 def test_a_sine_has_its_amplitude_in_the_spectrum(even: bool) -> None:
     rng = np.random.default_rng(0)
     one = np.linspace(0, 20, 400) if even else np.sort(rng.uniform(0, 20, 400))
-    t, run = np.r_[one, one], np.repeat([0, 1], 400)
+    t = np.r_[one, one]
+    run = np.repeat([0, 1], 400)
     found = spectrum(t, run, 2.0 * np.sin(2 * np.pi * 1.5 * t + run))
     assert found.peak == pytest.approx(1.5, abs=0.02)
     # Gaps are bridged by straight lines.
@@ -354,16 +380,15 @@ def test_cells_that_were_not_visited_are_blank_and_colours_are_symmetric(
 
 @pytest.mark.usefixtures("closing")
 def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
-    rng, t, c = (
-        np.random.default_rng(0),
-        np.linspace(0, 20, 201),
-        Parameter(0.1, lower=0),
-    )
+    rng = np.random.default_rng(0)
+    t = np.linspace(0, 20, 201)
+    c = Parameter(0.1, lower=0)
+    k = Parameter(5.0, lower=0)
     model = PseudoHamiltonian(
         states=["q1", "q2", "p1", "p2"],
         S=canonical(2),
         R={"p1": formula("c", c=c), "p2": formula("c", c=c)},
-        H=formula("k*(q1**2 + q2**2)/2 + p1**2/2 + p2**2/4", k=Parameter(5.0, lower=0)),
+        H=formula("k*(q1**2 + q2**2)/2 + p1**2/2 + p2**2/4", k=k),
     )
 
     def between(at: float, x: np.ndarray) -> np.ndarray:
@@ -371,9 +396,8 @@ def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
         return np.array([0.0, 0.0, -f, f])
 
     x = simulate(model, t, [1.0, -0.5, 0.0, 1.0], force=between)
-    data = Measurements.from_arrays(
-        t, x + 0.01 * rng.normal(size=x.shape), states=["q1", "q2", "p1", "p2"]
-    )
+    y = x + 0.01 * rng.normal(size=x.shape)
+    data = Measurements.from_arrays(t, y, states=["q1", "q2", "p1", "p2"])
     fit = identify(model, data)
     case = Record.of(fit, data)
     assert best(case, "p1")[0] == "q1, q2"

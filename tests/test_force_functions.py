@@ -1,0 +1,78 @@
+"""Functions that may explain a missing force, and the stretches that judge them."""
+
+import numpy as np
+import pytest
+
+from phsi_opt.force_analysis.cross_validation import (
+    N_FOLDS,
+    CrossValidation,
+    explained_share,
+    fold_numbers,
+)
+from phsi_opt.force_analysis.piecewise_linear import (
+    odd_basis,
+    piecewise_linear_basis,
+    product_basis,
+)
+from phsi_opt.force_analysis.spectrum import spectrum
+
+
+def test_piecewise_linear_functions_sum_to_one_and_hold_straight_lines() -> None:
+    z = np.random.default_rng(0).normal(size=500)
+    columns = piecewise_linear_basis(z, 9)
+    np.testing.assert_allclose(columns.sum(axis=1), 1.0, atol=1e-14)  # rounding
+    inside = np.abs(z) < 1.0  # between the outer knots, which stand near +-2.3
+    fit = np.linalg.lstsq(columns[inside], z[inside], rcond=None)[0]
+    np.testing.assert_allclose(columns[inside] @ fit, z[inside], atol=1e-10)
+
+
+def test_a_variable_that_stands_still_has_the_constant_alone() -> None:
+    still = np.full(20, 3.0)
+    np.testing.assert_array_equal(piecewise_linear_basis(still), np.ones((20, 1)))
+
+
+def test_products_of_two_variables_sum_to_one() -> None:
+    rng = np.random.default_rng(1)
+    columns = product_basis(rng.normal(size=300), rng.uniform(size=300))
+    np.testing.assert_allclose(columns.sum(axis=1), 1.0, atol=1e-14)  # rounding
+
+
+def test_odd_functions_change_their_sign_with_the_variable() -> None:
+    z = np.random.default_rng(2).normal(size=200)
+    np.testing.assert_array_equal(odd_basis(-z), -odd_basis(z))
+
+
+def test_every_fold_leaves_out_a_similar_part_in_contiguous_stretches() -> None:
+    run = np.repeat([0, 1, 2], [400, 300, 100])
+    fold = fold_numbers(run)
+    share = np.bincount(fold) / len(run)
+    # Forty stretches of about twenty intervals, eight to a fold.
+    np.testing.assert_allclose(share, 1 / N_FOLDS, atol=0.05)
+    n_stretches = 1 + np.count_nonzero(np.diff(fold))
+    assert n_stretches <= 40
+
+
+def test_a_true_function_predicts_what_was_left_out_and_a_wrong_one_does_not() -> None:
+    rng = np.random.default_rng(3)
+    true, wrong = rng.normal(size=(2, 600))
+    validation = CrossValidation.of(true**2 - 1, np.zeros(600, dtype=int))
+    shares = []
+    for z in (true, wrong):
+        error = validation.leave_out_error([piecewise_linear_basis(z)])
+        shares.append(explained_share(error, validation.total))
+    assert shares[0] > 0.9  # twelve straight pieces follow a parabola that far
+    assert shares[1] < 0.05
+
+
+def test_bases_given_apart_are_fitted_together() -> None:
+    a, b = np.random.default_rng(4).normal(size=(2, 300, 1))
+    validation = CrossValidation.of((a + 2 * b).ravel(), np.zeros(300, dtype=int))
+    apart = validation.leave_out_error([a, b])
+    assert apart == validation.leave_out_error([np.hstack([a, b])])
+    assert explained_share(apart, validation.total) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_record_too_short_for_a_spectrum_has_no_peak() -> None:
+    found = spectrum(np.array([0.0, 1.0]), np.zeros(2, dtype=int), np.ones(2))
+    assert found.peak == 0.0
+    assert not found.amplitudes.any()
