@@ -52,7 +52,7 @@ def spring(c: Number | None = None) -> PseudoHamiltonian:
 def on_momentum(
     force: Force | None, t: np.ndarray, u: np.ndarray
 ) -> Callable[[float, np.ndarray], np.ndarray]:
-    """What a force adds to dq/dt and dp/dt, with the input u (n,) at the times t (n,)."""
+    """What a force adds to dq/dt and dp/dt; input u (n,) at the times t (n,)."""
 
     def hidden(time: float, x: np.ndarray) -> np.ndarray:
         if force is None:
