@@ -1,7 +1,8 @@
 """Chaotic systems over many Lyapunov times: Lorenz and a double pendulum, 10 % noise.
 
-python -m problems.benchmarks.chaos [--quick] [--page] [--seeds=N] [experiment ...]     (rows are
-kept in results/chaos.csv)
+    python -m problems.benchmarks.chaos [--quick] [--page] [--seeds=N] [experiment ...]
+
+Rows are kept in results/chaos.csv.
 
 A trajectory computed from a guessed start leaves the measured one after a few Lyapunov
 times, so least squares on simulations has countless local minima. Maximum likelihood
@@ -17,6 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,11 +26,15 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
+from problems.tools import markdown, provenance
 from problems.tools.command_line import chosen, flag, option
-from problems.tools.provenance import RESULTS, write
+from problems.tools.intervals import HALF_WIDTH
 
-N_SEEDS, FIRST_SEED, WITHIN = 20, 7000, 1.959964
-TABLE = RESULTS / "chaos.csv"
+N_SEEDS = 20
+FIRST_SEED = 7000
+NOISE = 0.1  # of each channel's standard deviation
+START = 1.0  # of a parameter of the Lorenz system
+MASS_START = 0.5  # kg, of the masses of the pendulum
 COLUMNS = [
     "experiment",
     "seed",
@@ -62,7 +68,7 @@ class Chaos:
     truth: Mapping[str, float]
     model: Callable[[], ph.Model]
     measured: tuple[str, ...]
-    noise: float = 0.1
+    noise: float = NOISE
     angles: tuple[str, ...] = ()
     steps: int | None = None
 
@@ -74,43 +80,45 @@ class Chaos:
     def solve(self) -> np.ndarray:
         """The true states (n_samples, n_states)."""
         t = self.times
-        return solve_ivp(
+        solved = solve_ivp(
             self.rhs, (t[0], t[-1]), self.start, "DOP853", t, rtol=1e-12, atol=1e-12
-        ).y.T
+        )
+        return solved.y.T
 
     def spread(self, x: np.ndarray) -> np.ndarray:
         """What the noise is relative to, (n_states,)."""
-        turned = np.isin(self.states, self.angles)
-        return np.where(turned, np.angle(np.exp(1j * x)), x).std(axis=0)
+        is_angle = np.isin(self.states, self.angles)
+        without_turns = np.angle(np.exp(1j * x))
+        return np.where(is_angle, without_turns, x).std(axis=0)
 
     def data(self, seed: int) -> ph.Measurements:
         """Measurements of a seed."""
         x = self.solve()
-        y = x + self.noise * self.spread(x) * np.random.default_rng(seed).normal(
-            size=x.shape
-        )
+        normal = np.random.default_rng(seed).normal(size=x.shape)
+        y = x + self.noise * self.spread(x) * normal
         y[:, ~np.isin(self.states, self.measured)] = np.nan
         return ph.Measurements.from_arrays([self.times], [y], states=self.states)
 
 
 # --- Lorenz
 
-SIGMA, RHO, BETA = 10.0, 28.0, 8 / 3
+SIGMA = 10.0
+RHO = 28.0
+BETA = 8 / 3
 LORENZ_TRUTH = {"sigma": SIGMA, "rho": RHO, "beta": BETA}
 
 
-def _lorenz(t: float, x: np.ndarray) -> np.ndarray:
-    return np.array(
-        [SIGMA * (x[1] - x[0]), x[0] * (RHO - x[2]) - x[1], x[0] * x[1] - BETA * x[2]]
-    )
+def _lorenz(t: float, state: np.ndarray) -> np.ndarray:
+    x, y, z = state
+    return np.array([SIGMA * (y - x), x * (RHO - z) - y, x * y - BETA * z])
 
 
 def lorenz_model() -> ph.FirstOrder:
     """Three numbers unknown, each started at 1."""
     rates = {
-        "x": ph.formula("sigma*(y - x)", sigma=ph.Parameter(1.0)),
-        "y": ph.formula("x*(rho - z) - y", rho=ph.Parameter(1.0)),
-        "z": ph.formula("x*y - beta*z", beta=ph.Parameter(1.0)),
+        "x": ph.formula("sigma*(y - x)", sigma=ph.Parameter(START)),
+        "y": ph.formula("x*(rho - z) - y", rho=ph.Parameter(START)),
+        "z": ph.formula("x*y - beta*z", beta=ph.Parameter(START)),
     }
     return ph.FirstOrder(["x", "y", "z"], rates)
 
@@ -118,10 +126,8 @@ def lorenz_model() -> ph.FirstOrder:
 def lorenz_dictionary() -> ph.FirstOrder:
     """All polynomials of degree 2 in every equation: 30 numbers unknown, no starts."""
     states = ("x", "y", "z")
-    return ph.FirstOrder(
-        states,
-        {name: ph.polynomials(states, degree=2, constant=True) for name in states},
-    )
+    rate = ph.polynomials(states, degree=2, constant=True)
+    return ph.FirstOrder(states, dict.fromkeys(states, rate))
 
 
 def _dictionary_truth() -> dict[str, float]:
@@ -137,41 +143,48 @@ def _dictionary_truth() -> dict[str, float]:
     }
 
 
-# --- double pendulum: angles a, b from the vertical, momenta pa, pb; both rods of length 1 m, driven at the upper joint
+# --- double pendulum: angles a, b from the vertical, momenta pa, pb; both rods of
+# length 1 m, driven at the upper joint
 
-MASS_1, MASS_2, GRAVITY, FRICTION = 1.0, 0.7, 9.81, 0.02
-DRIVE, DRIVE_FREQUENCY = 6.0, 2.5
+MASS_1 = 1.0  # kg
+MASS_2 = 0.7  # kg
+GRAVITY = 9.81  # m/s^2
+FRICTION = 0.02  # N m s
+DRIVE = 6.0  # N m
+DRIVE_FREQUENCY = 2.5  # rad/s
 PENDULUM_TRUTH = {"m1": MASS_1, "m2": MASS_2, "R_pa": FRICTION, "R_pb": FRICTION}
 PENDULUM_ENERGY = (
-    "(m2*pa**2 + (m1 + m2)*pb**2 - 2*m2*pa*pb*cos(a - b))/(2*m2*(m1 + m2*sin(a - b)**2))"
+    "(m2*pa**2 + (m1 + m2)*pb**2 - 2*m2*pa*pb*cos(a - b))"
+    "/(2*m2*(m1 + m2*sin(a - b)**2))"
     " - (m1 + m2)*g*cos(a) - m2*g*cos(b)"
 )
 
 
 def _pendulum(t: float, x: np.ndarray) -> np.ndarray:
     a, b, pa, pb = x
-    s, c, total = np.sin(a - b), np.cos(a - b), MASS_1 + MASS_2
+    s = np.sin(a - b)
+    c = np.cos(a - b)
+    total = MASS_1 + MASS_2
     size = MASS_1 + MASS_2 * s**2
     va = (pa - pb * c) / size
     vb = (total / MASS_2 * pb - pa * c) / size
-    kinetic = (MASS_2 * pa**2 + total * pb**2 - 2 * MASS_2 * pa * pb * c) / (
-        2 * MASS_2 * size
-    )
+    squares = MASS_2 * pa**2 + total * pb**2 - 2 * MASS_2 * pa * pb * c
+    kinetic = squares / (2 * MASS_2 * size)
     turn = pa * pb * s / size - kinetic * 2 * MASS_2 * s * c / size
     drive = DRIVE * np.sin(DRIVE_FREQUENCY * t)
     pa_rate = -turn - total * GRAVITY * np.sin(a) - FRICTION * va + drive
-    return np.array(
-        [va, vb, pa_rate, turn - MASS_2 * GRAVITY * np.sin(b) - FRICTION * vb]
-    )
+    pb_rate = turn - MASS_2 * GRAVITY * np.sin(b) - FRICTION * vb
+    return np.array([va, vb, pa_rate, pb_rate])
 
 
 def pendulum_model() -> ph.PseudoHamiltonian:
     """Both masses and both dampings unknown; lengths, gravity and drive known."""
-    masses = {"m1": ph.Parameter(0.5, lower=0.05), "m2": ph.Parameter(0.5, lower=0.05)}
+    m1 = ph.Parameter(MASS_START, lower=0.05)
+    m2 = ph.Parameter(MASS_START, lower=0.05)
     return ph.PseudoHamiltonian(
         states=["a", "b", "pa", "pb"],
         S=ph.canonical(2),
-        H=ph.formula(PENDULUM_ENERGY, g=GRAVITY, **masses),
+        H=ph.formula(PENDULUM_ENERGY, g=GRAVITY, m1=m1, m2=m2),
         R=ph.damping("pa", "pb"),
         F={"pa": ph.formula(f"{DRIVE}*sin({DRIVE_FREQUENCY}*t)")},
     )
@@ -189,22 +202,17 @@ def lorenz(
     One SRK4 step between the samples is accurate enough: estimates with 2 and 4 differ
     by less than 0.03 standard errors.
     """
-    truth, model = (
-        (_dictionary_truth(), lorenz_dictionary)
-        if dictionary
-        else (LORENZ_TRUTH, lorenz_model)
-    )
     return Chaos(
         title,
-        ("x", "y", "z"),
-        _lorenz,
-        (-5.0, -6.0, 22.0),
-        0.02,
-        n_steps,
-        0.906,
-        truth,
-        model,
-        measured,
+        states=("x", "y", "z"),
+        rhs=_lorenz,
+        start=(-5.0, -6.0, 22.0),
+        step=0.02,
+        n_steps=n_steps,
+        lyapunov=0.906,
+        truth=_dictionary_truth() if dictionary else LORENZ_TRUTH,
+        model=lorenz_dictionary if dictionary else lorenz_model,
+        measured=measured,
         steps=steps,
     )
 
@@ -224,81 +232,85 @@ EXPERIMENTS = {
     ),
     "pendulum": Chaos(
         "Driven double pendulum, angles and momenta measured",
-        ("a", "b", "pa", "pb"),
-        _pendulum,
-        (1.2, 1.9, 0.0, 0.0),
-        0.02,
-        1500,
-        0.8,
-        PENDULUM_TRUTH,
-        pendulum_model,
-        ("a", "b", "pa", "pb"),
+        states=("a", "b", "pa", "pb"),
+        rhs=_pendulum,
+        start=(1.2, 1.9, 0.0, 0.0),
+        step=0.02,
+        n_steps=1500,
+        lyapunov=0.8,
+        truth=PENDULUM_TRUTH,
+        model=pendulum_model,
+        measured=("a", "b", "pa", "pb"),
         angles=("a", "b"),
         steps=1,
     ),
 }
 
 
-def fits(name: str, seed: int) -> list[tuple[object, ...]]:
+# --- the runs
+
+
+def fits(name: str, seed: int) -> list[dict[str, object]]:
     """A row per parameter."""
     case = EXPERIMENTS[name]
-    began, values, errors, iterations, outcome = (
-        time.perf_counter(),
-        {},
-        {},
-        np.nan,
-        "solved",
-    )
+    values: dict[str, float] = {}
+    errors: dict[str, float] = {}
+    iterations = np.nan
+    outcome = "solved"
+    began = time.perf_counter()
     try:
-        fit = ph.identify(
-            case.model(), case.data(seed), ph.MaximumLikelihood(steps=case.steps)
-        )
-        values, errors, iterations = fit.values, fit.std_errors, fit.outcome.iterations
-    except (
-        Exception
-    ) as error:  # whatever goes wrong is a fit that failed, and is counted
+        loss = ph.MaximumLikelihood(steps=case.steps)
+        fit = ph.identify(case.model(), case.data(seed), loss)
+        errors = fit.std_errors
+        values = fit.values
+        iterations = fit.outcome.iterations
+    # Whatever goes wrong is a fit that failed, and is counted.
+    except Exception as error:
         outcome = f"{type(error).__name__}: {str(error)[:200]}"
     seconds = time.perf_counter() - began
-    return [
-        (
-            name,
-            seed,
-            key,
-            v,
-            values.get(key, np.nan),
-            errors.get(key, np.nan),
-            seconds,
-            iterations,
-            outcome,
+    print(f"... {name}, seed {seed}: {outcome}, {seconds:.1f} s", flush=True)
+    rows = []
+    for parameter, truth in case.truth.items():
+        rows.append(
+            {
+                "experiment": name,
+                "seed": seed,
+                "parameter": parameter,
+                "truth": truth,
+                "estimate": values.get(parameter, np.nan),
+                "std_error": errors.get(parameter, np.nan),
+                "seconds": seconds,
+                "iterations": iterations,
+                "outcome": outcome,
+            }
         )
-        for key, v in case.truth.items()
-    ]
+    return rows
 
 
 def main(
     names: list[str] | None = None, n_seeds: int = N_SEEDS, keep: bool = True
 ) -> pd.DataFrame:
     """All seeds of the named experiments that are not in the table yet."""
-    table = (
-        pd.read_csv(TABLE) if keep and TABLE.exists() else pd.DataFrame(columns=COLUMNS)
-    )
+    table = pd.DataFrame(columns=COLUMNS)
+    if keep and _path().exists():
+        table = pd.read_csv(_path())
     done = set(zip(table["experiment"], table["seed"], strict=True))
-    rows: list[Any] = table.values.tolist()
+    rows: list[Any] = table.to_dict("records")
     for name in names or list(EXPERIMENTS):
         for seed in range(FIRST_SEED, FIRST_SEED + n_seeds):
-            if (name, seed) not in done:
-                rows += fits(name, seed)
-                table = pd.DataFrame(rows, columns=COLUMNS)
-                if keep:
-                    RESULTS.mkdir(exist_ok=True)
-                    table.to_csv(TABLE, index=False, float_format="%.10g")
-                print(
-                    f"... {name}, seed {seed}: {rows[-1][-1]}, {rows[-1][-3]:.1f} s",
-                    flush=True,
-                )
+            if (name, seed) in done:
+                continue
+            rows += fits(name, seed)
+            table = pd.DataFrame(rows, columns=COLUMNS)
+            if keep:
+                table.to_csv(_path(), index=False, float_format="%.10g")
     if keep:
-        page()
+        provenance.write("chaos.md", page(table))
     return table
+
+
+def _path() -> Path:
+    return provenance.RESULTS / "chaos.csv"
 
 
 def scores(table: pd.DataFrame) -> pd.DataFrame:
@@ -306,69 +318,76 @@ def scores(table: pd.DataFrame) -> pd.DataFrame:
     failed fits have no error.
     """
     error = table["estimate"] - table["truth"]
+    z = error / table["std_error"]
     table = table.assign(
-        error=error,
-        z=error / table["std_error"],
-        covered=error.abs() <= WITHIN * table["std_error"],
+        squared_error=error**2,
+        z=z,
+        squared_z=z**2,
+        size_of_z=z.abs(),
+        covered=error.abs() <= HALF_WIDTH * table["std_error"],
     )
     by = table.groupby("parameter", sort=False)
-    rms = by["error"].apply(lambda e: np.sqrt(np.mean(e**2)))
+    rmse = np.sqrt(by["squared_error"].mean())
     truth = by["truth"].first()
     return pd.DataFrame(
         {
             "truth": truth,
-            "rmse": rms,
-            "rmse, relative": rms / truth.abs().where(truth != 0),
+            "rmse": rmse,
+            "rmse, relative": rmse / truth.abs().where(truth != 0),
             "std_error": by["std_error"].mean(),
-            "z, root mean square": by["z"].apply(lambda z: np.sqrt(np.mean(z**2))),
+            "z, root mean square": np.sqrt(by["squared_z"].mean()),
             "z, mean": by["z"].mean(),
-            "z, largest": by["z"].apply(lambda z: z.abs().max()),
+            "z, largest": by["size_of_z"].max(),
             "coverage": by["covered"].mean(),
         }
     )
 
 
-def page() -> None:
+# --- the page
+
+
+INTRODUCTION = markdown.paragraph(f"""
+    Noise of {NOISE:.0%} of each channel's standard deviation (angles: after full turns
+    are taken off), level unknown. Every start is generic ({START:g}; masses
+    {MASS_START:g}; dictionary and damping: none). z = (estimate - truth)/std_error. A
+    fit that failed has no error; it is counted, and its intervals count as not holding
+    the truth.
+    """)
+
+
+def page(table: pd.DataFrame) -> str:
     """The page from the table."""
-    table = pd.read_csv(TABLE)
-    lines = ["# Chaos: parameters from many Lyapunov times", ""]
-    lines += [
-        "Noise of 10 % of each channel's standard deviation (angles: after full turns are taken off), level unknown.",
-        "Every start is generic (1; masses 0.5; dictionary and damping: none). z = (estimate - truth)/std_error. A fit",
-        "that failed has no error; it is counted, and its intervals count as not holding the truth.",
-        "",
-    ]
+    lines = ["# Chaos: parameters from many Lyapunov times", "", INTRODUCTION, ""]
     for name, case in EXPERIMENTS.items():
         rows = table[table["experiment"] == name]
-        if rows.empty:
-            continue
-        fits_ = rows.groupby("seed").first()
-        duration = case.n_steps * case.step
-        lines += [
-            f"## {case.title}",
-            "",
-            f"{duration:g} s, {case.n_steps + 1} samples, {duration * case.lyapunov:.0f} Lyapunov times; {len(fits_)} "
-            f"seeds, {int((fits_['outcome'] != 'solved').sum())} failed; median {fits_['seconds'].median():.1f} s and "
-            f"{fits_['iterations'].median():.0f} iterations of the last program.",
-            "",
-            "```text",
-            scores(rows).to_string(
-                float_format=lambda v: f"{v:.4g}", index_names=False, na_rep="-"
-            ),
-            "```",
-            "",
-        ]
-        failed = fits_[fits_["outcome"] != "solved"]
-        lines += [
-            f"- seed {seed}: {row.outcome}" for seed, row in failed.iterrows()
-        ] + ([""] if len(failed) else [])
-    write("chaos.md", "\n".join(lines))
+        if len(rows):
+            lines += _experiment(case, rows)
+    return "\n".join(lines)
+
+
+def _experiment(case: Chaos, rows: pd.DataFrame) -> list[str]:
+    by_seed = rows.groupby("seed").first()
+    failed = by_seed[by_seed["outcome"] != "solved"]
+    duration = case.n_steps * case.step
+    said = markdown.paragraph(f"""
+        {duration:g} s, {case.n_steps + 1} samples, {duration * case.lyapunov:.0f}
+        Lyapunov times; {len(by_seed)} seeds, {len(failed)} failed; median
+        {by_seed["seconds"].median():.1f} s and {by_seed["iterations"].median():.0f}
+        iterations of the last program.
+        """)
+    shown = scores(rows).to_string(
+        float_format="{:.4g}".format, index_names=False, na_rep="-"
+    )
+    lines = [f"## {case.title}", "", said, "", *markdown.block(shown)]
+    for seed, outcome in failed["outcome"].items():
+        lines.append(f"- seed {seed}: {outcome}")
+    return [*lines, ""] if len(failed) else lines
 
 
 if __name__ == "__main__":
     experiments = chosen() or None
     if flag("page"):
-        page()
+        provenance.write("chaos.md", page(pd.read_csv(_path())))
     elif flag("quick"):
         found = main(experiments or ["lorenz_xyz"], 1, keep=False)
         print(scores(found).to_string())

@@ -1,7 +1,8 @@
 """Time and memory of `identify` over the number of samples: the driven Duffing
 oscillator, q and p or q alone measured.
 
-python -m problems.benchmarks.scaling [--quick] [--page] [--largest=N] [--limit=SECONDS]
+    python -m problems.benchmarks.scaling [--quick] [--page] [--largest=N]
+        [--limit=SECONDS]
 
 Every size runs in a process of its own, so that its peak memory is its own. Rows are
 kept in results/scaling.csv; a size that is there is not run again.
@@ -18,6 +19,7 @@ import resource
 import subprocess
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,14 +28,21 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from problems.benchmarks.efficiency.cases import DUFFING, DUFFING_START, duffing_model
+from problems.tools import markdown, provenance
 from problems.tools.command_line import flag, option
-from problems.tools.provenance import RESULTS, ROOT, write
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 CHANNELS = {"qp": "q and p measured", "q": "q alone measured"}
-STEP, NOISE, SEED = 0.1, 0.03, 9000
+STEP = 0.1  # s
+NOISE = 0.03  # of each channel's standard deviation
+SEED = 9000
+LIMIT = 3600.0  # s, for one size
 COLOURS = {"qp": "#0072b2", "q": "#d55e00"}
-TABLE = RESULTS / "scaling.csv"
+# The parameters of the truth by the names of the model.
+NAMES = {"k": "k", "a": "a", "c": "R_p"}
+KILLED = -9  # what a process returns that the system ended for want of memory
+
+Row = dict[str, float | str]
 
 
 def data(n_samples: int, channels: str) -> ph.Measurements:
@@ -45,18 +54,20 @@ def data(n_samples: int, channels: str) -> ph.Measurements:
 
     def rates(at: float, x: np.ndarray) -> tuple[float, float]:
         q, p = x.tolist()
-        return p, -k * q - a * q**3 - c * p + 2 * np.cos(1.3 * at)
+        force = -k * q - a * q**3 - c * p
+        return p, force + 2 * np.cos(1.3 * at)
 
-    x = solve_ivp(
+    solved = solve_ivp(
         rates, (0.0, t[-1]), DUFFING_START, "LSODA", t, rtol=1e-9, atol=1e-9
-    ).y.T
+    )
+    x = solved.y.T
     y = x + NOISE * x.std(axis=0) * np.random.default_rng(SEED).normal(size=x.shape)
     if channels == "q":
         y[:, 1] = np.nan
     return ph.Measurements.from_arrays([t], [y], states=("q", "p"))
 
 
-def measure(n_samples: int, channels: str) -> dict[str, float | str]:
+def measure(n_samples: int, channels: str) -> Row:
     """One fit in this process: time, time and iterations in IPOPT (all likelihood
     programs), memory, errors.
     """
@@ -66,23 +77,25 @@ def measure(n_samples: int, channels: str) -> dict[str, float | str]:
     began = time.perf_counter()
     fit = ph.identify(duffing_model(), given, progress=said.append)
     seconds = time.perf_counter() - began
-    solved = [
-        re.search(r"(\d+) iterations, ([\d.]+) s\)", line)
-        for line in said
-        if line.startswith("maximum")
-    ]
-    names = {"k": "k", "a": "a", "c": "R_p"}
-    errors = [
-        abs(fit.values[names[n]] - v) / fit.std_errors[names[n]]
-        for n, v in DUFFING.items()
-    ]
+    programs = [line for line in said if line.startswith("maximum")]
+    iterations = 0
+    ipopt_seconds = 0.0
+    for line in programs:
+        solved = re.search(r"(\d+) iterations, ([\d.]+) s\)", line)
+        if solved:
+            iterations += int(solved[1])
+            ipopt_seconds += float(solved[2])
+    errors = []
+    for symbol, true in DUFFING.items():
+        name = NAMES[symbol]
+        errors.append(abs(fit.values[name] - true) / fit.std_errors[name])
     return {
         "channels": channels,
         "n_samples": n_samples,
         "seconds": seconds,
-        "ipopt_seconds": sum(float(m[2]) for m in solved if m),
-        "programs": len(solved),
-        "iterations": sum(int(m[1]) for m in solved if m),
+        "ipopt_seconds": ipopt_seconds,
+        "programs": len(programs),
+        "iterations": iterations,
         "peak_gb": _peak(),
         "peak_before_gb": before,
         "largest_error_in_std_errors": max(errors),
@@ -94,29 +107,22 @@ def _peak() -> float:
     """Peak memory of this process so far, in GB (Linux counts it in kB, macOS in
     bytes).
     """
-    return (
-        resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        * (1 if sys.platform == "darwin" else 1024)
-        / 1e9
-    )
+    counted = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    unit = 1 if sys.platform == "darwin" else 1024
+    return counted * unit / 1e9
 
 
-def apart(n_samples: int, channels: str, limit: float) -> dict[str, float | str]:
-    """`measure` in a process of its own; a process that dies or takes too long is a row
-    as well.
+def apart(n_samples: int, channels: str, limit: float) -> Row:
+    """`measure` in a process of its own; a process that dies or takes longer than
+    ``limit`` seconds is a row as well.
     """
-    command = [
-        sys.executable,
-        "-m",
-        "problems.benchmarks.scaling",
-        f"--one={n_samples}",
-        f"--channels={channels}",
-    ]
-    failed: dict[str, float | str] = {"channels": channels, "n_samples": n_samples}
+    command = [sys.executable, "-m", "problems.benchmarks.scaling"]
+    command += [f"--one={n_samples}", f"--channels={channels}"]
+    failed: Row = {"channels": channels, "n_samples": n_samples}
     try:
         run = subprocess.run(
             command,
-            cwd=ROOT,
+            cwd=provenance.ROOT,
             capture_output=True,
             text=True,
             timeout=limit,
@@ -125,24 +131,24 @@ def apart(n_samples: int, channels: str, limit: float) -> dict[str, float | str]
     except subprocess.TimeoutExpired:
         return failed | {"outcome": f"not done after {limit:.0f} s"}
     if run.returncode:
-        reason = (
-            run.stderr.strip().splitlines()[-1]
-            if run.stderr.strip()
-            else f"ended with {run.returncode}"
-        )
-        return failed | {
-            "outcome": "out of memory" if run.returncode == -9 else reason[:200]
-        }
+        return failed | {"outcome": _why_it_failed(run)}
     return dict(json.loads(run.stdout.strip().splitlines()[-1]))
 
 
+def _why_it_failed(run: subprocess.CompletedProcess[str]) -> str:
+    if run.returncode == KILLED:
+        return "out of memory"
+    said = run.stderr.strip().splitlines()
+    return said[-1][:200] if said else f"ended with {run.returncode}"
+
+
 def main(
-    sizes: tuple[int, ...] = SIZES, limit: float = 3600.0, keep: bool = True
+    sizes: tuple[int, ...] = SIZES, limit: float = LIMIT, keep: bool = True
 ) -> pd.DataFrame:
     """All sizes of both kinds; a kind stops at its first size that fails."""
-    rows: list[Any] = (
-        pd.read_csv(TABLE).to_dict("records") if keep and TABLE.exists() else []
-    )
+    rows: list[Any] = []
+    if keep and _path().exists():
+        rows = pd.read_csv(_path()).to_dict("records")
     done = {(row["channels"], row["n_samples"]) for row in rows}
     for channels in CHANNELS:
         for n in sizes:
@@ -151,13 +157,28 @@ def main(
             rows.append(apart(n, channels, limit))
             print(rows[-1], flush=True)
             if keep:
-                RESULTS.mkdir(exist_ok=True)
-                pd.DataFrame(rows).to_csv(TABLE, index=False, float_format="%.5g")
+                pd.DataFrame(rows).to_csv(_path(), index=False, float_format="%.5g")
             if "seconds" not in rows[-1]:
                 break
     if keep:
-        page()
+        write_page()
     return pd.DataFrame(rows)
+
+
+def _path() -> Path:
+    return provenance.RESULTS / "scaling.csv"
+
+
+# --- the page
+
+
+INTRODUCTION = markdown.paragraph(f"""
+    Driven Duffing oscillator, {len(DUFFING)} parameters, one record sampled every
+    {STEP:g} s, {NOISE:.0%} noise (its level is estimated), generic starting values; one
+    core, a process per size. seconds: all of `identify`; ipopt_seconds and iterations:
+    summed over its likelihood programs; peak_gb: peak memory of the process,
+    peak_before_gb: the same before `identify` began.
+    """)
 
 
 def exponent(rows: pd.DataFrame, column: str = "seconds") -> float:
@@ -165,101 +186,48 @@ def exponent(rows: pd.DataFrame, column: str = "seconds") -> float:
     rows = rows.dropna(subset=[column])
     if len(rows) < 2:
         return float("nan")
-    return float(np.polyfit(np.log(rows["n_samples"]), np.log(rows[column]), 1)[0])
+    slope, _ = np.polyfit(np.log(rows["n_samples"]), np.log(rows[column]), 1)
+    return float(slope)
 
 
-def page() -> None:
+def write_page() -> None:
     """The page and the figure from the table."""
-    table = pd.read_csv(TABLE)
-    lines = ["# Time and memory over the number of samples", ""]
-    lines += [
-        "Driven Duffing oscillator, three parameters, one record sampled every 0.1 s, 3 % noise (its level is",
-        "estimated), generic starting values; one core, a process per size. seconds: all of `identify`; ipopt_seconds",
-        "and iterations: summed over its likelihood programs; peak_gb: peak memory of the process, peak_before_gb: the",
-        "same before `identify` began.",
-        "",
-    ]
+    from problems.benchmarks.scaling_figure import figure
+
+    table = pd.read_csv(_path())
+    provenance.write("scaling.md", page(table))
+    figure(table, CHANNELS, COLOURS)
+
+
+def page(table: pd.DataFrame) -> str:
+    """The page as Markdown."""
+    lines = ["# Time and memory over the number of samples", "", INTRODUCTION, ""]
     for channels, title in CHANNELS.items():
         rows = table[table["channels"] == channels].sort_values("n_samples")
-        if rows.empty:
-            continue
-        last = rows.dropna(subset=["seconds"]).tail(2)
-        shown = rows.drop(columns="channels").to_string(
-            index=False, float_format=lambda v: f"{v:.3g}"
-        )
-        lines += [f"## {title[0].upper()}{title[1:]}", "", "```text", shown, "```", ""]
-        lines += [
-            f"Time grows as n^{exponent(rows):.2f} over all sizes, n^{exponent(last):.2f} over the last two; time in "
-            f"IPOPT as n^{exponent(rows, 'ipopt_seconds'):.2f}.",
-            "",
-        ]
-    lines += ["![time and memory](scaling.png)"]
-    write("scaling.md", "\n".join(lines))
-    figure(table)
+        if len(rows):
+            lines += [f"## {title[0].upper()}{title[1:]}", ""]
+            lines += markdown.frame(rows.drop(columns="channels"))
+            lines += [_growth(rows), ""]
+    return "\n".join([*lines, "![time and memory](scaling.png)"])
 
 
-def figure(table: pd.DataFrame) -> None:
-    """Seconds and memory over samples."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    fig, axes = plt.subplots(1, 2, figsize=(9.5, 4.0), layout="constrained")
-    for channels, title in CHANNELS.items():
-        rows = (
-            table[table["channels"] == channels]
-            .dropna(subset=["seconds"])
-            .sort_values("n_samples")
-        )
-        colour = COLOURS[channels]
-        axes[0].plot(
-            rows["n_samples"],
-            rows["seconds"],
-            "o-",
-            color=colour,
-            label=f"identify, {title}",
-        )
-        axes[0].plot(
-            rows["n_samples"],
-            rows["ipopt_seconds"],
-            "s:",
-            color=colour,
-            label=f"of it IPOPT, {title}",
-        )
-        axes[1].plot(
-            rows["n_samples"], rows["peak_gb"], "o-", color=colour, label=title
-        )
-    done = table.dropna(subset=["seconds"])
-    if not done.empty:
-        n = np.array([done["n_samples"].min(), done["n_samples"].max()], dtype=float)
-        axes[0].plot(
-            n,
-            done["seconds"].min() * n / n[0],
-            color="0.6",
-            lw=1,
-            label="proportional to n",
-        )
-    for ax, label in zip(axes, ("time (s)", "peak memory (GB)"), strict=True):
-        ax.set(xscale="log", yscale="log", xlabel="samples", ylabel=label)
-    fig.legend(
-        *axes[0].get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=2,
-        frameon=False,
-        fontsize=9,
-    )
-    fig.savefig(RESULTS / "scaling.png", dpi=150)
-    plt.close(fig)
+def _growth(rows: pd.DataFrame) -> str:
+    last_two = rows.dropna(subset=["seconds"]).tail(2)
+    return markdown.paragraph(f"""
+        Time grows as n^{exponent(rows):.2f} over all sizes, n^{exponent(last_two):.2f}
+        over the last two; time in IPOPT as n^{exponent(rows, "ipopt_seconds"):.2f}.
+        """)
 
 
 if __name__ == "__main__":
-    if one := option("one", ""):
+    one = option("one", "")
+    if one:
         print(json.dumps(measure(int(one), option("channels", "qp"))))
     elif flag("page"):
-        page()
+        write_page()
     elif flag("quick"):
         main((500, 1000), keep=False)
     else:
         largest = int(float(option("largest", str(SIZES[-1]))))
-        main(tuple(n for n in SIZES if n <= largest), float(option("limit", "3600")))
+        chosen_sizes = tuple(n for n in SIZES if n <= largest)
+        main(chosen_sizes, float(option("limit", str(LIMIT))))
