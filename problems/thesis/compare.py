@@ -70,7 +70,7 @@ def runs(task: Task) -> list[Run]:
 
 
 def _solver_runs(task: Task) -> list[Run]:
-    """The solver from its own start and from random ones; tanks: seeds of the network."""
+    """The solver from its own and random starts; tanks: seeds of the network."""
     system = task.system
     data = task.data
     pruning = ph.Pruning(system.threshold, significance=SIGNIFICANCE)

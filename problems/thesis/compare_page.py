@@ -125,7 +125,8 @@ def _of_time(table: pd.DataFrame, found: pd.DataFrame) -> list[str]:
         f"{text}.",
         "The thesis' own code, whose dictionary is a Python loop, was measured at "
         f"{thesis.min():.0f} to {thesis.max():.0f} s for the same runs on another "
-        f"machine: {times.min():.0f} to {times.max():.0f} times the solver's time here.",
+        f"machine: {times.min():.0f} to {times.max():.0f} times the solver's time "
+        "here.",
     ]
 
 

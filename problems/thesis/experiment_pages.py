@@ -2,12 +2,25 @@
 tables, the figures.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from problems.thesis.systems import System, thesis_data_present
+from problems.thesis import published
+from problems.thesis.experiment_tables import (
+    DESCENT,
+    LEAK_RANGE,
+    LIKELIHOOD,
+    N_TESTS,
+    SOLVER,
+)
+from problems.thesis.figures import CENTRAL, Figure
+from problems.thesis.methods import WRONG_FREQUENCY
+from problems.thesis.systems import FLOWS, LEVELS, OMEGA, System, thesis_data_present
+from problems.tools import markdown
+from problems.tools.markdown import number
 
 Tables = dict[str, pd.DataFrame]
 HEADS = {
@@ -16,95 +29,112 @@ HEADS = {
     "mass_spring": "Forced and damped mass-spring (thesis Section 6.3)",
     "tanks": "Tanks and pipes with a leak (thesis Section 6.4)",
 }
-LIMITS = {
-    "0.005": (0.005, 0.03),
-    "0.03": (0.01, 0.10),
-}  # worst H, worst r that were asked for
-NOTES = {
-    "henon_heiles": "The training data are single steps, so inside the training time means up to t = 0.1.",
-    "schrodinger": "The first-order dictionary has degree 3, that of the energy degree 4.",
-    "mass_spring": "SINDy and LASSO cannot learn a frequency (thesis Section 6.3) and get a wrong one, 1: alone a "
-    "coefficient error of 0.5. The wave stands in the equation of p only. The thesis' Table 6.2 is on clean data; it "
-    "is repeated beside the noisy ones.",
-    "tanks": "The first-order dictionary (degree 1) has no term for the leak: what BSI, SINDy and LASSO put into the "
-    "equation of mu4 counts as spurious. Standard errors of the solver's hybrid leave out the network; those of the "
-    "likelihood, which has twelve hinges and a line in its place, do not.",
+# Largest relative errors of H and of the pipes' damping r that are asked for, by noise.
+ASKED = {
+    "0.005": {"H": 0.005, "r": 0.03},
+    "0.03": {"H": 0.01, "r": 0.10},
 }
+CLEARLY = 0.05  # a free-run error is smaller where it is so by this share
+EXACT = 1e-10  # the data are computed to 1e-12
+OWN = (SOLVER, LIKELIHOOD, DESCENT)
+COUNTS = ["spurious", "missed", "diverged"]
 
 
-def page(system: System, tables: Tables, figures: list[tuple[str, str]]) -> str:
+def page(system: System, tables: Tables, drawn: Sequence[Figure]) -> str:
     """The page of one system."""
-    scores: Any = tables[f"{system.name}, scores"]
-    source = (
-        "Data of the thesis."
-        if thesis_data_present()
-        else "Data drawn anew from the thesis' distributions."
-    )
-    said = [f"- {line}" for line in reading(system, tables)]
-    parts = [
-        f"# {HEADS[system.name]}",
-        "",
-        f"{source} {_plain(system)}",
-        "",
-        "**What it means.**",
-        "",
-        *said,
-        "",
-    ]
-    parts += ["## Every method", "", *_block(_shown(scores)), "", _caption(system), ""]
-    failed = scores[scores["reason"] != ""]
-    parts += [f"- {r.method}, {r.data}: {r.reason}" for r in failed.itertuples()] + (
-        [""] if len(failed) else []
-    )
-    for name, table in tables.items():
-        if "coefficients" in name or "first order" in name:
-            kind = name.rsplit(", ", 1)[1]
-            what = "the right-hand side" if "first order" in name else "H, R and F"
-            parts += [f"## Coefficients of {what}, {kind} data", "", *_block(table), ""]
-    if any("coefficients" in name for name in tables):
-        parts += [
-            "+-: standard error. 0: the term is not there. Thesis: as printed there, from its own run.",
-            "",
-        ]
-    if "tanks, checks" in tables and system.name == "tanks":
-        parts += [
-            "## Claims about the tanks, in numbers",
-            "",
-            *_block(_percent(tables["tanks, checks"])),
-            "",
-            CHECKS,
-            "",
-        ]
-    if f"{system.name}, steps" in tables:
-        parts += [
-            "## What the integrator allows: exact data at two steps, solver",
-            "",
-            *_block(_rounded(tables[f"{system.name}, steps"])),
-            "",
-        ]
-    for name, caption in figures:
-        parts += [f"![{system.title}]({name})", "", caption, ""]
+    parts = [f"# {HEADS[system.name]}", "", _introduction(system), ""]
+    parts += ["**What it means.**", ""]
+    parts += [f"- {line}" for line in reading(system, tables)]
+    parts += ["", *_every_method(system, tables), *_coefficients(tables)]
+    if "tanks, checks" in tables:
+        parts += ["## Claims about the tanks, in numbers", ""]
+        parts += [*_block(_percent(tables["tanks, checks"])), CHECKS, ""]
+    steps = tables.get(f"{system.name}, steps")
+    if steps is not None:
+        parts += ["## What the integrator allows: exact data at two steps, solver", ""]
+        parts += _block(_rounded(steps))
+    for figure in drawn:
+        parts += [f"![{system.title}]({figure.name})", "", figure.caption, ""]
     return "\n".join(parts)
 
 
-CHECKS = (
-    "Worst relative error of the nine H and of the five r; error of the leak over the levels of tank 4 in the training "
-    "data as a share of its range 6, over all of them and over the central 95 %; l2 error (in the units of the states) "
-    "with the leak shut, 30 unseen starts to t = 1. Noise 0.03 is a new draw (seed 0)."
-)
+def _introduction(system: System) -> str:
+    source = "Data drawn anew from the thesis' distributions."
+    if thesis_data_present():
+        source = "Data of the thesis."
+    return markdown.paragraph(f"""
+        {source} Noise {system.noise:g} in the noisy ones. Free runs from {N_TESTS}
+        unseen starts to t = {system.test_time:g}.
+        """)
 
 
-def _plain(system: System) -> str:
-    return f"Noise {system.noise:g} in the noisy ones. Free runs from 30 unseen starts to t = {system.test_time:g}."
+def _every_method(system: System, tables: Tables) -> list[str]:
+    scores: Any = tables[f"{system.name}, scores"]
+    parts = ["## Every method", "", *_block(_shown(scores)), _caption(system), ""]
+    failed = scores[scores["reason"] != ""]
+    for row in failed.itertuples():
+        parts.append(f"- {row.method}, {row.data}: {row.reason}")
+    return [*parts, ""] if len(failed) else parts
+
+
+def _coefficients(tables: Tables) -> list[str]:
+    parts = []
+    for name, table in tables.items():
+        is_first_order = "first order" in name
+        if is_first_order or "coefficients" in name:
+            what = "the right-hand side" if is_first_order else "H, R and F"
+            kind = name.rsplit(", ", 1)[1]
+            parts += [f"## Coefficients of {what}, {kind} data", "", *_block(table)]
+    if not parts:
+        return []
+    text = "+-: standard error. 0: the term is not there. "
+    return [*parts, f"{text}Thesis: as printed there, from its own run.", ""]
+
+
+CHECKS = markdown.paragraph(f"""
+    Worst relative error of the {len(FLOWS + LEVELS)} H and of the {len(FLOWS)} r; error
+    of the leak over the levels of tank 4 in the training data as a share of its range
+    {LEAK_RANGE:g}, over all of them and over the central {CENTRAL[1] - CENTRAL[0]:.0%};
+    l2 error (in the units of the states) with the leak shut, {N_TESTS} unseen starts to
+    t = 1. Noise {published.TANK_NOISE:g} is a new draw (seed 0).
+    """)
 
 
 def _caption(system: System) -> str:
+    return markdown.paragraph(f"""
+        Largest error: of any coefficient, spurious and missed terms included; relative
+        error: the worst true term. The coefficients of PHSI, SSINN (of H, R, F) and of
+        BSI, SINDy, LASSO (of the right-hand side) are not the same. SSINN prunes
+        nothing. l2: norm of the error over all states, averaged over time and starts;
+        inf: at least one start diverges; example: along the trajectory of the figure.
+        The time of the likelihood is beside the solver's, that of LASSO has the search
+        of its weight. {_note(system)}
+        """)
+
+
+def _note(system: System) -> str:
+    """What is special about a system."""
+    if system.name == "henon_heiles":
+        end = system.n_steps * system.step
+        return (
+            "The training data are single steps, so inside the training time means up "
+            f"to t = {end:g}."
+        )
+    if system.name == "schrodinger":
+        return "The first-order dictionary has degree 3, that of the energy degree 4."
+    if system.name == "mass_spring":
+        off = abs(WRONG_FREQUENCY - OMEGA)
+        return (
+            "SINDy and LASSO cannot learn a frequency (thesis Section 6.3) and get a "
+            f"wrong one, {WRONG_FREQUENCY:g}: alone a coefficient error of {off:g}. "
+            "The wave stands in the equation of p only. The thesis' Table 6.2 is on "
+            "clean data; it is repeated beside the noisy ones."
+        )
     return (
-        "Largest error: of any coefficient, spurious and missed terms included; relative error: the worst true term. "
-        "The coefficients of PHSI, SSINN (of H, R, F) and of BSI, SINDy, LASSO (of the right-hand side) are not the "
-        "same. SSINN prunes nothing. l2: norm of the error over all states, averaged over time and starts; inf: at "
-        "least one start diverges; example: along the trajectory of the figure. The time of the likelihood is beside "
-        f"the solver's, that of LASSO has the search of its weight. {NOTES[system.name]}"
+        "The first-order dictionary (degree 1) has no term for the leak: what BSI, "
+        "SINDy and LASSO put into the equation of mu4 counts as spurious. Standard "
+        "errors of the solver's hybrid leave out the network; those of the likelihood, "
+        "which has hinges and a line in its place, do not."
     )
 
 
@@ -114,47 +144,67 @@ def _caption(system: System) -> str:
 def reading(system: System, tables: Tables) -> list[str]:
     """Sentences whose every claim is a comparison of this run's numbers."""
     scores: Any = tables[f"{system.name}, scores"]
-    by: Any = {kind: part.set_index("method") for kind, part in scores.groupby("data")}
-    clean, noisy = by["clean"], by["noisy"]
-    names = [f"PHSI, {m}" for m in ("solver", "likelihood", "descent")]
-    said = [
-        "Largest coefficient error of solver, likelihood and descent: "
-        + "; ".join(
-            f"{_list(part, names, 'largest error')} on {kind} data"
-            for kind, part in by.items()
-        )
-        + ".",
-        *[_ranking(part, kind) for kind, part in by.items()],
-        _example(system, noisy),
-        _selection(noisy),
-        f"Seconds on the noisy data: solver {_g(noisy.at[names[0], 'seconds'])}, descent "
-        f"{_g(noisy.at[names[2], 'seconds'])}, likelihood {_g(noisy.at[names[1], 'seconds'])} after the solver.",
-    ]
-    step = tables.get(f"{system.name}, steps")
-    if step is not None:
-        first, half = step["relative error"]
-        text = f"Exact data: the solver's worst relative error is {_g(first)} at the thesis' step, {_g(half)} at half"
-        if max(first, half) < 1e-10:  # the data are computed to 1e-12
-            said.append(
-                f"{text} of it: both are the accuracy to which the data were computed."
-            )
-        else:
-            said.append(
-                f"{text} of it, a ratio of {first / half:.2g} (16 if the order 4 of the integrator were all)."
-            )
-    return said + SPECIFIC[system.name](clean, noisy, tables)
+    by: dict[str, Any] = {}
+    for kind, part in scores.groupby("data"):
+        by[str(kind)] = part.set_index("method")
+    noisy = by["noisy"]
+    said = [_largest_errors(by)]
+    said += [_ranking(part, kind) for kind, part in by.items()]
+    said += [_example(system, noisy), _selection(noisy), _times(noisy)]
+    steps: Any = tables.get(f"{system.name}, steps")
+    if steps is not None:
+        said.append(_of_steps(steps))
+    said += _beside_the_thesis(system, noisy)
+    if "tanks, checks" in tables:
+        said.append(_of_tanks(tables["tanks, checks"]))
+    return said
+
+
+def _largest_errors(by: dict[str, Any]) -> str:
+    said = []
+    for kind, part in by.items():
+        errors = [part.at[label, "largest error"] for label in OWN]
+        shown = [number(error) if np.isfinite(error) else "-" for error in errors]
+        said.append(f"{', '.join(shown)} on {kind} data")
+    return (
+        f"Largest coefficient error of solver, likelihood and descent: "
+        f"{'; '.join(said)}."
+    )
+
+
+def _times(noisy: Any) -> str:
+    solver, likelihood, descent = (number(noisy.at[m, "seconds"]) for m in OWN)
+    return (
+        f"Seconds on the noisy data: solver {solver}, descent {descent}, "
+        f"likelihood {likelihood} after the solver."
+    )
+
+
+def _of_steps(steps: Any) -> str:
+    first, half = steps["relative error"]
+    text = (
+        f"Exact data: the solver's worst relative error is {number(first)} at the "
+        f"thesis' step, {number(half)} at half of it"
+    )
+    if max(first, half) < EXACT:
+        return f"{text}: both are the accuracy to which the data were computed."
+    return (
+        f"{text}, a ratio of {first / half:.2g} (16 if the order 4 of the integrator "
+        "were all)."
+    )
 
 
 def _example(system: System, noisy: Any) -> str:
     """The one trajectory that the thesis shows."""
     l2 = noisy["l2 example"].dropna().sort_values()
-    own = l2["PHSI, solver"]
-    where = (
-        "outside the training range " if system.name in ("tanks", "schrodinger") else ""
-    )
+    own = l2[SOLVER]
+    is_outside = system.name in ("tanks", "schrodinger")
+    where = "outside the training range " if is_outside else ""
+    place = 1 + int((l2 < own).sum())
     return (
-        f"The thesis' own start {where}(figure), noisy data: the smallest error is that of {l2.index[0]} "
-        f"({_g(l2.iloc[0])}); the solver has {_g(own)}, place {1 + int((l2 < own).sum())} of {len(l2)}."
+        f"The thesis' own start {where}(figure), noisy data: the smallest error is "
+        f"that of {l2.index[0]} ({number(l2.iloc[0])}); the solver has {number(own)}, "
+        f"place {place} of {len(l2)}."
     )
 
 
@@ -162,123 +212,113 @@ def _ranking(part: Any, kind: str) -> str:
     """Who predicts best and worst, and who does better than the solver."""
     l2 = part["l2 whole"].dropna()
     finite = l2[np.isfinite(l2)].sort_values()
-    own = l2["PHSI, solver"]
-    better = [f"{m} ({_g(v)})" for m, v in finite.items() if v < 0.95 * own]
-    text = f"Free runs, {kind} data: the solver has {_g(own)} ("
-    text += (
-        f"smaller by more than 5 %: {', '.join(better)}"
-        if better
-        else "none is smaller by more than 5 %"
-    )
-    text += f"); the largest finite error is that of {finite.index[-1]} ({_g(finite.iloc[-1])})"
-    lost = [
-        f"{m} ({int(part.at[m, 'diverged'])} of 30 starts)"
-        for m in l2.index[~np.isfinite(l2)]
+    own = l2[SOLVER]
+    better = [
+        f"{method} ({number(error)})"
+        for method, error in finite.items()
+        if error < (1 - CLEARLY) * own
     ]
-    return text + (
-        f", and {', '.join(lost)} {'diverges' if len(lost) == 1 else 'diverge'}."
-        if lost
-        else "."
+    smaller = f"none is smaller by more than {CLEARLY:.0%}"
+    if better:
+        smaller = f"smaller by more than {CLEARLY:.0%}: {', '.join(better)}"
+    text = (
+        f"Free runs, {kind} data: the solver has {number(own)} ({smaller}); the "
+        f"largest finite error is that of {finite.index[-1]} "
+        f"({number(finite.iloc[-1])})"
     )
+    lost = [
+        f"{method} ({int(part.at[method, 'diverged'])} of {N_TESTS} starts)"
+        for method in l2.index[~np.isfinite(l2)]
+    ]
+    if not lost:
+        return f"{text}."
+    verb = "diverges" if len(lost) == 1 else "diverge"
+    return f"{text}, and {', '.join(lost)} {verb}."
 
 
 def _selection(noisy: Any) -> str:
-    rows = [
-        (m, r["spurious"], r["missed"])
-        for m, r in noisy.iterrows()
-        if m != "PHNN" and r["reason"] == ""
-    ]
-    exact = [str(m) for m, s, missed in rows if s == 0 and missed == 0]
-    wrong = [
-        f"{m} {int(s)}/{int(missed)}"
-        for m, s, missed in rows
-        if (s or missed) and "PHSI" in str(m)
-    ]
-    text = f"Exactly the true terms, noisy data: {'; '.join(exact) or 'none'}"
-    return text + (f". Spurious/missed terms: {', '.join(wrong)}." if wrong else ".")
-
-
-def _henon_heiles(clean: Any, noisy: Any, tables: Tables) -> list[str]:
-    ours, other = noisy.at["PHSI, solver", "l2 whole"], noisy.at["SSINN", "l2 whole"]
-    return [
-        f"The thesis has SSINN an order of magnitude behind PHSI; with its author's schedule of steps it is "
-        f"{other / ours:.2g} times here."
-    ]
-
-
-def _schrodinger(clean: Any, noisy: Any, tables: Tables) -> list[str]:
-    errors = {m: noisy.at[f"{m}, solver", "largest error"] for m in ("PHSI", "BSI")}
-    return [
-        f"The thesis reaches a precision of 0.1 with PHSI on noisy data and 1 or worse with SINDy and BSI; here "
-        f"PHSI by the solver has {_g(errors['PHSI'])}, BSI by the solver {_g(errors['BSI'])}, STLSQ "
-        f"{_g(noisy.at['SINDy, STLSQ', 'largest error'])}."
-    ]
-
-
-def _mass_spring(clean: Any, noisy: Any, tables: Tables) -> list[str]:
-    said = []
-    for m in ("PHSI, solver", "BSI, solver", "BSI, descent", "PHNN"):
-        inside, whole = noisy.at[m, "l2 inside"], noisy.at[m, "l2 whole"]
-        said.append(f"{m} {_g(inside)} and {_g(2 * whole - inside)}")
-    return [
-        "The training ends at t = 10; l2 error before and after it (noisy data; half of the samples each): "
-        + "; ".join(said)
-        + "."
-    ]
-
-
-def _tanks(clean: Any, noisy: Any, tables: Tables) -> list[str]:
-    if "tanks, checks" not in tables:
-        return []
-    said = []
-    for row in tables["tanks, checks"].to_dict("records"):
-        if row["method"] == "PHSI, descent":
+    """Who found exactly the true terms, and what the others missed."""
+    exact = []
+    wrong = []
+    for method, row in noisy.iterrows():
+        if method == "PHNN" or row["reason"] != "":
             continue
-        limits = LIMITS[row["noise"]]
-        verdicts = [
-            f"{what} {100 * row[f'worst {what}']:.2g} % ({'within' if row[f'worst {what}'] <= limit else 'above'} "
-            f"{100 * limit:g} %)"
-            for what, limit in zip(("H", "r"), limits, strict=True)
+        if row["spurious"] == 0 and row["missed"] == 0:
+            exact.append(str(method))
+        elif "PHSI" in str(method):
+            wrong.append(f"{method} {int(row['spurious'])}/{int(row['missed'])}")
+    text = f"Exactly the true terms, noisy data: {'; '.join(exact) or 'none'}"
+    if not wrong:
+        return f"{text}."
+    return f"{text}. Spurious/missed terms: {', '.join(wrong)}."
+
+
+def _beside_the_thesis(system: System, noisy: Any) -> list[str]:
+    """What the thesis claims of this system, and the same here."""
+    if system.name == "henon_heiles":
+        ratio = noisy.at["SSINN", "l2 whole"] / noisy.at[SOLVER, "l2 whole"]
+        return [
+            f"The thesis has SSINN {published.SSINN_BEHIND} behind PHSI; with its "
+            f"author's schedule of steps it is {ratio:.2g} times here."
         ]
-        of_leak = f"leak {100 * row['leak rms']:.2g} % rms and {100 * row['leak largest']:.2g} % at most of its range"
-        said.append(
-            f"{row['method']} at noise {row['noise']}: {', '.join(verdicts)}, {of_leak}"
-        )
-    return ["Worst relative errors: " + "; ".join(said) + "."]
+    if system.name == "schrodinger":
+        largest = noisy["largest error"].map(number)
+        claims = [f"{error} with {m}" for m, error in published.PRECISION.items()]
+        return [
+            f"The thesis reaches, on noisy data, a precision of "
+            f"{' and '.join(claims)}; here PHSI by the solver has "
+            f"{largest[SOLVER]}, "
+            f"BSI by the solver {largest['BSI, solver']}, STLSQ {largest['SINDy, STLSQ']}."
+        ]
+    if system.name == "mass_spring":
+        return [_before_and_after(system, noisy)]
+    return []
 
 
-SPECIFIC = {
-    "henon_heiles": _henon_heiles,
-    "schrodinger": _schrodinger,
-    "mass_spring": _mass_spring,
-    "tanks": _tanks,
-}
+def _before_and_after(system: System, noisy: Any) -> str:
+    said = []
+    for method in (SOLVER, "BSI, solver", "BSI, descent", "PHNN"):
+        inside = noisy.at[method, "l2 inside"]
+        after = 2 * noisy.at[method, "l2 whole"] - inside
+        said.append(f"{method} {number(inside)} and {number(after)}")
+    end = system.n_steps * system.step
+    return (
+        f"The training ends at t = {end:g}; l2 error before and after it (noisy data; "
+        f"half of the samples each): {'; '.join(said)}."
+    )
+
+
+def _of_tanks(checks: pd.DataFrame) -> str:
+    said = []
+    for row in checks.to_dict("records"):
+        if row["method"] != DESCENT:
+            verdicts = []
+            for what, asked in ASKED[row["noise"]].items():
+                worst = row[f"worst {what}"]
+                verdict = "within" if worst <= asked else "above"
+                verdicts.append(
+                    f"{what} {100 * worst:.2g} % ({verdict} {100 * asked:g} %)"
+                )
+            said.append(
+                f"{row['method']} at noise {row['noise']}: {', '.join(verdicts)}, leak "
+                f"{100 * row['leak rms']:.2g} % rms and "
+                f"{100 * row['leak largest']:.2g} % at most of its range"
+            )
+    return f"Worst relative errors: {'; '.join(said)}."
 
 
 # --- formats
 
 
-def _g(value: float) -> str:
-    return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
-
-
-def _list(part: Any, names: list[str], column: str) -> str:
-    return ", ".join(
-        _g(part.at[m, column]) if np.isfinite(part.at[m, column]) else "-"
-        for m in names
-    )
-
-
 def _shown(scores: pd.DataFrame) -> pd.DataFrame:
+    """The table of all methods; a network has no terms."""
     table = scores.drop(columns=["system", "reason"]).copy()
-    network = table["method"] == "PHNN"
-    for name in ("spurious", "missed", "diverged"):
+    for name in COUNTS:
         table[name] = [("-" if np.isnan(v) else str(int(v))) for v in table[name]]
-    for name in ("spurious", "missed"):
-        table.loc[network, name] = "-"
-    table["seconds"] = table["seconds"].map(
-        lambda v: "-" if np.isnan(v) else f"{v:.1f}"
-    )
+    is_network = table["method"] == "PHNN"
+    table.loc[is_network, ["spurious", "missed"]] = "-"
+    seconds = table["seconds"]
+    table["seconds"] = [("-" if np.isnan(v) else f"{v:.1f}") for v in seconds]
     return _rounded(table)
 
 
@@ -297,5 +337,5 @@ def _rounded(table: pd.DataFrame) -> pd.DataFrame:
     return shown
 
 
-def _block(table: Any) -> list[str]:
-    return ["```text", table.to_string(index=False), "```"]
+def _block(table: pd.DataFrame) -> list[str]:
+    return markdown.block(table.to_string(index=False))

@@ -193,7 +193,7 @@ def draw(table: pd.DataFrame) -> None:
 
 
 def _panel(ax: plt.Axes, part: pd.DataFrame, ends: tuple[float, float]) -> None:
-    """One grid; ``ends``: logarithms of the smallest and largest error of the system."""
+    """One grid; ``ends``: log10 of the smallest and largest error of the system."""
     low, high = ends
     cells = part.pivot(index="lambda_H", columns="pruning", values="error")
     cells = cells[list(dict.fromkeys(part["pruning"]))]

@@ -24,6 +24,7 @@ from problems.thesis.systems import (
 
 SIGNIFICANCE = 0.01
 LASSO_WEIGHTS = 10.0 ** np.arange(-9, 0)  # per sample
+WRONG_FREQUENCY = 1.0  # what regressions get that cannot learn one
 Method = Callable[[System, ph.Measurements, str, int], Any]
 
 
@@ -209,7 +210,7 @@ def phnn(
 
 
 def _frequencies(system: System) -> dict[str, float] | None:
-    """SINDy cannot learn a frequency (thesis Section 6.3), so it gets one that is
-    wrong: 1.
-    """
-    return {"F_p.omega_t": 1.0} if system.name == "mass_spring" else None
+    """SINDy cannot learn a frequency (thesis Section 6.3), so it gets a wrong one."""
+    if system.name != "mass_spring":
+        return None
+    return {"F_p.omega_t": WRONG_FREQUENCY}

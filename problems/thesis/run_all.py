@@ -1,13 +1,14 @@
 """Every experiment of the thesis, two at a time; the timed comparison comes last and
 alone.
 
-python -m problems.thesis.run_all [--quick]
+    python -m problems.thesis.run_all [--quick]
 """
 
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 from problems.tools.provenance import ROOT
 
@@ -22,24 +23,28 @@ SCRIPTS = (
 TIMED = "compare"
 
 
-def run(name: str) -> tuple[str, int, float]:
-    """Run one script; its output is shown when it fails."""
+@dataclass(frozen=True)
+class Outcome:
+    """How a script ended."""
+
+    name: str
+    return_code: int
+
+
+def run(name: str) -> Outcome:
+    """Run one script; the end of its output is shown when it fails."""
     began = time.perf_counter()
-    arguments = [sys.executable, "-m", f"problems.thesis.{name}", *sys.argv[1:]]
+    command = [sys.executable, "-m", f"problems.thesis.{name}", *sys.argv[1:]]
     done = subprocess.run(
-        arguments, cwd=ROOT, capture_output=True, text=True, check=False
+        command, cwd=ROOT, capture_output=True, text=True, check=False
     )
-    seconds = time.perf_counter() - began
-    tail = (
-        "\n".join((done.stdout + done.stderr).splitlines()[-30:])
-        if done.returncode
-        else ""
-    )
-    print(
-        f"{name}: {'failed' if done.returncode else 'done'} after {seconds / 60:.1f} min\n{tail}".rstrip(),
-        flush=True,
-    )
-    return name, done.returncode, seconds
+    minutes = (time.perf_counter() - began) / 60
+    if done.returncode:
+        said = (done.stdout + done.stderr).splitlines()
+        print(f"{name}: failed after {minutes:.1f} min", *said[-30:], sep="\n")
+    else:
+        print(f"{name}: done after {minutes:.1f} min", flush=True)
+    return Outcome(name, done.returncode)
 
 
 def main() -> int:
@@ -48,7 +53,7 @@ def main() -> int:
     with ThreadPoolExecutor(2) as pool:
         outcomes = list(pool.map(run, SCRIPTS))
     outcomes.append(run(TIMED))
-    return sum(code != 0 for _, code, _ in outcomes)
+    return sum(outcome.return_code != 0 for outcome in outcomes)
 
 
 if __name__ == "__main__":

@@ -201,7 +201,8 @@ def _henon_heiles_start(rng: np.random.Generator) -> Vector:
             return x
 
 
-# --- Schroedinger, d = 2: H = ((q1^2 + p1^2)^2 + (q2^2 + p2^2)^2)/4 - q1^2 q2^2 - p1^2 p2^2 + ... (thesis Eq. 6.3)
+# --- Schroedinger, d = 2 (thesis Eq. 6.3): H = ((q1^2 + p1^2)^2 + (q2^2 + p2^2)^2)/4
+#     - q1^2 q2^2 - p1^2 p2^2 + q1^2 p2^2 + q2^2 p1^2 - 4 q1 q2 p1 p2
 
 
 def _schrodinger(t: float, x: Vector) -> Vector:
