@@ -420,6 +420,23 @@ def test_tanks_are_drawn_over_the_states_that_matter(tanks: Case) -> None:
 
 
 @pytest.mark.usefixtures("closing")
+def test_a_model_of_one_state_has_bars_in_place_of_a_map() -> None:
+    rng = np.random.default_rng(6)
+    t = np.linspace(0, 20, 200)
+    u = 1 + np.sin(0.7 * t)
+    true = FirstOrder(["h"], {"h": formula("u - 0.5*h - 0.1*h**2")}, ["u"])
+    x = simulate(true, t, [0.5], u)
+    y = x + 0.005 * rng.normal(size=x.shape)
+    data = Measurements.from_arrays(t, y, u[:, None], states=["h"], inputs=["u"])
+    outlet = formula("u - a*h", a=Parameter(0.4, lower=0))
+    fit = identify(FirstOrder(["h"], {"h": outlet}, ["u"]), data)
+    ax = plot_map(ForceAnalysis.of(Record.of(fit, data)))
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("h", "missing force")
+    (legend_text,) = ax.get_legend().get_texts()
+    assert legend_text.get_text() == "mean and spread"
+
+
+@pytest.mark.usefixtures("closing")
 def test_a_variable_or_equation_that_is_not_there_is_refused_by_name(
     cases: dict[str, Case],
 ) -> None:

@@ -158,12 +158,13 @@ class LinearizedForce:
         no_defects = np.zeros(solution.jacobian.shape[0])
         step = self.factor.solve(np.r_[-gradient, no_defects])
         state_step = step[: self.n_x]
-        force_step = step[self._force_part]
+        force_step = step[self.force_part]
         self.residual = residual - solution.sensors.jacobian @ state_step
         self.innovations = self.L @ (force + force_step)
 
     @property
-    def _force_part(self) -> slice:
+    def force_part(self) -> slice:
+        """Where the force stands among the unknowns."""
         return slice(self.n_x, self.n_x + self.n_w)
 
     def log_evidence(self) -> float:
@@ -222,10 +223,10 @@ class LinearizedForce:
         signs_w = rng.choice([-1.0, 1.0], (self.n_w, n_probes))
         right = np.zeros((self.n_total, 2 * n_probes))
         right[: self.n_x, :n_probes] = self.seen_of.T @ signs_y
-        right[self._force_part, n_probes:] = self.L.T @ signs_w
+        right[self.force_part, n_probes:] = self.L.T @ signs_w
         left = self.factor.solve(right)
         of_y = signs_y * (self.seen_of @ left[: self.n_x, :n_probes])
-        of_w = signs_w * (self.L @ left[self._force_part, n_probes:])
+        of_w = signs_w * (self.L @ left[self.force_part, n_probes:])
 
         per_value = of_y.mean(axis=1).reshape(self.grid.y.shape)
         per_innovation = of_w.mean(axis=1).reshape(self.n_forced, -1)

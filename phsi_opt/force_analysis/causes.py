@@ -4,7 +4,7 @@ A kind is a set of functions: a constant, odd functions of the equation's effort
 functions of the states that it exchanges energy with, of the inputs, of the time.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -64,7 +64,7 @@ class Causes:
         validation = CrossValidation.of(force.force_on(equation), force.run)
         return cls(force, equation, validation, bases)
 
-    def share(self, kinds: Sequence[str]) -> float:
+    def joint_share(self, kinds: Sequence[str]) -> float:
         """Part of the force's mean square that these kinds predict together.
 
         It is judged on stretches of time that were left out.
@@ -77,13 +77,14 @@ class Causes:
         return explained_share(error, self.validation.total)
 
     @cached_property
-    def alone(self) -> dict[str, float]:
+    def gains(self) -> dict[str, float]:
         """What each kind adds to other values of the model's parameters."""
-        by_parameters = self.share(("parameters",))
+        by_parameters = self.joint_share(("parameters",))
         gains = {}
         for kind in CAUSES:
             if kind in self.bases or kind == "time":
-                gains[kind] = self.share(("parameters", kind)) - by_parameters
+                together = self.joint_share(("parameters", kind))
+                gains[kind] = together - by_parameters
         return gains
 
     @cached_property
@@ -93,23 +94,24 @@ class Causes:
         The model's parameters come before all kinds. Further kinds are there while they
         add what is worth naming.
         """
-        by_parameters = self.share(("parameters",))
+        by_parameters = self.joint_share(("parameters",))
         contributions = {"parameters": by_parameters}
-        joint_shares = {}
-        for kind, gain in self.alone.items():
-            joint_shares[kind] = by_parameters + gain
-        least_gain = 0.0
-        while True:
-            known = sum(contributions.values())
-            strongest = _strongest(joint_shares, known + least_gain)
-            if strongest is None:
-                return contributions
-            contributions[strongest] = joint_shares[strongest] - known
-            least_gain = SECOND_CAUSE
-            joint_shares = {}
-            for kind in self.alone:
-                if kind not in contributions:
-                    joint_shares[kind] = self.share((*contributions, kind))
+        shares = {kind: by_parameters + gain for kind, gain in self.gains.items()}
+        strongest = _strongest(shares, by_parameters)
+        while strongest is not None:
+            contributions[strongest] = shares[strongest] - sum(contributions.values())
+            shares = self._shares_beside(contributions)
+            least = sum(contributions.values()) + SECOND_CAUSE
+            strongest = _strongest(shares, least)
+        return contributions
+
+    def _shares_beside(self, known: Collection[str]) -> dict[str, float]:
+        """What known kinds and one further kind predict together, by that kind."""
+        shares = {}
+        for kind in self.gains:
+            if kind not in known:
+                shares[kind] = self.joint_share((*known, kind))
+        return shares
 
 
 def _strongest(shares: Mapping[str, float], least: float) -> str | None:

@@ -79,7 +79,8 @@ class CrossValidation:
         gram = columns[is_fitted].T @ fitted
         right = fitted.T @ self.w[is_fitted]
         predicted = columns[~is_fitted] @ ridge_coefficients(gram, right)
-        return float(np.sum((self.w[~is_fitted] - predicted) ** 2))
+        residual = self.w[~is_fitted] - predicted
+        return float(np.sum(residual**2))
 
 
 def fold_numbers(run: np.ndarray) -> np.ndarray:
@@ -111,7 +112,8 @@ def ridge_coefficients(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Coefficients (k,) of a fit with gram matrix (k, k), slightly drawn to zero."""
     n = len(gram)
     weight = RIDGE * np.trace(gram) / max(n, 1) + TINY
-    return np.asarray(np.linalg.solve(gram + weight * np.eye(n), right))
+    regularised = gram + weight * np.eye(n)
+    return np.asarray(np.linalg.solve(regularised, right))
 
 
 def explained_share(error: float, total: float) -> float:

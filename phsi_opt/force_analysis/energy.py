@@ -57,4 +57,5 @@ def energy_exchange(force: ForceRecord) -> EnergyExchange:
 def _mean_power(force: ForceRecord, equation: str) -> float:
     """Force times effort, averaged over the time."""
     power = force.force_on(equation) * force.effort_of(equation)
-    return float(np.sum(power * force.h) / np.sum(force.h))
+    energy = np.sum(power * force.h)
+    return float(energy / np.sum(force.h))

@@ -44,9 +44,9 @@ def _tie(causes: Causes) -> str:
     first = next((kind for kind in contributions if kind in CAUSES), "constant")
     if first == "constant" or contributions[first] <= NAMED_CAUSE:
         return ""
-    least_gain = causes.alone[first] - TIED_CAUSES
+    least_gain = causes.gains[first] - TIED_CAUSES
     alike = []
-    for kind, gain in causes.alone.items():
+    for kind, gain in causes.gains.items():
         if kind not in contributions and gain > least_gain:
             alike.append(_words(causes, kind))
     if not alike:

@@ -149,7 +149,7 @@ def _hidden(
     w = np.zeros((linear.n_w, n_forces))
     w[of_equation] = forces
     right = np.zeros((linear.n_total, n_forces))
-    right[linear.n_x : linear.n_x + linear.n_w] = linear.L.T @ (linear.L @ w)
+    right[linear.force_part] = linear.L.T @ (linear.L @ w)
     return linear.factor.solve(right)[linear.n_x + of_equation]
 
 

@@ -59,9 +59,8 @@ def error_draws(
     n_innovations = linear.L.shape[0]
     noise = rng.normal(size=(n_values, n_draws))
     innovations = rng.normal(size=(n_innovations, n_draws))
-    of_force = slice(linear.n_x, linear.n_x + linear.n_w)
     right = np.zeros((linear.n_total, n_draws))
     right[: linear.n_x] = linear.seen_of.T @ noise
-    right[of_force] = linear.L.T @ innovations
-    errors = linear.factor.solve(right)[of_force]
+    right[linear.force_part] = linear.L.T @ innovations
+    errors = linear.factor.solve(right)[linear.force_part]
     return np.asarray(errors).reshape(*estimate.w.shape, n_draws)

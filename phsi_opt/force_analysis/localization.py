@@ -132,7 +132,8 @@ def _strong_ranges(z: np.ndarray, w: np.ndarray) -> str:
     n_bins = len(edges) - 1
     if n_bins < 1:
         return ""
-    part = np.clip(np.searchsorted(edges, z) - 1, 0, n_bins - 1)
+    below = np.searchsorted(edges, z) - 1
+    part = np.clip(below, 0, n_bins - 1)
     is_visited = np.bincount(part, minlength=n_bins) > VISITED_BIN * len(w)
     is_large = _rms_in_parts(w, part, n_bins) > OUTSTANDING_FORCE * _rms(w)
     is_strong = is_visited & is_large
@@ -162,7 +163,8 @@ def _joined(edges: np.ndarray, is_strong: np.ndarray) -> list[str]:
 
 def is_mostly_constant(w: np.ndarray) -> bool:
     """Whether most of a force's mean square is that of its mean."""
-    return bool(np.mean(w) ** 2 > MOSTLY_CONSTANT * np.mean(w**2))
+    mean_square = np.mean(w**2)
+    return bool(np.mean(w) ** 2 > MOSTLY_CONSTANT * mean_square)
 
 
 def _frequency(force: ForceRecord, w: np.ndarray) -> float:

@@ -21,10 +21,12 @@ def piecewise_linear_basis(z: np.ndarray, n_knots: int = N_KNOTS) -> np.ndarray:
     knots = _knots(z, n_knots)
     if len(knots) < 2:
         return np.ones((len(z), 1))
-    right = np.clip(np.searchsorted(knots, z), 1, len(knots) - 1)
+    above = np.searchsorted(knots, z)
+    right = np.clip(above, 1, len(knots) - 1)
     left = right - 1
     width = knots[right] - knots[left]
-    fraction = np.clip((z - knots[left]) / width, 0, 1)
+    from_left = z - knots[left]
+    fraction = np.clip(from_left / width, 0, 1)
     rows = np.arange(len(z))
     columns = np.zeros((len(z), len(knots)))
     columns[rows, left] = 1 - fraction
@@ -48,6 +50,7 @@ def odd_basis(z: np.ndarray) -> np.ndarray:
 
 def _knots(z: np.ndarray, n_knots: int) -> np.ndarray:
     """Knots half way between even spacing and even occupation."""
-    quantiles = np.quantile(z, np.linspace(*OUTER_QUANTILES, n_knots))
+    shares = np.linspace(*OUTER_QUANTILES, n_knots)
+    quantiles = np.quantile(z, shares)
     even = np.linspace(quantiles[0], quantiles[-1], n_knots)
     return np.asarray(np.unique((quantiles + even) / 2))

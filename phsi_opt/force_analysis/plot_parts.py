@@ -50,11 +50,13 @@ class Bins:
     def of(cls, z: np.ndarray, w: np.ndarray) -> "Bins":
         """Bins of even width over a variable z (n,), of a force w (n,)."""
         edges = np.linspace(z.min(), z.max(), N_BINS + 1)
-        part = np.clip(np.searchsorted(edges, z, "right") - 1, 0, N_BINS - 1)
+        below = np.searchsorted(edges, z, "right") - 1
+        part = np.clip(below, 0, N_BINS - 1)
         count = np.bincount(part, minlength=N_BINS)
         at_least_one = np.maximum(count, 1)
         mean = np.bincount(part, w, N_BINS) / at_least_one
-        squares = np.bincount(part, (w - mean[part]) ** 2, N_BINS)
+        deviation = w - mean[part]
+        squares = np.bincount(part, deviation**2, N_BINS)
         std = np.sqrt(squares / at_least_one)
         centre = (edges[:-1] + edges[1:]) / 2
         shown = count >= FEWEST_IN_BIN

@@ -56,19 +56,21 @@ def spectrum(
         n_points: frequencies per resolved one.
     """
     runs = _runs(run)
-    durations = [float(t[part][-1] - t[part][0]) for part in runs]
+    times = [t[part] for part in runs]
+    durations = [float(each[-1] - each[0]) for each in times]
     duration = max(durations, default=0.0)
     if duration == 0.0:
         return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
-    typical_steps = [float(np.median(np.diff(t[part]))) for part in runs]
+    typical_steps = [float(np.median(np.diff(each))) for each in times]
     step = max(min(typical_steps), duration / MOST_POINTS)
-    n_fft = next_fast_len(n_points * int(duration / step + 2), real=True)
-    mean_square = np.zeros((n_fft // 2 + 1, *signal.shape[1:]))
+    n_steps = int(duration / step + 2)
+    n_fft = next_fast_len(n_points * n_steps, real=True)
+    frequencies = np.fft.rfftfreq(n_fft, step)
+    mean_square = np.zeros((len(frequencies), *signal.shape[1:]))
     for part in runs:
         weight = (part.stop - part.start) / len(t)
         amplitude = _amplitude(t[part], signal[part], step, n_fft)
         mean_square += weight * amplitude**2
-    frequencies = np.fft.rfftfreq(n_fft, step)
     kept = frequencies >= LEAST_CYCLES / duration
     return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
 

@@ -56,7 +56,8 @@ class TimeBasis:
             is_fitted: where the wave has to fit, (n_intervals,) of bool.
         """
         frequency = best_frequency(force, w, is_fitted)
-        phase = 2 * np.pi * frequency * (force.t - force.t[0])
+        t = force.t - force.t[0]
+        phase = 2 * np.pi * frequency * t
         first = (np.sin(phase), np.cos(phase))
         second = (np.sin(2 * phase), np.cos(2 * phase))
         slow = piecewise_linear_basis(force.t, N_TIME_KNOTS)
@@ -167,6 +168,6 @@ def _explained_by_wave(
     cy = cosine @ y
     least = LEAST_DETERMINANT * ss * cc + TINY
     determinant = np.maximum(ss * cc - sc**2, least)
-    own_parts = sy**2 * cc - 2 * sy * cy * sc
-    fall = own_parts + cy**2 * ss
+    both = 2 * sy * cy * sc
+    fall = sy**2 * cc - both + cy**2 * ss
     return np.asarray(fall / determinant)
