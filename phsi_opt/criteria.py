@@ -69,7 +69,7 @@ REFIT_P_VALUE = 0.1
 # Expected residual variance over that of a candidate which leaves noise, beyond which
 # no other is re-fitted.
 HOPELESS_VARIANCE = 2.0
-# Share of the best score below which a candidate is no rival once the best leaves
+# Share of the best score below which a candidate is no rival, once the best leaves
 # noise.
 RIVAL_SCORE = 0.8
 

@@ -215,8 +215,8 @@ class Study:
         if len(found) != 1:
             listed = ", ".join(str(known) for known in self.added) or "none"
             raise ModelError(
-                f"{len(found)} effects named {name!r} on {place or 'any equation'} were "
-                f"added; added are {listed}."
+                f"{len(found)} effects named {name!r} on {place or 'any equation'} "
+                f"were added; added are {listed}."
             )
         self._say(f"removing {found[0]}")
         kept = self._without(found[0])

@@ -1,4 +1,4 @@
-"""Model against measurements: the free run, its errors, and what the noise alone leaves.
+"""Model against measurements: the free run, its errors, and what noise alone leaves.
 
 A free run begins at a state that was estimated from the whole record and never looks at
 the measurements again. A prediction over one step would hide what a model lacks: every
@@ -297,7 +297,7 @@ def compare_record(record: Record) -> Comparison:
 
 
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:
-    """The simulation from x0; where it breaks off, values far beyond every measurement."""
+    """The simulation from x0; where it breaks off, values far beyond all measurements."""
     try:
         return free_run(model, run.t, x0, run.u, hold)
     except SolveError:

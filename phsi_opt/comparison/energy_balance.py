@@ -10,7 +10,7 @@ from phsi_opt.model.model import Model
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Energies over one trajectory, in the unit of H: change = supplied - dissipated."""
+    """Energies over a trajectory, in the unit of H: change = supplied - dissipated."""
 
     change: float
     supplied: float

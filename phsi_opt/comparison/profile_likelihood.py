@@ -46,8 +46,8 @@ class Profile:
         points: (n, 2) values of the parameter and rise of -2 log likelihood above the
             best fit, sorted by value.
         threshold: rise at the ends of the interval.
-        ci_lower, ci_upper: ends of the interval; infinite where the profile never reaches the
-            threshold, the bound where a bound of the parameter comes first.
+        ci_lower, ci_upper: ends of the interval; infinite where the profile never
+            reaches the threshold, the bound where a bound of the parameter comes first.
         curvature: the interval from the standard error alone.
     """
 
@@ -84,7 +84,10 @@ class Profile:
         return ax
 
     def __str__(self) -> str:
-        text = f"{self.name} = {self.value:.6g}, {100 * self.level:.3g} % interval {self.ci_lower:.6g} to {self.ci_upper:.6g}"
+        text = (
+            f"{self.name} = {self.value:.6g}, {100 * self.level:.3g} % interval "
+            f"{self.ci_lower:.6g} to {self.ci_upper:.6g}"
+        )
         low, high = self.curvature
         return text + (
             f"; curvature alone: {low:.6g} to {high:.6g}"
@@ -139,15 +142,18 @@ def _silent(line: str) -> None:
 def _check(fit: Fit, name: str, level: float) -> None:
     if fit.loss != "MaximumLikelihood":
         raise ModelError(
-            f"the fit is one by {fit.loss}, which has no likelihood; fit with MaximumLikelihood()."
+            f"the fit is one by {fit.loss}, which has no likelihood; "
+            "fit with MaximumLikelihood()."
         )
     if name not in fit.model.free or name not in fit.names:
         raise ModelError(
-            f"parameter {name!r} is not a free, shared one of the fit.{did_you_mean(name, fit.names)}"
+            f"parameter {name!r} is not a free, shared one of the fit."
+            f"{did_you_mean(name, fit.names)}"
         )
     if not np.isfinite(fit.std_errors[name]):
         raise ModelError(
-            f"parameter {name!r} has no standard error (see the fit's warnings), so no profile either."
+            f"parameter {name!r} has no standard error (see the fit's warnings), so no "
+            "profile either."
         )
     if not 0 < level < 1:
         raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")

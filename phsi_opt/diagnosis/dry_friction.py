@@ -37,7 +37,7 @@ def new_corners(model: Model, base: Model) -> dict[str, Share]:
 
 
 def simple_first(rows: Sequence[Row]) -> list[Row]:
-    """The same order, but the simplest dry friction on an equation before the others."""
+    """The same order, but the simplest dry friction on an equation comes first."""
     ordered = list(rows)
     for equation in {candidate.effect.equation for candidate, _ in rows}:
         places = []
@@ -52,7 +52,7 @@ def simple_first(rows: Sequence[Row]) -> list[Row]:
 
 
 def simplest_dry(found: Sequence[Screened]) -> list[Screened]:
-    """Of dry frictions on an equation the one with fewest parameters, and all others."""
+    """All, but of dry frictions on an equation the one with fewest parameters."""
     dry = [one for one in found if is_dry(one.effect)]
     dry.sort(key=lambda one: -one.n_free)
     simplest = {one.effect.equation: one for one in dry}

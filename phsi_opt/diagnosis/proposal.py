@@ -85,7 +85,7 @@ class _Search:
         return best
 
     def _better(self, best: Proposal | None, pair: Pair) -> Proposal | None:
-        """The pair, or what of it is needed, where that is clearly better than the best."""
+        """The pair, or what of it is needed, where that clearly beats the best."""
         first, second = pair
         self.base.say(f"re-fitting with {first.effect} and {second.effect}")
         effects = (first.effect, second.effect)

@@ -1,4 +1,4 @@
-"""The candidates in order: screened, the best few re-fitted, by BIC and by data held out.
+"""The candidates in order: screened, the best few re-fitted, by BIC and held-out data.
 
 All p-values are adjusted for the number of candidates, so that the share of false names
 is controlled (Benjamini and Hochberg, J. R. Stat. Soc. B 57, 1995).
@@ -57,7 +57,7 @@ def ranking(
 def _as_screened(
     one: Screened, found: Sequence[Screened], test: ScoreTest
 ) -> Candidate:
-    """The candidate before its re-fit, with those that its trace cannot be told from."""
+    """The candidate before its re-fit, with those that leave the same trace."""
     alike = []
     if one.p_value < COMPARED_P_VALUE:
         for other in found:
@@ -80,7 +80,7 @@ def _best_refitted(
     screened: Sequence[Candidate],
     found: Sequence[Screened],
 ) -> list[Candidate]:
-    """The best few, re-fitted; once one leaves noise, only those that promise as much."""
+    """The best few, re-fitted; after one that leaves noise only its rivals."""
     pairs = zip(screened, found, strict=True)
     # What chance explains as well, among so many values scanned, comes last.
     rows = sorted(pairs, key=lambda row: row[1].p_value >= 1.0)
@@ -214,7 +214,7 @@ def _ranked(base: DiagnosedModel, refitted: list[Candidate]) -> list[Candidate]:
     The share of independent residuals of the best one is taken for all. Those that BIC
     hardly tells apart and that have as many parameters exchange places by what they
     leave on the data held out; a larger one is not preferred for what it bends to fit
-    there. Where none leaves noise, all are wrong, and of those the simplest comes first.
+    there. Where none leaves noise, all are wrong, and the simplest comes first.
     """
     rows = []
     for candidate in refitted:

@@ -1,4 +1,4 @@
-"""Larger models re-fitted: begun where screening expects them, followed by a free run."""
+"""Larger models re-fitted: begun where screening expects them, then run freely."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

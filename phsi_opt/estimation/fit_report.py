@@ -40,7 +40,7 @@ def report(fit: FitRecord) -> str:
 
 
 def _structure(model: Model) -> list[str]:
-    """An equation per state in the names of the slots, as dp/dt = - dH_dq - R_p*dH_dp."""
+    """An equation per state in the names of the slots: dp/dt = - dH_dq - R_p*dH_dp."""
     rows = []
     for i, state in enumerate(model.states):
         parts = _exchange(model, i)
@@ -55,7 +55,7 @@ def _structure(model: Model) -> list[str]:
 
 
 def _exchange(model: Model, i: int) -> list[str]:
-    """What the structure matrix S exchanges with equation i: a signed text per entry."""
+    """What the structure matrix S exchanges with equation i: signed texts."""
     parts = []
     for j, entry in enumerate(model.S[i]):
         if entry:

@@ -77,7 +77,7 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
 
 
 def rate_size(estimate: ForceEstimate) -> np.ndarray:
-    """Root mean square rate of the forced equations, (n_forced,); at least the prior's."""
+    """Root mean square rate of forced equations, (n_forced,); at least the prior's."""
     rates = estimate.grid.rates(estimate.x)
     size = np.sqrt(np.mean(rates**2, axis=0))
     return np.maximum(size[list(estimate.prior.rows)], estimate.prior.size)

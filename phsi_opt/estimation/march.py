@@ -1,8 +1,8 @@
 """Solutions of a model on a grid: from a starting state interval by interval.
 
 In every interval the scheme's defect is solved for the state at the end by Newton's
-method, in compiled chunks of `MARCH_CHUNK` intervals. This is implicit integration with the
-very scheme of the likelihood, so that its defects vanish to `FEASIBLE`; it judges
+method, in compiled chunks of `MARCH_CHUNK` intervals. This is implicit integration with
+the very scheme of the likelihood, so that its defects vanish to `FEASIBLE`; it judges
 nothing and chooses no step size.
 """
 
@@ -107,8 +107,8 @@ class March:
         )
 
     def _compiled(self, is_careful: bool) -> ca.Function:
-        """CasADi function (x, [guess, t, h, u0, u1, theta] of `MARCH_CHUNK` intervals) -> the
-        states at their ends, and defects.
+        """CasADi function (x, [guess, t, h, u0, u1, theta] of `MARCH_CHUNK` intervals)
+        -> the states at their ends, and defects.
 
         On the wrong side of a corner Newton's method may end where nothing is solved;
         ``is_careful`` begins it once more at the state before, where a body that sticks

@@ -1,4 +1,4 @@
-"""A model as numbers, text, lists and mappings, for files; and the model of such content.
+"""A model as numbers, texts, lists and mappings, for files, and back.
 
 Formulas stay text. Reading one goes through the whitelist of `expressions`, when the
 model checks its terms.

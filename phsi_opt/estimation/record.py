@@ -68,7 +68,7 @@ class Record:
     def beside(
         cls, fit: Fit, aligned: AlignedData, estimate: ForceEstimate
     ) -> "Record":
-        """The record of a fit whose noise and states begin at an estimate made before."""
+        """The record of a fit that begins at an estimate made before."""
         aligned = aligned.for_model(fit.model)
         return cls(fit, aligned, parameters_of(fit, aligned.data), estimate)
 
@@ -110,7 +110,7 @@ class Record:
 
     @property
     def start(self) -> tuple[np.ndarray, ...]:
-        """States of the estimate at the samples, one (n_samples, n_known) per trajectory.
+        """States of the estimate at the samples, (n_samples, n_known) per trajectory.
 
         The memory that a candidate adds is not in them.
         """

@@ -25,8 +25,8 @@ from phsi_opt.optimization.settings import SolverSettings
 SETTLED_AT_KINK = "the iterates settled at a kink of the model, where no slope vanishes"
 # Beside a kink (a dead zone, a gap) the iterates end by going to and fro over it: over
 # the last `SETTLING` of them the logarithm of the objective, times the number of
-# residuals (a change of -2 log likelihood), stays within `LEVEL_DEVIANCE`, and the constraints
-# hold to `HOLDING`. Without curvature that would also be slow progress.
+# residuals (a change of -2 log likelihood), stays within `LEVEL_DEVIANCE`, and the
+# constraints hold to `HOLDING`. Without curvature that would also be slow progress.
 SETTLING = 8
 LEVEL_DEVIANCE = 0.05
 HOLDING = 1e-5

@@ -1,4 +1,4 @@
-"""A record linearised once: what any change of forces or sensors leaves in the residuals.
+"""A record linearised once: what any change leaves in the residuals.
 
 The likelihood of the whole record is linearised at the states of the missing-force
 estimate, with the dynamics hard::
@@ -78,7 +78,7 @@ class LinearizedRecord:
 
     @classmethod
     def of(cls, record: Record, states: np.ndarray | None = None) -> "LinearizedRecord":
-        """Linearise a record, at the states of its missing-force estimate by default."""
+        """Linearise a record, by default at the states of its missing force."""
         estimate = record.estimate
         model = record.model.with_values(estimate.rounded)
         grid = estimate.grid

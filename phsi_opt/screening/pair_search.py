@@ -86,7 +86,7 @@ def _compatible(
     found: Sequence[Screened],
     ordered: list[tuple[tuple[int, int], _Best]],
 ) -> Iterator[_Best]:
-    """Pairs that can be in one model: Stribeck's friction has Coulomb's in it already."""
+    """Pairs that can be in one model: Stribeck's friction contains Coulomb's."""
     for (i, j), pair in ordered:
         try:
             test.model.add(found[i].effect).add(found[j].effect)

@@ -12,7 +12,7 @@ from phsi_opt.statistics import TINY
 # Share of the diagonal that is added to the correlations of traces: two that are equal
 # to rounding still factorise.
 CORRELATION_RIDGE = 1e-10
-# A body at rest: up to all of its defects may be explained by the friction that holds it.
+# A body at rest: friction that holds it may explain up to all of its defects.
 REST_BOUNDS = (0.0, 1.0)
 
 

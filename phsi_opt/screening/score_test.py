@@ -1,4 +1,4 @@
-"""Screening: what every effect of a catalogue would do to the misfit, without re-fitting.
+"""Screening: what every effect would do to the misfit, without re-fitting.
 
 This is Rao's score test on the linearised record: one small regression of the residuals
 on each candidate's trace gives its coefficients, their errors and the fall of the
@@ -81,7 +81,7 @@ class Screened:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Values of inner parameters, the change that they make, its trace and regression."""
+    """Values of inner parameters, the change they make, its trace and regression."""
 
     values: dict[str, float]
     change: Change
@@ -90,7 +90,7 @@ class _Point:
 
 
 class _Candidate:
-    """A trial with its sensitivities, here and along states that obey the base model."""
+    """A trial with its sensitivities, here and along the base model's own run."""
 
     def __init__(self, test: "ScoreTest", trial: Trial) -> None:
         self.trial = trial
@@ -145,7 +145,7 @@ class ScoreTest:
         return self.linearized.along(self._run)
 
     def screened(self, effects: Iterable[Effect]) -> list[Screened]:
-        """What is expected of each effect that leaves a trace; most convincing first."""
+        """What is expected of effects that leave a trace, the most convincing first."""
         found = []
         for effect in effects:
             expected = self.candidate(effect)

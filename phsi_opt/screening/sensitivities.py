@@ -57,14 +57,14 @@ class Change:
 
 
 class Sensitivities:
-    """The change that a trial's coefficients make, as a function of inner parameters."""
+    """The change by a trial's coefficients, as a function of inner parameters."""
 
     def __init__(self, linearized: LinearizedRecord, trial: Trial) -> None:
         self.linearized = linearized
         self.trial = trial
         self.is_sensor = trial.effect.slot == "sensor"
-        # A sensor's dynamics are right: at the states of the missing force a gain of the
-        # sensor would stand in for every force.
+        # A sensor's dynamics are right: at the states of the missing force a gain of
+        # the sensor would stand in for every force.
         self.states = linearized.obeying_states if self.is_sensor else linearized.states
         self.memory: MemoryIntegration | None = None
         grid = linearized.grid
