@@ -297,7 +297,7 @@ def compare_record(record: Record) -> Comparison:
 
 
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:
-    """The simulation from x0; where it breaks off, values far beyond all measurements."""
+    """The simulation from x0; where it breaks off, values far off all measurements."""
     try:
         return free_run(model, run.t, x0, run.u, hold)
     except SolveError:
