@@ -153,7 +153,9 @@ class _JointRegression:
         residual = test.linearized.residual[test.linearized.kept_rows]
         size = np.maximum(np.linalg.norm(traces, axis=0), TINY)
         columns = traces / size
-        gram = columns.T @ columns + CORRELATION_RIDGE * np.eye(len(size))
+        # By the general product: the symmetric one, which BLAS takes for an array and
+        # itself, rounds in another way, and pairs that are close change places.
+        gram = columns.copy().T @ columns + CORRELATION_RIDGE * np.eye(len(size))
         return cls(
             size=size,
             gram=gram,
