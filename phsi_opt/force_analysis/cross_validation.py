@@ -13,8 +13,8 @@ import numpy as np
 from phsi_opt.statistics import TINY
 
 N_FOLDS = 5  # every fifth stretch is left out in turn
-N_STRETCHES = 40  # into which a record is cut
-RIDGE = 1e-3  # weight of the smallness of coefficients, in samples per knot
+N_VALIDATION_STRETCHES = 40  # into which a record is cut
+COEFFICIENT_RIDGE = 1e-3  # weight of the smallness of coefficients, in samples per knot
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ def fold_numbers(run: np.ndarray) -> np.ndarray:
         run: number of the trajectory, (n_intervals,).
     """
     count = np.bincount(run)
-    share_of_record = N_STRETCHES * count / len(run)
+    share_of_record = N_VALIDATION_STRETCHES * count / len(run)
     at_most = np.maximum(count, 1)
     n_stretches = np.clip(np.round(share_of_record), 1, at_most).astype(int)
     n_before = np.cumsum(n_stretches) - n_stretches
@@ -111,7 +111,7 @@ def place_in_run(run: np.ndarray) -> np.ndarray:
 def ridge_coefficients(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Coefficients (k,) of a fit with gram matrix (k, k), slightly drawn to zero."""
     n = len(gram)
-    weight = RIDGE * np.trace(gram) / max(n, 1) + TINY
+    weight = COEFFICIENT_RIDGE * np.trace(gram) / max(n, 1) + TINY
     regularised = gram + weight * np.eye(n)
     return np.asarray(np.linalg.solve(regularised, right))
 

@@ -22,7 +22,7 @@ from phsi_opt.force_analysis.force_uncertainty import times_noise
 from phsi_opt.force_analysis.spectrum import spectrum
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
-N_BINS = 8  # parts of the range of a state in which the force's size is taken
+N_RANGE_BINS = 8  # parts of the range of a state in which the force's size is taken
 # Quantiles of a state between which its range is cut: a few outliers do not widen it.
 RANGE_QUANTILES = (0.01, 0.99)
 EVERYWHERE = "everywhere"  # the region where none stands out
@@ -128,7 +128,7 @@ def strong_region(force: ForceRecord, w: np.ndarray, names: Sequence[str]) -> st
 def _strong_ranges(z: np.ndarray, w: np.ndarray) -> str:
     """Ranges of a variable z (n,) in which w (n,) is strong; "" for none."""
     low, high = np.quantile(z, RANGE_QUANTILES)
-    edges = np.unique(np.linspace(low, high, N_BINS + 1))
+    edges = np.unique(np.linspace(low, high, N_RANGE_BINS + 1))
     n_bins = len(edges) - 1
     if n_bins < 1:
         return ""

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from phsi_opt.presentation.axes import BASELINE, MODEL
 
 TITLE_LETTERS = 62  # in a line of the title over a single panel
-N_BINS = 16  # of a variable in which mean and spread are shown
+N_SHOWN_BINS = 16  # of a variable in which mean and spread are shown
 FEWEST_IN_BIN = 3  # intervals in a bin that is shown
 
 
@@ -49,14 +49,14 @@ class Bins:
     @classmethod
     def of(cls, z: np.ndarray, w: np.ndarray) -> "Bins":
         """Bins of even width over a variable z (n,), of a force w (n,)."""
-        edges = np.linspace(z.min(), z.max(), N_BINS + 1)
+        edges = np.linspace(z.min(), z.max(), N_SHOWN_BINS + 1)
         below = np.searchsorted(edges, z, "right") - 1
-        part = np.clip(below, 0, N_BINS - 1)
-        count = np.bincount(part, minlength=N_BINS)
+        part = np.clip(below, 0, N_SHOWN_BINS - 1)
+        count = np.bincount(part, minlength=N_SHOWN_BINS)
         at_least_one = np.maximum(count, 1)
-        mean = np.bincount(part, w, N_BINS) / at_least_one
+        mean = np.bincount(part, w, N_SHOWN_BINS) / at_least_one
         deviation = w - mean[part]
-        squares = np.bincount(part, deviation**2, N_BINS)
+        squares = np.bincount(part, deviation**2, N_SHOWN_BINS)
         std = np.sqrt(squares / at_least_one)
         centre = (edges[:-1] + edges[1:]) / 2
         shown = count >= FEWEST_IN_BIN
