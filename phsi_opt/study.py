@@ -302,7 +302,7 @@ class Study:
     def unit(self) -> str:
         """Unit of the errors: that of the channel where one is measured."""
         measured = self.train.measured
-        if len(measured) > 1:
+        if len(measured) != 1:
             return "standard deviations"
         return self.train.units.get(measured[0], "")
 

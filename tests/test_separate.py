@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 import phsi_opt as ph
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.experiment_design import Separation, separating
+from phsi_opt.diagnosis.experiments import Experiment, SimulatedRecord, experiments
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue import effect_named
@@ -250,3 +251,24 @@ def test_a_noise_that_is_not_positive_is_refused(
         DataError, match=r"noise of 'q' is 0\.0; expected a positive standard deviation"
     ):
         separating(*shifted, np.array([0.0, 1.0]))
+
+
+def test_experiments_have_names_of_their_own_and_leave_the_record_as_it_is() -> None:
+    t = np.linspace(0.0, 4.0, 101)
+    u = np.cos(9.0 * t)[:, None]
+    model = spring(driven=True)
+    data = positions(model, t, [1.0, 0.0], u)
+    itself = Experiment("the record", t, u, data.measured)
+    shown = free_run(model, t, [1.0, 0.0], u)
+    record = SimulatedRecord(itself, data, model, np.array([1.0, 0.0]), shown)
+    before = u.copy()
+    found = list(experiments(record))
+    assert len({experiment.name for experiment in found}) == len(found)
+    assert np.array_equal(u, before)
+    # As many values as there are samples and sensors, and the same start for all that
+    # change no start.
+    for experiment in found:
+        assert experiment.u.shape == (len(experiment.t), 1)
+        if not experiment.centre and not experiment.shift:
+            assert np.array_equal(experiment.start(model, record.x0), record.x0)
+    assert {experiment.measured for experiment in found} == {("q",), ("q", "p")}

@@ -282,7 +282,10 @@ def compare(fit: Fit, data: Measurements) -> Comparison:
 
 
 def compare_record(record: Record) -> Comparison:
-    """`compare` for a record that was made before."""
+    """`compare` for a record that was made before.
+
+    A run that breaks off is compared as one that is far beyond every measurement.
+    """
     smoothed = smoothed_states(record)
     parameters = smoothed.parameters
     simulated = []
@@ -297,7 +300,10 @@ def compare_record(record: Record) -> Comparison:
 
 
 def _free_run(model: Model, run: Trajectory, x0: np.ndarray, hold: str) -> np.ndarray:
-    """The simulation from x0; where it breaks off, values far off all measurements."""
+    """The simulation from x0, (n_samples, n_states).
+
+    Where it breaks off, values far beyond every measurement.
+    """
     try:
         return free_run(model, run.t, x0, run.u, hold)
     except SolveError:

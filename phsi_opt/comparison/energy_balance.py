@@ -10,7 +10,11 @@ from phsi_opt.model.model import Model
 
 @dataclass(frozen=True)
 class EnergyBalance:
-    """Energies over a trajectory, in the unit of H: change = supplied - dissipated."""
+    """Energies over one trajectory, in the unit of H.
+
+    The change is that of H along the states; for a solution of the model it is supplied
+    less dissipated.
+    """
 
     change: float
     supplied: float

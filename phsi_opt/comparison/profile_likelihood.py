@@ -1,5 +1,4 @@
-"""Profile likelihood: how the best fit worsens as one parameter is held away from its
-estimate.
+"""Profile likelihood: how the best fit worsens as one parameter is held elsewhere.
 
 Where the curvature at the estimate misleads (a bent valley, a bound near by), the
 interval in which the profile stays below the threshold is the better one. Every point
@@ -42,12 +41,15 @@ class Profile:
     """The profile of one parameter.
 
     Attributes:
-        name: of the parameter; value: its estimate; level: of the interval.
+        name: of the parameter.
+        value: its estimate.
+        level: of the interval, between 0 and 1.
         points: (n, 2) values of the parameter and rise of -2 log likelihood above the
             best fit, sorted by value.
         threshold: rise at the ends of the interval.
-        ci_lower, ci_upper: ends of the interval; infinite where the profile never
-            reaches the threshold, the bound where a bound of the parameter comes first.
+        ci_lower: lower end of the interval; infinite where the profile never reaches
+            the threshold, the bound where a bound of the parameter comes first.
+        ci_upper: the upper end.
         curvature: the interval from the standard error alone.
     """
 
@@ -62,14 +64,15 @@ class Profile:
 
     @property
     def is_curved(self) -> bool:
-        """Whether an end differs from that of the curvature by more than a tenth of the
-        half width.
+        """Whether an end lies elsewhere than that of the curvature.
+
+        By more than a tenth of the half width.
         """
-        half = (self.curvature[1] - self.curvature[0]) / 2
-        shift = np.abs(
-            np.array([self.ci_lower, self.ci_upper]) - np.array(self.curvature)
-        )
-        return not np.all(shift <= CURVED * half)
+        lower, upper = self.curvature
+        half_width = (upper - lower) / 2
+        ends = np.array([self.ci_lower, self.ci_upper])
+        shift = np.abs(ends - np.array(self.curvature))
+        return not np.all(shift <= CURVED * half_width)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """The profile beside the parabola of the standard error, with the threshold."""
@@ -84,16 +87,14 @@ class Profile:
         return ax
 
     def __str__(self) -> str:
-        text = (
-            f"{self.name} = {self.value:.6g}, {100 * self.level:.3g} % interval "
-            f"{self.ci_lower:.6g} to {self.ci_upper:.6g}"
-        )
-        low, high = self.curvature
-        return text + (
-            f"; curvature alone: {low:.6g} to {high:.6g}"
-            if self.is_curved
-            else ", as the curvature says"
-        )
+        lower, upper = self.curvature
+        curvature = ", as the curvature says"
+        if self.is_curved:
+            curvature = f"; curvature alone: {lower:.6g} to {upper:.6g}"
+        interval = f"{self.ci_lower:.6g} to {self.ci_upper:.6g}"
+        percent = f"{100 * self.level:.3g} %"
+        estimate = f"{self.name} = {self.value:.6g}"
+        return f"{estimate}, {percent} interval {interval}{curvature}"
 
     __repr__ = __str__
 
@@ -106,12 +107,23 @@ def profile(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> Profile:
-    """Profile likelihood of one parameter of a fit to ``data`` by `MaximumLikelihood`.
+    """Profile likelihood of one parameter of a fit by `MaximumLikelihood`.
 
     The noise stays at the fit's estimate; the threshold is that of the F distribution,
     which knows that it was estimated (for a fit with ``huber``, times the ratio by
-    which its loss rises faster than the squares). Raises `ModelError` for a parameter
-    that the fit does not have as a free and shared one, or that has no standard error.
+    which its loss rises faster than the squares).
+
+    Args:
+        fit: by maximum likelihood.
+        data: the measurements of the fit.
+        name: of a free parameter that all trajectories share.
+        level: of the interval, between 0 and 1.
+        progress: called with a line of text as the work goes on, such as ``print``.
+
+    Raises:
+        ModelError: the fit has no likelihood, or no such parameter with a standard
+            error; or the level is not between 0 and 1.
+        SolveError: the fit could not be repeated, or a re-fit failed.
     """
     _check(fit, name, level)
     line = _Line(fit, AlignedData.of(fit.model, data), name, progress or _silent)
@@ -152,8 +164,8 @@ def _check(fit: Fit, name: str, level: float) -> None:
         )
     if not np.isfinite(fit.std_errors[name]):
         raise ModelError(
-            f"parameter {name!r} has no standard error (see the fit's warnings), so no "
-            "profile either."
+            f"parameter {name!r} has no standard error (see the fit's warnings), "
+            "so no profile either."
         )
     if not 0 < level < 1:
         raise ModelError(f"level={level!r} must lie between 0 and 1, such as 0.95.")

@@ -82,6 +82,9 @@ def diagnose_comparison(
         trained: the fit on the training record.
         judged: the fit on data held out.
         effects, loss, progress: as in `diagnose`.
+
+    Returns:
+        As `diagnose`.
     """
     base = DiagnosedModel(
         trained=trained,

@@ -201,6 +201,6 @@ def _noise_of(model: Model, data: Measurements, noise: np.ndarray) -> dict[str, 
             raise DataError(
                 f"noise of {name!r} is {by_state.get(name)!r}; "
                 "expected a positive standard deviation per measured state, "
-                "such as `Comparison.noise`."
+                "such as `Comparison.sigma`."
             )
     return {name: by_state[name] for name in data.measured}

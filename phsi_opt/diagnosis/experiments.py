@@ -149,20 +149,27 @@ def _other_input(
     record: SimulatedRecord, column: int, frequency: float
 ) -> Iterator[Experiment]:
     """One input, louder and softer, as sines, and as a sweep of their frequencies."""
-    data = record.data
     experiment = record.experiment
-    name = data.inputs[column]
     values = experiment.u[:, column]
-    mean = float(np.mean(values))
     size = float(np.std(values) or abs(np.mean(values)))
     if size == 0:
         return
+    name = record.data.inputs[column]
     for gain in INPUT_GAINS:
         louder = _with_input(experiment, column, gain * values)
         yield replace(louder, name=f"{name} times {gain:g}")
+    yield from _waves(record, column, frequency, np.sqrt(2) * size)
 
+
+def _waves(
+    record: SimulatedRecord, column: int, frequency: float, amplitude: float
+) -> Iterator[Experiment]:
+    """One input as a sine about its mean, and as a sweep."""
+    data = record.data
+    experiment = record.experiment
+    name = data.inputs[column]
+    mean = float(np.mean(experiment.u[:, column]))
     since_start = experiment.t - experiment.t[0]
-    amplitude = np.sqrt(2) * size
     highest = 1 / SAMPLES_PER_PERIOD / record.sampling_time
     for factor in SINE_FREQUENCIES:
         f = factor * frequency

@@ -169,6 +169,8 @@ def _as_refitted(
 
 @dataclass(frozen=True)
 class _Size:
+    """Size of an effect, in the unit of its coefficient, and its standard error."""
+
     value: float
     std_error: float
 

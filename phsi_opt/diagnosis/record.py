@@ -167,6 +167,9 @@ class Diagnosis:
         """The experiment that would tell the first two candidates of a tie apart.
 
         None where there is no tie.
+
+        Raises:
+            SolveError: the record itself cannot be simulated with both models.
         """
         if not self.ranking:
             return None
@@ -196,7 +199,11 @@ class Diagnosis:
             on: variables of the force; default: the one that it depends on most.
             seed: of the network's first weights.
 
-        See `learned_force`.
+        Raises:
+            ModelError: a name is unknown, the equation is one of kinematics, or torch
+                is not installed.
+            DataError: the record is too short to learn from.
+            SolveError: the physics could not be estimated beside the force.
         """
         from phsi_opt.learning.learned_force import learned_force_of
 
@@ -232,7 +239,15 @@ class Diagnosis:
         return plot_missing_force(along_trajectory, equations, self.data.units, ax)
 
     def figure(self, equation: str | None = None) -> "Figure":
-        """Missing force over time and states, against what it follows, its spectrum."""
+        """Missing force over time and states, against what it follows, its spectrum.
+
+        Args:
+            equation: state in whose equation the force acts; default: the one whose
+                missing force is strongest.
+
+        Raises:
+            ModelError: no force was estimated in that equation.
+        """
         from phsi_opt.force_analysis.force_plots import plot_where
 
         return plot_where(self.analysis, equation)

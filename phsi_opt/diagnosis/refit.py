@@ -98,6 +98,11 @@ class _Refitting:
         self.refinement = 2 if has_memory else 1
 
     def result(self) -> Refit:
+        """The fit with its free runs.
+
+        Raises:
+            PhsiOptError: the model cannot be fitted.
+        """
         request = self.request
         model = self.model
         fit = self.sharpening.extended(model, self.refinement, request.known)

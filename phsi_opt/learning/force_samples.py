@@ -1,4 +1,4 @@
-"""The missing force of one equation along a record, as samples to learn a curve from."""
+"""The missing force of one equation along a record, as samples to learn from."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -99,7 +99,10 @@ class ForceSamples:
 
     @property
     def beyond_physics(self) -> np.ndarray:
-        """What the physics cannot explain of the force, (n,), by weighted least squares."""
+        """The force less what the physics explains of it, (n,).
+
+        By least squares, weighted with the standard deviation.
+        """
         scaled = self.w / self.std
         explained = self.physics @ (self.physics.T @ scaled)
         return np.asarray(scaled - explained) * self.std

@@ -78,7 +78,12 @@ class LinearizedRecord:
 
     @classmethod
     def of(cls, record: Record, states: np.ndarray | None = None) -> "LinearizedRecord":
-        """Linearise a record, by default at the states of its missing force."""
+        """Linearise a record.
+
+        Args:
+            record: the fit along the measurements.
+            states: where, (n_nodes, n_states); default: those of the missing force.
+        """
         estimate = record.estimate
         model = record.model.with_values(estimate.rounded)
         grid = estimate.grid
@@ -87,36 +92,18 @@ class LinearizedRecord:
         n_theta = len(unknown)
         theta = np.zeros(n_theta)
         theta[unknown.table] = record.theta
-        by_trajectory = np.asarray(unknown.by_trajectory(theta))
-
-        state_symbol = ca.MX.sym("x", x.size)
-        theta_symbol = ca.MX.sym("theta", n_theta)
-        columns = ca.reshape(state_symbol, model.n_states, grid.n_nodes)
-        of_theta = unknown.by_trajectory(theta_symbol)
-        d = ca.vec(defects(model, grid, DEFECT_SCHEME, columns, of_theta))
-        slopes = [d, ca.jacobian(d, state_symbol), ca.jacobian(d, theta_symbol)]
-        linear = ca.Function("linear", [state_symbol, theta_symbol], slopes)
-        value, by_states, by_theta = linear(x.ravel(), theta)
-        minus_e = np.array(value).ravel()
-
-        sensed = SensorOutputs.at(model, grid, x, by_trajectory)
-        measured = grid.measured
-        weight = np.where(measured, 1 / estimate.sigma, 0.0).ravel()
-        weighted = diags(weight)
-        direct = output_slopes_in_theta(unknown, grid, x, theta).reshape(
-            x.size, n_theta
+        point = _Point(model, grid, unknown, x, theta)
+        linear_defects = _linear_defects(point)
+        linear_outputs = _linear_outputs(point, estimate.sigma)
+        scale = _column_scale(
+            csc_matrix(linear_defects.in_theta), linear_outputs.in_theta
         )
-        weighted_direct = weighted @ csc_matrix(direct)
-        scale = _column_scale(csc_matrix(by_theta.sparse()), weighted_direct)
-        scaled_slopes = by_theta.sparse() @ diags(scale)
-        through_sensors = weighted_direct @ diags(scale)
-        through_states = weighted @ sensed.jacobian
-        from_unknowns = csc_matrix(hstack([through_sensors, through_states]))
-        unexplained = np.where(measured, (grid.y - sensed.values) / estimate.sigma, 0.0)
-        r = unexplained.ravel()
+        scaled_slopes = linear_defects.in_theta @ diags(scale)
+        through_sensors = linear_outputs.in_theta @ diags(scale)
+        from_unknowns = csc_matrix(hstack([through_sensors, linear_outputs.in_states]))
 
         hessian = csc_matrix(from_unknowns.T @ from_unknowns)
-        jacobian = hstack([scaled_slopes, by_states.sparse()])
+        jacobian = hstack([scaled_slopes, linear_defects.in_states])
         reduced = ReducedSystem(
             grid,
             model.n_states,
@@ -126,11 +113,11 @@ class LinearizedRecord:
             slice(n_theta, n_theta + x.size),
         )
         covariance = regularized_inverse(reduced.information)
-        gradient = from_unknowns.T @ r
+        gradient = from_unknowns.T @ linear_outputs.residual
         step = reduced.solve(
-            gradient[n_theta:], -minus_e, covariance, gradient[:n_theta]
+            gradient[n_theta:], -linear_defects.values, covariance, gradient[:n_theta]
         )
-        residual = r - from_unknowns @ step.joined
+        residual = linear_outputs.residual - from_unknowns @ step.joined
         return cls(
             record=record,
             model=model,
@@ -139,8 +126,8 @@ class LinearizedRecord:
             unknown=unknown,
             theta=theta,
             scale=scale,
-            defects=minus_e,
-            weight=weight,
+            defects=linear_defects.values,
+            weight=linear_outputs.weight,
             from_unknowns=from_unknowns,
             reduced=reduced,
             covariance=covariance,
@@ -288,6 +275,88 @@ class LinearizedRecord:
             linearized = LinearizedRecord.of(self.record, states)
         left = np.linalg.norm(linearized.defects)
         return linearized if left < NEARLY_OBEYING * reference else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Where a record is linearised.
+
+    Attributes:
+        model: the fitted model.
+        grid: nodes and intervals.
+        unknown: the layout of the vector of parameters.
+        x: states, (n_nodes, n_states).
+        theta: parameters, (n_theta,).
+    """
+
+    model: Model
+    grid: Grid
+    unknown: Theta
+    x: np.ndarray
+    theta: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _LinearDefects:
+    """Defects, (n_intervals * n_states,), with their slopes."""
+
+    values: np.ndarray
+    in_states: csc_matrix
+    in_theta: csc_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class _LinearOutputs:
+    """What the sensors show, in units of the noise.
+
+    Attributes:
+        residual: measured less shown, (n_nodes * n_states,); 0: unmeasured.
+        weight: one over the noise, (n_nodes * n_states,); 0: unmeasured.
+        in_states: slopes of what is shown.
+        in_theta: the same in the parameters, states held.
+    """
+
+    residual: np.ndarray
+    weight: np.ndarray
+    in_states: csc_matrix
+    in_theta: csc_matrix
+
+
+def _linear_defects(point: _Point) -> _LinearDefects:
+    model = point.model
+    grid = point.grid
+    x = ca.MX.sym("x", point.x.size)
+    theta = ca.MX.sym("theta", len(point.unknown))
+    columns = ca.reshape(x, model.n_states, grid.n_nodes)
+    by_trajectory = point.unknown.by_trajectory(theta)
+    d = ca.vec(defects(model, grid, DEFECT_SCHEME, columns, by_trajectory))
+    slopes = [d, ca.jacobian(d, x), ca.jacobian(d, theta)]
+    linear = ca.Function("linear", [x, theta], slopes)
+    values, in_states, in_theta = linear(point.x.ravel(), point.theta)
+    return _LinearDefects(
+        np.array(values).ravel(), in_states.sparse(), in_theta.sparse()
+    )
+
+
+def _linear_outputs(point: _Point, sigma: np.ndarray) -> _LinearOutputs:
+    """With the noise, (n_states,)."""
+    grid = point.grid
+    x = point.x
+    theta = point.theta
+    by_trajectory = np.asarray(point.unknown.by_trajectory(theta))
+    sensed = SensorOutputs.at(point.model, grid, x, by_trajectory)
+    measured = grid.measured
+    weight = np.where(measured, 1 / sigma, 0.0).ravel()
+    weighted = diags(weight)
+    direct = output_slopes_in_theta(point.unknown, grid, x, theta)
+    direct = direct.reshape(x.size, len(theta))
+    unexplained = np.where(measured, (grid.y - sensed.values) / sigma, 0.0)
+    return _LinearOutputs(
+        residual=unexplained.ravel(),
+        weight=weight,
+        in_states=weighted @ sensed.jacobian,
+        in_theta=weighted @ csc_matrix(direct),
+    )
 
 
 def _column_scale(of_defects: csc_matrix, of_outputs: csc_matrix) -> np.ndarray:

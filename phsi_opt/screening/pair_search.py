@@ -16,7 +16,8 @@ from phsi_opt.screening.regression import CORRELATION_RIDGE, REST_BOUNDS, bounds
 from phsi_opt.screening.score_test import ScannedPoint, ScoreTest, Screened
 from phsi_opt.statistics import TINY
 
-WHOLE = (1.0, 1.0)  # bounds of an effect without a coefficient: it is there as a whole
+# Bounds of an effect without a coefficient: it is there as a whole.
+WHOLE = (1.0, 1.0)
 Pair = tuple[Screened, Screened]  # the stronger first
 
 

@@ -173,17 +173,12 @@ class ScoreTest:
         except PhsiOptError:
             return None
         candidate = _Candidate(self, trial)
-        points = self._points(trial)
+        points = _combinations(trial.tried)
         n_tried = len(points)
         if trial.frequency is not None:
             tried = frequency_grid(self.linearized.grid, self.linearized.grid.t)
             n_tried = len(tried)
-            omega = best_frequency(
-                candidate.here,
-                trial.frequency,
-                tried,
-                lambda trace: self._regression(trial, trace).drop,
-            )
+            omega = self._best_frequency(candidate, trial.frequency, tried)
             points = [{trial.frequency: omega}]
         ranked = self._ranked(candidate, points)
         if not ranked:
@@ -232,13 +227,15 @@ class ScoreTest:
         number = self.model.index(state)
         return bool(self.linearized.grid.measured[:, number].any())
 
-    def _points(self, trial: Trial) -> list[dict[str, float]]:
-        """Every combination of the values to try."""
-        points = []
-        for combination in product(*trial.tried.values()):
-            values = [float(value) for value in combination]
-            points.append(dict(zip(trial.tried, values, strict=True)))
-        return points
+    def _best_frequency(
+        self, candidate: _Candidate, name: str, tried: np.ndarray
+    ) -> float:
+        """The one of the frequencies (n_tried,) at which a wave explains most."""
+
+        def drop(trace: np.ndarray) -> float:
+            return self._regression(candidate.trial, trace).drop
+
+        return best_frequency(candidate.here, name, tried, drop)
 
     def _regression(self, trial: Trial, trace: np.ndarray) -> Regression:
         return regression(trial, trace, self.linearized.residual)
@@ -391,6 +388,15 @@ class ScoreTest:
         ratio = max(self.misfit, TINY) / max(self.misfit - drop, TINY)
         gain = share * self.n_values * np.log(ratio)
         return min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), n_free)))
+
+
+def _combinations(tried: dict[str, np.ndarray]) -> list[dict[str, float]]:
+    """Every combination of the values to try, by inner parameter."""
+    points = []
+    for combination in product(*tried.values()):
+        values = [float(value) for value in combination]
+        points.append(dict(zip(tried, values, strict=True)))
+    return points
 
 
 def _linear_names(new: dict[str, Entry]) -> list[str]:
