@@ -120,9 +120,7 @@ def test_on_a_hardening_spring_a_start_further_out_tells_an_offset_from_a_force(
     assert "noise standard deviations; in this record by" in found.sentence
 
 
-def test_dry_friction_and_drag_are_told_apart_by_another_amplitude_whichever_comes_first() -> (
-    None
-):
+def test_another_amplitude_tells_dry_friction_from_drag_whichever_comes_first() -> None:
     dry = spring().add(effect_named(spring(), "coulomb friction", "p"))
     dry = dry.with_values(
         {"coulomb_friction_p": 1.0, "coulomb_friction_p.v0": 0.05, "R_p": 0.3}

@@ -99,22 +99,21 @@ def separating(
         SolveError: the record itself cannot be simulated with both models.
     """
     number = int(np.argmax([run.n_samples for run in data.trajectories]))
-    record = _Record(
-        data, data.trajectories[number], _noise_of(first.model, data, noise)
-    )
+    by_state = _noise_of(first.model, data, noise)
+    source = _Source(data, data.trajectories[number], by_state)
     one = ExperimentSimulator(first, data, number)
     other = ExperimentSimulator(second, data, number)
-    found = _separation(one, other, record)
-    return _separation(other, one, record) if found.alike else found
+    found = _separation(one, other, source)
+    return _separation(other, one, source) if found.alike else found
 
 
 @dataclass(frozen=True, eq=False)
-class _Record:
+class _Source:
     """The trajectory that experiments are derived from.
 
     Attributes:
         data: the measurements that hold it.
-        trajectory: the one.
+        trajectory: one of theirs.
         noise: standard deviation by measured state.
     """
 
@@ -154,15 +153,15 @@ class _Record:
 
 
 def _separation(
-    truth: ExperimentSimulator, imitator: ExperimentSimulator, record: _Record
+    truth: ExperimentSimulator, imitator: ExperimentSimulator, source: _Source
 ) -> Separation:
     """How well every experiment tells the imitator from the truth."""
-    simulated = record.simulated(truth)
+    simulated = source.simulated(truth)
     spread = simulated.spread
-    imitation = Imitation(truth, imitator, record.noise_with(spread), spread)
+    imitation = Imitation(truth, imitator, source.noise_with(spread), spread)
     in_record = imitation.in_record(simulated.experiment)
     if in_record is None:
-        raise SolveError(_not_simulated(record.trajectory.name, imitator.model))
+        raise SolveError(_not_simulated(source.trajectory.name, imitator.model))
     rows = []
     for experiment in experiments(simulated):
         misfit = imitation.misfit_added(experiment, in_record)

@@ -18,11 +18,11 @@ from phsi_opt.diagnosis.experiment_simulator import (
 from phsi_opt.diagnosis.experiments import Experiment
 from phsi_opt.statistics import TINY
 
-MOST_STEPS = 8  # of Gauss-Newton
+MOST_GAUSS_NEWTON_STEPS = 8
 STEP_SHARES = (1.0, 0.25, 0.05)  # of a step that are tried
 SETTLED = 0.05  # relative fall of the misfit at which the steps end
 # Singular values of the scaled slopes, over the largest, that count as zero.
-RANK_TOLERANCE = 1e-9
+SLOPE_RANK_TOLERANCE = 1e-9
 # Tolerance of the simulations, in noise deviations. It is that of the coarser run: the
 # finer one is 30 times better.
 SIMULATION_TOLERANCE = 0.3
@@ -205,7 +205,7 @@ def least_squares(
     if at_start is None:
         return None
     best = Minimum(start, at_start)
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_GAUSS_NEWTON_STEPS):
         better = _stepped(residuals, best, bounds)
         if better is None:
             return best
@@ -223,7 +223,7 @@ def _stepped(residuals: Residuals, best: Minimum, bounds: Bounds) -> Minimum | N
     slope = best.residuals.slope
     norms = np.linalg.norm(slope, axis=0)
     norms = np.where(norms > 0, norms, 1.0)
-    scaled_step = np.linalg.lstsq(slope / norms, r, rcond=RANK_TOLERANCE)[0]
+    scaled_step = np.linalg.lstsq(slope / norms, r, rcond=SLOPE_RANK_TOLERANCE)[0]
     step = -scaled_step / norms
     for share in STEP_SHARES:
         z = bounds.nearest(best.z + share * step)

@@ -37,8 +37,6 @@ CANDIDATE_COLUMNS = (
     "confusable_with",
 )
 N_PRINTED = 6  # candidates that are printed
-# Rows of `follows` that are no variable a force could be learned on.
-NO_VARIABLES = ("constant", "parameters")
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +212,7 @@ class Diagnosis:
 
     def _leading_variables(self, equation: str) -> Sequence[str]:
         best = leading(self.follows, equation)
-        if best is None or best["variable"] in NO_VARIABLES:
+        if best is None:
             return self.fit.model.states
         return str(best["variable"]).split(", ")
 

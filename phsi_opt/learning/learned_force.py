@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 FORMAT = "phsi_opt learned force 1"
 SMALLEST_SPREAD = 1e-12  # of a variable, in its unit
-N_CURVE = 300  # points of a drawn curve
-N_MAP = 60  # points to a side of a drawn map
+N_CURVE_POINTS = 300  # points of a drawn curve
+N_MAP_POINTS = 60  # points to a side of a drawn map
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class LearnedForce:
         from phsi_opt.presentation.pictures import plot_learned_curve
 
         lower, upper = self.data_range[:, 0].tolist()
-        v = np.linspace(lower, upper, N_CURVE)
+        v = np.linspace(lower, upper, N_CURVE_POINTS)
         curve = np.column_stack([v, self.at(v[:, None])])
         samples = np.column_stack([self.samples.v[:, 0], self.samples.beyond_physics])
         return plot_learned_curve(curve, samples, (self.on[0], name), ax)
@@ -197,12 +197,12 @@ class LearnedForce:
         from phsi_opt.presentation.pictures import plot_learned_map
 
         lower, upper = self.data_range
-        first = np.linspace(lower[0], upper[0], N_MAP)
-        second = np.linspace(lower[1], upper[1], N_MAP)
-        points = np.tile(self.shift, (N_MAP**2, 1))
-        points[:, 0] = np.tile(first, N_MAP)
-        points[:, 1] = np.repeat(second, N_MAP)
-        force = self.at(points).reshape(N_MAP, N_MAP)
+        first = np.linspace(lower[0], upper[0], N_MAP_POINTS)
+        second = np.linspace(lower[1], upper[1], N_MAP_POINTS)
+        points = np.tile(self.shift, (N_MAP_POINTS**2, 1))
+        points[:, 0] = np.tile(first, N_MAP_POINTS)
+        points[:, 1] = np.repeat(second, N_MAP_POINTS)
+        force = self.at(points).reshape(N_MAP_POINTS, N_MAP_POINTS)
         labels = (self.on[0], self.on[1], f"learned {name}")
         return plot_learned_map(
             first, second, force, samples=self.samples.v[:, :2], labels=labels, ax=ax

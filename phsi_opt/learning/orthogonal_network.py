@@ -23,7 +23,7 @@ from phsi_opt.learning.hidden_layer import STOPS, HiddenLayer, Training, trained
 from phsi_opt.statistics import TINY
 
 # Weights of the squared output weights that are tried, relative to the features.
-RIDGES = 10.0 ** np.arange(-10, 1)
+OUTPUT_RIDGES = 10.0 ** np.arange(-10, 1)
 # Singular values, over the largest, that count as zero: rounding, of a force on the
 # physics, and of the ridge regression.
 ORTHOGONAL = 1e-12
@@ -91,7 +91,7 @@ class _Features:
         normal = columns.T @ columns
         right = columns.T @ residual[used]
         outputs = []
-        for weight in RIDGES:
+        for weight in OUTPUT_RIDGES:
             regularized = normal + weight * ridge
             found = np.linalg.lstsq(regularized, right, rcond=NORMAL_RANK_TOLERANCE)
             outputs.append(free @ found[0])
@@ -133,7 +133,7 @@ def _errors_left_out(
         (n_folds, n_stops, n_ridges).
     """
     residual = response.residual
-    errors = np.zeros((N_FOLDS, len(STOPS), len(RIDGES)))
+    errors = np.zeros((N_FOLDS, len(STOPS), len(OUTPUT_RIDGES)))
     for fold in range(N_FOLDS):
         used = response.fold != fold
         left_out = response.value_fold == fold
