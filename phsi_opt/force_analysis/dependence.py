@@ -34,6 +34,7 @@ from phsi_opt.statistics import TINY
 # Rows of `depends_on` that are no variables.
 CONSTANT = "constant"
 PARAMETERS = "parameters"
+NO_VARIABLES = (CONSTANT, PARAMETERS)
 MOST_PAIRS = 6  # pairs of states that are looked at
 MOST_RANKED = 2000  # values whose ranks are compared
 # Singular values, as a share of the largest, below which functions count as dependent.
@@ -249,7 +250,7 @@ def leading(follows: pd.DataFrame, equation: str) -> pd.Series | None:
         None where the force was compared with no variable.
     """
     rows = follows[follows["equation"] == equation]
-    rows = rows[~rows["variable"].isin([CONSTANT, PARAMETERS])]
+    rows = rows[~rows["variable"].isin(NO_VARIABLES)]
     good = rows[rows["share"] > rows["share"].max() - NAMED_CAUSE]
     if good.empty:
         return None

@@ -8,14 +8,14 @@ from matplotlib.axes import Axes
 
 from phsi_opt.presentation.axes import BASELINE, MODEL
 
-TITLE_LETTERS = 62  # in a line of the title over a single panel
+PANEL_TITLE_LETTERS = 62  # in a line of the title over a single panel
 N_SHOWN_BINS = 16  # of a variable in which mean and spread are shown
 FEWEST_IN_BIN = 3  # intervals in a bin that is shown
 
 
 def draw_title(ax: Axes, text: str) -> None:
     """The title, in lines that are as long as a panel is wide."""
-    ax.set_title(fill(text, TITLE_LETTERS), fontsize=10)
+    ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
 
 
 def draw_zero(ax: Axes) -> None:
