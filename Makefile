@@ -14,7 +14,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo thesis compare test lint types constraints clean
+.PHONY: help install demo thesis compare test lint types docs constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -41,6 +41,10 @@ lint: $(VENV)/.full ## check style and formatting
 types: $(VENV)/.full ## check types
 	@$(PY) -m mypy
 
+docs: $(VENV)/.full ## write the API reference into docs/_build/html; warnings are errors
+	@$(PY) -m sphinx -q -W --keep-going -n -b html docs docs/_build/html
+	@echo "The API reference is in docs/_build/html/index.html."
+
 constraints: ## write .ci/constraints.txt anew, with the newest versions that pyproject.toml allows
 	@tmp=$$(mktemp -d) && trap 'rm -rf "$$tmp"' EXIT && set -e; \
 	echo "Resolving all dependencies in a fresh environment; this may take some minutes."; \
@@ -54,7 +58,7 @@ constraints: ## write .ci/constraints.txt anew, with the newest versions that py
 	cp "$$tmp/constraints.txt" $(CONSTRAINTS)
 
 clean: ## remove caches and build products; .venv stays
-	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf build dist docs/_build docs/rooms *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -path ./$(VENV) -prune -o -type d -name __pycache__ -exec rm -rf {} +
 
 # The stamps say what .venv holds. The full installation contains the core, so it renews both stamps, and

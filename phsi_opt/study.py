@@ -64,7 +64,7 @@ class Step:
 
     @property
     def judged(self) -> Comparison:
-        """The comparison that judges: on data held out, else on the training record."""
+        """The comparison that judges, on data held out or else the training record."""
         return self.held_out or self.train
 
 
@@ -300,7 +300,7 @@ class Study:
 
     @property
     def unit(self) -> str:
-        """Unit of the errors: that of the channel where one is measured."""
+        """Unit of the errors, that of the channel where one is measured."""
         measured = self.train.measured
         if len(measured) != 1:
             return "standard deviations"

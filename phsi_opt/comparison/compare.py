@@ -195,7 +195,7 @@ class Comparison:
 
     @cached_property
     def energy(self) -> pd.DataFrame:
-        """Energy balance of the free run: change of H = supplied - dissipated.
+        """The free run's balance of energy, change of H = supplied - dissipated.
 
         A row per trajectory: trajectory, change, supplied, dissipated, by the
         trapezoidal rule.

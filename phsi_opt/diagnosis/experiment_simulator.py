@@ -80,7 +80,7 @@ class ExperimentSimulator:
 
     @property
     def z(self) -> np.ndarray:
-        """The fitted unknowns (n_unknowns,): parameters and starting state."""
+        """The fitted unknowns (n_unknowns,), parameters and then starting state."""
         return np.r_[self.theta, self.x0]
 
     @cached_property

@@ -26,7 +26,9 @@ from phsi_opt.simulation.simulate import simulate
 class FitRecord(Identified):
     """What an identification found, with its tables.
 
-    Attributes (beside those of `Identified`):
+    The attributes of `Identified` belong to it too.
+
+    Attributes:
         names: Names of the estimated parameters. One that every trajectory has of its
             own appears as ``m[run 1]``, ``m[run 2]``, and stands in ``values`` and in
             the model with its mean. Default: the free parameters of the model.
@@ -170,7 +172,7 @@ class FitRecord(Identified):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Table of the parameters: a row per value, fixed parameters included.
+        """Table of the parameters, a row per value, fixed parameters included.
 
         Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
         ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the

@@ -34,7 +34,7 @@ class Task:
     Attributes:
         model: with its free parameters at values to start from.
         aligned: measurements in the model's order, laid out.
-        l1: weight of |coefficient| per slot, in units of the scaled loss.
+        l1: weight of ``|coefficient|`` per slot, in units of the scaled loss.
         pruning: how terms are removed; None keeps them all.
         settings: of every solve.
         say: called with a line of text as the work goes on.

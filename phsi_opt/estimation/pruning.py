@@ -22,7 +22,7 @@ class Pruning:
     Until none is left to remove.
 
     Args:
-        threshold: terms with |coefficient| < threshold go (thesis Algorithm 6; 0:
+        threshold: terms with ``|coefficient| < threshold`` go (thesis Algorithm 6; 0:
             none).
         slots: where terms may go (damping stays by default: a small damping is still
             one).

@@ -61,7 +61,7 @@ class Identified:
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Table of the parameters: a row each, fixed ones included.
+        """Table of the parameters, a row each, fixed ones included.
 
         Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
         ``value``, ``std_error`` (NaN where not known), ``lower`` and ``upper`` (the

@@ -171,7 +171,7 @@ class BaseModel:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the parameters that are not fixed: the order of theta."""
+        """Names of the parameters that are not fixed, in the order of theta."""
         names = []
         for name, entry in self.entries.items():
             if not entry.parameter.fixed:

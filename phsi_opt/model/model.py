@@ -197,5 +197,5 @@ class FirstOrder(Model):
 
     @property
     def has_energy(self) -> bool:
-        """False: the efforts are the states."""
+        """False, for the efforts are the states."""
         return False

@@ -135,7 +135,7 @@ class Parameter:
 
     @property
     def start(self) -> float:
-        """Starting value: the given one, otherwise the point nearest to zero."""
+        """Starting value, the given one or else the point nearest to zero."""
         if self.value is not None:
             return self.value
         return float(np.clip(0.0, self.lower, self.upper))

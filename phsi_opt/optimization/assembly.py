@@ -178,7 +178,7 @@ class Assembly:
         start: np.ndarray,
         scale: np.ndarray,
     ) -> None:
-        """Add sum(weight |expression|) through slack variables s.
+        """Add ``sum(weight |expression|)`` through slack variables s.
 
         -s <= expression <= s, at the cost weight s; all arrays have one entry per entry
         of ``expression``, ``start`` its values at the start.

@@ -38,7 +38,7 @@ class Outcome:
 
     @property
     def way(self) -> str:
-        """How a solution like it is to be sought first: one of `WAYS`."""
+        """How a solution like it is to be sought first, one of `WAYS`."""
         is_along_solutions = self.success and self.status in PATH_STATUSES
         return FEASIBLE_PATH if is_along_solutions else GAUSS_NEWTON
 

@@ -171,7 +171,7 @@ class LinearizedRecord:
 
     @cached_property
     def kept_rows(self) -> np.ndarray:
-        """Rows of measured values that are kept of a trace: all, or a fixed draw."""
+        """Rows of measured values that are kept of a trace, all or a fixed draw."""
         rows = np.flatnonzero(self.weight)
         if len(rows) > MOST_KEPT_ROWS:
             rng = np.random.default_rng(0)

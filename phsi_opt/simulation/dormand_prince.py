@@ -41,8 +41,9 @@ def step(rhs: ca.Function, n_watched: int) -> ca.Function:
         n_watched: number of states, the first ones, whose errors are estimated.
 
     Returns:
-        CasADi function (x, column) -> x after the step, (n_watched,) |estimated error|;
-        the column holds the time, the length of the step, the inputs and their slopes.
+        CasADi function (x, column) -> x after the step, size of the estimated error
+        (n_watched,); the column holds the time, the length of the step, the inputs and
+        their slopes.
     """
     n_inputs = rhs.size1_in(1)
     x = ca.SX.sym("x", rhs.size1_in(0))

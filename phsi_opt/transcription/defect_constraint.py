@@ -58,7 +58,7 @@ class DefectConstraint:
 
     @property
     def factor(self) -> np.ndarray:
-        """Of each defect, (n_states, n_intervals): length over the state's size."""
+        """Length over the state's size of each defect, (n_states, n_intervals)."""
         return self.grid.h[None, :] / self.point.x_scale[:, None]
 
     def scaled(self, d: ca.MX) -> ca.MX:

@@ -74,7 +74,7 @@ class Step:
 
     @property
     def joined(self) -> np.ndarray:
-        """Parameters, then states: (n_theta + n_nodes * n_states, ...)."""
+        """Parameters, then states, (n_theta + n_nodes * n_states, ...)."""
         return np.concatenate([self.theta, self.x])
 
 

@@ -55,7 +55,7 @@ class ThetaVariable:
         return self.unknown.by_trajectory(self.values)
 
     def add_l1(self, build: Assembly, l1: Mapping[str, float], factor: float) -> None:
-        """Add factor * sum_j lambda_j |xi_j| over the coefficients of terms.
+        """Add ``factor * sum_j lambda_j |xi_j|`` over the coefficients of terms.
 
         ``l1`` holds a weight lambda per slot; a slot that it does not name has none.
         """

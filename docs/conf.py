@@ -1,0 +1,164 @@
+"""How Sphinx makes the API reference: `make docs` writes it into docs/_build/html.
+
+The pages of the rooms are written by ``room_pages`` from the packages' files, so that
+no module is forgotten. A public name is documented once, on its user's page; links to
+it and to the module that defines it lead there. Nothing is read from the network.
+"""
+
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from docutils import nodes
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.domains.python import PyObject, PythonDomain
+from sphinx.environment import BuildEnvironment
+
+import phsi_opt
+
+DOCS = Path(__file__).parent
+sys.path.insert(0, str(DOCS))
+
+import room_pages  # noqa: E402  (found only with docs/ on the path)
+
+project = "phsi_opt"
+author = "the phsi_opt authors"
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "myst_parser",
+]
+exclude_patterns = ["_build"]
+
+html_theme = "furo"
+html_title = "phsi_opt"
+html_copy_source = False
+html_show_copyright = False
+myst_heading_anchors = 2
+
+add_module_names = False
+default_role = "py:obj"  # `name` is a link where there is such an object, else literal
+python_maximum_signature_line_length = 88  # longer signatures: one argument a line
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_default_options = {"members": True}
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True  # attributes are a list in their class's text,
+napoleon_attr_annotations = False  # their types are in its signature
+napoleon_use_rtype = False
+
+# Types of other packages have no page here, and nothing is read from the network.
+nitpick_ignore_regex = [
+    ("py:.*", r"(ca|casadi|matplotlib|np|numpy|pandas|pd|scipy|sympy|torch)(\..*)?"),
+    ("py:.*", r"(abc|ast|collections|enum|functools|os|pathlib|typing)(\..*)?"),
+    ("py:class", r"Axes|Figure|(dict|tuple)\[str"),  # imported for types alone; cut up
+    ("py:class", r"phsi_opt\..*\.(_\w+|E|Result)"),  # private, and type variables
+]
+
+PUBLIC = {id(getattr(phsi_opt, name)): name for name in phsi_opt.__all__}
+
+
+def public_name(value: object) -> str | None:
+    """The name under which a user imports an object; None for all others."""
+    return PUBLIC.get(id(value))
+
+
+def skip_public_names(
+    app: Sphinx, what: str, name: str, value: object, skip: bool, options: Any
+) -> bool | None:
+    """Leave public names out of the pages of the rooms: users' pages have them."""
+    on_room_page = app.env.docname.startswith(room_pages.FOLDER)
+    if what == "module" and on_room_page and public_name(value):
+        return True
+    return None
+
+
+def name_public_names(
+    app: Sphinx,
+    what: str,
+    name: str,
+    value: object,
+    options: Any,
+    lines: list[str],
+) -> None:
+    """Link a module to the public names that it defines."""
+    if not isinstance(value, ModuleType):
+        return
+    links = []
+    for member in vars(value).values():
+        public = public_name(member)
+        if public and getattr(member, "__module__", None) == name:
+            links.append(f"`phsi_opt.{public}`")
+    if links:
+        lines.extend(["", f"Public: {', '.join(links)}."])
+
+
+def hide_factories(
+    app: Sphinx,
+    what: str,
+    name: str,
+    value: object,
+    options: Any,
+    signature: str | None,
+    returned: str | None,
+) -> tuple[str | None, str | None]:
+    """Write a default that is made anew as ``...``, which Sphinx can set."""
+    if signature is not None:
+        signature = signature.replace("<factory>", "...")
+    return signature, returned
+
+
+def resolve_name(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, text: nodes.TextElement
+) -> nodes.Node | None:
+    """Find the object that a name alone, or the place of its definition, stands for.
+
+    `Fit` and ``phsi_opt.estimation.fit.Fit`` are ``phsi_opt.Fit``; a class that no
+    user imports is found by its name where only one has it. Single backticks around
+    what is no object become literal text.
+    """
+    if node.get("refdomain") != "py":
+        return None
+    target = node["reftarget"]
+    name = target.rsplit(".", 1)[-1]
+    domain = env.domains.python_domain
+    full = None
+    if name in phsi_opt.__all__ and target in (name, _defined_as(name)):
+        full = f"phsi_opt.{name}"
+    elif target == name and name[:1].isupper():
+        full = _only_class(domain, name)
+    if full is not None:
+        page = node["refdoc"]
+        return domain.resolve_xref(env, page, app.builder, "obj", full, node, text)
+    return text if node["reftype"] == "obj" else None
+
+
+def _defined_as(name: str) -> str:
+    value = getattr(phsi_opt, name, None)
+    return f"{getattr(value, '__module__', '')}.{name}"
+
+
+def _only_class(domain: PythonDomain, name: str) -> str | None:
+    found = []
+    for full, entry in domain.objects.items():
+        is_class = entry.objtype == "class" and not entry.aliased
+        if is_class and full.endswith(f".{name}"):
+            found.append(full)
+    return found[0] if len(found) == 1 else None
+
+
+def setup(app: Sphinx) -> None:
+    """Connect the functions above with Sphinx."""
+    room_pages.write(DOCS)
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.label = "Attributes"
+    app.connect("autodoc-skip-member", skip_public_names)
+    app.connect("autodoc-process-docstring", name_public_names)
+    app.connect("autodoc-process-signature", hide_factories)
+    app.connect("missing-reference", resolve_name)
