@@ -9,13 +9,15 @@ import tomllib
 from pathlib import Path
 
 FOLDER = "rooms/"
+FOR_USERS = ("baselines", "learning")  # the first page lists them
 DESCRIPTION = re.compile(r"^ (\w+) {2,}(\S.*)$", re.MULTILINE)
 INDEX = """\
 The rooms
 =========
 
-For developers: the sub-packages, the highest first. A room imports only from rooms
-below it; :doc:`/design` says why. Names that users import stand on the users' pages.
+The sub-packages, the highest first; a room imports only from rooms below it
+(:doc:`/design` says why). Names that users import stand on the users' pages, among
+which are the rooms :doc:`baselines` and :doc:`learning`.
 
 .. toctree::
    :maxdepth: 1
@@ -31,7 +33,8 @@ def write(docs: Path) -> None:
     toctree = ""
     for room in _rooms(docs.parent / "pyproject.toml"):
         pages[f"{room}.rst"] = _page(package, room, described.get(room, ""))
-        toctree += f"   {room}\n"
+        if room not in FOR_USERS:
+            toctree += f"   {room}\n"
     pages["index.rst"] = INDEX + toctree
     folder = docs / FOLDER
     folder.mkdir(exist_ok=True)
@@ -53,12 +56,16 @@ def _rooms(pyproject: Path) -> list[str]:
 
 
 def _page(package: Path, room: str, description: str) -> str:
-    text = f"{_title(room, '=')}{description}\n\n"
+    name = room.replace("_", " ").capitalize()
+    text = f"{_title(name, '=')}{description}\n\n"
+    module = f"phsi_opt.{room}"
     if (package / f"{room}.py").exists():
-        return f"{text}.. automodule:: phsi_opt.{room}\n"
+        return f"{text}.. automodule:: {module}\n"
+    if (package / room / "__init__.py").read_text():
+        text += f".. automodule:: {module}\n   :no-members:\n\n"
     for path in sorted((package / room).glob("[!_]*.py")):
-        module = f"phsi_opt.{room}.{path.stem}"
-        text += f"{_title(path.stem, '-')}.. automodule:: {module}\n\n"
+        part = f"{module}.{path.stem}"
+        text += f"{_title(part, '-')}.. automodule:: {part}\n\n"
     return text
 
 
