@@ -23,7 +23,7 @@ from phsi_opt.transcription.sensors import output_slopes, outputs
 SHALLOW = 1e-6  # slope of a sensor below which it says nothing about its state
 NEWTON_STEPS = 10  # of the inversion of a sensor
 LEAST_SIZE = 1e-12  # of a state that is zero all along
-N_STRETCHES = 200  # of a record, over which rates are taken
+N_RATE_STRETCHES = 200  # of a record, over which rates are taken
 N_SLOPES = 25  # nodes at which the slopes of the model in its states are averaged
 N_SENSOR_SLOPES = 50  # nodes at which those of the sensors are averaged
 # Share of a parameter's own value below which its size does not fall: far from its
@@ -173,7 +173,7 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
 
     Over longer stretches, where the noise of a sample no longer dominates.
     """
-    stride = max(1, grid.n_nodes // N_STRETCHES)
+    stride = max(1, grid.n_nodes // N_RATE_STRETCHES)
     is_inside = grid.trajectory[:-stride] == grid.trajectory[stride:]
     if is_inside.any():
         duration = (grid.t[stride:] - grid.t[:-stride])[is_inside]

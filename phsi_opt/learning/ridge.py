@@ -6,7 +6,7 @@ import numpy as np
 
 N_FOLDS = 5
 # Weights that are tried, in units of the mean sum of squares of a ridged column.
-RIDGES = 10.0 ** np.arange(-9, 1)
+RIDGE_WEIGHTS = 10.0 ** np.arange(-9, 1)
 # Share of the largest singular value below which a direction is left alone.
 SINGULAR = 1e-12
 
@@ -58,7 +58,7 @@ def cross_validated(
         return np.linalg.lstsq(N + ridge, -r, rcond=SINGULAR)[0]
 
     errors = {}
-    for weight in RIDGES:
+    for weight in RIDGE_WEIGHTS:
         errors[weight] = np.array([part.at(solved(weight, part)) for part in parts])
     return solved(_largest_within_an_error(errors))
 

@@ -16,7 +16,7 @@ WIDTH = 8.0  # inches of a new figure
 ROW_HEIGHT = 0.32  # inches per parameter: tick labels do not touch
 FRAME_HEIGHT = 1.1  # inches for title and axis below and above the rows
 LEAST_ROWS = 2  # for which a new figure has room
-TITLE_LETTERS = 60  # in a line of the title over the axes of a new figure
+TITLE_WIDTH = 60  # in a line of the title over the axes of a new figure
 AXIS_MARGIN = 1.15  # range of the axis over the widest interval that it shows
 
 
@@ -59,7 +59,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     ax.set_xlim(-reach, reach)
     ax.set_xlabel(f"{100 * level:.3g} % interval around the estimate (% of its size)")
     title = _doubts(is_open, is_unknown, is_held) or _worst(table["name"], percent)
-    ax.set_title(fill(title, TITLE_LETTERS))
+    ax.set_title(fill(title, TITLE_WIDTH))
     return ax
 
 

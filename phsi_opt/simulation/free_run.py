@@ -23,7 +23,7 @@ from phsi_opt.statistics import TINY
 # change of the run with twice the steps, in standard deviations of each state along the
 # run
 TOLERANCE = 1e-6
-MOST_STEPS = 150  # per interval on average, beyond which SciPy is faster
+MOST_STEPS_PER_GAP = 150  # per interval on average, beyond which SciPy is faster
 LEAST_BUDGET = 20_000  # steps that a short record may take in any case
 ROUNDS = 14  # of cutting steps
 LARGEST_FACTOR = 8  # parts of a step in one round
@@ -134,7 +134,7 @@ class Runs:
         record = _Record.of(t, u, hold)
         steps = _first_steps(t)
         aim = tolerance
-        budget = max(MOST_STEPS * len(t), LEAST_BUDGET)
+        budget = max(MOST_STEPS_PER_GAP * len(t), LEAST_BUDGET)
         for _ in range(ROUNDS):
             run = self._along(record, x0, steps)
             parts = _parts(run, aim)
@@ -272,7 +272,7 @@ def _first_steps(t: np.ndarray) -> _Steps:
     """
     h = np.diff(t)
     samples = np.ceil(h / np.median(h) - ROUNDING)
-    parts = samples.clip(1, MOST_STEPS).astype(int)
+    parts = samples.clip(1, MOST_STEPS_PER_GAP).astype(int)
     whole = _Steps(np.arange(len(h)), np.zeros(len(h)), h)
     return _cut(whole, parts)
 
