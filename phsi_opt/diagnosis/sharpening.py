@@ -87,7 +87,7 @@ class CornerSharpening:
             n_steps = STEPS_AT_SHARP_CORNER
         sharper = self.at_widths(fit, widths, n_steps)
         limit = deviance(best) + SHARPER_CORNER_DEVIANCE
-        if sharper is not None and deviance(sharper) <= limit:
+        if sharper is not None and not deviance(sharper) > limit:
             return sharper
         half_way = {}
         for name, width in widths.items():
