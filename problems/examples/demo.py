@@ -89,10 +89,8 @@ def main() -> ph.Study:
     print(f"stopped: {study.stopped}\n")
     print(*beside_the_truth(study.fit), sep="\n")
     pictures(study, before, diagnosis)
-    write(
-        "demo.md",
-        f"{report_text(study.report_sections())}\nTrue noise: {NOISE:.0%} of the range.",
-    )
+    report = report_text(study.report_sections())
+    write("demo.md", f"{report}\nTrue noise: {NOISE:.0%} of the range.")
     print(f"report and pictures: results/demo*; {time.perf_counter() - began:.0f} s")
     return study
 

@@ -63,7 +63,7 @@ def calibrated(hidden: Hidden, s: Setting, aim: Aim) -> tuple[Hidden, float] | N
 
 
 def rounded(hidden: Hidden) -> Hidden:
-    """Friction that a few steps between samples can follow; calibrating needs no more."""
+    """Friction that a few steps between samples can follow: enough to calibrate."""
     shape = dict(hidden.shape)
     if "width" in shape:
         shape["width"] *= 20

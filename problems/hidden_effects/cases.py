@@ -76,7 +76,8 @@ def draw(row: Row, seed: int) -> Case:
         if case is not None:
             return case
     raise ArithmeticError(
-        f"row {row.name!r}, seed {seed}: no experiment shows the effect in {ATTEMPTS} attempts."
+        f"row {row.name!r}, seed {seed}: no experiment shows the effect in {ATTEMPTS} "
+        "attempts."
     )
 
 

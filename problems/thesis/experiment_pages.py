@@ -268,7 +268,8 @@ def _beside_the_thesis(system: System, noisy: Any) -> list[str]:
             f"The thesis reaches, on noisy data, a precision of "
             f"{' and '.join(claims)}; here PHSI by the solver has "
             f"{largest[SOLVER]}, "
-            f"BSI by the solver {largest['BSI, solver']}, STLSQ {largest['SINDy, STLSQ']}."
+            f"BSI by the solver {largest['BSI, solver']}, "
+            f"STLSQ {largest['SINDy, STLSQ']}."
         ]
     if system.name == "mass_spring":
         return [_before_and_after(system, noisy)]

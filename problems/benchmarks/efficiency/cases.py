@@ -76,7 +76,7 @@ class Case:
 
     @property
     def one_step(self) -> bool:
-        """Whether the one-step loss can be used: every sample of every state is there."""
+        """Whether the one-step loss can be used: all samples of all states are there."""
         return self.kept == 1.0 and self.measured == self.system().states
 
     def sample(self, seed: int) -> Sample:
@@ -185,7 +185,8 @@ def thesis_case(
 ) -> Case:
     """An experiment with the data of the thesis: size, starts, noise."""
     s = SYSTEMS[name]
-    title = f"{s.title}, noise {s.noise:g}, {s.n_trajectories} trajectories x {s.n_steps} steps"
+    size = f"{s.n_trajectories} trajectories x {s.n_steps} steps"
+    title = f"{s.title}, noise {s.noise:g}, {size}"
     t = np.linspace(0.0, s.n_steps * s.step, s.n_steps + 1)
     return Case(
         name, title, truth, model, thesis_draw(s), t, s.noise, n_seeds, s.states
