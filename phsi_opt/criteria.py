@@ -4,7 +4,8 @@ What stands here changes verdicts, names or rankings. Numbers that only say how 
 something is computed (knots, bins, probes) stand beside the code that computes it.
 
 The limits of the verdict were set once, before the runs that the pages report; where a
-measurement set a value, it is said. Units: "deviance" is -2 log likelihood, in which
+measurement or a publication set a value, it is said; the others are judgement, and the
+batteries of hidden effects and measured machines are what they were judged by. Units: "deviance" is -2 log likelihood, in which
 one standard error of one parameter counts as one; "share" is a fraction of one.
 """
 

@@ -76,7 +76,7 @@ class Case:
 
     @property
     def one_step(self) -> bool:
-        """Whether the one-step loss can be used: all samples of all states are there."""
+        """Whether the one-step loss can be used: every state at every sample."""
         return self.kept == 1.0 and self.measured == self.system().states
 
     def sample(self, seed: int) -> Sample:
