@@ -5,8 +5,9 @@ something is computed (knots, bins, probes) stand beside the code that computes 
 
 The limits of the verdict were set once, before the runs that the pages report; where a
 measurement or a publication set a value, it is said; the others are judgement, and the
-batteries of hidden effects and measured machines are what they were judged by. Units: "deviance" is -2 log likelihood, in which
-one standard error of one parameter counts as one; "share" is a fraction of one.
+batteries of hidden effects and measured machines are what they were judged by. Units:
+"deviance" is -2 log likelihood, in which one standard error of one parameter counts as
+one; "share" is a fraction of one.
 """
 
 # --- The free run against measurements (`comparison`)
