@@ -1,4 +1,4 @@
-"""What residuals that are correlated in time can tell.
+"""P-values, and what residuals that are correlated in time can tell.
 
 Residuals of a model that is not perfect vary slowly: neighbours say nearly the same.
 Tests and criteria that count samples have to count independent values instead. The two
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.signal import fftconvolve
-from scipy.stats import chi2
+from scipy.stats import chi2, false_discovery_control
 
 # Keeps quotients and logarithms of what may be zero finite; far below every number that
 # a measurement or a model can mean, far above the least that float64 can hold.
@@ -137,3 +137,25 @@ def ljung_box(series: Sequence[np.ndarray]) -> float:
             correlation = np.sum(residual[lag:] * residual[:-lag]) / power
             statistic += n * (n + 2) * correlation**2 / (n - lag)
     return float(chi2.sf(statistic, n_lags)) if n_lags else np.nan
+
+
+def likelihood_ratio_p_value(fall: float, n_parameters: int) -> float:
+    """p-value of the hypothesis that further parameters are zero.
+
+    By Wilks' theorem (Annals of Mathematical Statistics 9, 1938) the fall of the
+    deviance is then chi-square distributed with as many degrees of freedom.
+
+    Args:
+        fall: of -2 log likelihood by the parameters; a negative one counts as none.
+        n_parameters: their number.
+    """
+    return float(chi2.sf(max(fall, 0.0), n_parameters))
+
+
+def false_discovery_adjusted(p_values: Sequence[float]) -> np.ndarray:
+    """P-values (n,) adjusted so that the share of false discoveries is controlled.
+
+    Benjamini and Hochberg, J. R. Stat. Soc. B 57, 1995. NaN counts as one.
+    """
+    known = np.nan_to_num(np.array(p_values), nan=1.0)
+    return np.asarray(false_discovery_control(np.clip(known, 0.0, 1.0)))

@@ -16,8 +16,8 @@ from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnose import diagnose_comparison
-from phsi_opt.diagnosis.effort import ADDED
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.refit_effort import ADDED
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned

@@ -15,9 +15,9 @@ from phsi_opt.comparison.model_selection import (
     falls_significantly,
     is_like_noise,
 )
-from phsi_opt.diagnosis import dry_friction, ranking, refit, sharpening
-from phsi_opt.diagnosis.base import DiagnosedModel
+from phsi_opt.diagnosis import dry_friction, friction_sharpening, ranking, refit
 from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.pair_search import best_pairs
@@ -325,7 +325,7 @@ def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(n: int) -> N
         [T[:n]], [np.column_stack([v, v])], states=["q", "p"]
     )
     part = replace(fit, states=(np.column_stack([v, v]),))
-    (steps,) = sharpening.finer_at_corner(
+    (steps,) = friction_sharpening.finer_at_corner(
         part, runs, "dH_dp", 0.01, (np.ones(n - 1, dtype=int),)
     )
     assert steps.tolist() == [8, 8, 1, 1][: n - 1]
@@ -672,7 +672,7 @@ def test_a_body_that_creeps_gets_the_width_of_its_corner() -> None:
         work, refit.RefitRequest([friction], {"coulomb_friction_p": 0.25})
     )
     assert found is not None
-    corners = sharpening.CornerSharpening(work, work.record.aligned)
+    corners = friction_sharpening.CornerSharpening(work, work.record.aligned)
     stuck = corners.at_widths(found.fit, {"coulomb_friction_p.v0": corner / 8}, 8)
     assert stuck is not None
     crept = corners.with_estimated_widths(stuck)

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.learning.hybrid import Hybrid, hybrid
-from phsi_opt.learning.network import NeuralForce
+from phsi_opt.learning.hybrid_network import NeuralForce
 
 SMALL = NeuralForce(
     ("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3

@@ -15,9 +15,9 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, Term, polynomials
-from phsi_opt.optimization.assembly import Assembly
 from phsi_opt.optimization.ipopt import _is_settled, solve
 from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import PHSILoss

@@ -10,6 +10,9 @@ from scipy.stats import chi2
 from phsi_opt.statistics import (
     autocorrelation_time,
     effective_sample_share,
+    false_discovery_adjusted,
+    likelihood_ratio_p_value,
+    ljung_box,
     local_maxima,
 )
 
@@ -85,3 +88,25 @@ def test_the_ends_of_a_sequence_have_one_neighbour_only() -> None:
     assert local_maxima(np.array([-5.0])).tolist() == [True]
     assert local_maxima(np.array([-1.0, -2.0])).tolist() == [True, False]
     assert not len(local_maxima(np.zeros(0)))
+
+
+def test_p_values_of_true_hypotheses_are_uniform() -> None:
+    rng = np.random.default_rng(0)
+    of_noise = [ljung_box([rng.normal(size=200)]) for _ in range(400)]
+    falls = rng.chisquare(2, size=400)
+    of_falls = [likelihood_ratio_p_value(fall, 2) for fall in falls]
+    for p_values in (of_noise, of_falls):
+        # 400 draws know a share of 5 % to 1.1 %; three and a half of those.
+        assert np.mean(np.array(p_values) < 0.05) == pytest.approx(0.05, abs=0.04)
+    assert likelihood_ratio_p_value(-1.0, 1) == 1.0
+
+
+def test_residuals_that_keep_a_share_of_their_neighbours_are_not_white() -> None:
+    slow = next(residuals(1))
+    assert ljung_box([slow]) < 1e-6
+    assert np.isnan(ljung_box([np.ones(3)]))
+
+
+def test_adjusted_p_values_keep_their_order_and_count_all() -> None:
+    adjusted = false_discovery_adjusted([0.01, np.nan, 0.04, 0.02])
+    np.testing.assert_allclose(adjusted, [0.04, 1.0, 0.16 / 3, 0.04])

@@ -20,7 +20,7 @@ from phsi_opt.baselines.network_simulation import (
     network_values,
     state_rows,
 )
-from phsi_opt.estimation.result import PARAMETER_COLUMNS
+from phsi_opt.estimation.identified import PARAMETER_COLUMNS
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

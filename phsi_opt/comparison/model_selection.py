@@ -6,7 +6,6 @@ effect significant. Gains are counted for the independent residuals that they ar
 """
 
 import numpy as np
-from scipy.stats import chi2
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import (
@@ -21,7 +20,12 @@ from phsi_opt.criteria import (
     WHITENESS_LEVEL,
 )
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.statistics import TINY, autocorrelation_time, effective_sample_share
+from phsi_opt.statistics import (
+    TINY,
+    autocorrelation_time,
+    effective_sample_share,
+    likelihood_ratio_p_value,
+)
 
 
 def is_like_noise(comparison: Comparison) -> bool:
@@ -84,14 +88,13 @@ def delta_bic(old: Fit, new: Fit, share: float) -> float:
     return float(gain + n_more * np.log(n_independent))
 
 
-def likelihood_ratio_p_value(old: Fit, new: Fit, share: float) -> float:
+def p_value_of_larger_model(old: Fit, new: Fit, share: float) -> float:
     """p-value of the hypothesis that the parameters which ``new`` has more are zero.
 
-    By Wilks' theorem the fall of the deviance is chi-square distributed; ``share`` of
-    the residuals are independent.
+    See `likelihood_ratio_p_value`; ``share`` of the residuals are independent.
     """
-    gain = (deviance(old) - deviance(new)) * share
-    return float(chi2.sf(max(gain, 0.0), len(new.names) - len(old.names)))
+    fall = (deviance(old) - deviance(new)) * share
+    return likelihood_ratio_p_value(fall, len(new.names) - len(old.names))
 
 
 def free_run_deviance(comparison: Comparison) -> float:

@@ -25,15 +25,15 @@ from phsi_opt.data.checks import (
     checked_noise,
     checked_units,
 )
+from phsi_opt.data.file_opening import Source, text_files
 from phsi_opt.data.layout import ColumnMap, Layout, table_layout, trajectories_in
-from phsi_opt.data.pairs import check_pairs, input_ends, pair_ends, runs_of_pairs
 from phsi_opt.data.selection import (
     checked_fraction,
     number_of_trajectory,
     size_of_first_part,
 )
+from phsi_opt.data.step_pairs import check_pairs, input_ends, pair_ends, runs_of_pairs
 from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
-from phsi_opt.data.text_files import Source, text_files
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,

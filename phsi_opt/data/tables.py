@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.checks import check_values
-from phsi_opt.data.text_files import TextFile
+from phsi_opt.data.file_opening import TextFile
 from phsi_opt.errors import DataError
 
 SEPARATORS = (",", ";", "\t")

@@ -9,7 +9,7 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
 )
 from phsi_opt.criteria import EXPLAINED_IF_PROPOSED
-from phsi_opt.diagnosis.base import DiagnosedModel
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.proposal import Proposal
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit

@@ -15,8 +15,8 @@ from collections.abc import Callable
 
 from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.base import DiagnosedModel
 from phsi_opt.diagnosis.conclusion import conclusion
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.proposal import proposal
 from phsi_opt.diagnosis.ranking import ranking
 from phsi_opt.diagnosis.record import Diagnosis

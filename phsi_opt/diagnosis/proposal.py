@@ -13,12 +13,12 @@ from phsi_opt.comparison.model_selection import (
     falls_significantly,
     is_explained,
     is_like_noise,
-    likelihood_ratio_p_value,
+    p_value_of_larger_model,
     share_of_change,
 )
 from phsi_opt.criteria import BIC_TIE, FALSE_DISCOVERY_RATE, N_PAIR_REFITS
-from phsi_opt.diagnosis.base import DiagnosedModel
 from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.dry_friction import other_kinds, simplest_dry
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.estimation.fit import Fit
@@ -111,7 +111,7 @@ class _Search:
             return False
         n_tried = comb(len(self.found), 2) * pair[0].n_tried * pair[1].n_tried
         share = share_of_change(base.trained, done.trained)
-        p_value = n_tried * likelihood_ratio_p_value(base.fit, done.fit, share)
+        p_value = n_tried * p_value_of_larger_model(base.fit, done.fit, share)
         if not p_value < FALSE_DISCOVERY_RATE:
             return False
         return falls_or_explains_most(judged, done.judged)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import false_discovery_control
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.comparison.model_selection import (
@@ -16,7 +15,7 @@ from phsi_opt.comparison.model_selection import (
     deviance,
     free_run_deviance,
     is_like_noise,
-    likelihood_ratio_p_value,
+    p_value_of_larger_model,
     share_of_change,
 )
 from phsi_opt.criteria import (
@@ -27,14 +26,14 @@ from phsi_opt.criteria import (
     REFIT_P_VALUE,
     RIVAL_SCORE,
 )
-from phsi_opt.diagnosis.base import DiagnosedModel
 from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.dry_friction import simple_first
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import is_wave
 from phsi_opt.screening.score_test import ScoreTest, Screened
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, false_discovery_adjusted
 
 
 def ranking(
@@ -154,7 +153,7 @@ def _as_refitted(
     """The candidate with what came out of its re-fit."""
     size = _size(base.fit, done.fit, candidate)
     share = share_of_change(base.trained, done.trained)
-    p_value = one.n_tried * likelihood_ratio_p_value(base.fit, done.fit, share)
+    p_value = one.n_tried * p_value_of_larger_model(base.fit, done.fit, share)
     return replace(
         candidate,
         coefficient=size.value,
@@ -279,7 +278,6 @@ def _adjusted(candidates: list[Candidate]) -> tuple[Candidate, ...]:
     """P-values adjusted for the number of candidates."""
     if not candidates:
         return ()
-    known = np.nan_to_num([candidate.p_value for candidate in candidates], nan=1.0)
-    adjusted = false_discovery_control(np.clip(known, 0.0, 1.0))
+    adjusted = false_discovery_adjusted([candidate.p_value for candidate in candidates])
     pairs = zip(candidates, adjusted, strict=True)
     return tuple(replace(candidate, p_value=float(p)) for candidate, p in pairs)

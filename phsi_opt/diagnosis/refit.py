@@ -15,9 +15,9 @@ from phsi_opt.criteria import (
     ONE_ATTEMPT_INTERVALS,
     STRAYED_STATES,
 )
-from phsi_opt.diagnosis.base import DiagnosedModel, n_intervals
-from phsi_opt.diagnosis.effort import BRIEF, IN_EVERY_WAY, THOROUGH
-from phsi_opt.diagnosis.sharpening import CornerSharpening
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel, n_intervals
+from phsi_opt.diagnosis.friction_sharpening import CornerSharpening
+from phsi_opt.diagnosis.refit_effort import BRIEF, IN_EVERY_WAY, THOROUGH
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned

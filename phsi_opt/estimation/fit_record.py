@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.stats import t as student_t
 
 from phsi_opt.errors import DataError
-from phsi_opt.estimation.result import PARAMETER_COLUMNS, Identified
+from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
 from phsi_opt.optimization.outcome import Outcome

@@ -14,7 +14,7 @@ from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
-from phsi_opt.estimation.phsi import by_defects
+from phsi_opt.estimation.phsi_solve import by_defects
 from phsi_opt.estimation.problem import Loss, Progress, Task, silent
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.model.model import Model

@@ -15,7 +15,7 @@ from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.missing_force import softened
 from phsi_opt.estimation.multiple_shooting import SHORTEST_WINDOW
-from phsi_opt.estimation.phsi import PHSIEstimate, PHSISolver, best_of_starts
+from phsi_opt.estimation.phsi_solve import PHSIEstimate, PHSISolver, best_of_starts
 from phsi_opt.estimation.problem import Task, silent
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.convex_start import starting_values

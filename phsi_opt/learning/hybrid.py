@@ -29,10 +29,10 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_forced
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.learning.force_signals import with_force
+from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
-from phsi_opt.learning.network import NeuralForce, TrainedForce
-from phsi_opt.learning.network_training import Schedule, train, untrained
+from phsi_opt.learning.hybrid_training import Schedule, train, untrained
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.losses import PHSILoss

@@ -12,8 +12,8 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.learning.force_signals import with_force, with_signals, without_signals
-from phsi_opt.learning.network import NeuralForce, TrainedForce
-from phsi_opt.learning.network_training import TrainingSet
+from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
+from phsi_opt.learning.hybrid_training import TrainingSet
 from phsi_opt.learning.ridge import N_FOLDS, cross_validated
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.defects import defect_jacobian, defects

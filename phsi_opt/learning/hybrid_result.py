@@ -11,10 +11,10 @@ import pandas as pd
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.json_file import read_json
-from phsi_opt.estimation.result import Identified
 from phsi_opt.learning.force_signals import without_signals
-from phsi_opt.learning.network import TrainedForce
+from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term

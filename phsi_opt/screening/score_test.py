@@ -18,7 +18,6 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy.stats import chi2
 
 from phsi_opt.criteria import CONFUSABLE_REMAINDER, IMITATED_TRACE, LEAST_TRACE
 from phsi_opt.errors import PhsiOptError
@@ -33,7 +32,11 @@ from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.regression import Regression, regression
 from phsi_opt.screening.sensitivities import Change, Sensitivities, Trial
 from phsi_opt.screening.wave_scan import best_frequency
-from phsi_opt.statistics import TINY, effective_sample_share
+from phsi_opt.statistics import (
+    TINY,
+    effective_sample_share,
+    likelihood_ratio_p_value,
+)
 
 SCAN_REFINEMENTS = 2  # rounds of finer values around the best one of a scan
 # Share of the misfit that is left at least when its logarithm is taken.
@@ -387,7 +390,7 @@ class ScoreTest:
         )
         ratio = max(self.misfit, TINY) / max(self.misfit - drop, TINY)
         gain = share * self.n_values * np.log(ratio)
-        return min(1.0, n_tried * float(chi2.sf(max(gain, 0.0), n_free)))
+        return min(1.0, n_tried * likelihood_ratio_p_value(gain, n_free))
 
 
 def _combinations(tried: dict[str, np.ndarray]) -> list[dict[str, float]]:

@@ -22,20 +22,20 @@ from scipy.sparse import csc_matrix
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.assembly import Assembly
 from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.transcription.defect_constraint import DefectConstraint
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
-from phsi_opt.transcription.program_blocks import (
+from phsi_opt.transcription.loss_blocks import (
     ThetaVariable,
     measurement_residual,
     outlier_slack,
     state_variable,
 )
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
 
 
 @dataclass(frozen=True)

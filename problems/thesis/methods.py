@@ -58,7 +58,7 @@ def by_solver(
     if system.name != "tanks":
         return ph.identify(system.model(), data, ph.PHSILoss(), weights, pruning)
     from phsi_opt.learning.hybrid import hybrid
-    from phsi_opt.learning.network import NeuralForce
+    from phsi_opt.learning.hybrid_network import NeuralForce
 
     return hybrid(
         system.model(),

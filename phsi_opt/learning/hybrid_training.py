@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.learning.network import NeuralForce, TrainedForce
+from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.optimization.torch_threads import one_thread
 
 # Least scale of a variable or a target: keeps quotients finite where it is constant.

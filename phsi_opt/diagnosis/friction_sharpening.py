@@ -26,9 +26,9 @@ from phsi_opt.criteria import (
     STEPS_AT_SHARP_CORNER,
 )
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.base import DiagnosedModel
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.dry_friction import new_corners
-from phsi_opt.diagnosis.effort import ALONG_SOLUTIONS, AT_CORNER
+from phsi_opt.diagnosis.refit_effort import ALONG_SOLUTIONS, AT_CORNER
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.assembly import Assembly
+from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
