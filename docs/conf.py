@@ -5,6 +5,7 @@ no module is forgotten. A public name is documented once, on its user's page; li
 it and to the module that defines it lead there. Nothing is read from the network.
 """
 
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -98,7 +99,7 @@ def name_public_names(
         lines.extend(["", f"Public: {', '.join(links)}."])
 
 
-def hide_factories(
+def hide_representations(
     app: Sphinx,
     what: str,
     name: str,
@@ -107,9 +108,9 @@ def hide_factories(
     signature: str | None,
     returned: str | None,
 ) -> tuple[str | None, str | None]:
-    """Write a default that is made anew as ``...``, which Sphinx can set."""
+    """Write defaults such as <factory> and <function f> as ``...``, to be set well."""
     if signature is not None:
-        signature = signature.replace("<factory>", "...")
+        signature = re.sub(r"<\w[^<>]*>", "...", signature)
     return signature, returned
 
 
@@ -135,7 +136,8 @@ def resolve_name(
     if full is not None:
         page = node["refdoc"]
         return domain.resolve_xref(env, page, app.builder, "obj", full, node, text)
-    return text if node["reftype"] == "obj" else None
+    is_full = target.startswith("phsi_opt.")  # meant as a link, so that it must be one
+    return text if node["reftype"] == "obj" and not is_full else None
 
 
 def _defined_as(name: str) -> str:
@@ -160,5 +162,5 @@ def setup(app: Sphinx) -> None:
             field.label = "Attributes"
     app.connect("autodoc-skip-member", skip_public_names)
     app.connect("autodoc-process-docstring", name_public_names)
-    app.connect("autodoc-process-signature", hide_factories)
+    app.connect("autodoc-process-signature", hide_representations)
     app.connect("missing-reference", resolve_name)

@@ -9,15 +9,14 @@ import tomllib
 from pathlib import Path
 
 FOLDER = "rooms/"
-FOR_USERS = ("baselines", "learning")  # the first page lists them
 DESCRIPTION = re.compile(r"^ (\w+) {2,}(\S.*)$", re.MULTILINE)
 INDEX = """\
 The rooms
 =========
 
 The sub-packages, the highest first; a room imports only from rooms below it
-(:doc:`/design` says why). Names that users import stand on the users' pages, among
-which are the rooms :doc:`baselines` and :doc:`learning`.
+(:doc:`/design` says why). Names that users import from ``phsi_opt`` stand on the users'
+pages.
 
 .. toctree::
    :maxdepth: 1
@@ -33,8 +32,7 @@ def write(docs: Path) -> None:
     toctree = ""
     for room in _rooms(docs.parent / "pyproject.toml"):
         pages[f"{room}.rst"] = _page(package, room, described.get(room, ""))
-        if room not in FOR_USERS:
-            toctree += f"   {room}\n"
+        toctree += f"   {room}\n"
     pages["index.rst"] = INDEX + toctree
     folder = docs / FOLDER
     folder.mkdir(exist_ok=True)

@@ -1,6 +1,4 @@
-"""phsi_opt: identify energy-based models of dynamical systems from measurements, by
-optimisation.
-"""
+"""Identify energy-based models of dynamical systems from measurements."""
 
 from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.comparison.profile_likelihood import Profile, profile

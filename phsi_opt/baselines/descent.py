@@ -89,9 +89,14 @@ class Passes(Protocol):
     """What `descend` needs of the settings."""
 
     @property
-    def learning_rate(self) -> float: ...
+    def learning_rate(self) -> float:
+        """Size of a first step, without the schedule of ``Hooks``."""
+        ...
+
     @property
-    def epochs(self) -> int: ...
+    def epochs(self) -> int:
+        """Passes over all intervals."""
+        ...
 
 
 def _nothing() -> None:

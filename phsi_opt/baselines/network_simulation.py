@@ -47,7 +47,14 @@ def state_rows(x: Any, n_states: int) -> np.ndarray:
 def known_columns(
     states: Mapping[str, np.ndarray], t: Any, inputs: Sequence[str], u: Any
 ) -> dict[str, Any]:
-    """Values by name of what a force may depend on; None where nothing was given."""
+    """Values by name of what a force may depend on; None where nothing was given.
+
+    Args:
+        states: values by name, (n_samples,) each.
+        t: times (n_samples,), or None.
+        inputs: names of the inputs.
+        u: their values (n_samples, n_inputs), or None.
+    """
     known: dict[str, Any] = dict(states)
     known["t"] = t
     columns = [None] * len(inputs) if u is None else np.atleast_2d(u).T

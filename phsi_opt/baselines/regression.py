@@ -103,7 +103,12 @@ def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
 def regressions_of(
     model: Model, data: Measurements, derivative: str
 ) -> tuple[Regression, ...]:
-    """`regressions` of a model whose parameters are fixed where they should be."""
+    """`regressions` of a model whose parameters are fixed where they should be.
+
+    Raises:
+        ModelError: for a model that is not a linear regression.
+        DataError: for incomplete states, or too few of them.
+    """
     record = aligned(model, data)
     _check_complete(record)
     theta = ca.SX.sym("th", len(model.free))

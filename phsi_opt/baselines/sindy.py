@@ -4,6 +4,10 @@ The dictionary is the model's own, so each equation may have a different one (th
 Section 4.2). SINDy is a regression: it learns coefficients that enter linearly and no
 others, a frequency for instance not, and it knows no bounds. The thresholding is done
 by pysindy (STLSQ and SR3), the LASSO by CVXPY.
+
+Sources: S. L. Brunton, J. L. Proctor and J. N. Kutz (2016) for SINDy and STLSQ,
+P. Zheng et al. (2019) for SR3, R. Tibshirani (1996) for the LASSO, A. Savitzky and
+M. J. E. Golay (1964) for the filter.
 """
 
 import time

@@ -106,8 +106,8 @@ class Comparison:
 
         Columns: state; unit; fit_percent (100 for a perfect free run, 0 for one as good
         as the mean); rmse and noise_floor in the unit of the state; chi2_dof (their
-        ratio squared); whiteness (p-value of Ljung and Box's test); horizon (time until
-        a residual leaves the noise, in the worst trajectory); n_samples.
+        ratio squared); whiteness (p-value of Ljung and Box's test, 1978); horizon (time
+        until a residual leaves the noise, in the worst trajectory); n_samples.
         """
         rows = []
         for number, name in enumerate(self.model.states):

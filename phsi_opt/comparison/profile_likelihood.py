@@ -2,7 +2,8 @@
 
 Where the curvature at the estimate misleads (a bent valley, a bound near by), the
 interval in which the profile stays below the threshold is the better one. Every point
-is a re-fit of all other parameters, started from the one before.
+is a re-fit of all other parameters, started from the one before (Venzon and Moolgavkar
+1988).
 """
 
 from collections.abc import Callable, Sequence

@@ -134,7 +134,7 @@ def check_pairs(t: PairEnds, x: PairEnds, u: PairEnds) -> None:
 
 
 def runs_of_pairs(t: PairEnds, x: PairEnds, u: PairEnds, hold: str) -> list[np.ndarray]:
-    """The numbers of the pairs that make each trajectory, in the order given.
+    """The numbers of the pairs that make each trajectory, (n_own,), in the order given.
 
     A pair continues the pair before it if it starts at the same time, state and input.
     With hold="zero" the input at the end of a pair acts on nothing and is not compared.

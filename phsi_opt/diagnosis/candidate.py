@@ -20,8 +20,8 @@ class Candidate:
         drop: expected fall of the misfit, in units of the noise variance.
         values: of its parameters, from which a re-fit starts.
         confusable_with: names of the effects that the data cannot tell from it.
-        p_value: adjusted for all candidates (Benjamini and Hochberg) and for the values
-            that were scanned.
+        p_value: adjusted for all candidates (Benjamini and Hochberg 1995) and for the
+            values that were scanned.
         delta_bic: change of BIC by the effect; NaN where it was not re-fitted.
         was_tried: whether a re-fit was attempted.
         fit: the re-fit; ``trained`` and ``comparison``: its free runs on the training

@@ -1,6 +1,6 @@
-"""The likelihood along solutions of the model: Gauss-Newton steps after each of which
-the model holds exactly.
+"""The likelihood along solutions of the model, maximised by Gauss-Newton steps.
 
+After each step the model holds exactly.
 IPOPT lets the states leave the model on the way to the optimum, which is what makes it
 fast and robust far away. Where the model has sharp corners (a body that sticks) the
 linearised model says little about states that have left it, and the iterates go to and
@@ -138,9 +138,9 @@ class FeasiblePath:
         """The optimum that is reached from a start, or how far it went.
 
         Args:
-            start: scaled variables; theta and the starting states count, the other
-                states are first guesses.
-            set_to: values of ``program.settings``.
+            start: scaled variables (n_variables,); theta and the starting states count,
+                the other states are first guesses.
+            set_to: values of ``program.settings``, (n_settings,).
             raise_on_failure: False returns what was reached.
 
         Raises:
@@ -163,12 +163,19 @@ class FeasiblePath:
         return self.solver.solution(z, set_to, outcome)
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
-        """As `Solver.at`."""
+        """As `Solver.at`, ``set_to`` (n_settings,)."""
         return self.solver.at(solution, set_to)
 
     def follow(self, z: np.ndarray, set_to: np.ndarray) -> _Place | None:
-        """The solution of the model for theta and the starting states in z; its other
-        states are first guesses. None where the model has none.
+        """The solution of the model for theta and the starting states in z.
+
+        Args:
+            z: scaled variables (n_variables,); the states after the first ones are
+                first guesses.
+            set_to: values of ``program.settings``, (n_settings,).
+
+        Returns:
+            None where the model has no solution.
         """
         values = z * self.program.scale
         guesses = self.grid.split(values[self.x].reshape(-1, self.n_states))
@@ -317,8 +324,9 @@ class FeasiblePath:
     def _lower_place(
         self, place: _Place, change: np.ndarray, share: float, set_to: np.ndarray
     ) -> _Lower | None:
-        """The first place along the step that is as much lower as its slope lets
-        expect (Armijo's condition), beginning with a share of the step.
+        """The first place along the step that is low enough, from a share of it on.
+
+        It is as much lower as its slope lets expect (Armijo's condition, 1966).
         """
         slope = float(place.gradient @ change)
         for _ in range(TRIALS):

@@ -81,7 +81,7 @@ class LikelihoodProblem:
         rounds: int,
         prior: ForcePrior | None = None,
     ) -> ForceEstimate:
-        """States and missing force at given parameters; arguments as of `smoothed`.
+        """States and missing force at parameters theta (n_theta,); see `smoothed`.
 
         Raises:
             SolveError: if no states are found.

@@ -1,5 +1,4 @@
-"""The missing force: what a model lacks, as an unknown function of time, estimated from
-the data.
+"""The missing force: what a model lacks, as an unknown function of time.
 
 The states and the force are found by one program (`losses.MissingForce`); how large the
 force is, and how large the noise, is chosen by marginal likelihood at the linearised

@@ -2,7 +2,8 @@
 
 Over a short window an unstable or chaotic model cannot run away from the data, so that
 its parameters are found from farther off; each result starts longer windows. The
-windows are cut here, and solved by `likelihood_solve`.
+windows are cut here, and solved by `likelihood_solve`. Multiple shooting with an
+optimiser is that of Bock and Plitt (1984).
 """
 
 import numpy as np

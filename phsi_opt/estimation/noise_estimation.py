@@ -76,7 +76,8 @@ def estimated_noise(
         grid: of the program.
         residual: (y - x)/sigma of every measured value in the order of the nodes, cut
             at ``huber`` where that is given; then the mean square that normal noise
-            would leave within the limit is divided out (Huber's proposal 2).
+            would leave within the limit is divided out (proposal 2 of Huber
+            1964).
         sigma: (n_states,) noise in the residuals' denominator.
         n_theta: number of free parameters.
         huber: limit of the loss, or None.

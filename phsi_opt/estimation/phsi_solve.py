@@ -75,7 +75,7 @@ class PHSISolver:
     def solve(
         self, model: Model, theta: np.ndarray, l1: dict[str, float]
     ) -> PHSIEstimate:
-        """One solve from ``theta``."""
+        """One solve from ``theta`` (n_free,)."""
         used = complete_intervals(model, self.grid)
         point = first_point(model, used, theta)
         program = self.loss.program(model, self.grid, point, l1)
@@ -101,7 +101,7 @@ class PHSISolver:
         theta: np.ndarray,
         l1: dict[str, float],
     ) -> PHSIEstimate:
-        """`solve` as pruning asks for it: the states are the data anyway."""
+        """`solve` from ``theta`` (n_free,); the states are the data anyway."""
         return self.solve(model, theta, l1)
 
 
@@ -155,7 +155,7 @@ def _bic_like(estimate: PHSIEstimate) -> tuple[bool, float]:
 
 
 def values_of_fit(model: Model, start: Fit) -> np.ndarray:
-    """The free parameters of the model at the values of a fit, where it has them."""
+    """The free parameters at the values of a fit, where it has them, (n_free,)."""
     values = start.values
     theta = [values.get(name, model.values[name]) for name in model.free]
     return np.array(theta)

@@ -32,8 +32,8 @@ class Pruning:
         significance: chance, over the whole dictionary, to keep any term whose true
             coefficient is zero. Terms go while the data do not contradict that they are
             zero: each by its own z-test at significance / number of terms (Bonferroni),
-            and those that go in one round also together, by Wald's chi-square test.
-            None: size alone.
+            and those that go in one round also together, by Wald's chi-square test
+            (1943). None: size alone.
 
     Raises:
         ModelError: for a setting that means nothing.

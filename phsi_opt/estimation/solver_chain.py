@@ -118,7 +118,12 @@ class SolverChain:
         self.solver = self._solver(self.way)
 
     def attempt(self, z: np.ndarray, sigma: np.ndarray) -> Solution:
-        """Solve from z (scaled) with the noise ``sigma`` in the present way."""
+        """Solve from z with the noise ``sigma`` in the present way.
+
+        Args:
+            z: scaled variables, (n_variables,).
+            sigma: noise of the states, (n_states,).
+        """
         return self.solver.solve(z, sigma, raise_on_failure=False)
 
     def completed(
@@ -127,6 +132,11 @@ class SolverChain:
         """The attempt or, where it failed, the solution of the next way that succeeds.
 
         Of two failures that of IPOPT is kept, because it says more.
+
+        Args:
+            attempt: what `attempt` found.
+            z: scaled variables that it began with, (n_variables,).
+            sigma: noise of the states, (n_states,).
         """
         solution = self._of_next_ways(attempt, z, sigma)
         self._say(f"{self._transcription}: {solution.outcome}")

@@ -162,7 +162,7 @@ def _joined(edges: np.ndarray, is_strong: np.ndarray) -> list[str]:
 
 
 def is_mostly_constant(w: np.ndarray) -> bool:
-    """Whether most of a force's mean square is that of its mean."""
+    """Whether most of the mean square of a force (n_intervals,) is that of its mean."""
     mean_square = np.mean(w**2)
     return bool(np.mean(w) ** 2 > MOSTLY_CONSTANT * mean_square)
 

@@ -74,7 +74,8 @@ def leave_out_error_with_time(
 ) -> float:
     """Sum of squares on stretches left out, with functions of the time.
 
-    As `CrossValidation.leave_out_error`; the frequency is found anew for every fold.
+    As `CrossValidation.leave_out_error` of bases (n_intervals, n_columns); the
+    frequency is found anew for every fold.
     """
     error = 0.0
     for is_fitted in validation.training_masks:

@@ -120,13 +120,13 @@ def candidate_frequencies(
 
 
 def squared_defects(model: Model, grid: Grid, theta: np.ndarray) -> float:
-    """Sum of the squared defects of the known states, those that are finite."""
+    """Sum of the squared finite defects of the known states at theta (n_theta,)."""
     d = defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), theta)
     return float(np.nansum(np.square(np.array(d))))
 
 
 def with_entry(theta: np.ndarray, index: int, value: float) -> np.ndarray:
-    """A copy of theta with another value at one place."""
+    """A copy of theta (n_theta,) with another value at one place."""
     result = theta.copy()
     result[index] = value
     return result

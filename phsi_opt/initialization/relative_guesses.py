@@ -120,7 +120,7 @@ def _largest(model: Model, grid: Grid, x: np.ndarray, of: str) -> float:
 
 
 def root_mean_square(model: Model, grid: Grid, x: np.ndarray, expression: str) -> float:
-    """Root mean square of a formula over the nodes; 1 where it vanishes."""
+    """Root mean square of a formula at x (n_nodes, n_states); 1 where it vanishes."""
     values = _finite_values(model, grid, x, expression)
     size = float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
     return size if size > 0 else 1.0

@@ -2,7 +2,7 @@
 
 It is trained on the missing force, weighted by its uncertainty; only what the physics
 cannot produce counts. The output layer that is trained beside it is thrown away
-(`orthogonal_network` finds a better one).
+(`orthogonal_network` finds a better one). Adam is that of Kingma and Ba (2015).
 """
 
 from dataclasses import dataclass

@@ -301,7 +301,9 @@ def learned_force_of(
         equation, on, seed, epochs, loss: as in `learned_force`.
 
     Raises:
-        ModelError, DataError, SolveError: as in `learned_force`.
+        ModelError: as in `learned_force`.
+        DataError: as in `learned_force`.
+        SolveError: as in `learned_force`.
     """
     fit = record.fit
     on = _checked_names(fit.model, on)

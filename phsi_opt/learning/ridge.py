@@ -28,7 +28,9 @@ class _Squares:
 def cross_validated(
     columns: np.ndarray, d: np.ndarray, folds: np.ndarray, ridged: np.ndarray
 ) -> np.ndarray:
-    """Least squares with a ridge: the z, (n_columns,), that minimises::
+    """Least squares with a ridge, by cross-validation.
+
+    The z, (n_columns,), that minimises::
 
         |d + columns z|^2 + weight |z_ridged|^2
 

@@ -31,7 +31,12 @@ from phsi_opt.model.variables import Variables
 
 @dataclass(frozen=True, kw_only=True)
 class BaseModel:
-    """States, inputs, and the terms of the slots H, R, F and sensor; see ``Model``."""
+    """States, inputs, and the terms of the slots H, R, F and sensor; see ``Model``.
+
+    Raises:
+        ModelError: names that are no names or stand twice, terms that are not of their
+            slot, or an equation of a state that the model does not have.
+    """
 
     states: Sequence[str]  # a tuple once checked
     inputs: Sequence[str] = ()

@@ -54,7 +54,9 @@ def _free_frequency(model: BaseModel, kind: str, equation: str) -> str:
 
 
 def hysteresis(q: str, p: str) -> Effect:
-    """Bouc-Wen's hysteresis with n = 1, rounded::
+    """Hysteresis of Bouc (1967) and Wen (1976) with n = 1, rounded.
+
+    ::
 
         force = -c z,  w dz/dt = v - (|v| z + v |z|)/2
 

@@ -1,6 +1,6 @@
-"""Linear algebra along the time: unknowns that touch only their neighbours in time make
-a banded matrix.
+"""Linear algebra along the time.
 
+Unknowns that touch only their neighbours in time make a banded matrix.
 The optimality system of every likelihood here is such a matrix, bordered by the few
 columns of the parameters. Its factors cost time and memory in proportion to the number
 of samples. The border is dealt with elsewhere (`transcription.elimination`).

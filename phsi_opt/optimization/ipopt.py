@@ -164,11 +164,16 @@ class Solver:
         return Solution(values, z, residual, outcome, kkt)
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
-        """The same point seen with other settings, which leave it optimal."""
+        """The same point with other settings (n_settings,), which leave it optimal."""
         return self.solution(solution.z, set_to, solution.outcome)
 
     def kkt(self, z: np.ndarray, set_to: np.ndarray) -> KKT:
-        """Gauss-Newton Hessian and constraint Jacobian at z."""
+        """Gauss-Newton Hessian and constraint Jacobian at z.
+
+        Args:
+            z: scaled variables, (n_variables,).
+            set_to: values of the settings, (n_settings,).
+        """
         program = self.program
         no_multipliers = np.zeros(program.g.numel())
         upper = program.hessian(z, set_to, 1.0, no_multipliers).sparse()
@@ -290,7 +295,7 @@ def _is_settled(stats: Mapping[str, Any], n_residuals: int) -> bool:
 
 
 def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
-    """Names of the parameters that z (scaled) has at one of their bounds."""
+    """Names of parameters at a bound in z, the scaled variables (n_variables,)."""
     if "theta" not in program.variables:
         return ()
     block = program.variables["theta"]

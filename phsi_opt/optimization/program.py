@@ -12,7 +12,8 @@ the cost of the exact Hessian and of use only where residuals are large
 (docs/design.md). A loss that knows this curvature adds it as a second choice.
 
 This file holds the finished program; `Assembly` puts it together. No solver is named
-here.
+here. Expressions and their derivatives are CasADi's (Andersson, Gillis, Horn, Rawlings
+and Diehl 2019).
 """
 
 from collections.abc import Callable, Mapping

@@ -80,7 +80,7 @@ class Assembly:
         self._curvature = of_constraints
 
     def setting(self, name: str, value: np.ndarray) -> ca.MX:
-        """Numbers that may change between two solves of the same program."""
+        """Numbers (n_values,) that may change between two solves of one program."""
         symbol = ca.MX.sym(name, len(value))
         self._settings.append(_Setting(symbol, np.asarray(value, dtype=float)))
         return symbol
@@ -98,7 +98,8 @@ class Assembly:
 
         Args:
             name: of the block.
-            start: its values to start from, of any shape; flattened row by row.
+            start: its values to start from, of any shape such as (n_nodes, n_states);
+                flattened row by row.
             lower: bounds, a number or one per value.
             upper: bounds likewise.
             scale: sizes that make the values numbers near one.
@@ -161,8 +162,9 @@ class Assembly:
         )
 
     def residual(self, expression: ca.MX, jacobian: Jacobian | None = None) -> None:
-        """Add 1/2 sum(expression^2) to the objective; ``jacobian(z)`` where the caller
-        knows a cheaper one.
+        """Add 1/2 sum(expression^2) to the objective.
+
+        ``jacobian(z)`` where the caller knows a cheaper one.
         """
         self._residuals.append(_Expression(ca.vec(expression), jacobian))
 
@@ -180,8 +182,8 @@ class Assembly:
     ) -> None:
         """Add ``sum(weight |expression|)`` through slack variables s.
 
-        -s <= expression <= s, at the cost weight s; all arrays have one entry per entry
-        of ``expression``, ``start`` its values at the start.
+        -s <= expression <= s, at the cost weight s; all arrays (n_entries,) have one
+        entry per entry of ``expression``, ``start`` its values at the start.
         """
         above = np.abs(start) + SLACK_ABOVE * scale
         slack = self.variable(f"slack_{name}", above, lower=0.0, scale=scale)
@@ -191,8 +193,9 @@ class Assembly:
         self.cost(ca.dot(ca.DM(weight), slack))
 
     def finish(self) -> Program:
-        """Close the program: objective, constraints and derivatives in the scaled
-        variables.
+        """Close the program.
+
+        Objective, constraints and derivatives are functions of the scaled variables.
         """
         z = ca.MX.sym("z", self._variables[-1].block.stop)
         columns = [expression.column for expression in self._residuals]

@@ -33,7 +33,7 @@ class Regression:
 
     @property
     def covariance_diagonal(self) -> np.ndarray:
-        """Variance of each coefficient for noise of variance one."""
+        """Variance of each coefficient for noise of variance one, (k,)."""
         covariance = np.linalg.pinv(self.information, hermitian=True)
         return np.maximum(np.diag(covariance), 0.0)
 

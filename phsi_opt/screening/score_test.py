@@ -1,8 +1,9 @@
 """Screening: what every effect would do to the misfit, without re-fitting.
 
-This is Rao's score test on the linearised record: one small regression of the residuals
-on each candidate's trace gives its coefficients, their errors and the fall of the
-misfit. Inner parameters (a frequency, a width) are scanned, each value a trace more.
+This is Rao's score test (1948) on the linearised record: one small regression of the
+residuals on each candidate's trace gives its coefficients, their errors and the fall of
+the misfit. Inner parameters (a frequency, a width) are scanned, each value a trace
+more.
 
 Some effects only repeat what the base parameters can do: where the momentum is not
 measured, a gain of the input is a change of mass and friction. Along states that obey
@@ -45,7 +46,7 @@ LEAST_MISFIT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class ScannedPoint:
-    """Values of inner parameters, and the trace there, (n_values or n_kept, k)."""
+    """Values of inner parameters, and the trace there, (n_values, k) or (n_kept, k)."""
 
     values: dict[str, float]
     trace: np.ndarray
@@ -107,16 +108,17 @@ class _Candidate:
 
 
 class ScoreTest:
-    """One small regression per candidate on a record that was linearised once."""
+    """Rao's score test (1948): one small regression per candidate.
+
+    The record is linearised once.
+
+    Args:
+        record: the fit along the measurements.
+        run: the base model's free run, one (n_samples, n_states) per trajectory;
+            without it, effects that the base parameters imitate are kept.
+    """
 
     def __init__(self, record: Record, run: Sequence[np.ndarray] = ()) -> None:
-        """Linearise a record.
-
-        Args:
-            record: the fit along the measurements.
-            run: the base model's free run, one (n_samples, n_states) per trajectory;
-                without it, effects that the base parameters imitate are kept.
-        """
         self.linearized = LinearizedRecord.of(record)
         self._run = run
 

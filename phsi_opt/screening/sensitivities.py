@@ -28,7 +28,7 @@ class Trial:
         effect: the candidate.
         model: the base model with it.
         linear: names of its coefficients, in which it is linear.
-        tried: values to try, by inner parameter.
+        tried: values to try, (n_values,) by inner parameter.
         frequency: name of the inner parameter that is a frequency, if there is one.
     """
 

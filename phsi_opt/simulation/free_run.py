@@ -1,5 +1,6 @@
-"""The free run of a model at the samples of a record, stepped inside CasADi: fast
-enough for thousands of records.
+"""The free run of a model at the samples of a record, stepped inside CasADi.
+
+It is fast enough for thousands of records.
 
 Every interval between two samples is a step of Dormand and Prince's explicit scheme of
 order five. Steps whose error estimate is too large (at a kink, say) are cut in parts

@@ -1,6 +1,6 @@
-"""Independent integration of a model by SciPy: no program, no SRK4, so it can check
-both.
+"""Independent integration of a model by SciPy.
 
+It uses no program and no SRK4, so it can check both.
 It is not made for thousands of runs (`free_run` is), nor does it start from anything
 but a given state.
 """

@@ -46,8 +46,16 @@ def memory_start_bounds(
 
     It is such as the records show later on: within the values that it takes from rest,
     widened by their range to both sides. Free of bounds, the memory of a delay shorter
-    than a sample takes any value for the sake of one residual. Arguments as those of
-    `with_memory`; None where the model has no memory, or not as its last states.
+    than a sample takes any value for the sake of one residual.
+
+    Args:
+        model: whose last states may be a memory.
+        grid: nodes and intervals.
+        x: states (n_nodes, n_states); those of the memory do not count.
+        theta: parameters, as those of `with_memory`.
+
+    Returns:
+        None where the model has no memory, or not as its last states.
     """
     n_old = model.n_states - len(model.memory)
     if n_old == model.n_states or model.states[n_old:] != model.memory:
@@ -94,8 +102,12 @@ class _RunIntegration:
 class MemoryIntegration:
     """The memory of a model's effects along given states, of the parameters.
 
-    Made once and called for many parameters; `with_memory` is for a single call and
-    says what the arguments are.
+    Made once and called for many parameters; `with_memory` is for a single call.
+
+    Args:
+        model: the model with its effects.
+        grid: nodes and intervals.
+        x: (n_nodes, n_old) the other states, and those of older effects.
     """
 
     def __init__(self, model: Model, grid: Grid, x: np.ndarray) -> None:

@@ -57,7 +57,9 @@ class _Interval:
 
 
 def defect(model: Model, scheme: str, n_moving: int | None = None) -> ca.Function:
-    """CasADi function of one interval: (x0, x1, t0, h, u0, u1, theta) -> defect d::
+    """CasADi function of one interval, (x0, x1, t0, h, u0, u1, theta) -> defect d.
+
+    ::
 
         d = (x1 - x0)/h - Psi(g; x0, x1)
 

@@ -46,7 +46,7 @@ def regularized_inverse(
 
 
 def time_order(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
-    """Order of unknowns that stand in blocks, sorted by their time.
+    """Order of unknowns that stand in blocks, sorted by their time, (n_unknowns,).
 
     Args:
         grid: nodes and intervals.
@@ -79,7 +79,9 @@ class Step:
 
 
 class ReducedSystem:
-    """The linearised problem with its states eliminated::
+    """The linearised problem with its states eliminated.
+
+    ::
 
         min over z = (theta, x) of  1/2 z'Hz - g'z   subject to  Jz = e
 

@@ -150,7 +150,7 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
 
 
 def steps_per_gap(grid: Grid) -> list[np.ndarray]:
-    """Number of intervals in every gap between samples, per trajectory."""
+    """Number of intervals in every gap, (n_samples - 1,) per trajectory."""
     samples = np.flatnonzero(grid.sample)
     n_intervals = np.diff(samples)
     trajectory = grid.trajectory[samples]

@@ -40,7 +40,9 @@ from phsi_opt.transcription.point import Point
 
 @dataclass(frozen=True)
 class PHSILoss:
-    """Squared defects of the measured states, and an L1 penalty (thesis Eq. 5.6)::
+    """Squared defects of the measured states, and an L1 penalty (thesis Eq. 5.6).
+
+    ::
 
         (1/m) sum_i |(x_{i+1} - x_i)/h_i - Psi(g; x_i, x_{i+1})|^2
         + sum_j lambda_j |xi_j|
@@ -89,7 +91,9 @@ class PHSILoss:
 
 @dataclass(frozen=True)
 class MaximumLikelihood:
-    """Squared residuals of the measurements, over states that obey the model::
+    """Squared residuals of the measurements, over states that obey the model.
+
+    ::
 
         minimise   (1/N) sum ((y - x)/sigma)^2 + sum_j lambda_j |xi_j|
         over states x and parameters, subject to zero defects
@@ -171,7 +175,9 @@ class MaximumLikelihood:
 
 @dataclass(frozen=True)
 class MissingForce:
-    """Squared residuals, over states that obey the model and an unknown force w::
+    """Squared residuals, over states that obey the model and an unknown force w.
+
+    ::
 
         minimise   1/2 sum ((y - x)/sigma)^2 + 1/2 |w|_prior^2
         subject to defects = w in the forced equations, else zero

@@ -120,9 +120,9 @@ def output_slopes_in_theta(
 
 
 def output_jacobian(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
-    """Slope of `outputs` in the states: sparse, (n_nodes * n_states) square.
+    """Slope of `outputs` in the states, a sparse matrix.
 
-    A block per node on the diagonal.
+    It is (n_nodes * n_states, n_nodes * n_states), a block per node on the diagonal.
     """
     blocks = output_slopes(model, grid, x, theta).in_states
     block_columns = np.arange(grid.n_nodes)

@@ -1,0 +1,218 @@
+"""What every public docstring says: a first line, shapes of arrays, errors raised.
+
+Public is what no underscore hides, in the whole package, whether a user imports it or
+another room.
+"""
+
+import ast
+import inspect
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import phsi_opt
+from phsi_opt import errors
+
+WIDTH = 88
+QUOTES = len('"""')
+PACKAGE = Path(phsi_opt.__file__).parent
+ARRAY = re.compile(r"\bndarray\b")
+# Such as (n_samples,), (n_nodes, n_states), (2 n, 2 n), (3, n_states), (..., n).
+SHAPE = re.compile(r"\((\.\.\.|\d+|(\d ?)?[nmk](_\w+)?)( [-+*] \w+)*,")
+CONSTRUCTORS = ("__init__", "__post_init__")
+ERRORS = {
+    name
+    for name, value in vars(errors).items()
+    if inspect.isclass(value) and issubclass(value, errors.PhsiOptError)
+}
+
+Function = ast.FunctionDef
+Raised = Mapping[str, set[str]]
+
+
+@dataclass(frozen=True)
+class Documented:
+    """A public module, class, function, method or property, as it stands in a file.
+
+    Attributes:
+        name: with its module and class.
+        docstring: its own.
+        column: where the docstring begins.
+        context: the docstring of its class, which may say the shapes of its arrays.
+        annotations: of arguments and result, or of a record's fields.
+        raised: errors of the package that its body raises, or a private function of
+            the file that it calls.
+    """
+
+    name: str
+    docstring: str
+    column: int = 0
+    context: str = ""
+    annotations: str = ""
+    raised: frozenset[str] = frozenset()
+
+    @property
+    def has_first_line(self) -> bool:
+        lines = self.docstring.splitlines()
+        if not lines or not lines[0].endswith("."):
+            return False
+        is_alone = len(lines) == 1 or not lines[1].strip()
+        # A docstring of one line has the closing quotes on it too.
+        n_quotes = 1 if len(lines) > 1 else 2
+        width = self.column + n_quotes * QUOTES + len(lines[0])
+        return is_alone and width <= WIDTH
+
+    @property
+    def has_shapes(self) -> bool:
+        if not ARRAY.search(self.annotations):
+            return True
+        return SHAPE.search(self.docstring + self.context) is not None
+
+    @property
+    def has_errors(self) -> bool:
+        after = self.docstring.partition("Raises:")[2]
+        return all(f"{name}:" in after for name in self.raised)
+
+
+@cache
+def documented() -> tuple[Documented, ...]:
+    """All that is public in the package."""
+    found: list[Documented] = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        if tree.body:  # the files __init__ of the rooms are empty
+            parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+            found += _of_module(".".join(parts), tree)
+    return tuple(found)
+
+
+def _of_module(name: str, tree: ast.Module) -> Iterator[Documented]:
+    raised = _raised_by_name(tree)
+    yield Documented(name, ast.get_docstring(tree) or "")
+    for node in _public(tree.body):
+        own_name = f"{name}.{node.name}"
+        if isinstance(node, Function):
+            yield _of_function(own_name, node, raised, "")
+            continue
+        yield _of_class(own_name, node, raised)
+        context = ast.get_docstring(node) or ""
+        for method in _public(node.body):
+            if isinstance(method, Function):
+                method_name = f"{own_name}.{method.name}"
+                yield _of_function(method_name, method, raised, context)
+
+
+def _public(body: Sequence[ast.stmt]) -> Iterator[Function | ast.ClassDef]:
+    for node in body:
+        if not isinstance(node, Function | ast.ClassDef):
+            continue
+        if not node.name.startswith("_"):
+            yield node
+
+
+def _of_function(name: str, node: Function, raised: Raised, context: str) -> Documented:
+    return Documented(
+        name,
+        ast.get_docstring(node) or "",
+        node.body[0].col_offset,
+        context,
+        _annotations(node),
+        frozenset(_raised_in(node, raised)),
+    )
+
+
+def _of_class(name: str, node: ast.ClassDef, raised: Raised) -> Documented:
+    annotations = []
+    errors_raised: set[str] = set()
+    for part in node.body:
+        if isinstance(part, ast.AnnAssign):
+            is_public = not ast.unparse(part.target).startswith("_")
+            annotations.append(ast.unparse(part.annotation) if is_public else "")
+        if isinstance(part, Function) and part.name in CONSTRUCTORS:
+            annotations.append(_annotations(part))
+            errors_raised |= _raised_in(part, raised)
+    return Documented(
+        name,
+        ast.get_docstring(node) or "",
+        node.body[0].col_offset,
+        annotations=" ".join(annotations),
+        raised=frozenset(errors_raised),
+    )
+
+
+def _annotations(node: Function) -> str:
+    arguments = node.args
+    named = arguments.posonlyargs + arguments.args + arguments.kwonlyargs
+    nodes = [argument.annotation for argument in named]
+    nodes.append(node.returns)
+    return " ".join(ast.unparse(part) for part in nodes if part is not None)
+
+
+def _raised_by_name(tree: ast.Module) -> Raised:
+    """Errors that each function of a file raises itself, by the function's name."""
+    found: dict[str, set[str]] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, Function):
+            found.setdefault(node.name, set()).update(_raised_in(node, {}))
+    return found
+
+
+def _raised_in(node: Function, raised: Raised) -> set[str]:
+    found = set()
+    for part in ast.walk(node):
+        if isinstance(part, ast.Raise) and isinstance(part.exc, ast.Call):
+            found.add(ast.unparse(part.exc.func))
+        elif isinstance(part, ast.Call):
+            called = ast.unparse(part.func).rsplit(".", 1)[-1]
+            if called.startswith("_"):
+                found |= raised.get(called, set())
+    return found & ERRORS
+
+
+def test_the_audit_sees_the_package() -> None:
+    names = {one.name for one in documented()}
+    assert len(names) > 900
+    assert "phsi_opt.estimation.identify.identify" in names
+    assert "phsi_opt.study.Study.compare" in names
+
+
+def test_every_public_docstring_begins_with_a_sentence_on_one_line() -> None:
+    assert [one.name for one in documented() if not one.has_first_line] == []
+
+
+def test_every_public_docstring_says_the_shapes_of_arrays() -> None:
+    assert [one.name for one in documented() if not one.has_shapes] == []
+
+
+def test_every_public_docstring_says_which_errors_are_raised() -> None:
+    assert [one.name for one in documented() if not one.has_errors] == []
+
+
+@pytest.mark.parametrize(
+    ("docstring", "has_first_line"),
+    [
+        ("Find it.", True),
+        ("Find it.\n\nAnd more.", True),
+        ("", False),
+        ("Find it", False),
+        ("Find it\nat last.", False),
+        (f"{'x' * (WIDTH - 2 * QUOTES)}.", False),
+    ],
+)
+def test_a_first_line_is_one_sentence_within_the_width(
+    docstring: str, has_first_line: bool
+) -> None:
+    assert Documented("name", docstring).has_first_line == has_first_line
+
+
+def test_an_array_needs_a_shape_and_an_error_its_section() -> None:
+    array = Documented("name", "The rates.", annotations="np.ndarray | None")
+    assert not array.has_shapes
+    shaped = Documented("name", "The rates (n_samples,).", annotations="np.ndarray")
+    assert shaped.has_shapes
+    silent = Documented("name", "See DataError: it.", raised=frozenset({"DataError"}))
+    assert not silent.has_errors
