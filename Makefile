@@ -42,7 +42,7 @@ types: $(VENV)/.full ## check types
 	@$(PY) -m mypy
 
 docs: $(VENV)/.full ## write the API reference into docs/_build/html; warnings are errors
-	@$(PY) -m sphinx -q -W --keep-going -n -b html docs docs/_build/html
+	@$(PY) -m sphinx -q -W --keep-going -n -b html -d docs/_build/doctrees docs docs/_build/html
 	@echo "The API reference is in docs/_build/html/index.html."
 
 constraints: ## write .ci/constraints.txt anew, with the newest versions that pyproject.toml allows

@@ -42,7 +42,7 @@ myst_heading_anchors = 2
 
 add_module_names = False
 default_role = "py:obj"  # `name` is a link where there is such an object, else literal
-python_maximum_signature_line_length = 88  # longer signatures: one argument a line
+python_maximum_signature_line_length = 100  # longer ones: one argument a line
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 autodoc_typehints = "signature"

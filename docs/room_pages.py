@@ -55,7 +55,8 @@ def _rooms(pyproject: Path) -> list[str]:
 
 def _page(package: Path, room: str, description: str) -> str:
     name = room.replace("_", " ").capitalize()
-    text = f"{_title(name, '=')}{description}\n\n"
+    sentence = f"{description[:1].upper()}{description[1:]}."
+    text = f"{_title(name, '=')}{sentence}\n\n"
     module = f"phsi_opt.{room}"
     if (package / f"{room}.py").exists():
         return f"{text}.. automodule:: {module}\n"

@@ -2,7 +2,7 @@
 
 The sizes scale the variables and constraints of a program, so that the solver sees
 numbers near one whatever the units are. How they are found from the data is the
-business of `phsi_opt.initialization`.
+business of ``phsi_opt.initialization``.
 """
 
 from dataclasses import dataclass
