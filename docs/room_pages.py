@@ -55,11 +55,11 @@ def _rooms(pyproject: Path) -> list[str]:
 
 def _page(package: Path, room: str, description: str) -> str:
     name = room.replace("_", " ").capitalize()
-    sentence = f"{description[:1].upper()}{description[1:]}."
-    text = f"{_title(name, '=')}{sentence}\n\n"
     module = f"phsi_opt.{room}"
     if (package / f"{room}.py").exists():
-        return f"{text}.. automodule:: {module}\n"
+        return f"{_title(name, '=')}.. automodule:: {module}\n"
+    sentence = f"{description[:1].upper()}{description[1:]}."
+    text = f"{_title(name, '=')}{sentence}\n\n"
     if (package / room / "__init__.py").read_text():
         text += f".. automodule:: {module}\n   :no-members:\n\n"
     for path in sorted((package / room).glob("[!_]*.py")):
