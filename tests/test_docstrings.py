@@ -192,6 +192,13 @@ def test_every_public_docstring_says_which_errors_are_raised() -> None:
     assert [one.name for one in documented() if not one.has_errors] == []
 
 
+def test_every_public_name_has_its_place_on_one_page_for_users() -> None:
+    pages = PACKAGE.parent / "docs" / "api"
+    text = "\n".join(page.read_text() for page in sorted(pages.glob("*.rst")))
+    on_pages = re.findall(r"^\.\. auto\w+:: (\w+)$", text, re.MULTILINE)
+    assert sorted(on_pages) == sorted(phsi_opt.__all__)
+
+
 @pytest.mark.parametrize(
     ("docstring", "has_first_line"),
     [

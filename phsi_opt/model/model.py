@@ -114,7 +114,11 @@ class Model(BaseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class PseudoHamiltonian(Model):
-    """dx/dt = (S - R(x)) grad H(x) + F(x, t, u) (thesis Eq. 2.42).
+    """A model with an energy H.
+
+    Its equations are (thesis Eq. 2.42)::
+
+        dx/dt = (S - R(x)) grad H(x) + F(x, t, u)
 
     S is constant and skew-symmetric, R is diagonal.
 
@@ -129,6 +133,7 @@ class PseudoHamiltonian(Model):
         inputs: names of the measured inputs.
         sensor: per measured state, what its sensor adds to it, such as an offset; terms
             as in F.
+        memory: the states that are the memory of an effect.
 
     Raises:
         ModelError: unknown names, a matrix that is not skew-symmetric, or a term that
@@ -151,7 +156,11 @@ class PseudoHamiltonian(Model):
 
 @dataclass(frozen=True, kw_only=True, init=False)
 class FirstOrder(Model):
-    """dx_i/dt = F_i(x, t, u) - R_ii(x) x_i: no energy, no structure (the thesis' BSI).
+    """A model without an energy and its structure (the thesis' BSI).
+
+    Its equations are::
+
+        dx_i/dt = F_i(x, t, u) - R_ii(x) x_i
 
     Its efforts are the states.
 
