@@ -1,4 +1,8 @@
-"""Random machines and the models that know a part of them."""
+"""Random machines and the models that know a part of them.
+
+Everything is drawn from one generator in a fixed order, so that a case is the same
+whenever it is drawn.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -6,8 +10,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import phsi_opt as ph
+from phsi_opt.model.terms import Dictionary
 from problems.hidden_effects.rows import ENERGY, N_TEST, N_TRAIN, STEPS
 from problems.hidden_effects.truth import SENSORS, Array, Drive, Machine, simulate
+
+N_RUNS = N_TRAIN + N_TEST
+# Faults of a sensor that show in the relation of position and momentum alone.
+NEED_MOMENTA = {"sensor offset", "sensor gain", "sensor drift", "sensor delay"}
+NEED_INPUT = {"sensor gain", "sensor delay"}
+# Effects beside those of the energy that a cubic spring could be taken for.
+LIKE_SPRINGS = {*ENERGY, "hysteresis", "parametric stiffness"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,7 +27,9 @@ class Setting:
     """An experiment without its hidden effect: machine, starts, input, times, measured
     states, what the model knows.
 
-    ``free``: names of the model's free parameters (of k1, k2, k12, b1, b2, c1, c2).
+    ``present``: names of the parameters in the model, of k1, k2, k12, b1, b2, c1, c2;
+    ``free``: those of them that it does not know. ``nominal``: the states (n_samples,
+    n_runs, 2 n) without the effect.
     """
 
     machine: Machine
@@ -31,68 +45,90 @@ class Setting:
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states."""
-        n = self.machine.n
-        return tuple(s if n == 1 else f"{s}{i + 1}" for s in "qp" for i in range(n))
+        return (*_numbered("q", self.machine.n), *_numbered("p", self.machine.n))
+
+    @property
+    def training_starts(self) -> Array:
+        """Starting states of the training runs."""
+        return self.starts[:N_TRAIN]
+
+    @property
+    def training_drive(self) -> Drive | None:
+        """Input of the training runs."""
+        if self.drive is None:
+            return None
+        return replace(self.drive, values=self.drive.values[:N_TRAIN])
+
+
+def _numbered(letter: str, n: int) -> tuple[str, ...]:
+    """q, or q1 and q2."""
+    return (letter,) if n == 1 else tuple(f"{letter}{i + 1}" for i in range(n))
 
 
 def log_uniform(
     rng: np.random.Generator, low: float, high: float, size: int | None = None
 ) -> Array:
+    """Numbers whose logarithm is uniform."""
     return np.exp(rng.uniform(np.log(low), np.log(high), size))
+
+
+# --- the setting
 
 
 def draw_setting(rng: np.random.Generator, effects: tuple[str, ...]) -> Setting:
     """An experiment that excites the effects, and a model that does not have them."""
-    n = 2 if "coupling stiffness" in effects or rng.random() < 0.5 else 1
-    sensor = any(e in SENSORS for e in effects)
-    driven = bool(
-        any("input" in e for e in effects)
-        or {"sensor gain", "sensor delay"} & set(effects)
-    )
-    driven = driven or rng.random() < 0.5
-    momenta = {"sensor offset", "sensor gain", "sensor drift", "sensor delay"} & set(
-        effects
-    ) or rng.random() < 0.5
-    stiff = any(
-        e in ENERGY or e in ("gap", "hysteresis", "parametric stiffness")
-        for e in effects
-    )
+    hidden = set(effects)
+    n = 2 if "coupling stiffness" in hidden or rng.random() < 0.5 else 1
+    needs_input = any("input" in name for name in effects) or hidden & NEED_INPUT
+    is_driven = bool(needs_input) or rng.random() < 0.5
+    has_momenta = bool(hidden & NEED_MOMENTA) or rng.random() < 0.5
     # A sensor's offset or drift is a force on a linear machine: only a spring that is
     # not linear tells them apart.
-    cubic = sensor or (not stiff and rng.random() < 0.3)
-    machine = _machine(rng, n, cubic, effects)
-    period = 2 * np.pi / float(np.exp(np.mean(np.log(_frequencies(machine)))))
-    amplitude = float(
-        rng.uniform(1.5, 2.5) if "gravity torque" in effects else rng.uniform(0.7, 1.5)
+    is_cubic = bool(hidden & set(SENSORS)) or (
+        not hidden & LIKE_SPRINGS and rng.random() < 0.3
     )
-    per_period, n_samples = rng.uniform(26, 34), int(rng.uniform(500, 900) / N_TRAIN)
+    machine = _machine(rng, n, is_cubic, effects)
+    period = 2 * np.pi / float(np.exp(np.mean(np.log(_frequencies(machine)))))
+    swing = (1.5, 2.5) if "gravity torque" in hidden else (0.7, 1.5)
+    amplitude = float(rng.uniform(*swing))
+    per_period = rng.uniform(26, 34)
+    n_samples = int(rng.uniform(500, 900) / N_TRAIN)
     t = np.arange(n_samples) * period / per_period
     starts = _starts(rng, machine, amplitude)
-    drive = _drive(rng, machine, amplitude, t, period) if driven else None
-    present, free = _known_parts(rng, machine, effects)
-    seen = tuple(range(2 * n)) if momenta else tuple(range(n))
-    setting = Setting(machine, starts, drive, t, seen, free, present, period)
+    drive = _drive(rng, machine, amplitude, t, period) if is_driven else None
+    present = _present(machine)
+    setting = Setting(
+        machine,
+        starts,
+        drive,
+        t,
+        seen=tuple(range(2 * n if has_momenta else n)),
+        free=_free(rng, present, effects),
+        present=present,
+        period=period,
+    )
     return replace(setting, nominal=simulate(machine, (), starts, drive, t, STEPS))
 
 
 def _machine(
-    rng: np.random.Generator, n: int, cubic: bool, effects: tuple[str, ...]
+    rng: np.random.Generator, n: int, is_cubic: bool, effects: tuple[str, ...]
 ) -> Machine:
-    mass, stiffness = log_uniform(rng, 0.6, 1.8, n), log_uniform(rng, 0.6, 1.8, n)
-    damping = 2 * log_uniform(rng, 0.012, 0.036, n) * np.sqrt(stiffness * mass)
+    mass = log_uniform(rng, 0.6, 1.8, n)
+    stiffness = log_uniform(rng, 0.6, 1.8, n)
+    ratio = log_uniform(rng, 0.012, 0.036, n)  # of the critical damping
+    damping = 2 * ratio * np.sqrt(stiffness * mass)
     if "viscous damping" in effects:
         damping = np.zeros(n)
-    coupled = n == 2 and "coupling stiffness" not in effects
-    coupling = (
-        log_uniform(rng, 0.2, 0.6) * stiffness.mean() if coupled else np.float64(0.0)
-    )
-    cube = stiffness * rng.uniform(0.3, 0.9, n) if cubic else np.zeros(n)
-    return Machine(
-        mass, stiffness, cube, damping, np.asarray(coupling), int(rng.integers(n))
-    )
+    coupling: Array | np.float64 = np.float64(0.0)
+    if n == 2 and "coupling stiffness" not in effects:
+        coupling = log_uniform(rng, 0.2, 0.6) * stiffness.mean()
+    cubic = stiffness * rng.uniform(0.3, 0.9, n) if is_cubic else np.zeros(n)
+    pushed = int(rng.integers(n))
+    return Machine(mass, stiffness, cubic, damping, np.asarray(coupling), pushed)
 
 
 def _frequencies(machine: Machine) -> Array:
+    """Frequencies (rad per unit of time) of the machine without its cubic springs."""
     K = np.diag(machine.stiffness)
     if machine.n == 2:
         K = K + machine.coupling * np.array([[1, -1], [-1, 1]])
@@ -103,18 +139,14 @@ def _starts(rng: np.random.Generator, machine: Machine, amplitude: float) -> Arr
     """Positions and momenta of about the same energy: a random phase for each mass,
     another size for each record.
     """
-    shape = (N_TRAIN + N_TEST, machine.n)
-    size = (
-        amplitude * rng.uniform(0.6, 1.2, (shape[0], 1)) * rng.uniform(0.7, 1.0, shape)
-    )
+    shape = (N_RUNS, machine.n)
+    of_record = rng.uniform(0.6, 1.2, (N_RUNS, 1))
+    of_mass = rng.uniform(0.7, 1.0, shape)
+    size = amplitude * of_record * of_mass
     phase = rng.uniform(0, 2 * np.pi, shape)
-    return np.concatenate(
-        [
-            size * np.cos(phase),
-            size * np.sqrt(machine.stiffness * machine.mass) * np.sin(phase),
-        ],
-        1,
-    )
+    positions = size * np.cos(phase)
+    momenta = size * np.sqrt(machine.stiffness * machine.mass) * np.sin(phase)
+    return np.concatenate([positions, momenta], 1)
 
 
 def _drive(
@@ -124,56 +156,79 @@ def _drive(
     t: Array,
     period: float,
 ) -> Drive:
-    """A multisine about the resonances, or random steps; its mean square a fraction of
-    the spring's force.
+    """A multisine about the resonances, or random steps.
+
+    Its mean square is a fraction of the spring's force.
     """
-    n_runs, push = N_TRAIN + N_TEST, machine.pushed
     if rng.random() < 0.5:
-        omega = 2 * np.pi / period * rng.uniform(0.4, 1.8, (n_runs, 5, 1))
-        values, hold = (
-            np.sin(omega * t + rng.uniform(0, 2 * np.pi, (n_runs, 5, 1))).sum(axis=1),
-            "linear",
-        )
+        hold = "linear"
+        values = _multisine(rng, t, period)
     else:
-        held = max(int(rng.uniform(0.3, 0.8) * period / t[1]), 1)
-        levels = rng.uniform(-1, 1, (n_runs, len(t) // held + 1))
-        values, hold = np.repeat(levels, held, axis=1)[:, : len(t)], "zero"
-    rms = rng.uniform(0.25, 0.45) * machine.stiffness[push] * amplitude
+        hold = "zero"
+        values = _random_steps(rng, t, period)
+    rms = rng.uniform(0.25, 0.45) * machine.stiffness[machine.pushed] * amplitude
     return Drive(float(t[1]), values * rms / values.std(), hold)
 
 
-def _known_parts(
-    rng: np.random.Generator, machine: Machine, effects: tuple[str, ...]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The parameters in the model, and which of them are free. Masses are known."""
+def _multisine(rng: np.random.Generator, t: Array, period: float) -> Array:
+    shape = (N_RUNS, 5, 1)
+    omega = 2 * np.pi / period * rng.uniform(0.4, 1.8, shape)
+    phase = rng.uniform(0, 2 * np.pi, shape)
+    return np.sin(omega * t + phase).sum(axis=1)
+
+
+def _random_steps(rng: np.random.Generator, t: Array, period: float) -> Array:
+    n_held = max(int(rng.uniform(0.3, 0.8) * period / t[1]), 1)
+    levels = rng.uniform(-1, 1, (N_RUNS, len(t) // n_held + 1))
+    return np.repeat(levels, n_held, axis=1)[:, : len(t)]
+
+
+def _present(machine: Machine) -> tuple[str, ...]:
+    """The parameters in the model. Masses are known."""
     n = machine.n
-    present = [f"k{i + 1}" for i in range(n)]
-    present += ["k12"] if machine.coupling > 0 else []
-    present += [f"b{i + 1}" for i in range(n)] if machine.cubic.any() else []
-    present += [f"c{i + 1}" for i in range(n)] if machine.damping.any() else []
-    known = {"k12"} if rng.random() < 0.5 else set()
-    known |= {"b1", "b2"} if rng.random() < 0.5 else set()
-    known |= {"k1", "k2", "k12"} if "linear stiffness" in effects else set()
-    return tuple(present), tuple(name for name in present if name not in known)
+    names = [f"k{i + 1}" for i in range(n)]
+    if machine.coupling > 0:
+        names.append("k12")
+    if machine.cubic.any():
+        names += [f"b{i + 1}" for i in range(n)]
+    if machine.damping.any():
+        names += [f"c{i + 1}" for i in range(n)]
+    return tuple(names)
+
+
+def _free(
+    rng: np.random.Generator, present: tuple[str, ...], effects: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Those of the parameters that the model does not know."""
+    known = set()
+    if rng.random() < 0.5:
+        known |= {"k12"}
+    if rng.random() < 0.5:
+        known |= {"b1", "b2"}
+    if "linear stiffness" in effects:
+        known |= {"k1", "k2", "k12"}
+    return tuple(name for name in present if name not in known)
+
+
+# --- the model
 
 
 def values_of(machine: Machine) -> dict[str, float]:
-    parts = {"k": machine.stiffness, "b": machine.cubic, "c": machine.damping}
-    found = {
-        f"{name}{i + 1}": float(values[i])
-        for name, values in parts.items()
-        for i in range(machine.n)
-    }
+    """The parameters of a machine by the names of the model."""
+    found = {}
+    groups = {"k": machine.stiffness, "b": machine.cubic, "c": machine.damping}
+    for letter, values in groups.items():
+        for i in range(machine.n):
+            found[f"{letter}{i + 1}"] = float(values[i])
     return {**found, "k12": float(machine.coupling)}
 
 
 def with_values(machine: Machine, values: Mapping[str, Array]) -> Machine:
     """The machine with parameters (n_variations,) for all trajectories."""
 
-    def stacked(name: str) -> Array:
-        return np.stack([values[f"{name}{i + 1}"] for i in range(machine.n)], axis=-1)[
-            :, None, :
-        ]
+    def stacked(letter: str) -> Array:
+        columns = [values[f"{letter}{i + 1}"] for i in range(machine.n)]
+        return np.stack(columns, axis=-1)[:, None, :]
 
     return replace(
         machine,
@@ -186,34 +241,42 @@ def with_values(machine: Machine, values: Mapping[str, Array]) -> Machine:
 
 def model_of(setting: Setting, rng: np.random.Generator) -> ph.PseudoHamiltonian:
     """What is known of the machine; starting values are off by up to a quarter."""
-    machine, states, values = (
-        setting.machine,
-        setting.states,
-        values_of(setting.machine),
-    )
+    machine = setting.machine
     n = machine.n
-    q, p = states[:n], states[n:]
-    body = {f"k{i + 1}": f"{q[i]}**2/2" for i in range(n)} | {
-        f"b{i + 1}": f"{q[i]}**4/4" for i in range(n)
-    }
-    body |= {"k12": f"({q[0]} - {q[-1]})**2/2"}
-    energies = [name for name in setting.present if name in body]
-    text = " + ".join(
-        [f"{name}*{body[name]}" for name in energies]
-        + [f"{p[i]}**2/(2*m{i + 1})" for i in range(n)]
-    )
-    free = {
-        name: ph.Parameter(values[name] * rng.uniform(0.8, 1.25), lower=0.0)
-        for name in setting.free
-    }
-    known: dict[str, ph.Parameter | float] = {**values, **free}
-    masses = {f"m{i + 1}": float(machine.mass[i]) for i in range(n)}
-    damped = any(name.startswith("c") for name in setting.present)
+    momenta = setting.states[n:]
+    values = values_of(machine)
+    parameters: dict[str, ph.Parameter | float] = {**values}
+    for name in setting.free:
+        start = values[name] * rng.uniform(0.8, 1.25)
+        parameters[name] = ph.Parameter(start, lower=0.0)
+    is_damped = any(name.startswith("c") for name in setting.present)
+    is_driven = setting.drive is not None
     return ph.PseudoHamiltonian(
-        states=states,
-        inputs=() if setting.drive is None else ("u",),
+        states=setting.states,
+        inputs=("u",) if is_driven else (),
         S=ph.canonical(n),
-        H=ph.formula(text, **{name: known[name] for name in energies}, **masses),
-        R=ph.damping(*p) if damped else {},
-        F={} if setting.drive is None else {p[machine.pushed]: ph.formula("u")},
+        H=_energy(setting, parameters),
+        R=ph.damping(*momenta) if is_damped else {},
+        F={momenta[machine.pushed]: ph.formula("u")} if is_driven else {},
     )
+
+
+def _energy(
+    setting: Setting, parameters: Mapping[str, ph.Parameter | float]
+) -> Dictionary:
+    """Springs, cubic springs and kinetic energy."""
+    n = setting.machine.n
+    q = setting.states[:n]
+    p = setting.states[n:]
+    shapes = {"k12": f"({q[0]} - {q[-1]})**2/2"}
+    masses = {}
+    kinetic = []
+    for i in range(n):
+        shapes[f"k{i + 1}"] = f"{q[i]}**2/2"
+        shapes[f"b{i + 1}"] = f"{q[i]}**4/4"
+        masses[f"m{i + 1}"] = float(setting.machine.mass[i])
+        kinetic.append(f"{p[i]}**2/(2*m{i + 1})")
+    springs = [name for name in setting.present if name in shapes]
+    potential = [f"{name}*{shapes[name]}" for name in springs]
+    of_springs = {name: parameters[name] for name in springs}
+    return ph.formula(" + ".join([*potential, *kinetic]), **of_springs, **masses)

@@ -1,12 +1,21 @@
-"""How far the model without the effect stays from a machine that has it."""
+"""How far the model without the effect stays from a machine that has it.
 
-from dataclasses import replace
+Least squares over the free parameters and starting states (Levenberg and Marquardt);
+slopes by differences, all variations integrated together. It costs less than the
+diagnosis, so that an effect's size can be set by it.
+"""
 
 import numpy as np
 
 from problems.hidden_effects.machines import Setting, values_of, with_values
 from problems.hidden_effects.rows import N_TRAIN, STEPS
 from problems.hidden_effects.truth import Array, simulate
+
+STEP = 1e-4  # of the differences
+FIRST_DAMPING = 1e-3
+LEAST_DAMPING = 1e-6
+SETTLED = 0.98  # a step that leaves more than this share of the error is the last
+RIDGE = 1e-12  # share of the trace, where a direction is not seen at all
 
 
 class Refit:
@@ -15,97 +24,101 @@ class Refit:
     """
 
     def __init__(self, setting: Setting) -> None:
-        self.setting, self.drive = setting, setting.drive
-        if self.drive is not None:
-            self.drive = replace(self.drive, values=self.drive.values[:N_TRAIN])
-        self.starts = setting.starts[:N_TRAIN]
-        self.theta = np.array(
-            [values_of(setting.machine)[name] for name in setting.free]
-        )
-        self.begun = self.theta, self.starts
-
-    def _runs(self, theta: Array, starts: Array) -> Array:
-        """Measured channels (n_variations, n_times, n_trajectories, n_seen) of
-        (n_variations, ...) parameters.
-        """
-        s = self.setting
-        values = {
-            name: np.full(len(theta), value)
-            for name, value in values_of(s.machine).items()
-        }
-        values |= dict(zip(s.free, np.maximum(theta, 0.0).T, strict=True))
-        x = simulate(with_values(s.machine, values), (), starts, self.drive, s.t, STEPS)
-        return np.moveaxis(x, 1, 0)[..., list(s.seen)]
+        self.setting = setting
+        self.drive = setting.training_drive
+        values = values_of(setting.machine)
+        self.first_theta = np.array([values[name] for name in setting.free])
+        self.first_starts = setting.training_starts
+        self.theta = self.first_theta
+        self.starts = self.first_starts
 
     def error(self, y: Array, rounds: int = 10) -> float:
-        """Free-run error over the channels, each in its standard deviations (Levenberg
-        and Marquardt).
+        """Free-run error over the channels, each in its standard deviations.
 
-        Goes on from the last call's optimum.
+        Goes on from the last call's optimum. ``y``: (n_times, n_runs, n_states).
         """
         target = y[:, :N_TRAIN, list(self.setting.seen)]
         scale = target.std(axis=(0, 1))
-        best, damping = np.inf, 1e-3
-        theta, starts = self.theta, self.starts
+        best = np.inf
+        damping = FIRST_DAMPING
+        theta = self.theta
+        starts = self.starts
         for _ in range(rounds):
             runs, slopes = self._slopes(theta, starts)
-            error = float(np.sqrt(np.mean(((target - runs) / scale) ** 2)))
-            if not np.isfinite(error) and not np.isfinite(
-                best
-            ):  # the hidden effect or the start runs away
+            left = (target - runs) / scale
+            error = float(np.sqrt(np.mean(left**2)))
+            # The hidden effect or the start runs away.
+            if not np.isfinite(error) and not np.isfinite(best):
                 return np.inf
             if error < best:
-                settled = error > 0.98 * best and damping <= 1e-3
-                best, self.theta, self.starts, damping = (
-                    error,
-                    theta,
-                    starts,
-                    max(damping / 10, 1e-6),
-                )
-                columns, left = (
-                    self._columns(slopes / scale),
-                    ((target - runs) / scale).ravel(),
-                )
-                if settled:
+                is_last = error > SETTLED * best and damping <= FIRST_DAMPING
+                best = error
+                self.theta = theta
+                self.starts = starts
+                damping = max(damping / 10, LEAST_DAMPING)
+                columns = self._columns(slopes / scale)
+                residual = left.ravel()
+                if is_last:
                     break
             else:
                 damping *= 20
-            change = _damped(columns, left, damping)
-            theta = np.maximum(self.theta + change[: len(self.theta)], 0.0)
-            starts = self.starts + change[len(self.theta) :].reshape(self.starts.shape)
+            change = _damped(columns, residual, damping)
+            n_theta = len(self.theta)
+            of_starts = change[n_theta:].reshape(self.starts.shape)
+            theta = np.maximum(self.theta + change[:n_theta], 0.0)
+            starts = self.starts + of_starts
         return best
 
     def move(self, factor: float) -> None:
         """Where the optimum should be for ``factor`` times the last size: in proportion
         from that without an effect.
         """
-        theta, starts = self.begun
-        self.theta = np.maximum(theta + factor * (self.theta - theta), 0.0)
-        self.starts = starts + factor * (self.starts - starts)
+        moved = self.theta - self.first_theta
+        self.theta = np.maximum(self.first_theta + factor * moved, 0.0)
+        self.starts = self.first_starts + factor * (self.starts - self.first_starts)
+
+    def _runs(self, theta: Array, starts: Array) -> Array:
+        """Measured channels (n_variations, n_times, n_trajectories, n_seen) of
+        (n_variations, ...) parameters.
+        """
+        s = self.setting
+        values = {}
+        for name, value in values_of(s.machine).items():
+            values[name] = np.full(len(theta), value)
+        values |= dict(zip(s.free, np.maximum(theta, 0.0).T, strict=True))
+        machine = with_values(s.machine, values)
+        x = simulate(machine, (), starts, self.drive, s.t, STEPS)
+        return np.moveaxis(x, 1, 0)[..., list(s.seen)]
 
     def _slopes(self, theta: Array, starts: Array) -> tuple[Array, Array]:
         """The runs and their slopes in every parameter and (for all trajectories at
         once) every starting value.
         """
-        n_theta, n_x, h = len(theta), starts.shape[1], 1e-4
-        moved = np.tile(theta, (1 + n_theta + n_x, 1))
-        begun = np.tile(starts, (1 + n_theta + n_x, 1, 1))
-        moved[1 + np.arange(n_theta), np.arange(n_theta)] += h
-        begun[1 + n_theta + np.arange(n_x), :, np.arange(n_x)] += h
-        runs = self._runs(moved, begun)
-        return runs[0], (runs[1:] - runs[0]) / h
+        n_theta = len(theta)
+        n_x = starts.shape[1]
+        of_theta = np.arange(n_theta)
+        of_start = np.arange(n_x)
+        thetas = np.tile(theta, (1 + n_theta + n_x, 1))
+        thetas[1 + of_theta, of_theta] += STEP
+        all_starts = np.tile(starts, (1 + n_theta + n_x, 1, 1))
+        all_starts[1 + n_theta + of_start, :, of_start] += STEP
+        runs = self._runs(thetas, all_starts)
+        return runs[0], (runs[1:] - runs[0]) / STEP
 
     def _columns(self, slopes: Array) -> Array:
-        n_theta, n_x = len(self.theta), self.starts.shape[1]
-        own = np.zeros((N_TRAIN, n_x, *slopes.shape[1:]))
-        for run in range(N_TRAIN):  # a starting value moves its own trajectory alone
-            own[run, :, :, run] = slopes[n_theta:, :, run]
-        return np.concatenate(
-            [slopes[:n_theta].reshape(n_theta, -1), own.reshape(N_TRAIN * n_x, -1)]
-        ).T
+        """Slopes as columns; a starting value moves its own trajectory alone."""
+        n_theta = len(self.theta)
+        n_x = self.starts.shape[1]
+        by_run = np.zeros((N_TRAIN, n_x, *slopes.shape[1:]))
+        for run in range(N_TRAIN):
+            by_run[run, :, :, run] = slopes[n_theta:, :, run]
+        in_theta = slopes[:n_theta].reshape(n_theta, -1)
+        in_starts = by_run.reshape(N_TRAIN * n_x, -1)
+        return np.concatenate([in_theta, in_starts]).T
 
 
-def _damped(columns: Array, left: Array, damping: float) -> Array:
+def _damped(columns: Array, residual: Array, damping: float) -> Array:
+    """A step of Levenberg and Marquardt."""
     information = columns.T @ columns
-    ridge = np.diag(np.diag(information) * damping + 1e-12 * np.trace(information))
-    return np.linalg.solve(information + ridge, columns.T @ left)
+    diagonal = np.diag(information) * damping + RIDGE * np.trace(information)
+    return np.linalg.solve(information + np.diag(diagonal), columns.T @ residual)

@@ -84,6 +84,18 @@ class Aim:
         return float(self.noise * np.sqrt(self.target**2 - 1))
 
 
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """One attempt at a case: its row and seed, the generator of all that is random, and
+    what the effect's size should come to.
+    """
+
+    row: Row
+    seed: int
+    rng: np.random.Generator
+    aim: Aim
+
+
 @dataclass(frozen=True)
 class Truth:
     """A hidden effect as it should be found: its name, the equations that are right,
@@ -121,21 +133,18 @@ class Case:
 
 def _rows() -> dict[str, Row]:
     rows = [Row("nothing", "nothing", (), NOISE_LEVELS)]
-    rows += [
-        Row(f"{e.replace(' ', '_')}_{noise:g}", "one", (e,), (noise,))
-        for e in ONE
-        for noise in NOISE_LEVELS
-    ]
-    rows += [
-        Row("two_effects", "two", SEPARATED, NOISE_LEVELS),
-        Row("outside", "outside", tuple(OUTSIDE), NOISE_LEVELS),
-    ]
-    rows += [Row(e.replace(" ", "_"), "sensor", (e,), NOISE_LEVELS) for e in SENSORS]
-    rows += [Row("tanks", "tanks", (*LEAKS, *CLOGS), (0.01, 0.03))]
+    for effect in ONE:
+        for noise in NOISE_LEVELS:
+            name = f"{effect.replace(' ', '_')}_{noise:g}"
+            rows.append(Row(name, "one", (effect,), (noise,)))
+    rows.append(Row("two_effects", "two", SEPARATED, NOISE_LEVELS))
+    rows.append(Row("outside", "outside", tuple(OUTSIDE), NOISE_LEVELS))
+    for effect in SENSORS:
+        name = effect.replace(" ", "_")
+        rows.append(Row(name, "sensor", (effect,), NOISE_LEVELS))
+    rows.append(Row("tanks", "tanks", (*LEAKS, *CLOGS), NOISE_LEVELS[:2]))
     return {row.name: row for row in rows}
 
 
 ROWS = _rows()
-
-
 assert set(ONE) == set(FORCES)

@@ -1,12 +1,26 @@
-"""The cases of the tanks: a leak or a clogged pipe in the network of the thesis."""
+"""The cases of the tanks: a leak or a clogged pipe in the network of the thesis.
+
+The size of a fault is set by its change of the training runs, because nearly nothing of
+the healthy model is free to follow it.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 
 import phsi_opt as ph
-from problems.hidden_effects.calibration import next_size, shows_held_out
-from problems.hidden_effects.rows import Aim, Case, Row, Truth
+from problems.hidden_effects.calibration import (
+    TRIALS,
+    Calibrated,
+    Trial,
+    is_accepted,
+    is_enough,
+    next_size,
+    ratio_of,
+    shows_held_out,
+)
+from problems.hidden_effects.rows import N_TEST, N_TRAIN, Aim, Case, Draw, Truth
+from problems.hidden_effects.samples import HELD_OUT, TRAINING, Samples
 from problems.hidden_effects.truth import CLOGS, Array, Hidden, tank_states
 from problems.thesis.systems import (
     AREA,
@@ -19,135 +33,132 @@ from problems.thesis.systems import (
     tank_structure,
 )
 
-N_TANK_TRAIN, N_TANK_TEST, TANK_TIMES = 3, 2, np.linspace(0.0, 0.6, 61)
-
-
-TANK_LIMITS = {
+N_RUNS = N_TRAIN + N_TEST
+STATES = FLOWS + LEVELS
+TIMES = np.linspace(0.0, 0.6, 61)
+QUICK_RTOL = 1e-6  # where a size is searched
+# Largest sizes of the faults.
+LIMITS = {
     "linear leak": 2.0,
     "turbulent leak": 2.0,
     "overflow": 20.0,
     "viscous damping": 30.0,
     "quadratic drag": 300,
 }
+# Powers of the level or flow in the faults.
+POWERS = {
+    "linear leak": 1,
+    "overflow": 1,
+    "turbulent leak": 0.5,
+    "viscous damping": 1,
+    "quadratic drag": 2,
+}
 
 
 def tank_matrix() -> Array:
-    loss = np.diag(np.r_[DAMPING, np.zeros(4)])
-    return (tank_structure() - loss) @ np.diag(
-        np.r_[np.full(5, 1 / INERTIA), np.full(4, DENSITY * GRAVITY / AREA)]
-    )
+    """The right-hand side of the healthy tanks, dx/dt = matrix x."""
+    losses = np.diag(np.r_[DAMPING, np.zeros(4)])
+    efforts = np.r_[np.full(5, 1 / INERTIA), np.full(4, DENSITY * GRAVITY / AREA)]
+    return (tank_structure() - losses) @ np.diag(efforts)
 
 
 def tanks_model(known_pipes: bool) -> ph.PseudoHamiltonian:
     """Healthy tanks: areas and inertia known, the gravity term free; losses of the
     pipes known, or free.
     """
-    text = " + ".join(
-        [f"{x}**2/(2*{INERTIA})" for x in FLOWS] + [f"g*{x}**2/2" for x in LEVELS]
-    )
-    known = {
-        x: ph.formula(f"r{i}", **{f"r{i}": float(DAMPING[i])})
-        for i, x in enumerate(FLOWS)
-    }
+    kinetic = [f"{flow}**2/(2*{INERTIA})" for flow in FLOWS]
+    potential = [f"g*{level}**2/2" for level in LEVELS]
+    losses = ph.damping(*FLOWS)
+    if known_pipes:
+        losses = {}
+        for i, flow in enumerate(FLOWS):
+            losses[flow] = ph.formula(f"r{i}", **{f"r{i}": float(DAMPING[i])})
+    gravity = ph.Parameter(9.0, lower=0.0)
     return ph.PseudoHamiltonian(
-        states=FLOWS + LEVELS,
+        states=STATES,
         S=tank_structure(),
-        H=ph.formula(text, g=ph.Parameter(9.0, lower=0.0)),
-        R=known if known_pipes else ph.damping(*FLOWS),
+        H=ph.formula(" + ".join([*kinetic, *potential]), g=gravity),
+        R=losses,
     )
 
 
-def tanks_case(row: Row, seed: int, rng: np.random.Generator, aim: Aim) -> Case | None:
-    name, matrix, t = str(rng.choice(row.effects)), tank_matrix(), TANK_TIMES
-    pipe = name in CLOGS
-    at = int(rng.integers(5)) if pipe else 5 + int(rng.integers(4))
-    flows = rng.uniform(-0.3, 0.3, (N_TANK_TRAIN + N_TANK_TEST, 5))
-    starts = np.concatenate(
-        [flows, rng.uniform(0.5, 2.0, (len(flows), 4))], axis=1
-    )  # levels are positive
-    healthy = tank_states(matrix, None, starts, t, 1e-6)
-    shape = {"brim": float(np.quantile(healthy[..., at], rng.uniform(0.5, 0.8)))}
-    found = _tank_size(Hidden(name, at, 0.0, shape), matrix, starts, healthy, aim)
+def tanks_case(draw: Draw) -> Case | None:
+    """A fault in a random pipe or tank; None where it does not show."""
+    rng = draw.rng
+    matrix = tank_matrix()
+    name = str(rng.choice(draw.row.effects))
+    in_pipe = name in CLOGS
+    at = int(rng.integers(5)) if in_pipe else 5 + int(rng.integers(4))
+    flows = rng.uniform(-0.3, 0.3, (N_RUNS, 5))
+    levels = rng.uniform(0.5, 2.0, (N_RUNS, 4))  # positive
+    starts = np.concatenate([flows, levels], axis=1)
+    healthy = tank_states(matrix, None, starts, TIMES, QUICK_RTOL)
+    brim = float(np.quantile(healthy[..., at], rng.uniform(0.5, 0.8)))
+    fault = Hidden(name, at, 0.0, {"brim": brim})
+    found = _calibrated(fault, matrix, starts, healthy, draw.aim)
     if found is None:
         return None
-    hidden, ratio = found
-    known_pipes = pipe or bool(rng.random() < 0.5)
-    y = np.moveaxis(tank_states(matrix, hidden, starts, t), 0, 1)
-    if not shows_held_out(y, np.moveaxis(healthy, 0, 1), N_TANK_TRAIN):
+    known_pipes = in_pipe or bool(rng.random() < 0.5)
+    y = np.moveaxis(tank_states(matrix, found.hidden, starts, TIMES), 0, 1)
+    if not shows_held_out(y, np.moveaxis(healthy, 0, 1), N_TRAIN):
         return None
-    deviation = aim.noise * y[:N_TANK_TRAIN].std(axis=(0, 1))
-    noises, states = deviation * rng.normal(size=y.shape), FLOWS + LEVELS
+    every = tuple(range(len(STATES)))
+    samples = Samples.drawn(rng, y, draw.aim.noise, TIMES, STATES, every)
+    return Case(
+        row=draw.row,
+        seed=draw.seed,
+        model=tanks_model(known_pipes),
+        train=samples.noisy(TRAINING),
+        test=samples.noisy(HELD_OUT),
+        clean=samples.without_noise(TRAINING),
+        sigma=samples.sigma,
+        test_noise=samples.noise[HELD_OUT],
+        noise=draw.aim.noise,
+        truths=(_truth(found.hidden),),
+        settings=_settings(known_pipes),
+        target=draw.aim.target,
+        base_ratio=found.ratio,
+    )
 
-    def data(runs: Array, sigma: Array | None = None) -> ph.Measurements:
-        given = (
-            None if sigma is None else dict(zip(states, map(float, sigma), strict=True))
-        )
-        return ph.Measurements.from_arrays(
-            [t] * len(runs), list(runs), states=states, noise=given
-        )
 
-    pressure = DENSITY * GRAVITY / AREA if not pipe else 1 / INERTIA
-    # R acts on dH/dx, which is the level or flow times `pressure`
-    powers = {
-        "linear leak": 1,
-        "overflow": 1,
-        "turbulent leak": 0.5,
-        "viscous damping": 1,
-        "quadratic drag": 2,
-    }
-    truth = Truth(name, (states[at],), hidden.size / pressure ** powers[name])
-    settings = {
+def _truth(hidden: Hidden) -> Truth:
+    """R acts on dH/dx, which is the level or flow times an effort."""
+    effort = 1 / INERTIA if hidden.name in CLOGS else DENSITY * GRAVITY / AREA
+    coefficient = hidden.size / effort ** POWERS[hidden.name]
+    return Truth(hidden.name, (STATES[hidden.at],), coefficient)
+
+
+def _settings(known_pipes: bool) -> dict[str, object]:
+    """What is kept of a setting in the tables."""
+    return {
         "masses": 0,
         "measured": "all",
         "input": "none",
         "free": "g" if known_pipes else "g R",
         "known": "R" if known_pipes else "",
-        "n_train": N_TANK_TRAIN * len(t),
+        "n_train": N_TRAIN * len(TIMES),
     }
-    train, test = slice(0, N_TANK_TRAIN), slice(N_TANK_TRAIN, None)
-    return Case(
-        row,
-        seed,
-        tanks_model(known_pipes),
-        data((y + noises)[train]),
-        data((y + noises)[test]),
-        data(y[train], deviation),
-        deviation,
-        noises[test],
-        aim.noise,
-        (truth,),
-        settings,
-        aim.target,
-        ratio,
-    )
 
 
-def _tank_size(
-    hidden: Hidden, matrix: Array, starts: Array, healthy: Array, aim: Aim
-) -> tuple[Hidden, float] | None:
-    """The size of a fault by its change of the training runs; nearly nothing of the
-    healthy model is free to follow.
+def _calibrated(
+    fault: Hidden, matrix: Array, starts: Array, healthy: Array, aim: Aim
+) -> Calibrated | None:
+    """The fault at the size whose change of the training runs meets the aim.
+
+    ``healthy``: states (n_times, n_runs, 9) without it.
     """
-    wanted, largest = aim.wanted, TANK_LIMITS[hidden.name]
-    train, size, points = (
-        slice(0, N_TANK_TRAIN),
-        TANK_LIMITS[hidden.name] / 8,
-        [(0.0, 0.0)],
-    )
-    for _ in range(6):
-        x = tank_states(
-            matrix, replace(hidden, size=size), starts[train], TANK_TIMES, 1e-6
-        )
-        error = float(
-            np.sqrt(np.mean(((x - healthy[:, train]) / x.std(axis=(0, 1))) ** 2))
-        )
-        points.append((size, error))
-        if 0.8 * wanted < error < 1.25 * wanted or (size >= largest and error < wanted):
+    largest = LIMITS[fault.name]
+    size = largest / 8
+    trials = [Trial(0.0, 0.0)]
+    for _ in range(TRIALS):
+        faulty = replace(fault, size=size)
+        x = tank_states(matrix, faulty, starts[TRAINING], TIMES, QUICK_RTOL)
+        change = (x - healthy[:, TRAINING]) / x.std(axis=(0, 1))
+        trials.append(Trial(size, float(np.sqrt(np.mean(change**2)))))
+        if is_enough(trials[-1], aim, largest):
             break
-        size = min(next_size(points, wanted), largest)
-    ratio = float(np.sqrt(1 + (error / aim.noise) ** 2))
-    return (
-        (replace(hidden, size=points[-1][0]), ratio)
-        if 0.9 * aim.least <= ratio <= 1.4 * aim.target
-        else None
-    )
+        size = min(next_size(trials, aim.wanted), largest)
+    ratio = ratio_of(trials[-1].error, aim)
+    if not is_accepted(ratio, aim):
+        return None
+    return Calibrated(replace(fault, size=trials[-1].size), ratio)
