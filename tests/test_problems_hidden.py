@@ -95,7 +95,7 @@ def test_hysteresis_takes_energy_from_a_closed_loop_and_keeps_within_its_yield_f
     z, forces = np.zeros(1), []
     for dq in np.diff(q):  # explicit Euler along a prescribed path
         moment = Moment(0.0, z, np.full(1, dq), z, z[None, :], None)
-        z = z + MEMORIES["hysteresis"][1](1.0, shape, moment)[0]
+        z = z + MEMORIES["hysteresis"].rates(1.0, shape, moment)[0]
         forces.append(float(z[0]))
     work = np.sum(np.array(forces)[2000:4000] * np.diff(q)[2000:4000])
     assert max(np.abs(forces)) <= 0.25 + 1e-6  # 1/(beta + gamma)

@@ -40,9 +40,8 @@ class Drive:
         if self.hold == "zero":
             return self.values[:, min(int(place + 1e-9), last)]
         k = min(int(place), last - 1)
-        return self.values[:, k] + (place - k) * (
-            self.values[:, k + 1] - self.values[:, k]
-        )
+        change = self.values[:, k + 1] - self.values[:, k]
+        return self.values[:, k] + (place - k) * change
 
 
 @dataclass(frozen=True)
@@ -106,10 +105,13 @@ def _sign(v: Array, shape: Mapping[str, float]) -> Array:
 
 def _pulses(t: float, shape: Mapping[str, float]) -> float:
     """Half sines of a given length at three times."""
-    since = [t - shape[name] for name in ("first", "second", "third")]
-    return sum(
-        np.sin(np.pi * s / shape["length"]) for s in since if 0 < s < shape["length"]
-    )
+    length = shape["length"]
+    total = 0
+    for name in ("first", "second", "third"):
+        since = t - shape[name]
+        if 0 < since < length:
+            total = total + np.sin(np.pi * since / length)
+    return total
 
 
 # Forces of the catalogue's effects, by its names. s: size, h: the other numbers, x: the
@@ -162,27 +164,33 @@ OUTSIDE: dict[str, Law] = {
     "damping in one direction": lambda s, h, x: -s * np.maximum(x.v, 0.0),
 }
 
-# Rates of the states of effects that have a memory.
-MEMORIES: dict[
-    str, tuple[int, Callable[[float, Mapping[str, float], Moment], list[Array]]]
-] = {
-    "input lag": (1, lambda s, h, x: [(x.input() - x.z[..., 0]) / s]),
-    # Bouc and Wen, exponent 1: the slope falls from 1 to 0 at |z| = 1/(beta + gamma)
-    "hysteresis": (
-        1,
-        lambda s, h, x: [
-            x.v
-            - h["beta"] * np.abs(x.v) * x.z[..., 0]
-            - h["gamma"] * x.v * np.abs(x.z[..., 0])
-        ],
-    ),
-    "attached absorber": (
-        2,
-        lambda s, h, x: [
-            x.z[..., 1],
-            h["omega"] ** 2 * (x.q - x.z[..., 0]) - h["damping"] * (x.z[..., 1] - x.v),
-        ],
-    ),
+
+@dataclass(frozen=True)
+class Memory:
+    """States of an effect's own: how many, and their rates."""
+
+    n_states: int
+    rates: Callable[[float, Mapping[str, float], Moment], list[Array]]
+
+
+def _bouc_wen(s: float, h: Mapping[str, float], x: Moment) -> list[Array]:
+    """Bouc and Wen, exponent 1: the slope falls to 0 at |z| = 1/(beta + gamma)."""
+    z = x.z[..., 0]
+    return [x.v - h["beta"] * np.abs(x.v) * z - h["gamma"] * x.v * np.abs(z)]
+
+
+def _absorber(s: float, h: Mapping[str, float], x: Moment) -> list[Array]:
+    """Position and velocity of a small mass on a spring and a damper."""
+    position = x.z[..., 0]
+    velocity = x.z[..., 1]
+    pull = h["omega"] ** 2 * (x.q - position)
+    return [velocity, pull - h["damping"] * (velocity - x.v)]
+
+
+MEMORIES = {
+    "input lag": Memory(1, lambda s, h, x: [(x.input() - x.z[..., 0]) / s]),
+    "hysteresis": Memory(1, _bouc_wen),
+    "attached absorber": Memory(2, _absorber),
 }
 
 Shown = Callable[[float, Mapping[str, float], Array, Array, Array], Array]
@@ -213,6 +221,52 @@ def force_of(hidden: Hidden, moment: Moment) -> Array | float:
     return {**FORCES, **OUTSIDE}[hidden.name](hidden.size, hidden.shape, moment)
 
 
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Right-hand side of a machine with hidden forces.
+
+    ``memory``: where each force's own states lie behind positions and momenta.
+    """
+
+    machine: Machine
+    forces: tuple[Hidden, ...]
+    memory: tuple[slice, ...]
+    drive: Drive | None
+    shape: tuple[int, ...]
+
+    def rates(self, t: float, flat: Array) -> Array:
+        """Rates of the flattened states of all variations and trajectories."""
+        machine = self.machine
+        n = machine.n
+        x = flat.reshape(self.shape)
+        q = x[..., :n]
+        v = x[..., n : 2 * n] / machine.mass
+        dx = np.empty_like(x)
+        dx[..., :n] = v
+        force = dx[..., n : 2 * n]
+        force[...] = -machine.stiffness * q - machine.cubic * q**3 - machine.damping * v
+        if n == 2:
+            pull = machine.coupling * (q[..., 1] - q[..., 0])
+            force[..., 0] += pull
+            force[..., 1] -= pull
+        if self.drive is not None:
+            force[..., machine.pushed] += self.drive.at(t)
+        for hidden, place in zip(self.forces, self.memory, strict=True):
+            at = hidden.at
+            z = x[..., place]
+            moment = Moment(
+                t, q[..., at], v[..., at], q[..., n - 1 - at], z, self.drive
+            )
+            added = force_of(hidden, moment)
+            force[..., at] += added
+            if hidden.name == "coupling stiffness":
+                force[..., 1 - at] -= added
+            if hidden.name in MEMORIES:
+                rates = MEMORIES[hidden.name].rates(hidden.size, hidden.shape, moment)
+                dx[..., place] = np.stack(rates, axis=-1)
+        return dx.ravel()
+
+
 def simulate(
     machine: Machine,
     hidden: tuple[Hidden, ...],
@@ -225,70 +279,41 @@ def simulate(
 
     By SciPy to ``RTOL``, or quickly, to find the size of an effect: ``steps`` of Runge
     and Kutta between two times.
+
+    Raises:
+        RunawayError: the machine leaves every bound.
     """
-    n, forces = machine.n, tuple(h for h in hidden if h.name not in SENSORS)
-    sizes = [MEMORIES[h.name][0] if h.name in MEMORIES else 0 for h in forces]
-    ends = 2 * n + np.cumsum([0, *sizes])
-    x0 = np.concatenate(
-        [starts, *(_memory(h, starts, drive, times[0], n) for h in forces)], axis=-1
-    )
-
-    def rates(t: float, flat: Array) -> Array:
-        x = flat.reshape(x0.shape)
-        q, v = x[..., :n], x[..., n : 2 * n] / machine.mass
-        dx = np.empty_like(x)
-        dx[..., :n] = v
-        force = dx[..., n : 2 * n]
-        force[...] = -machine.stiffness * q - machine.cubic * q**3 - machine.damping * v
-        if n == 2:
-            pull = machine.coupling * (q[..., 1] - q[..., 0])
-            force[..., 0] += pull
-            force[..., 1] -= pull
-        if drive is not None:
-            force[..., machine.pushed] += drive.at(t)
-        for k, h in enumerate(forces):
-            place = slice(ends[k], ends[k + 1])
-            moment = Moment(
-                t,
-                q[..., h.at],
-                v[..., h.at],
-                q[..., n - 1 - h.at],
-                x[..., place],
-                drive,
-            )
-            added = force_of(h, moment)
-            force[..., h.at] += added
-            if h.name == "coupling stiffness":
-                force[..., 1 - h.at] -= added
-            if sizes[k]:
-                dx[..., place] = np.stack(
-                    MEMORIES[h.name][1](h.size, h.shape, moment), axis=-1
-                )
-        return dx.ravel()
-
-    states = (
-        _quickly(rates, x0.ravel(), times, steps)
-        if steps
-        else _tightly(rates, x0.ravel(), times)
-    )
+    n = machine.n
+    forces = tuple(h for h in hidden if h.name not in SENSORS)
+    begun = [starts]
+    memory = []
+    end = 2 * n
+    for force in forces:
+        z = _memory(force, starts, drive, times[0])
+        begun.append(z)
+        memory.append(slice(end, end + z.shape[-1]))
+        end += z.shape[-1]
+    x0 = np.concatenate(begun, axis=-1)
+    motion = _Motion(machine, forces, tuple(memory), drive, x0.shape)
+    if steps:
+        states = _quickly(motion.rates, x0.ravel(), times, steps)
+    else:
+        states = _tightly(motion.rates, x0.ravel(), times)
     return states.reshape(len(times), *x0.shape)[..., : 2 * n]
 
 
 def _tightly(rates: Callable[[float, Array], Array], x0: Array, times: Array) -> Array:
-    largest = float(
-        np.max(np.diff(times))
-    )  # no pulse, kink or step of the input is passed over
+    """By LSODA; no pulse, kink or step of the input is passed over."""
     options = {
         "method": "LSODA",
         "t_eval": times,
         "rtol": RTOL,
         "atol": RTOL * np.abs(x0).max(),
-        "max_step": largest,
+        "max_step": float(np.max(np.diff(times))),
     }
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", UserWarning
-        )  # LSODA's own words about a machine that runs away
+        # LSODA's own words about a machine that runs away.
+        warnings.simplefilter("ignore", UserWarning)
         solved = solve_ivp(rates, (times[0], times[-1]), x0, **options)
     if not solved.success or not np.isfinite(solved.y).all():
         raise RunawayError(
@@ -304,9 +329,8 @@ def _quickly(
     held has not yet jumped.
     """
     found = [x]
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # a size that is too large by far is only told to be so
+    # A size that is too large by far is only told to be so.
+    with np.errstate(over="ignore", invalid="ignore"):
         for begin, end in pairwise(times):
             h = (end - begin) / steps
             for k in range(steps):
@@ -314,22 +338,18 @@ def _quickly(
                 k1 = rates(t + 1e-6 * h, x)
                 k2 = rates(t + h / 2, x + h / 2 * k1)
                 k3 = rates(t + h / 2, x + h / 2 * k2)
-                x = x + h / 6 * (
-                    k1 + 2 * (k2 + k3) + rates(t + h - 1e-6 * h, x + h * k3)
-                )
+                k4 = rates(t + h - 1e-6 * h, x + h * k3)
+                x = x + h / 6 * (k1 + 2 * (k2 + k3) + k4)
             found.append(x)
     return np.array(found)
 
 
-def _memory(
-    hidden: Hidden, starts: Array, drive: Drive | None, t: float, n: int
-) -> Array:
+def _memory(hidden: Hidden, starts: Array, drive: Drive | None, t: float) -> Array:
     """Starting values of an effect's own states: the lag has settled, the absorber
     moves along, the rest is zero.
     """
-    z = np.zeros(
-        (*starts.shape[:-1], MEMORIES[hidden.name][0] if hidden.name in MEMORIES else 0)
-    )
+    size = MEMORIES[hidden.name].n_states if hidden.name in MEMORIES else 0
+    z = np.zeros((*starts.shape[:-1], size))
     if hidden.name == "input lag" and drive is not None:
         z[..., 0] = drive.at(t)
     if hidden.name == "attached absorber":
@@ -350,21 +370,20 @@ def measured(
     """
     sensors = [h for h in hidden if h.name in SENSORS]
     delay = sum(h.size for h in sensors if h.name == "sensor delay")
-    # With a delay the record begins earlier, so that its first samples are there.
-    moments = (
-        np.unique(np.concatenate([[times[0] - delay], times - delay, times]))
-        if delay
-        else times
-    )
+    moments = times
+    if delay:
+        # The record begins earlier, so that its first samples are there.
+        earlier = [times[0] - delay]
+        moments = np.unique(np.concatenate([earlier, times - delay, times]))
     x = simulate(machine, hidden, starts, drive, moments, steps)
     y = x[np.searchsorted(moments, times)]
     late = x[np.searchsorted(moments, times - delay)] if delay else y
-    for h in sensors:
-        shown = SENSORS[h.name](
-            h.size, h.shape, times, y[..., h.at].T, late[..., h.at].T
-        )
+    for sensor in sensors:
+        at = sensor.at
+        show = SENSORS[sensor.name]
+        shown = show(sensor.size, sensor.shape, times, y[..., at].T, late[..., at].T)
         y = y.copy()
-        y[..., h.at] = shown.T
+        y[..., at] = shown.T
     return y
 
 
