@@ -265,9 +265,8 @@ def _beside_the_thesis(system: System, noisy: Any) -> list[str]:
         largest = noisy["largest error"].map(number)
         claims = [f"{error} with {m}" for m, error in published.PRECISION.items()]
         return [
-            f"The thesis reaches, on noisy data, a precision of "
-            f"{' and '.join(claims)}; here PHSI by the solver has "
-            f"{largest[SOLVER]}, "
+            "The thesis reaches, on noisy data, a precision of "
+            f"{' and '.join(claims)}; here PHSI by the solver has {largest[SOLVER]}, "
             f"BSI by the solver {largest['BSI, solver']}, "
             f"STLSQ {largest['SINDy, STLSQ']}."
         ]

@@ -24,7 +24,7 @@ def command() -> str:
 
 
 def _program(script: str) -> list[str]:
-    """``-m`` and the dotted name of a script of the project; others as given."""
+    """``-m`` and the dotted name of a script of the project; another as given."""
     path = Path(script).resolve()
     if path.suffix != ".py" or not path.is_relative_to(ROOT):
         return [script]

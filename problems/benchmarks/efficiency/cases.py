@@ -10,6 +10,7 @@ import numpy as np
 
 import phsi_opt as ph
 from problems.benchmarks.efficiency.cramer_rao import (
+    Sensitivities,
     TrueSystem,
     covariance_bound,
     pseudo_hamiltonian,
@@ -26,7 +27,8 @@ from problems.thesis.systems import (
 # dq/dt = p, dp/dt = -k q - a q^3 - c p + 2 cos(1.3 t): regular, and the cubic force is
 # as large as the linear one
 DUFFING = {"k": 1.7, "a": 0.6, "c": 0.15}
-DUFFING_START, DUFFING_TIMES = np.array([1.5, 0.0]), np.linspace(0.0, 50.0, 501)
+DUFFING_START = np.array([1.5, 0.0])
+DUFFING_TIMES = np.linspace(0.0, 50.0, 501)
 NOISE_LEVELS = (0.001, 0.01, 0.03, 0.1)
 
 
@@ -52,10 +54,19 @@ class Sample:
         return float(error @ np.linalg.solve(self.covariance, error) / len(error))
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What is random in an experiment: starting states (n_trajectories, n_states), and
+    standard normal numbers for the noise (n_trajectories, n_samples, n_states).
+    """
+
+    starts: np.ndarray
+    normal: np.ndarray
+
+
 @dataclass(frozen=True)
 class Case:
-    """An experiment. ``draw`` gives the starting states and standard normal noise of a
-    seed.
+    """An experiment. ``draw`` gives what is random in it.
 
     ``relative``: the noise is ``noise`` times each channel's standard deviation.
     ``measured``: the states that are measured. ``kept``: the share of their samples
@@ -66,7 +77,7 @@ class Case:
     title: str
     system: Callable[[], TrueSystem]
     model: Callable[[], ph.Model]
-    draw: Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray]]
+    draw: Callable[[np.random.Generator], Drawn]
     t: np.ndarray
     noise: float
     n_seeds: int
@@ -76,26 +87,23 @@ class Case:
 
     @property
     def one_step(self) -> bool:
-        """Whether the one-step loss can be used: every state at every sample."""
+        """Whether the one-step loss can be used: every sample is there."""
         return self.kept == 1.0 and self.measured == self.system().states
 
     def sample(self, seed: int) -> Sample:
         """The data of a seed with their bound."""
-        system = self.system()
-        starts, normal = self.draw(np.random.default_rng(seed))
-        x, in_start, in_theta = _responses(
-            self.system, tuple(map(tuple, starts)), tuple(self.t)
-        )
-        sigma = self.noise * (
-            x.std(axis=(0, 1)) if self.relative else np.ones(len(system.states))
-        )
-        seen = np.broadcast_to(np.isin(system.states, self.measured), x.shape)
-        seen = seen & (np.random.default_rng([seed, 1]).random(x.shape) < self.kept)
-        y = np.where(seen, x + sigma * normal, np.nan)
-        data = ph.Measurements.from_arrays(
-            [self.t] * len(y), list(y), states=system.states
-        )
-        return Sample(data, covariance_bound(in_start, in_theta, sigma, seen), sigma)
+        states = self.system().states
+        experiment = self.draw(np.random.default_rng(seed))
+        starts = tuple(map(tuple, experiment.starts))
+        true = _responses(self.system, starts, tuple(self.t))
+        x = true.states
+        spread = x.std(axis=(0, 1)) if self.relative else np.ones(len(states))
+        sigma = self.noise * spread
+        is_kept = np.random.default_rng([seed, 1]).random(x.shape) < self.kept
+        seen = np.broadcast_to(np.isin(states, self.measured), x.shape) & is_kept
+        y = np.where(seen, x + sigma * experiment.normal, np.nan)
+        data = ph.Measurements.from_arrays([self.t] * len(y), list(y), states=states)
+        return Sample(data, covariance_bound(true, sigma, seen), sigma)
 
 
 @lru_cache(maxsize=1)  # the starts of an experiment may be the same for every seed
@@ -103,7 +111,7 @@ def _responses(
     system: Callable[[], TrueSystem],
     starts: tuple[tuple[float, ...], ...],
     t: tuple[float, ...],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> Sensitivities:
     return system().sensitivities(np.array(starts), np.array(t))
 
 
@@ -132,8 +140,9 @@ def duffing_model() -> ph.PseudoHamiltonian:
     )
 
 
-def _duffing_draw(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    return DUFFING_START[None, :], rng.normal(size=(1, len(DUFFING_TIMES), 2))
+def _duffing_draw(rng: np.random.Generator) -> Drawn:
+    normal = rng.normal(size=(1, len(DUFFING_TIMES), 2))
+    return Drawn(DUFFING_START[None, :], normal)
 
 
 def duffing_case(
@@ -143,8 +152,10 @@ def duffing_case(
     deviations.
     """
     title = f"Duffing, {100 * noise:g} % noise, {' and '.join(measured)} measured"
-    title += "" if kept == 1.0 else f", {100 * (1 - kept):g} % of the samples removed"
-    name = f"duffing_{''.join(measured)}_{noise:g}" + ("" if kept == 1.0 else "_gaps")
+    name = f"duffing_{''.join(measured)}_{noise:g}"
+    if kept < 1.0:
+        title += f", {100 * (1 - kept):g} % of the samples removed"
+        name += "_gaps"
     return Case(
         name,
         title,
@@ -162,17 +173,17 @@ def duffing_case(
 
 def thesis_draw(
     system: System,
-) -> Callable[[np.random.Generator], tuple[np.ndarray, np.ndarray]]:
+) -> Callable[[np.random.Generator], Drawn]:
     """Starts and noise in the order in which `System.data` draws them."""
 
-    def draw(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def draw(rng: np.random.Generator) -> Drawn:
         shape = (system.n_steps + 1, len(system.states))
-        pairs = [
-            (system.start(rng), rng.normal(size=shape))
-            for _ in range(system.n_trajectories)
-        ]
-        starts, normal = zip(*pairs, strict=True)
-        return np.array(starts), np.array(normal)
+        starts = []
+        normal = []
+        for _ in range(system.n_trajectories):
+            starts.append(system.start(rng))
+            normal.append(rng.normal(size=shape))
+        return Drawn(np.array(starts), np.array(normal))
 
     return draw
 
@@ -195,16 +206,23 @@ def thesis_case(
 
 def on_support(model: ph.Model, support: Mapping[str, float]) -> ph.Model:
     """The model without the terms that are not in ``support``."""
-    return model.without(
-        {name for name, entry in model.entries.items() if entry.prunable} - set(support)
-    )
+    terms = {name for name, entry in model.entries.items() if entry.prunable}
+    return model.without(terms - set(support))
 
 
-def _energy(support: dict[str, float]) -> tuple[str, dict[str, float]]:
+@dataclass(frozen=True)
+class Energy:
     """The energy sum_i h_i term_i as text, and the values of h_i."""
-    terms = [name[2:-1] for name in support if name.startswith("H[")]
-    text = " + ".join(f"h{i}*{term}" for i, term in enumerate(terms))
-    return text, {f"h{i}": support[f"H[{term}]"] for i, term in enumerate(terms)}
+
+    text: str
+    values: dict[str, float]
+
+
+def _energy(support: Mapping[str, float]) -> Energy:
+    terms = {n[2:-1]: value for n, value in support.items() if n.startswith("H[")}
+    texts = [f"h{i}*{term}" for i, term in enumerate(terms)]
+    values = {f"h{i}": value for i, value in enumerate(terms.values())}
+    return Energy(" + ".join(texts), values)
 
 
 MASS_SPRING = {**SYSTEMS["mass_spring"].truth, "F_p[cos(omega_t*t)]": 0.0}
@@ -215,11 +233,11 @@ def mass_spring() -> TrueSystem:
     """The mass-spring of the thesis; the phase of the force is free as a pair of sine
     and cosine.
     """
-    energy, values = _energy(MASS_SPRING)
+    energy = _energy(MASS_SPRING)
     rates = pseudo_hamiltonian(
         ("q", "p"),
         np.array([[0, 1], [-1, 0]]),
-        energy,
+        energy.text,
         {"p": "r"},
         {"p": "w1*sin(omega*t) + w2*cos(omega*t)"},
     )
@@ -229,10 +247,10 @@ def mass_spring() -> TrueSystem:
         "omega": "F_p.omega_t",
         "w2": "F_p[cos(omega_t*t)]",
     }
-    values |= {symbol: MASS_SPRING[name] for symbol, name in names.items()}
-    return TrueSystem(
-        ("q", "p"), rates, values, ("H[q**2]", "H[p**2]", *names.values())
-    )
+    others = {symbol: MASS_SPRING[name] for symbol, name in names.items()}
+    values = {**energy.values, **others}
+    names_of_model = ("H[q**2]", "H[p**2]", *names.values())
+    return TrueSystem(("q", "p"), rates, values, names_of_model)
 
 
 def mass_spring_model() -> ph.Model:
@@ -243,12 +261,13 @@ def mass_spring_model() -> ph.Model:
 @cache
 def schrodinger() -> TrueSystem:
     """The Schroedinger system of the thesis."""
-    truth, states = dict(SYSTEMS["schrodinger"].truth), SYSTEMS["schrodinger"].states
-    energy, values = _energy(truth)
-    S = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
-    return TrueSystem(
-        states, pseudo_hamiltonian(states, S, energy, {}, {}), values, tuple(truth)
-    )
+    system = SYSTEMS["schrodinger"]
+    energy = _energy(system.truth)
+    zero = np.zeros((2, 2))
+    one = np.eye(2)
+    S = np.block([[zero, one], [-one, zero]])
+    rates = pseudo_hamiltonian(system.states, S, energy.text, {}, {})
+    return TrueSystem(system.states, rates, energy.values, tuple(system.truth))
 
 
 def schrodinger_model() -> ph.Model:
@@ -259,12 +278,13 @@ def schrodinger_model() -> ph.Model:
 @cache
 def tanks() -> TrueSystem:
     """The tanks with the leak shut."""
-    truth, states = dict(SYSTEMS["tanks"].truth), FLOWS + LEVELS
-    energy, values = _energy(truth)
+    truth = SYSTEMS["tanks"].truth
+    states = FLOWS + LEVELS
+    energy = _energy(truth)
     losses = {flow: f"r{i}" for i, flow in enumerate(FLOWS)}
-    rates = pseudo_hamiltonian(states, tank_structure(), energy, losses, {})
-    values |= {symbol: truth[f"R_{flow}"] for flow, symbol in losses.items()}
-    return TrueSystem(states, rates, values, tuple(truth))
+    rates = pseudo_hamiltonian(states, tank_structure(), energy.text, losses, {})
+    damping = {symbol: truth[f"R_{flow}"] for flow, symbol in losses.items()}
+    return TrueSystem(states, rates, {**energy.values, **damping}, tuple(truth))
 
 
 def tanks_model() -> ph.Model:
@@ -274,18 +294,19 @@ def tanks_model() -> ph.Model:
     return on_support(tank_model(), SYSTEMS["tanks"].truth)
 
 
-CASES = {
-    case.name: case
-    for case in (
-        *(
-            duffing_case(noise, measured)
-            for measured in (("q", "p"), ("q",))
-            for noise in NOISE_LEVELS
-        ),
+def _cases() -> list[Case]:
+    cases = []
+    for measured in (("q", "p"), ("q",)):
+        for noise in NOISE_LEVELS:
+            cases.append(duffing_case(noise, measured))
+    return [
+        *cases,
         duffing_case(0.1, ("q", "p"), kept=0.5),
         duffing_case(0.1, ("q",), kept=0.5),
         thesis_case("mass_spring", mass_spring, mass_spring_model, 200),
         thesis_case("schrodinger", schrodinger, schrodinger_model, 100),
         thesis_case("tanks", tanks, tanks_model, 100),
-    )
-}
+    ]
+
+
+CASES = {case.name: case for case in _cases()}

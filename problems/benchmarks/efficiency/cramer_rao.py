@@ -18,7 +18,31 @@ import numpy as np
 import sympy
 from scipy.integrate import solve_ivp
 
-RTOL, ATOL = 1e-11, 1e-13
+RTOL = 1e-11
+ATOL = 1e-13
+TINY = 1e-300  # keeps quotients finite
+
+
+@dataclass(frozen=True)
+class Functions:
+    """NumPy functions of (t, x, theta).
+
+    ``rates_and_slopes`` gives the rates, their slopes in x and those in theta.
+    """
+
+    rates: Callable[..., Any]
+    rates_and_slopes: Callable[..., Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """States (n_trajectories, n_samples, n_states) with their slopes in the starting
+    state (..., n_states, n_states) and in the parameters (..., n_states, n_parameters).
+    """
+
+    states: np.ndarray
+    in_start: np.ndarray
+    in_theta: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -41,23 +65,18 @@ class TrueSystem:
         return dict(zip(self.names, self.values.values(), strict=True))
 
     @cached_property
-    def functions(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """NumPy functions of (t, x, theta): the rates, and (rates, slopes in x, slopes
-        in theta).
-        """
-        symbols = {
-            name: sympy.Symbol(name, real=True)
-            for name in (*self.states, *self.values, "t")
-        }
+    def functions(self) -> Functions:
+        """NumPy functions of (t, x, theta)."""
+        names = (*self.states, *self.values, "t")
+        symbols = {name: sympy.Symbol(name, real=True) for name in names}
         rates = sympy.Matrix(
             [sympy.sympify(text, locals=dict(symbols)) for text in self.rates]
         )
-        x, theta = (
-            [symbols[name] for name in group] for group in (self.states, self.values)
-        )
+        x = [symbols[name] for name in self.states]
+        theta = [symbols[name] for name in self.values]
         arguments = (symbols["t"], x, theta)
         everything = [list(rates), list(rates.jacobian(x)), list(rates.jacobian(theta))]
-        return (
+        return Functions(
             sympy.lambdify(arguments, list(rates), "numpy", cse=True),
             sympy.lambdify(arguments, everything, "numpy", cse=True),
         )
@@ -66,25 +85,23 @@ class TrueSystem:
         """True states (n_trajectories, n_samples, n_states) from ``starts``
         (n_trajectories, n_states).
         """
-        n, m, theta = len(self.states), len(starts), list(self.values.values())
-        rates = self.functions[0]
+        m, n = starts.shape
+        theta = list(self.values.values())
+        rates = self.functions.rates
 
         def f(at: float, flat: np.ndarray) -> np.ndarray:
             return _filled(rates(at, flat.reshape(n, m), theta), m).ravel()
 
-        return (
-            _integrated(f, starts.T.ravel(), t).reshape(len(t), n, m).transpose(2, 0, 1)
-        )
+        flat = _integrated(f, starts.T.ravel(), t)
+        return flat.reshape(len(t), n, m).transpose(2, 0, 1)
 
-    def sensitivities(
-        self, starts: np.ndarray, t: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """States as `solve`, with their slopes in the starting state (..., n_states,
-        n_states) and in the parameters (..., n_states, n_parameters).
-        """
-        n, m, theta = len(self.states), len(starts), list(self.values.values())
-        p, both = len(theta), self.functions[1]
-        shape = (m, n, 1 + n + p)
+    def sensitivities(self, starts: np.ndarray, t: np.ndarray) -> Sensitivities:
+        """States as `solve`, with their slopes."""
+        m, n = starts.shape
+        theta = list(self.values.values())
+        p = len(theta)
+        both = self.functions.rates_and_slopes
+        shape = (m, n, 1 + n + p)  # the state, slopes in the start, in the parameters
 
         def f(at: float, flat: np.ndarray) -> np.ndarray:
             z = flat.reshape(shape)
@@ -96,20 +113,17 @@ class TrueSystem:
             return np.concatenate([rates.T[:, :, None], slopes], axis=2).ravel()
 
         start = np.zeros(shape)
-        start[:, :, 0], start[:, :, 1 : 1 + n] = starts, np.eye(n)
-        z = (
-            _integrated(f, start.ravel(), t)
-            .reshape(len(t), *shape)
-            .transpose(1, 0, 2, 3)
-        )
-        return z[..., 0], z[..., 1 : 1 + n], z[..., 1 + n :]
+        start[:, :, 0] = starts
+        start[:, :, 1 : 1 + n] = np.eye(n)
+        flat = _integrated(f, start.ravel(), t)
+        z = flat.reshape(len(t), *shape).transpose(1, 0, 2, 3)
+        return Sensitivities(z[..., 0], z[..., 1 : 1 + n], z[..., 1 + n :])
 
 
 def _filled(rows: Sequence[Any], m: int) -> np.ndarray:
     """Constants repeated for every trajectory: (n_rows, n_trajectories)."""
-    return np.array([np.broadcast_to(row, m) for row in rows], dtype=float).reshape(
-        len(rows), m
-    )
+    full = [np.broadcast_to(row, m) for row in rows]
+    return np.array(full, dtype=float).reshape(len(rows), m)
 
 
 def _integrated(
@@ -131,63 +145,60 @@ def pseudo_hamiltonian(
     F: Mapping[str, str],
 ) -> tuple[str, ...]:
     """(S - R) grad H + F as text, by SymPy; R and F by equation."""
-    locals_ = {name: sympy.Symbol(name) for name in states}
-    energy = sympy.sympify(H, locals=dict(locals_))
-    efforts = [sympy.diff(energy, locals_[name]) for name in states]
+    symbols = {name: sympy.Symbol(name) for name in states}
+
+    def read(text: str) -> Any:
+        return sympy.sympify(text, locals=dict(symbols))
+
+    energy = read(H)
+    efforts = [sympy.diff(energy, symbols[name]) for name in states]
     rows = []
     for i, name in enumerate(states):
-        # Halves and whole numbers, as S has them, stay exact.
-        row = sum(
-            (
-                sympy.nsimplify(s) * effort
-                for s, effort in zip(S[i], efforts, strict=True)
-            ),
-            start=sympy.Integer(0),
-        )
-        row -= sympy.sympify(R.get(name, "0"), locals=dict(locals_)) * efforts[i]
-        rows.append(str(row + sympy.sympify(F.get(name, "0"), locals=dict(locals_))))
+        row = sympy.Integer(0)
+        for entry, effort in zip(S[i], efforts, strict=True):
+            # Halves and whole numbers, as S has them, stay exact.
+            row += sympy.nsimplify(entry) * effort
+        row -= read(R.get(name, "0")) * efforts[i]
+        rows.append(str(row + read(F.get(name, "0"))))
     return tuple(rows)
 
 
 def information(
-    in_start: np.ndarray,
-    in_theta: np.ndarray,
-    sigma: np.ndarray,
-    measured: np.ndarray | None = None,
+    slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None = None
 ) -> np.ndarray:
     """Fisher information of the parameters with the starting states unknown.
 
     Args:
-        in_start, in_theta: slopes of the states as `TrueSystem.sensitivities` gives
-            them.
+        slopes: of the states.
         sigma: (n_states,) standard deviation of the noise.
         measured: (n_trajectories, n_samples, n_states), which samples exist; None: all.
     """
+    in_start = slopes.in_start
+    in_theta = slopes.in_theta
     weight = np.broadcast_to(1 / np.asarray(sigma), in_theta.shape[:-1]).copy()
     if measured is not None:
         weight[~measured] = 0.0
-    total = np.zeros((in_theta.shape[-1],) * 2)
+    n_theta = in_theta.shape[-1]
+    total = np.zeros((n_theta, n_theta))
     for w, start, theta in zip(weight, in_start, in_theta, strict=True):
-        J0, J = (
-            slopes.reshape(w.size, -1) * w.reshape(-1, 1) for slopes in (start, theta)
-        )
-        span = np.linalg.qr(J0 / np.maximum(np.linalg.norm(J0, axis=0), 1e-300))[0]
-        left = J - span @ (
-            span.T @ J
-        )  # what no change of the starting state can imitate
+        column = w.reshape(-1, 1)
+        J0 = start.reshape(w.size, -1) * column
+        J = theta.reshape(w.size, -1) * column
+        length = np.maximum(np.linalg.norm(J0, axis=0), TINY)
+        span = np.linalg.qr(J0 / length)[0]
+        # What no change of the starting state can imitate.
+        left = J - span @ (span.T @ J)
         total += left.T @ left
     return total
 
 
 def covariance_bound(
-    in_start: np.ndarray,
-    in_theta: np.ndarray,
-    sigma: np.ndarray,
-    measured: np.ndarray | None = None,
+    slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None = None
 ) -> np.ndarray:
     """Least covariance of an unbiased estimate of the parameters, (n_parameters,
     n_parameters); see `information`.
     """
-    matrix = information(in_start, in_theta, sigma, measured)
+    matrix = information(slopes, sigma, measured)
     scale = 1 / np.sqrt(np.diag(matrix))
-    return np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
+    products = np.outer(scale, scale)
+    return np.linalg.inv(matrix * products) * products

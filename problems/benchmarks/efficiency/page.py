@@ -190,7 +190,7 @@ def _reasons(part: pd.DataFrame) -> list[str]:
 
 
 def figure(found: Tables) -> None:
-    """The worst parameter's rmse over its bound, by noise level, for Duffing."""
+    """Worst rmse over bound, over the noise level of the Duffing oscillator."""
     fig, ax = plt.subplots(figsize=(8.5, 4.2), layout="constrained")
     for (method, channels), (label, style) in LINES.items():
         worst = _worst_by_noise(found, method, channels)

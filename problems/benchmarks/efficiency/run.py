@@ -117,7 +117,7 @@ def _rows(case: Case, sample: Sample, attempt: Attempt) -> list[dict[str, object
 def main(
     names: list[str] | None = None, n_seeds: int | None = None, jobs: int = N_JOBS
 ) -> None:
-    """Run what is not yet in the tables, by experiment, and write the page."""
+    """Run what is not yet in the tables, and write the page."""
     for name in names or list(CASES):
         path = _path(name)
         path.parent.mkdir(parents=True, exist_ok=True)
