@@ -78,9 +78,7 @@ def _drag() -> Effect:
     return effect_named(model(), "quadratic drag", "y")
 
 
-def test_the_windows_of_the_quarter_drone_share_their_ends_and_keep_the_mean_command() -> (
-    None
-):
+def test_windows_of_the_quarter_drone_share_ends_and_keep_the_mean_command() -> None:
     import numpy as np
 
     from problems.measured.quarter_drone import FLYING, THIN, WINDOW, load

@@ -92,9 +92,7 @@ def test_the_data_of_the_thesis_systems_are_drawn_as_in_the_thesis() -> None:
         assert a.x == pytest.approx(b.x, abs=1e-8)
 
 
-def test_likelihood_is_close_to_the_bound_where_one_step_is_not_and_gaps_need_the_likelihood() -> (
-    None
-):
+def test_likelihood_is_close_to_the_bound_and_needs_no_complete_samples() -> None:
     from problems.benchmarks.efficiency.run import quick
 
     tables = quick(["duffing_qp_0.1", "duffing_q_0.1_gaps"], 1)

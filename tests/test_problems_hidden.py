@@ -26,9 +26,7 @@ def _free_fall_of_one_mass(**hidden: float) -> np.ndarray:
     )[:, 0, 0]
 
 
-def test_a_hidden_linear_stiffness_and_damping_move_the_mass_as_the_closed_form_says() -> (
-    None
-):
+def test_hidden_stiffness_and_damping_move_the_mass_as_the_closed_form_says() -> None:
     t, k, c = np.linspace(0.0, 9.0, 91), 3.0 + 0.4, 0.3
     decay, omega = c / 4, np.sqrt(k / 2 - (c / 4) ** 2)
     expected = np.exp(-decay * t) * (
@@ -86,9 +84,7 @@ def test_a_drive_is_held_before_its_start_and_between_its_samples() -> None:
     ]
 
 
-def test_hysteresis_takes_energy_from_a_closed_loop_and_keeps_within_its_yield_force() -> (
-    None
-):
+def test_hysteresis_takes_energy_from_a_loop_and_keeps_within_its_yield_force() -> None:
     from problems.hidden_effects.truth import MEMORIES, Moment
 
     shape, q = {"beta": 2.0, "gamma": 2.0}, np.sin(np.linspace(0.0, 6 * np.pi, 6001))
@@ -121,9 +117,8 @@ def test_a_delayed_sensor_shows_what_the_state_was() -> None:
 
 
 def test_healthy_tanks_are_those_of_the_thesis_and_a_leak_empties_them() -> None:
-    from problems.hidden_effects.tanks import tank_matrix
     from problems.hidden_effects.truth import Hidden, tank_states
-    from problems.thesis.systems import closed_tanks
+    from problems.thesis.systems import closed_tanks, tank_matrix
 
     x = np.random.default_rng(0).normal(size=9)
     assert tank_matrix() @ x == pytest.approx(closed_tanks(0.0, x), rel=1e-12)
@@ -169,9 +164,7 @@ def test_an_experiment_in_which_the_machine_runs_away_is_drawn_anew() -> None:
     )  # its first one does
 
 
-def test_the_calibrated_error_is_that_of_the_package_s_own_refit_and_the_truth_has_no_misfit() -> (
-    None
-):
+def test_the_calibrated_error_is_that_of_a_refit_and_the_truth_has_no_misfit() -> None:
     from problems.hidden_effects.cases import draw
     from problems.hidden_effects.examination import DETECTED, floor, misfit
     from problems.hidden_effects.rows import ROWS

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 
-def test_defects_have_the_order_of_their_integrator_and_two_integrators_are_symmetric() -> (
-    None
-):
+def test_defects_have_the_order_of_their_integrator_and_two_are_symmetric() -> None:
     from problems.thesis.integrators import orders, symmetry
 
     table = orders(2).set_index(["system", "integrator"])["order"]
@@ -27,9 +25,7 @@ def test_defects_have_the_order_of_their_integrator_and_two_integrators_are_symm
     assert changes["largest change"][~is_symmetric].min() > 1e-2
 
 
-def test_on_nearly_clean_data_the_order_of_the_integrator_is_the_accuracy_of_the_model() -> (
-    None
-):
+def test_on_nearly_clean_data_the_order_is_the_accuracy_of_the_model() -> None:
     from problems.thesis.integrators import main
 
     fits = main(quick=True)["fits"]
@@ -72,9 +68,7 @@ def test_without_weights_the_start_decides_and_the_fit_says_that_it_cannot() -> 
     )
 
 
-def test_every_method_of_the_thesis_is_scored_beside_the_solver_and_its_errors_are_small() -> (
-    None
-):
+def test_every_method_is_scored_beside_the_solver_whose_errors_are_small() -> None:
     from problems.thesis.experiments import main
     from problems.thesis.systems import SYSTEMS
 

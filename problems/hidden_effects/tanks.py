@@ -30,6 +30,7 @@ from problems.thesis.systems import (
     GRAVITY,
     INERTIA,
     LEVELS,
+    tank_matrix,
     tank_structure,
 )
 
@@ -53,13 +54,6 @@ POWERS = {
     "viscous damping": 1,
     "quadratic drag": 2,
 }
-
-
-def tank_matrix() -> Array:
-    """The right-hand side of the healthy tanks, dx/dt = matrix x."""
-    losses = np.diag(np.r_[DAMPING, np.zeros(4)])
-    efforts = np.r_[np.full(5, 1 / INERTIA), np.full(4, DENSITY * GRAVITY / AREA)]
-    return (tank_structure() - losses) @ np.diag(efforts)
 
 
 def tanks_model(known_pipes: bool) -> ph.PseudoHamiltonian:

@@ -1,12 +1,13 @@
 """The four systems of the thesis: truth, data, candidate models and its own training
-settings.
+settings::
 
-| system         | states            | training data                               |
-noise | | henon_heiles   | q1 q2 p1 p2       | 3000 pairs, step 0.1
-| 0.02, each end on its own | | schrodinger    | q1 q2 p1 p2       | 50 x 100 steps of
-0.01, starts 0.2 (-1, 1)  | 5e-4 | | mass_spring    | q p               | 50 x 100 steps
-of 0.1, starts in a ring     | 0.2 | | tanks          | phi1..5, mu1..4   | 60 x 50
-steps of 0.01, starts (-1, 1)       | 0.005 |
+    system       | states         | training data                          | noise
+    henon_heiles | q1 q2 p1 p2    | 3000 pairs, step 0.1                   | 0.02
+    schrodinger  | q1 q2 p1 p2    | 50 x 100 steps of 0.01, 0.2 (-1, 1)    | 5e-4
+    mass_spring  | q p            | 50 x 100 steps of 0.1, in a ring       | 0.2
+    tanks        | phi1..5 mu1..4 | 60 x 50 steps of 0.01, starts (-1, 1)  | 0.005
+
+The noise of Henon-Heiles is on each end of a pair on its own.
 
 Where the text of the thesis and its code disagree, the code is followed, because its
 data are what its results were made from (docs/thesis.md lists every choice).
@@ -115,9 +116,10 @@ class System:
 
     def solve(self, x0: Vector, t: Vector) -> Vector:
         """The true states (n_samples, n_states)."""
-        return solve_ivp(
+        solved = solve_ivp(
             self.rhs, (t[0], t[-1]), x0, "DOP853", t, rtol=1e-12, atol=1e-13
-        ).y.T
+        )
+        return solved.y.T
 
     def data(
         self,
@@ -192,12 +194,11 @@ def _henon_heiles_start(rng: np.random.Generator) -> Vector:
     orbits.
     """
     while True:
-        q1, q2, p1, p2 = x = rng.uniform([-1, -0.5, -1, -1], 1.0)
-        if (
-            1 / 12
-            <= (q1**2 + q2**2 + p1**2 + p2**2) / 2 + q1**2 * q2 - q2**3 / 3
-            <= 1 / 6
-        ):
+        x = rng.uniform([-1, -0.5, -1, -1], 1.0)
+        q1, q2, p1, p2 = x
+        squares = q1**2 + q2**2 + p1**2 + p2**2
+        energy = squares / 2 + q1**2 * q2 - q2**3 / 3
+        if 1 / 12 <= energy <= 1 / 6:
             return x
 
 
@@ -216,7 +217,9 @@ def _schrodinger(t: float, x: Vector) -> Vector:
 
 # --- mass-spring: dp/dt = -q - c p + alpha sin(omega t)
 
-C, ALPHA, OMEGA = 0.3, 2.0, 0.5
+C = 0.3
+ALPHA = 2.0
+OMEGA = 0.5
 
 
 def _mass_spring(t: float, x: Vector) -> Vector:
@@ -224,26 +227,24 @@ def _mass_spring(t: float, x: Vector) -> Vector:
 
 
 def _ring(rng: np.random.Generator) -> Vector:
-    radius, angle = 1 + 3.5 * np.sqrt(rng.random()), 2 * np.pi * rng.random()
+    radius = 1 + 3.5 * np.sqrt(rng.random())
+    angle = 2 * np.pi * rng.random()
     return radius * np.array([np.cos(angle), np.sin(angle)])
 
 
 # --- tanks and pipes: pipes join tanks (1,2) (1,3) (1,4) (2,3) (3,4); tank 4 leaks
 
-FLOWS, LEVELS = (
-    tuple(f"phi{i}" for i in range(1, 6)),
-    tuple(f"mu{i}" for i in range(1, 5)),
-)
-PIPES = (
-    (1, 2),
-    (1, 3),
-    (1, 4),
-    (2, 3),
-    (3, 4),
-)  # in the order of the columns of the data
-DENSITY, GRAVITY, INERTIA, AREA = 1.0, 9.81, 0.02, 1.0
+FLOWS = ("phi1", "phi2", "phi3", "phi4", "phi5")
+LEVELS = ("mu1", "mu2", "mu3", "mu4")
+# In the order of the columns of the data.
+PIPES = ((1, 2), (1, 3), (1, 4), (2, 3), (3, 4))
+DENSITY = 1.0
+GRAVITY = 9.81
+INERTIA = 0.02
+AREA = 1.0
 DAMPING = np.array([0.03, 0.03, 0.09, 0.05, 0.05])
-LEAK_SLOPE, LEAK_LIMIT = 10.0, 0.3
+LEAK_SLOPE = 10.0
+LEAK_LIMIT = 0.3
 
 
 def incidence() -> Vector:
@@ -252,7 +253,8 @@ def incidence() -> Vector:
     """
     B = np.zeros((4, 5))
     for pipe, (first, second) in enumerate(PIPES):
-        B[first - 1, pipe], B[second - 1, pipe] = -1.0, 1.0
+        B[first - 1, pipe] = -1.0
+        B[second - 1, pipe] = 1.0
     return B
 
 
@@ -271,9 +273,14 @@ def leak(level: Vector | float) -> Vector | float:
     return -LEAK_SLOPE * np.clip(level, -LEAK_LIMIT, LEAK_LIMIT)
 
 
-_TANK_MATRIX = (tank_structure() - np.diag(np.r_[DAMPING, np.zeros(4)])) @ np.diag(
-    np.r_[np.full(5, 1 / INERTIA), np.full(4, DENSITY * GRAVITY / AREA)]
-)
+def tank_matrix() -> Vector:
+    """The right-hand side of the tanks with the leak shut, dx/dt = matrix x."""
+    losses = np.diag(np.r_[DAMPING, np.zeros(4)])
+    efforts = np.r_[np.full(5, 1 / INERTIA), np.full(4, DENSITY * GRAVITY / AREA)]
+    return (tank_structure() - losses) @ np.diag(efforts)
+
+
+_TANK_MATRIX = tank_matrix()
 
 
 def _tanks(t: float, x: Vector) -> Vector:
@@ -368,12 +375,11 @@ _Q = ("q1", "q2", "p1", "p2")
 
 def _tank_rates_truth() -> dict[str, float]:
     states = FLOWS + LEVELS
-    return {
-        f"F_{states[i]}[{states[j]}]": float(_TANK_MATRIX[i, j])
-        for i in range(9)
-        for j in range(9)
-        if _TANK_MATRIX[i, j]
-    }
+    truth = {}
+    for (i, j), entry in np.ndenumerate(_TANK_MATRIX):
+        if entry:
+            truth[f"F_{states[i]}[{states[j]}]"] = float(entry)
+    return truth
 
 
 _TANK_DESCENT = Descent(
