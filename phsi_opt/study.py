@@ -176,14 +176,15 @@ class Study:
 
         Args:
             effect: an `Effect`, or its name in the catalogue.
-            equation: the equation that a named effect acts in.
+            equation: the equation that a named effect acts in; not needed where only
+                one can have it.
 
         Raises:
             ModelError: there is no such effect, or it is in the model already.
             SolveError: the larger model could not be fitted.
         """
         if isinstance(effect, str):
-            effect = self._named(effect, equation)
+            effect = effect_named(self.model, effect, equation)
         found = self._known_candidate(effect)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
@@ -333,14 +334,6 @@ class Study:
             heading = f"Diagnosis before step {number}"
             sections.append(Section(heading, 3, said, (str(diagnosis),)))
         return sections
-
-    def _named(self, name: str, equation: str | None) -> Effect:
-        if equation is None:
-            raise ModelError(
-                f"which equation does {name!r} act in? "
-                f"Write study.add({name!r}, '<state>')."
-            )
-        return effect_named(self.model, name, equation)
 
     def _known_candidate(self, effect: Effect) -> Candidate | None:
         """What the diagnosis of the present model found of an effect."""

@@ -2,6 +2,7 @@
 refusals of `Assembly`.
 """
 
+import re
 from typing import Any
 
 import casadi as ca
@@ -235,3 +236,15 @@ def test_a_solve_that_goes_to_and_fro_over_a_kink_has_settled() -> None:
     assert not ended([1.0 - 1e-3 * k for k in range(12)])  # still falling
     assert not ended(over_and_back[:6])  # too few to tell
     assert not ended([*over_and_back, float("nan")])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("max_seconds", -1), ("tolerance", "a"), ("max_iterations", 0), ("ways", ("x",))],
+)
+def test_a_setting_that_no_solver_takes_is_refused_by_name(
+    name: str, value: object
+) -> None:
+    settings: dict[str, Any] = {name: value}
+    with pytest.raises(ModelError, match=f"{name}={re.escape(repr(value))}"):
+        SolverSettings(**settings)

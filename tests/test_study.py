@@ -350,3 +350,21 @@ def test_the_data_that_a_comparison_is_on_can_be_named(complete: ph.Study) -> No
     assert alone.compare() is alone.compare("training")
     with pytest.raises(ph.DataError, match="no data were held out"):
         alone.compare("held out")
+
+
+def test_effects_of_ones_own_that_cannot_be_found_are_refused(
+    complete: ph.Study,
+) -> None:
+    fit, data = complete.fit, complete.train
+    without = ph.Effect("mine", "F", "p", ph.formula("c*q**2", c=0.1))
+    with pytest.raises(ph.ModelError, match="'mine on p' has no free number"):
+        ph.diagnose(fit, data, effects=[without])
+    elsewhere = ph.Effect("mine", "F", "z", ph.formula("c*q", c=ph.Parameter()))
+    with pytest.raises(ph.ModelError, match="'z'"):
+        ph.diagnose(fit, data, effects=[elsewhere])
+
+
+def test_an_effect_is_added_by_name_alone_where_one_equation_can_have_it() -> None:
+    study = ph.Study(spring(), measurements(2.0, seed=3))
+    study.add("coulomb friction")
+    assert [str(effect) for effect in study.added] == ["coulomb friction on p"]

@@ -20,9 +20,11 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.proposal import proposal
 from phsi_opt.diagnosis.ranking import ranking
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -54,6 +56,8 @@ def diagnose(
 
     Raises:
         DataError: a state or input of the model is not in the measurements.
+        ModelError: one of the ``effects`` does not fit the model, or has no free
+            number.
         SolveError: the missing force could not be estimated.
     """
     say = progress or _silent
@@ -92,7 +96,11 @@ def diagnose_comparison(
         loss=loss or MaximumLikelihood(),
         say=progress or _silent,
     )
-    listed = catalogue(base.fit.model) if effects is None else effects
+    listed = effects
+    if listed is None:
+        listed = catalogue(base.fit.model)
+    else:
+        _check_effects(listed, base.fit.model)
     base.say(f"screening {len(listed)} candidate effects")
     test = ScoreTest(base.record, trained.simulated)
     found = test.screened(listed)
@@ -111,6 +119,19 @@ def diagnose_comparison(
         proposed=concluded.effects,
         proposed_fit=concluded.fit,
     )
+
+
+def _check_effects(effects: list[Effect], model: Model) -> None:
+    """Refuse an effect that no fit could find."""
+    for effect in effects:
+        larger = model.add(effect)
+        new = [name for name in larger.free if name not in model.entries]
+        if not new:
+            raise ModelError(
+                f"effect {str(effect)!r} has no free number, so nothing could be found "
+                "of it; write one as ph.Parameter(), such as "
+                'ph.formula("c*q", c=ph.Parameter()).'
+            )
 
 
 def _silent(line: str) -> None:

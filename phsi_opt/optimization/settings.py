@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phsi_opt.errors import ModelError
+
 # The methods for a likelihood: IPOPT with either Hessian, or steps along solutions of
 # the model (`phsi_opt.estimation.feasible_path`). `FEASIBLE_PATH` is also the status of
 # what was solved in that way.
@@ -30,6 +32,9 @@ class SolverSettings:
         thorough: False: no windows where the whole record fails, and no finer steps
             than those of the start.
         ways: those of `WAYS` that are tried for a likelihood, one where another failed.
+
+    Raises:
+        ModelError: a limit that is no number above zero, or an unknown way.
     """
 
     tolerance: float = 1e-8
@@ -38,6 +43,19 @@ class SolverSettings:
     show: bool = False
     thorough: bool = True
     ways: tuple[str, ...] = WAYS
+
+    def __post_init__(self) -> None:
+        for name in ("tolerance", "max_iterations", "max_seconds"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not value > 0:
+                raise ModelError(
+                    f"SolverSettings: {name}={value!r} must be a number above zero."
+                )
+        unknown = [way for way in self.ways if way not in WAYS]
+        if unknown or not self.ways:
+            raise ModelError(
+                f"SolverSettings: ways={self.ways!r} must be some of {WAYS!r}."
+            )
 
     @property
     def is_timed(self) -> bool:
