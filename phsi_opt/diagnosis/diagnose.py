@@ -89,6 +89,10 @@ def diagnose_comparison(
 
     Returns:
         As `diagnose`.
+
+    Raises:
+        ModelError: one of the ``effects`` does not fit the model, or has no free
+            number.
     """
     base = DiagnosedModel(
         trained=trained,
