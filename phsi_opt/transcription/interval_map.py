@@ -32,7 +32,10 @@ def interval_arguments(grid: Grid, x: Any) -> list[Any]:
     begin = grid.begin.tolist()
     end = [node + 1 for node in begin]
     t0 = grid.t[grid.begin]
-    return [x[:, begin], x[:, end], t0[None, :], grid.h[None, :], grid.u0.T, grid.u1.T]
+    states = [x[:, begin], x[:, end]]
+    times = [t0[None, :], grid.h[None, :]]
+    inputs = [grid.u0.T, grid.u1.T]
+    return [*states, *times, *inputs]
 
 
 def map_intervals(
