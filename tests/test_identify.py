@@ -219,14 +219,6 @@ def test_a_state_that_is_not_in_the_data_is_refused() -> None:
         identify(spring(), data)
 
 
-def test_a_model_without_free_parameters_is_refused() -> None:
-    model = PseudoHamiltonian(
-        states=("q", "p"), S=canonical(1), H=formula("k*q**2/2 + p**2/(2*m)", k=K, m=M)
-    )
-    with pytest.raises(ModelError, match="no free parameter"):
-        identify(model, positions_only())
-
-
 def test_the_phsi_loss_refuses_a_state_that_nobody_measured() -> None:
     with pytest.raises(
         DataError,

@@ -20,6 +20,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.known_model import fit_of
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import smoothed_states
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
@@ -262,8 +263,11 @@ class Comparison:
     __repr__ = __str__
 
 
-def compare(fit: Fit, data: Measurements) -> Comparison:
+def compare(fit: Fit | Model, data: Measurements) -> Comparison:
     """Simulate a fitted model from estimated starting states, beside the measurements.
+
+    A model without free parameters needs no fit: noise and starting states are
+    estimated from the measurements.
 
     Starting states are estimated from the whole record of each trajectory; on the
     measurements of the fit they are its own. Parameters that every trajectory has of
@@ -271,14 +275,16 @@ def compare(fit: Fit, data: Measurements) -> Comparison:
     the record for others.
 
     Args:
-        fit: a fit by maximum likelihood or by the PHSI loss.
+        fit: a fit by maximum likelihood or by the PHSI loss, or a model whose
+            parameters are all known.
         data: measurements that hold the states and inputs of the model.
 
     Raises:
         DataError: a state or input of the model is not in the measurements.
+        ModelError: a model with free parameters was given instead of a fit.
         SolveError: no states were found from which a run could begin.
     """
-    return compare_record(Record.of(fit, data))
+    return compare_record(Record.of(fit_of(fit, data, "compare"), data))
 
 
 def compare_record(record: Record) -> Comparison:

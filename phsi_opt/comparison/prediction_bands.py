@@ -44,7 +44,8 @@ def prediction_bands(
     """
     fit = record.fit
     grid = record.grid
-    has_covariance = np.isfinite(np.diag(fit.covariance)).any()
+    is_known = np.isfinite(np.diag(fit.covariance))
+    has_covariance = not fit.names or is_known.any()
     n_values = sum(states.size for states in simulated)
     if not has_covariance or n_values > MOST_VALUES:
         return None

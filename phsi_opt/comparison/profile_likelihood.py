@@ -158,6 +158,11 @@ def _check(fit: Fit, name: str, level: float) -> None:
             f"the fit is one by {fit.loss}, which has no likelihood; "
             "fit with MaximumLikelihood()."
         )
+    if not fit.names:
+        raise ModelError(
+            f"parameter {name!r} has no profile: the fit has no free parameter, all "
+            "values were given."
+        )
     if name not in fit.model.free or name not in fit.names:
         raise ModelError(
             f"parameter {name!r} is not a free, shared one of the fit."

@@ -22,6 +22,7 @@ from phsi_opt.diagnosis.ranking import ranking
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.known_model import fit_of
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -32,7 +33,7 @@ Progress = Callable[[str], None]
 
 
 def diagnose(
-    fit: Fit,
+    fit: Fit | Model,
     data: Measurements,
     held_out: Measurements | None = None,
     *,
@@ -43,7 +44,8 @@ def diagnose(
     """Estimate what a fitted model lacks and name it, if the data allow.
 
     Args:
-        fit: of the model, by maximum likelihood.
+        fit: of the model, by maximum likelihood; or a model whose parameters are all
+            known, which then stay as they are.
         data: the measurements of the fit.
         held_out: measurements not used for fitting; without them the verdict rests on
             the training record alone.
@@ -57,11 +59,12 @@ def diagnose(
     Raises:
         DataError: a state or input of the model is not in the measurements.
         ModelError: one of the ``effects`` does not fit the model, or has no free
-            number.
+            number; or a model with free parameters was given instead of a fit.
         SolveError: the missing force could not be estimated.
     """
     say = progress or _silent
     say("estimating the missing force")
+    fit = fit_of(fit, data, "diagnose")
     trained = compare(fit, data)
     judged = None if held_out is None else compare(fit, held_out)
     return diagnose_comparison(

@@ -43,8 +43,12 @@ def identify(
 ) -> Fit:
     """Find the parameters of ``model`` that explain ``data``.
 
+    A model without free parameters gets a fit without estimates (``names`` is empty,
+    ``covariance`` (0, 0)): states and noise are those by maximum likelihood, and the
+    fit can be compared and diagnosed as every other.
+
     Args:
-        model: with at least one free parameter.
+        model: what is known, with its free parameters.
         data: measurements whose states and inputs are those of the model.
         loss: `PHSILoss` or `MaximumLikelihood` (default).
         l1: weight lambda of ``|coefficient|`` per slot, such as {"H": 0.1, "F": 0.01};
@@ -65,7 +69,6 @@ def identify(
         ModelError: for a model that cannot be solved.
         SolveError: if the solver fails.
     """
-    _check_free(model)
     return identify_aligned(
         model,
         AlignedData.of(model, data),
@@ -100,7 +103,8 @@ def identify_aligned(
         SolveError: if the solver fails.
     """
     began = time.perf_counter()
-    _check_free(model)
+    loss = loss or MaximumLikelihood()
+    _check_free(model, loss)
     task = Task(
         model=model,
         aligned=aligned.for_model(model),
@@ -109,17 +113,18 @@ def identify_aligned(
         settings=settings or SolverSettings(),
         say=progress or silent,
     )
-    estimate = estimate_by(loss or MaximumLikelihood(), task, start)
+    estimate = estimate_by(loss, task, start)
     if raise_on_failure:
         _raise_failure(estimate)
     return replace(estimate.fit(), seconds=time.perf_counter() - began)
 
 
-def _check_free(model: Model) -> None:
-    if not model.free:
+def _check_free(model: Model, loss: Loss) -> None:
+    if isinstance(loss, PHSILoss) and not model.free:
         raise ModelError(
-            "the model has no free parameter, so there is nothing to identify; "
-            "use compare or simulate."
+            "the model has no free parameter, and the PHSI loss estimates nothing "
+            "else; use compare or diagnose with the model, or MaximumLikelihood(), "
+            "which estimates states and noise."
         )
 
 

@@ -68,6 +68,8 @@ def _next_change(estimate: Estimate, pruning: Pruning, n_tests: int) -> _Change 
 
 
 def _check_rest(model: Model, removed: set[str], pruning: Pruning) -> None:
+    if not removed:
+        return
     energy = {term.coefficient_name("H") for term in model.H}
     if set(model.free) <= removed:
         what = "every term"

@@ -35,8 +35,9 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
     """
     n = len(table)
     ax = axes_of(ax, (WIDTH, FRAME_HEIGHT + ROW_HEIGHT * max(n, LEAST_ROWS)))
-    half_width = (table["ci_upper"] - table["ci_lower"]).to_numpy() / 2
-    size = table["value"].abs().to_numpy()
+    ends = table[["value", "ci_lower", "ci_upper"]].astype(float)
+    half_width = (ends["ci_upper"] - ends["ci_lower"]).to_numpy() / 2
+    size = ends["value"].abs().to_numpy()
     at_bound = table["at_bound"].to_numpy(dtype=bool)
     is_known = np.isfinite(half_width)
     is_sure = is_known & (half_width < size)
@@ -55,7 +56,7 @@ def plot_estimates(table: pd.DataFrame, level: float, ax: Axes | None = None) ->
 
     ax.set_yticks(np.arange(n), _row_labels(table, half_width))
     ax.tick_params(axis="y", length=0, pad=8)  # room for the arrows
-    ax.set_ylim(n - 0.5, -0.5)
+    ax.set_ylim(max(n, 1) - 0.5, -0.5)
     ax.set_xlim(-reach, reach)
     ax.set_xlabel(f"{100 * level:.3g} % interval around the estimate (% of its size)")
     title = _doubts(is_open, is_unknown, is_held) or _worst(table["name"], percent)

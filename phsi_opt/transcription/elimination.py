@@ -166,8 +166,9 @@ class ReducedSystem:
     def following(self) -> np.ndarray:
         """How the states follow a change of theta, (n_nodes, n_states, n_theta)."""
         n_theta = self._per_theta.shape[1]
+        n_nodes = self._n_x // self._n_states
         states = self._per_theta[: self._n_x]
-        return -states.reshape(-1, self._n_states, n_theta)
+        return -states.reshape(n_nodes, self._n_states, n_theta)
 
     def start_covariances(
         self, starts: np.ndarray, trajectory: np.ndarray

@@ -1,0 +1,237 @@
+"""A model whose values are all known, beside measurements: compared, diagnosed, studied
+without a parameter to estimate.
+"""
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+
+T = np.linspace(0.0, 14.0, 281)
+STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
+NOISE = 0.01
+STIFFNESS = "2.3*q**2/2 + p**2/2"
+WITH_CUBIC = "2.3*q**2/2 + 0.5*q**4/4 + p**2/2"
+WITH_FRICTION = "0.1 + 0.08*(p**4 + 0.03**4)**(-0.25)"
+
+
+def oscillator(
+    H: str = STIFFNESS, R: str = "0.1", **values: ph.Parameter
+) -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula(H, **values),
+        R={"p": ph.formula(R)},
+    )
+
+
+def measured(
+    truth: ph.PseudoHamiltonian, seed: int, hidden: bool = True
+) -> ph.Measurements:
+    rng = np.random.default_rng(seed)
+    runs = []
+    for x0 in STARTS:
+        x = ph.simulate(truth, T, x0)
+        x = x + NOISE * rng.normal(size=x.shape)
+        if hidden:
+            x[:, 1] = np.nan
+        runs.append(x)
+    return ph.Measurements.from_arrays([T] * 3, runs, states=["q", "p"])
+
+
+@pytest.fixture(scope="module")
+def complete() -> tuple[ph.Fit, ph.Measurements]:
+    data = measured(oscillator(), seed=1)
+    return ph.identify(oscillator(), data), data
+
+
+# ---- the fit without estimates -------------------------------------------------------
+
+
+def test_a_model_without_free_parameters_gets_noise_and_states_alone(
+    complete: tuple[ph.Fit, ph.Measurements],
+) -> None:
+    fit, data = complete
+    assert fit.names == ()
+    assert fit.covariance.shape == (0, 0)
+    # 843 values: a standard error of 2.4 %.
+    assert fit.noise["q"] == pytest.approx(NOISE, rel=0.08)
+    for states, run, x0 in zip(fit.states, data.trajectories, STARTS, strict=True):
+        assert states.shape == run.x.shape
+        np.testing.assert_allclose(states[0], x0, atol=5 * NOISE)
+    assert np.isfinite(fit.bic)
+
+
+def test_every_form_of_a_fit_without_estimates_is_there(
+    complete: tuple[ph.Fit, ph.Measurements], tmp_path: Path
+) -> None:
+    fit, _ = complete
+    assert "noise: q" in str(fit)
+    assert len(fit.parameters) == 0
+    assert len(fit.intervals()) == 0
+    assert fit.correlations.shape == (0, 0)
+    assert "No parameter was estimated" in fit.plot().get_title()
+    plt.close("all")
+    fit.save(tmp_path / "fit.json")
+    loaded = ph.Fit.load(tmp_path / "fit.json")
+    assert loaded.covariance.shape == (0, 0)
+    assert loaded.noise == fit.noise
+    np.testing.assert_array_equal(
+        loaded.simulate(T, [1.0, 0.0]), fit.simulate(T, [1.0, 0.0])
+    )
+
+
+def test_known_parameters_stay_in_the_table_as_fixed() -> None:
+    k = ph.Parameter(2.3, fixed=True, unit="N/m")
+    model = oscillator("k*q**2/2 + p**2/2", k=k)
+    fit = ph.identify(model, measured(model, seed=2))
+    row = fit.parameters.set_index("name").loc["k"]
+    assert row["fixed"]
+    assert row["value"] == 2.3
+    assert np.isnan(row["std_error"])
+
+
+@pytest.mark.parametrize(
+    "loss",
+    [
+        ph.MaximumLikelihood(starts=2),
+        ph.MaximumLikelihood(huber=1.345),
+        ph.MaximumLikelihood(window=5.0),
+        ph.MaximumLikelihood(steps=2),
+    ],
+    ids=["starts", "huber", "window", "steps"],
+)
+def test_every_likelihood_takes_a_model_without_free_parameters(
+    loss: ph.MaximumLikelihood,
+) -> None:
+    fit = ph.identify(oscillator(), measured(oscillator(), seed=3), loss)
+    assert fit.noise["q"] == pytest.approx(NOISE, rel=0.1)
+
+
+def test_l1_and_pruning_find_nothing_to_remove() -> None:
+    data = measured(oscillator(), seed=3)
+    pruning = ph.Pruning(threshold=0.1, significance=0.01)
+    fit = ph.identify(oscillator(), data, l1=0.1, pruning=pruning)
+    assert fit.removed == ()
+
+
+# ---- compared ------------------------------------------------------------------------
+
+
+def test_a_complete_model_leaves_the_noise_floor() -> None:
+    comparison = ph.compare(oscillator(), measured(oscillator(), seed=4))
+    assert comparison.noise_floor == pytest.approx(NOISE, rel=0.1)
+    assert comparison.rmse == pytest.approx(comparison.noise_floor, rel=0.05)
+    bands = comparison.bands
+    assert bands is not None
+    # What is uncertain is the start alone, known better than a single sample.
+    assert 0 < bands[0][0, 0] < NOISE
+
+
+def test_a_model_is_compared_as_its_fit_is() -> None:
+    data = measured(oscillator(WITH_CUBIC), seed=5)
+    comparison = ph.compare(oscillator(), data)
+    assert comparison.rmse > 3 * comparison.noise_floor
+    assert comparison.noise_floor == pytest.approx(NOISE, rel=0.15)
+    of_fit = ph.compare(ph.identify(oscillator(), data), data)
+    assert comparison.rmse == of_fit.rmse
+    assert str(comparison) == str(of_fit)
+
+
+# ---- diagnosed and studied -----------------------------------------------------------
+
+HIDDEN = {
+    "cubic stiffness on p": (oscillator(WITH_CUBIC), 0.5),
+    "coulomb friction on p": (oscillator(R=WITH_FRICTION), 0.08),
+    # A value that was given wrong is a missing effect too.
+    "linear stiffness on p": (oscillator("2.1*q**2/2 + p**2/2"), -0.2),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize("hidden", [True, False], ids=["position", "both"])
+def test_the_missing_effect_of_a_known_model_is_named_with_its_size(
+    name: str, hidden: bool
+) -> None:
+    truth, size = HIDDEN[name]
+    train, test = measured(truth, seed=6, hidden=hidden).split(0.6)
+    found = ph.diagnose(oscillator(), train, test)
+    assert found.verdict is ph.Verdict.NAMED
+    assert [str(effect) for effect in found.proposed] == [name]
+    first = found.ranking[0]
+    assert first.coefficient == pytest.approx(size, abs=4 * first.std_error)
+    assert found.proposed_fit is not None
+    # The base's own values are no parameters and stay.
+    new = found.effects[0]
+    assert set(found.proposed_fit.model.free) <= set(
+        oscillator().add(new).entries
+    ) - set(oscillator().entries)
+
+
+def test_nothing_is_missing_where_the_known_model_is_the_truth() -> None:
+    train, test = measured(oscillator(), seed=7).split(0.6)
+    assert ph.diagnose(oscillator(), train, test).verdict is ph.Verdict.NOTHING_MISSING
+
+
+def test_a_study_of_a_known_model_adds_takes_back_and_goes_on_by_itself() -> None:
+    train, test = measured(oscillator(R=WITH_FRICTION), seed=8).split(0.6)
+    study = ph.Study(oscillator(), train, test)
+    before = study.compare().rmse
+    fit = study.add("coulomb friction")
+    assert study.compare().rmse < before / 3
+    assert fit.values["coulomb_friction_p"] == pytest.approx(0.08, rel=0.05)
+    assert study.undo().names == ()
+    stopped = study.auto()
+    assert [str(effect) for effect in study.added] == ["coulomb friction on p"]
+    assert "nothing missing" in stopped
+    errors = study.history["held_out_rmse"]
+    assert errors.iloc[-1] < errors.iloc[0] / 3
+    assert study.remove("coulomb friction").names == ()
+
+
+def test_a_learned_force_takes_the_place_of_what_a_known_model_lacks() -> None:
+    pytest.importorskip("torch")
+    data = measured(oscillator(WITH_CUBIC), seed=9)
+    learned = ph.diagnose(oscillator(), data, effects=[]).learned_force("p", on=["q"])
+    assert learned.explains > 0.8
+    assert learned.physics.names == ()
+
+
+# ---- refusals ------------------------------------------------------------------------
+
+
+def test_a_model_with_free_parameters_is_to_be_fitted_first() -> None:
+    model = oscillator("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0))
+    data = measured(oscillator(), seed=1)
+    with pytest.raises(ph.ModelError, match=r"free parameters \(k\).*identify\(model"):
+        ph.compare(model, data)
+    with pytest.raises(ph.ModelError, match=r"diagnose\(identify\(model, data\), data"):
+        ph.diagnose(model, data)
+    assert ph.compare(model.with_fixed({"k": 2.3}), data).rmse < 2 * NOISE
+
+
+def test_what_is_neither_fit_nor_model_is_refused_by_its_kind() -> None:
+    data = measured(oscillator(), seed=1)
+    with pytest.raises(ph.ModelError, match="compare got a str; expected a Fit"):
+        ph.compare("fit.json", data)  # type: ignore[arg-type]
+
+
+def test_the_phsi_loss_refuses_a_model_without_free_parameters() -> None:
+    data = measured(oscillator(), seed=1, hidden=False)
+    with pytest.raises(ph.ModelError, match="no free parameter, and the PHSI loss"):
+        ph.identify(oscillator(), data, ph.PHSILoss())
+
+
+def test_a_profile_needs_a_parameter(
+    complete: tuple[ph.Fit, ph.Measurements],
+) -> None:
+    fit, data = complete
+    with pytest.raises(ph.ModelError, match="the fit has no free parameter"):
+        ph.profile(fit, data, "k")
