@@ -12,7 +12,19 @@ from phsi_opt.model.effect import Effect
 
 
 @pytest.mark.parametrize(
-    "name", ["ball_and_hoop", "emps", "silverbox", "cascaded_tanks", "quarter_drone"]
+    "name",
+    [
+        "ball_and_hoop",
+        "battery_cell",
+        "cascaded_tanks",
+        "coupled_drives",
+        "emps",
+        "heaters",
+        "houses",
+        "quarter_drone",
+        "silverbox",
+        "torque_pendulum",
+    ],
 )
 def test_a_script_of_measured_data_says_where_it_looked_for_them(
     name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
