@@ -12,11 +12,11 @@ model, in the sensor's unit and for drums of unit inertia:
 w is the drum's speed, s the stretch of the belt, v the pulley's momentum.
 
 A fit of z itself through a sensor |v| ends far from the best signs. So the sign of each
-sample is taken from a simulation of the model at the values in `START`, from rest, which
-follows every swing of the three records; changes of sign are then moved to the nearest
-place where the signed speed is smooth. `START` was found by giving the
-first 120 samples signs that continue their slope, fitting them, and repeating both on
-the whole records with simulated signs until no sign changed.
+sample is taken from a simulation of the model at the values in `START`, from rest,
+which follows every swing of the three records; changes of sign are then moved to the
+nearest place where the signed speed is smooth. `START` was found by giving the first
+120 samples signs that continue their slope, fitting them, and repeating both on the
+whole records with simulated signs until no sign changed.
 
     python -m problems.measured.coupled_drives [FILE]
 """
@@ -72,7 +72,7 @@ def _sign(t: np.ndarray, u: np.ndarray, size: np.ndarray) -> np.ndarray:
     sign = np.where(v < 0, -1.0, 1.0)
     changes = np.flatnonzero(np.diff(sign)) + 1
     swings = np.diff(changes, prepend=0, append=len(sign))
-    for i, change in enumerate(changes):
+    for i, change in enumerate(changes.tolist()):
         # a third of the swings beside it at most, or a short swing would vanish
         reach = min(REACH, int(min(swings[i], swings[i + 1])) // 3)
         moved = [_moved(sign, change, by) for by in range(-reach, reach + 1)]
