@@ -2,12 +2,14 @@
 
 Each sample is predicted by the cubic through its four neighbours; what is left is noise
 (and curvature that the sampling does not resolve, which is why this is only a first
-guess: `missing_force` estimates the noise with a model).
+guess: `missing_force` estimates the noise with a model). What quantisation alone makes
+(`resolution`) counts as noise at least, unless the noise is declared.
 """
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
 
 NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the middle
@@ -35,6 +37,9 @@ def difference_noise(data: Measurements) -> np.ndarray:
         r_i = (y_i - sum_j w_j y_(i+j)) / sqrt(1 + sum_j w_j^2),    j = -2, -1, 1, 2
         sigma = median |r_i| / 0.6745
 
+    At least what quantisation makes of the values: most differences of a slow signal
+    are then zero.
+
     Returns:
         (n_states,) in the states' units; NaN where every trajectory has fewer than 5
         samples of a state.
@@ -50,7 +55,7 @@ def difference_noise(data: Measurements) -> np.ndarray:
                 residuals.append(_cubic_residuals(t, values[is_measured]))
         if residuals:
             noise[k] = _robust_deviation(np.concatenate(residuals))
-    return noise
+    return np.maximum(noise, quantisation_noise(data))
 
 
 def _robust_deviation(residuals: np.ndarray) -> float:
@@ -99,7 +104,8 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
         given: Standard deviations (n_states,), NaN where unknown.
 
     Returns:
-        (n_states,), at least `least_noise`; 1 where nothing was measured.
+        (n_states,), at least `least_noise`, and at least `quantisation_noise` where
+        it was not given; 1 where nothing was measured.
 
     Raises:
         DataError: No measured value ever changes.
@@ -112,6 +118,8 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     noise = difference_noise(data) if given is None else given
     noise = np.where(np.isfinite(noise), noise, UNKNOWN_NOISE_SHARE * spread)
     noise = np.maximum(noise, least_noise(y))
+    is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
+    noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
     return np.where(is_measured, noise, UNMEASURED_NOISE)
 
 

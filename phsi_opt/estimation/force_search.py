@@ -15,6 +15,7 @@ import numpy as np
 from phsi_opt.criteria import DOUBTFUL_NOISE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
+from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
@@ -52,7 +53,10 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
         model = fit.model
         theta = parameter_matrix(model, parameters_of(fit, data))
     guess = initial_noise(data, given)
-    estimate = smoothed(model, grid, guess, INTEGRATOR, is_given, theta)
+    least = quantisation_noise(data)
+    estimate = smoothed(
+        model, grid, guess, INTEGRATOR, is_given, theta, least_noise=least
+    )
     measured = grid.measured.any(axis=0)
     scatter = np.where(is_given, given, initial_noise(data))
 
@@ -64,7 +68,14 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
         larger = replace(estimate.prior, size=size)
         with suppress(SolveError):
             second = smoothed(
-                model, grid, scatter, INTEGRATOR, is_given, theta, prior=larger
+                model,
+                grid,
+                scatter,
+                INTEGRATOR,
+                is_given,
+                theta,
+                prior=larger,
+                least_noise=least,
             )
             estimate = max(estimate, second, key=lambda found: found.log_evidence)
     contradiction_is_possible = measured.sum() > 1

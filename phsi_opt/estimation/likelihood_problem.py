@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phsi_opt.data.noise import initial_noise
+from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
 from phsi_opt.estimation.problem import Task
@@ -25,19 +26,22 @@ class NoiseLevels:
     Attributes:
         sigma: (n_states,) standard deviations.
         is_known: (n_states,) whether it was declared; the others are estimated.
+        least: (n_states,) below which none is estimated: that of quantisation.
     """
 
     sigma: np.ndarray
     is_known: np.ndarray
+    least: np.ndarray
 
     @classmethod
     def known(cls, sigma: np.ndarray) -> "NoiseLevels":
         """Noise that is known of every state."""
-        return cls(sigma, np.ones(len(sigma), dtype=bool))
+        return cls(sigma, np.ones(len(sigma), dtype=bool), np.zeros(len(sigma)))
 
     def with_estimates(self, sigma: np.ndarray) -> "NoiseLevels":
         """``sigma`` in place of what was not declared."""
-        return NoiseLevels(np.where(self.is_known, self.sigma, sigma), self.is_known)
+        estimated = np.maximum(sigma, self.least)
+        return replace(self, sigma=np.where(self.is_known, self.sigma, estimated))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,8 @@ class LikelihoodProblem:
         _check_number_of_values(task)
         declared = _declared_noise(task, loss)
         sigma = initial_noise(task.data, declared)
-        return cls(task, loss, NoiseLevels(sigma, np.isfinite(declared)))
+        least = quantisation_noise(task.data)
+        return cls(task, loss, NoiseLevels(sigma, np.isfinite(declared), least))
 
     def with_noise_of(self, sigma: np.ndarray) -> "LikelihoodProblem":
         """``sigma`` (n_states,) in place of the noise that was not declared."""
@@ -95,6 +100,7 @@ class LikelihoodProblem:
             theta,
             rounds=rounds,
             prior=prior,
+            least_noise=self.noise.least,
         )
 
 

@@ -134,6 +134,7 @@ class LikelihoodSolver:
             n_theta=len(transcription.unknown),
             huber=self.loss.huber,
             has_l1=any(l1.values()),
+            least=self.problem.noise.least,
         )
         z = transcription.program.start
         optimum = _maximum(chain, noise, z, start.sigma)

@@ -35,10 +35,13 @@ class Sizes:
     Attributes:
         sigma: (n_states,) standard deviation of the noise of each state's sensor.
         prior: Of the force, with its size in every forced equation.
+        least_noise: Below which ``sigma`` does not fall where it is estimated, of all
+            states or (n_states,): what quantisation makes.
     """
 
     sigma: np.ndarray
     prior: ForcePrior
+    least_noise: np.ndarray | float = 0.0
 
     def with_force(self, size: np.ndarray) -> "Sizes":
         """The same noise, and another size of the force, (n_forced,)."""
@@ -193,17 +196,19 @@ class LinearizedForce:
         lowest = sizes.sigma / LARGEST_CHANGE
         highest = sizes.sigma * LARGEST_CHANGE
         size = self._improved_force(determined.of_forces)
-        return Sizes(np.clip(sigma, lowest, highest), sizes.prior).with_force(size)
+        clipped = np.clip(sigma, lowest, highest)
+        return replace(sizes, sigma=clipped).with_force(size)
 
     def _improved_noise(self, determined: np.ndarray, known: Known) -> np.ndarray:
         sigma = self.sizes.sigma.copy()
+        least = np.broadcast_to(self.sizes.least_noise, len(sigma))
         measured = self.grid.measured
         squares = self.residual.reshape(self.grid.y.shape) ** 2
         is_known = np.broadcast_to(known, len(sigma))
         for k in np.flatnonzero(measured.any(axis=0) & ~is_known):
             n_left = max(measured[:, k].sum() - determined[k], 1.0)
             variance = squares[:, k].sum() / n_left
-            sigma[k] = np.sqrt(max(variance, TINY))
+            sigma[k] = max(np.sqrt(max(variance, TINY)), least[k])
         return sigma
 
     def _improved_force(self, determined: np.ndarray) -> np.ndarray:

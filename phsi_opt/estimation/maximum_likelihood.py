@@ -33,6 +33,7 @@ from phsi_opt.estimation.likelihood_start import (
 from phsi_opt.estimation.multi_start import random_starts
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.residual_scatter import is_plausible, scatter_warnings
+from phsi_opt.estimation.resolution_notes import resolution_notes
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.step_refinement import finer_steps
 from phsi_opt.estimation.support_selection import pruned
@@ -75,6 +76,7 @@ def by_likelihood(
         estimate = _with_fine_steps(solver, estimate)
     estimate = _with_few_terms(solver, estimate)
     warnings = scatter_warnings(estimate, problem.noise.is_known)
+    warnings += resolution_notes(estimate, problem.noise)
     return replace(estimate, notes=estimate.notes + warnings)
 
 

@@ -105,6 +105,7 @@ def estimate_force(
     known_noise: Known = False,
     prior: ForcePrior | None = None,
     integrator: str = "srk4",
+    least_noise: np.ndarray | float = 0.0,
 ) -> ForceEstimate:
     """Estimate states and missing force, with sizes of force and noise by evidence.
 
@@ -118,13 +119,15 @@ def estimate_force(
         known_noise: Whether ``sigma`` is known and stays, of all states or of each.
         prior: Of the force, to begin with; None: `default_prior`.
         integrator: The scheme of the defects.
+        least_noise: Below which noise that is not known does not fall, of all states or
+            (n_states,).
 
     Raises:
         SolveError: No states and force were found that obey the dynamics.
     """
     prior = prior or default_prior(model, grid, point)
     program = MissingForce(integrator).program(model, grid, point, prior, sigma)
-    search = _Search(program, Sizes(sigma, prior))
+    search = _Search(program, Sizes(sigma, prior, least_noise))
     for n_left in reversed(range(rounds)):
         solution = search.solve(is_last=n_left == 0)
         x = solution.values["x"].reshape(point.x.shape)
@@ -281,6 +284,7 @@ def smoothed(
     *,
     rounds: int = 3,
     prior: ForcePrior | None = None,
+    least_noise: np.ndarray | float = 0.0,
 ) -> ForceEstimate:
     """States, also unmeasured ones, and missing force at given parameters.
 
@@ -298,6 +302,8 @@ def smoothed(
             of their own.
         rounds: Solves, each followed by updates of the sizes, at most.
         prior: Of the force, to begin with; None: `default_prior`.
+        least_noise: Below which noise that is not known does not fall, of all states or
+            (n_states,).
 
     Raises:
         SolveError: No force was found, with rounded corners either.
@@ -321,6 +327,7 @@ def smoothed(
                 known_noise=known_noise,
                 prior=prior,
                 integrator=integrator,
+                least_noise=least_noise,
             )
             return replace(estimate, rounded=rounded)
         except SolveError as error:

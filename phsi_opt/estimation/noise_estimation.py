@@ -31,6 +31,8 @@ class NoiseIteration:
         n_theta: number of free parameters.
         huber: limit of the loss, or None.
         has_l1: whether the loss has an L1 term.
+        least: noise, of all states or (n_states,), below which none is estimated: that
+            of quantisation.
     """
 
     grid: Grid
@@ -38,6 +40,7 @@ class NoiseIteration:
     n_theta: int
     huber: float | None
     has_l1: bool
+    least: np.ndarray | float = 0.0
 
     def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """The noise that ``residual`` shows, which the program has with ``sigma``."""
@@ -46,6 +49,7 @@ class NoiseIteration:
         estimate = estimated_noise(
             self.grid, standardized, sigma, self.n_theta, self.huber
         )
+        estimate = np.maximum(estimate, self.least)
         return np.where(self.is_estimated, estimate, sigma)
 
     def has_settled(self, sigma: np.ndarray, updated: np.ndarray) -> bool:

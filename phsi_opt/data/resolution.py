@@ -1,0 +1,199 @@
+"""The resolution of a sensor: the step in which its values are quantised.
+
+The values of a quantised sensor stand on a lattice, offset + k * step, and come back to
+the same ones. A value has then an error of up to half a step, of the size
+``step / sqrt(12)`` (Widrow, IRE Transactions on Circuit Theory 3, 1956). Differences of
+neighbours do not show it where the signal is slow: most of them are zero.
+
+The step is the largest one of which all gaps between values are multiples (Euclid's
+algorithm), within the rounding of stored numbers. Values that were printed with few
+digits lie on the lattice of the digits; where they leave most of it empty, a coarser
+one is sought within half a digit.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+
+# Values of a channel below which its resolution is not asked for: among a few, repeats
+# are chance.
+FEWEST_VALUES = 20
+# Share of the values, at least, that repeat another one of their trajectory: 5 to 75 %
+# of the measured channels that are quantised, none of continuous ones.
+REPEATED_SHARE = 0.03
+# Errors of a stored number, as a share of the largest one of the channel: of single
+# precision, of double precision after a change of unit. The larger one first: single
+# precision is a fine lattice itself.
+STORED_ERRORS = (0.6 * np.finfo(np.float32).eps, 8 * np.finfo(np.float64).eps)
+# Errors between two values below which they are the same value.
+SAME_VALUE = 4.0
+# Errors that a step is larger than: finer lattices have a point near every value.
+FINEST_STEP = 5.0
+# Probability up to which other values would lie as near to a lattice by chance.
+CHANCE = 1e-4
+# Errors that a value may be away from the lattice that was fitted to all values.
+FARTHEST = 1.3
+# Digits' steps between two values at which a coarser lattice can be told from theirs.
+SPARSE_DIGITS = 2.5
+# Stretches of equal values per value from which a channel comes back to its values,
+# as those of a continuous channel that was sampled and held never do; and share of the
+# neighbours that are equal, as those of a periodic motion without noise never are.
+STRETCHES_PER_VALUE = 2
+EQUAL_NEIGHBOURS = 0.25
+DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one step
+MOST_CANDIDATES = 60  # steps of Euclid's algorithm
+
+
+def quantisation_noise(data: Measurements) -> np.ndarray:
+    """Standard deviation that quantisation alone gives the values of each state.
+
+    Returns:
+        (n_states,) in the states' units; zero where nothing is quantised.
+    """
+    steps = []
+    for k in range(data.n_states):
+        steps.append(resolution([run.x[:, k] for run in data.trajectories]))
+    return DEVIATION_PER_STEP * np.array(steps)
+
+
+def resolution(runs: Sequence[np.ndarray]) -> float:
+    """The step in which the values of a channel are quantised; zero if they are not.
+
+    Where the steps are uneven (a nonlinear scale behind the converter), their median.
+
+    Args:
+        runs: values of the channel, one (n_samples,) per trajectory, NaN where not
+            measured.
+    """
+    runs = [values[np.isfinite(values)] for values in runs]
+    n_values = sum(len(values) for values in runs)
+    n_repeated = sum(len(values) - len(np.unique(values)) for values in runs)
+    if n_values < FEWEST_VALUES or n_repeated < REPEATED_SHARE * n_values:
+        return 0.0
+    values = np.unique(np.concatenate(runs))
+    step = _even_step(values) or _step_of_each(runs)
+    if step > 0:
+        return step
+    if len(values) > 1 and _stays_and_comes_back(runs):
+        return float(np.median(np.diff(values)))
+    return 0.0
+
+
+def _even_step(values: np.ndarray) -> float:
+    """The step of a channel's different values, sorted; zero if they have none."""
+    if len(values) < 2:
+        return 0.0
+    size = float(np.max(np.abs(values)))
+    for error in STORED_ERRORS:
+        step = lattice_step(values, error * size)
+        if step > 0:
+            return _behind_digits(values, step)
+    return 0.0
+
+
+def _step_of_each(runs: Sequence[np.ndarray]) -> float:
+    """The median step of trajectories that have different offsets; zero if one has none.
+
+    A trajectory that does not move is left out.
+    """
+    steps = []
+    for run in runs:
+        values = np.unique(run)
+        if len(values) > 1:
+            steps.append(_even_step(values))
+    if len(steps) < 2 or min(steps) == 0:
+        return 0.0
+    return float(np.median(steps))
+
+
+def lattice_step(values: np.ndarray, error: float) -> float:
+    """The largest step of a lattice near which all values lie; zero if there is none.
+
+    Args:
+        values: (n_values,) sorted, all different.
+        error: of a value, at most.
+    """
+    is_new = np.diff(values) > SAME_VALUE * error
+    values = values[np.r_[True, is_new]]
+    if len(values) < 2:
+        return 0.0
+    gaps = np.diff(values)
+    step = float(gaps.min())
+    for _ in range(MOST_CANDIDATES):
+        if step <= FINEST_STEP * error:
+            break
+        fitted = _fitted_step(values, step, error)
+        if _distance(values, fitted) <= FARTHEST * error:
+            return fitted if _is_no_chance(len(values), error / fitted) else 0.0
+        remainders = np.abs(gaps - np.round(gaps / step) * step)
+        is_left = remainders > SAME_VALUE * error
+        if not is_left.any():
+            break
+        step = float(remainders[is_left].min())
+    return 0.0
+
+
+def _fitted_step(values: np.ndarray, step: float, error: float) -> float:
+    """The step by least squares, from one that is good enough to count with.
+
+    Gaps of one step are averaged first, so that long gaps are counted right.
+    """
+    gaps = np.diff(values)
+    single = gaps[gaps <= step + SAME_VALUE * error]
+    if len(single):
+        step = float(np.mean(single))
+    k = _counted(values, step)
+    k = k - k.mean()
+    return float(k @ (values - values.mean()) / (k @ k))
+
+
+def _counted(values: np.ndarray, step: float) -> np.ndarray:
+    """Number of steps from the first value to each, (n_values,)."""
+    return np.concatenate([[0.0], np.cumsum(np.round(np.diff(values) / step))])
+
+
+def _distance(values: np.ndarray, step: float) -> float:
+    """The largest distance of a value from the lattice fitted to all of them."""
+    away = values - step * _counted(values, step)
+    return float(np.max(np.abs(away - away.mean())))
+
+
+def _is_no_chance(n_values: int, error: float) -> bool:
+    """Whether values anywhere would hardly lie so near to a lattice.
+
+    Two values always do: they are one step apart.
+
+    Args:
+        n_values: that differ.
+        error: of a value, in steps.
+    """
+    if n_values == 2:
+        return True
+    return bool((n_values - 2) * np.log(2 * error) < np.log(CHANCE))
+
+
+def _behind_digits(values: np.ndarray, step: float) -> float:
+    """The step of the sensor, where ``step`` is that of the digits printed.
+
+    The same where the values are as dense as their digits.
+    """
+    if len(values) == 2 or np.diff(values).min() < SPARSE_DIGITS * step:
+        return step
+    return max(lattice_step(values, step / 2), step)
+
+
+def _stays_and_comes_back(runs: Sequence[np.ndarray]) -> bool:
+    """Whether the channel stays at values, and comes back to them after others."""
+    n_stretches = 0
+    n_equal = 0
+    n_different = 0
+    for values in runs:
+        is_equal = np.diff(values) == 0
+        n_equal += int(is_equal.sum())
+        n_stretches += len(values) - int(is_equal.sum())
+        n_different += len(np.unique(values))
+    n_neighbours = n_stretches + n_equal
+    comes_back = n_stretches >= STRETCHES_PER_VALUE * n_different
+    return comes_back and n_equal >= EQUAL_NEIGHBOURS * n_neighbours

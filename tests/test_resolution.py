@@ -1,0 +1,360 @@
+"""Quantised sensors: the step from the values alone, and the noise that it makes."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.data.noise import difference_noise, initial_noise
+from phsi_opt.data.resolution import quantisation_noise, resolution
+from problems.tools.data_paths import folder
+
+T = np.linspace(0.0, 14.0, 281)
+STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.4, -1.1])
+PER_STEP = 1 / np.sqrt(12)
+
+
+def rounded_to(step: float, values: np.ndarray) -> np.ndarray:
+    return step * np.round(values / step)
+
+
+def decaying(n: int = 500) -> np.ndarray:
+    t = np.linspace(0.0, 20.0, n)
+    return np.exp(-0.05 * t) * np.cos(1.5 * t)
+
+
+# ---- the step ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_levels", [2, 8, 30, 300, 3000])
+@pytest.mark.parametrize("offset", [0.0, 273.15, -1.7])
+def test_the_step_is_found_whatever_the_offset(n_levels: int, offset: float) -> None:
+    step = 2.0 / n_levels
+    values = offset + rounded_to(step, decaying())
+    assert resolution([values]) == pytest.approx(step, rel=1e-6)
+
+
+def test_trajectories_may_have_offsets_of_their_own() -> None:
+    values = rounded_to(0.1, decaying())
+    runs = [values, values + np.pi, values - 0.123]
+    assert resolution(runs) == pytest.approx(0.1, rel=1e-6)
+    assert resolution([*runs, decaying()]) == 0.0
+
+
+@pytest.mark.parametrize("step", [0.1, 0.32, 1 / 256])
+def test_the_step_of_single_precision_is_that_of_the_sensor(step: float) -> None:
+    values = rounded_to(step, 5 * decaying()).astype(np.float32).astype(float)
+    # Numbers of single precision have 7 digits.
+    assert resolution([values]) == pytest.approx(step, rel=1e-4)
+
+
+def test_levels_that_are_never_met_leave_the_step() -> None:
+    # Two and three steps apart: no gap is a single one.
+    values = 0.1 * np.random.default_rng(0).choice([0, 2, 5, 8, 10, 13], size=200)
+    assert resolution([values]) == pytest.approx(0.1, rel=1e-6)
+
+
+def test_printed_digits_do_not_hide_the_step_of_the_converter() -> None:
+    values = np.round(rounded_to(0.0322265625, 30 * decaying(2000)), 2)
+    # A thousand steps, each printed to a sixth of a step at most.
+    assert resolution([values]) == pytest.approx(0.0322265625, rel=1e-3)
+    assert resolution([np.round(decaying(), 2)]) == pytest.approx(0.01, rel=1e-6)
+
+
+def test_uneven_steps_have_the_size_of_the_typical_one() -> None:
+    levels = np.exp(rounded_to(0.1, 1 + decaying()))
+    gaps = np.diff(np.unique(levels))
+    assert gaps.min() < 0.5 * gaps.max()
+    assert gaps.min() < resolution([levels]) < gaps.max()
+
+
+CONTINUOUS: dict[str, Callable[[], np.ndarray]] = {
+    "smooth": decaying,
+    "single precision": lambda: decaying().astype(np.float32).astype(float),
+    "noisy": lambda: decaying() + np.random.default_rng(0).normal(size=500),
+    "six digits": lambda: np.array([float(f"{v:.6g}") for v in decaying()]),
+    "evenly rising": lambda: np.linspace(0.0, 20.0, 500),
+    "whole squares": lambda: np.arange(500.0) ** 2,
+    "periodic": lambda: np.cos(2 * np.pi * np.arange(500) / 20),
+    "held": lambda: np.repeat(np.random.default_rng(0).normal(size=100), 5),
+    "clipped": lambda: np.clip(decaying(), -0.3, 0.3),
+    "constant": lambda: np.full(500, 21.5),
+    "exactly periodic": lambda: np.tile(decaying(25), 20),
+    "few": lambda: np.array([0.0, 1.0, 2.0, 1.0, 0.0]),
+    "nothing": lambda: np.full(500, np.nan),
+}
+
+
+@pytest.mark.parametrize("kind", CONTINUOUS)
+def test_what_is_not_quantised_has_no_step(kind: str) -> None:
+    values = CONTINUOUS[kind]()
+    assert resolution([values]) == 0.0
+    assert resolution([values, values]) == 0.0
+
+
+def test_the_step_scales_with_the_unit_and_does_not_ask_for_the_order() -> None:
+    values = rounded_to(0.1, decaying())
+    inches = values / 0.0254
+    assert resolution([inches]) == pytest.approx(0.1 / 0.0254, rel=1e-6)
+    halves = [values[250:], np.r_[np.nan, values[:250]]]
+    assert resolution(halves) == resolution([values])
+
+
+MEASURED = {
+    # set, columns: step of the converter, from the makers' numbers of bits and ranges
+    "heaters/tclab.txt": (3, 330 / 1024 / 10),  # 3.3 V over 10 bit, mean of ten
+    "battery_cell/hppc_25c.csv": (9, 0.001),
+}
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_measured_channels_have_the_step_of_their_converter(name: str) -> None:
+    column, step = MEASURED[name]
+    values = measured_table(name).iloc[:, column].to_numpy()
+    assert resolution([values]) == pytest.approx(step, rel=1e-3)
+
+
+def measured_table(name: str) -> pd.DataFrame:
+    path = folder(name)
+    if not path.exists():
+        pytest.skip(f"{path.name} is not there")
+    return pd.read_csv(path, usecols=range(7 if path.suffix == ".txt" else 10))
+
+
+# ---- the noise that it makes ---------------------------------------------------------
+
+
+def truth(friction: float = 0.0) -> ph.PseudoHamiltonian:
+    loss = f"0.1 + {friction}*(p**4 + 0.03**4)**(-0.25)" if friction else "0.1"
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("2.3*q**2/2 + p**2/2"),
+        R={"p": ph.formula(loss)},
+    )
+
+
+def base() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
+        R=ph.damping("p"),
+    )
+
+
+def measured(
+    model: ph.PseudoHamiltonian,
+    step: float,
+    *,
+    noise: float = 0.0,
+    hidden: bool = True,
+    declared: dict[str, float] | None = None,
+    seed: int = 0,
+) -> ph.Measurements:
+    """Oscillations of which q was quantised; p is not, or was never measured."""
+    rng = np.random.default_rng(seed)
+    runs = []
+    for x0 in STARTS:
+        x = ph.simulate(model, T, x0)
+        x = x + noise * rng.normal(size=x.shape)
+        x[:, 0] = rounded_to(step, x[:, 0])
+        if hidden:
+            x[:, 1] = np.nan
+        runs.append(x)
+    return ph.Measurements.from_arrays(
+        [T] * 3, runs, states=["q", "p"], units={"q": "mm"}, noise=declared
+    )
+
+
+def test_only_the_quantised_channel_has_quantisation_noise() -> None:
+    data = measured(truth(), 0.05, noise=0.004, hidden=False)
+    of_q, of_p = quantisation_noise(data)
+    assert of_q == pytest.approx(0.05 * PER_STEP, rel=1e-6)
+    assert of_p == 0.0
+
+
+def test_differences_of_a_slow_channel_show_no_less_than_its_steps() -> None:
+    t = np.arange(600.0)
+    slow = 21 + 30 * (1 - np.exp(-t / 200))
+    data = ph.Measurements.from_arrays(
+        [t], [rounded_to(0.32, slow)[:, None]], states=["T1"]
+    )
+    repeats = np.mean(np.diff(data.trajectories[0].x[:, 0]) == 0)
+    assert repeats > 0.5  # their median says nothing
+    assert difference_noise(data)[0] == pytest.approx(0.32 * PER_STEP, rel=1e-6)
+    assert initial_noise(data)[0] == pytest.approx(0.32 * PER_STEP, rel=1e-6)
+
+
+def test_declared_noise_stays_as_declared() -> None:
+    data = measured(truth(), 0.25, declared={"q": 0.001})
+    assert initial_noise(data, np.array([0.001, np.nan]))[0] == 0.001
+    fit = ph.identify(base(), data)
+    assert fit.noise == {"q": 0.001}
+    assert not any("quantised" in warning for warning in fit.warnings)
+    assert ph.compare(fit, data).noise == {"q": 0.001}
+
+
+@pytest.mark.parametrize("n_levels", [2, 8, 30])
+def test_no_noise_below_the_steps_is_found(n_levels: int) -> None:
+    step = 2.0 / n_levels
+    train, test = measured(truth(), step).split(0.6)
+    fit = ph.identify(base(), train)
+    assert fit.noise["q"] >= step * PER_STEP * (1 - 1e-6)
+    # A step of half the motion is a coarse look at it; uniform errors are then a guess.
+    assert fit.noise["q"] < 1.3 * step * PER_STEP
+    compared = ph.compare(fit, test)
+    assert compared.noise_floor == pytest.approx(step * PER_STEP, rel=0.05)
+    assert np.isfinite(compared.table["chi2_dof"]).all()
+
+
+def test_a_fit_names_the_channel_whose_steps_set_its_noise() -> None:
+    # The residuals of this record are a little smaller than uniform errors.
+    fit = ph.identify(base(), measured(truth(), 2 / 30).split(0.6)[0])
+    assert fit.noise["q"] == pytest.approx(2 / 30 * PER_STEP, rel=1e-6)
+    assert (
+        "the values of q are quantised in steps of 0.0667 mm: at least 0.019 mm counts "
+        "as noise" in fit.warnings
+    )
+    noisy = ph.identify(base(), measured(truth(), 2 / 30, noise=0.05))
+    assert noisy.noise["q"] > 0.05
+    assert not any("quantised" in warning for warning in noisy.warnings)
+
+
+def test_a_motion_of_less_than_a_step_is_called_one() -> None:
+    fit = ph.identify(base(), measured(truth(), 1.0))
+    assert any("q moves by less than one of its steps" in w for w in fit.warnings)
+
+
+def test_what_is_missing_is_named_through_a_quantised_sensor() -> None:
+    train, test = measured(truth(friction=0.08), 2 / 30).split(0.6)
+    found = ph.diagnose(ph.identify(base(), train), train, test)
+    assert found.verdict is ph.Verdict.NAMED
+    assert [str(effect) for effect in found.proposed] == ["coulomb friction on p"]
+    complete, test = measured(truth(), 2 / 30).split(0.6)
+    nothing = ph.diagnose(ph.identify(base(), complete), complete, test)
+    assert nothing.verdict is ph.Verdict.NOTHING_MISSING
+
+
+def test_one_channel_is_quantised_and_the_other_keeps_its_own_noise() -> None:
+    data = measured(truth(), 0.1, noise=0.004, hidden=False)
+    fit = ph.identify(base(), data)
+    # 843 values of p: 2.4 %.
+    assert fit.noise["p"] == pytest.approx(0.004, rel=0.1)
+    assert fit.noise["q"] >= 0.1 * PER_STEP * (1 - 1e-6)
+    floor = ph.compare(fit, data).noise
+    assert floor["q"] == pytest.approx(0.1 * PER_STEP, rel=0.1)
+    assert floor["p"] == pytest.approx(0.004, rel=0.15)
+
+
+def warming() -> ph.FirstOrder:
+    """A body that takes the temperature of its surroundings."""
+    return ph.FirstOrder(
+        ["T1"],
+        {"T1": ph.formula("a*(50 - T1)", a=ph.Parameter(0.01, lower=0, unit="1/s"))},
+    )
+
+
+def test_slow_steps_of_a_temperature_are_its_noise() -> None:
+    t = np.arange(600.0)
+    exact = ph.simulate(warming().with_values({"a": 0.005}), t, [21.0])
+    data = ph.Measurements.from_arrays(
+        [t], [rounded_to(0.32, exact)], states=["T1"], units={"T1": "degC"}
+    )
+    fit = ph.identify(warming(), data)
+    assert fit.noise["T1"] == pytest.approx(0.32 * PER_STEP, rel=0.05)
+    # 600 values of a step of 0.32: the rate follows to a thousandth.
+    assert fit.values["a"] == pytest.approx(0.005, rel=3e-3)
+    assert ph.compare(fit, data).noise_floor == pytest.approx(0.32 * PER_STEP, rel=0.05)
+    found = ph.diagnose(fit, data)
+    assert np.isfinite(found.missing_force[["T1", "std_T1"]].to_numpy()).all()
+
+
+def test_a_channel_that_never_changes_its_value_leaves_the_others_alone() -> None:
+    data = measured(truth(), 0.1, noise=0.004, hidden=False)
+    runs = []
+    for run in data.trajectories:
+        runs.append(np.column_stack([run.x, np.full(run.n_samples, 21.5)]))
+    states = ["q", "p", "T1"]
+    model = ph.PseudoHamiltonian(
+        states=states,
+        S=np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 0]]),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
+        R=ph.damping("p"),
+    )
+    fit = ph.identify(model, ph.Measurements.from_arrays([T] * 3, runs, states=states))
+    assert fit.values["k"] == pytest.approx(2.3, abs=5 * fit.std_errors["k"])
+
+
+def test_the_rest_of_a_battery_is_fitted_to_its_millivolts() -> None:
+    table = measured_table("battery_cell/hppc_25c.csv")
+    rest = table.iloc[257:346]  # after a discharge: 15 mV in 89 s, two in three repeat
+    volts = rest["Voltage(V)"].to_numpy()
+    assert np.mean(np.diff(volts) == 0) > 0.5
+    t = rest["Time(s)"].to_numpy()
+    data = ph.Measurements.from_arrays(
+        [t - t[0]], [volts[:, None]], states=["v"], units={"v": "V"}
+    )
+    model = ph.FirstOrder(
+        ["v"],
+        {
+            "v": ph.formula(
+                "(v_end - v)/tau",
+                v_end=ph.Parameter(4.18),
+                tau=ph.Parameter(30.0, lower=1.0),
+            )
+        },
+    )
+    fit = ph.identify(model, data)
+    assert 0.001 * PER_STEP * (1 - 1e-6) <= fit.noise["v"] < 0.001
+    assert ph.compare(fit, data).noise_floor >= 0.001 * PER_STEP * (1 - 1e-6)
+
+
+def heaters(coupling: float = 0.0) -> ph.FirstOrder:
+    """Two heated bodies that lose heat to a room of 21 degC, and to one another."""
+    rates = {}
+    for own, other, power in (("T1", "T2", 0.25), ("T2", "T1", 0.15)):
+        rates[own] = ph.formula(
+            f"a*(21 - {own}) + b*Q_{own} + {coupling}*({other} - {own})",
+            a=ph.Parameter(0.006, lower=0),
+            b=ph.Parameter(power, lower=0),
+        )
+    return ph.FirstOrder(["T1", "T2"], rates, inputs=["Q_T1", "Q_T2"])
+
+
+@pytest.mark.parametrize("step", [0.1, 1.0])
+def test_the_noise_floor_of_a_wrong_model_is_that_of_the_steps(step: float) -> None:
+    t = np.arange(0.0, 1200.0, 2.0)
+    on = np.column_stack([t % 400 > 150, t % 560 > 300]).astype(float)
+    exact = ph.simulate(heaters(coupling=0.004), t, [21.0, 21.0], on)
+    data = ph.Measurements.from_arrays(
+        t,
+        rounded_to(step, exact),
+        on,
+        states=["T1", "T2"],
+        inputs=["Q_T1", "Q_T2"],
+    )
+    fit = ph.identify(heaters(), data)
+    # Of the sizes of the residuals, a wrong model's, nothing is noise.
+    assert fit.noise["T1"] > 3 * step * PER_STEP
+    floor = ph.compare(fit, data).noise
+    assert floor["T1"] == pytest.approx(step * PER_STEP, rel=0.05)
+    assert floor["T2"] == pytest.approx(step * PER_STEP, rel=0.05)
+
+
+def test_the_noise_floor_of_two_measured_heaters_is_above_their_steps() -> None:
+    table = measured_table("heaters/tclab.txt").to_numpy()
+    data = ph.Measurements.from_arrays(
+        table[:, 0],
+        table[:, 3:5],
+        table[:, 1:3],
+        states=["T1", "T2"],
+        inputs=["Q_T1", "Q_T2"],
+        hold="zero",
+    )
+    floor = ph.compare(ph.identify(heaters(), data), data).sigma
+    step = 330 / 1024 / 10
+    assert np.all(floor > step * PER_STEP)
+    assert np.all(floor < 10 * step)
