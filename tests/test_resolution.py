@@ -316,10 +316,14 @@ def heaters(coupling: float = 0.0) -> ph.FirstOrder:
     """Two heated bodies that lose heat to a room of 21 degC, and to one another."""
     rates = {}
     for own, other, power in (("T1", "T2", 0.25), ("T2", "T1", 0.15)):
+        loss = f"a_{own}"
+        gain = f"b_{own}"
         rates[own] = ph.formula(
-            f"a*(21 - {own}) + b*Q_{own} + {coupling}*({other} - {own})",
-            a=ph.Parameter(0.006, lower=0),
-            b=ph.Parameter(power, lower=0),
+            f"{loss}*(21 - {own}) + {gain}*Q_{own} + {coupling}*({other} - {own})",
+            **{
+                loss: ph.Parameter(0.006, lower=0),
+                gain: ph.Parameter(power, lower=0),
+            },
         )
     return ph.FirstOrder(["T1", "T2"], rates, inputs=["Q_T1", "Q_T2"])
 

@@ -26,7 +26,10 @@ REPEATED_SHARE = 0.03
 # Errors of a stored number, as a share of the largest one of the channel: of single
 # precision, of double precision after a change of unit. The larger one first: single
 # precision is a fine lattice itself.
-STORED_ERRORS = (0.6 * np.finfo(np.float32).eps, 8 * np.finfo(np.float64).eps)
+STORED_ERRORS = (
+    0.6 * float(np.finfo(np.float32).eps),
+    8 * float(np.finfo(np.float64).eps),
+)
 # Errors between two values below which they are the same value.
 SAME_VALUE = 4.0
 # Errors that a step is larger than: finer lattices have a point near every value.
@@ -94,7 +97,7 @@ def _even_step(values: np.ndarray) -> float:
 
 
 def _step_of_each(runs: Sequence[np.ndarray]) -> float:
-    """The median step of trajectories that have different offsets; zero if one has none.
+    """The median step of trajectories with different offsets; zero if one has none.
 
     A trajectory that does not move is left out.
     """

@@ -25,7 +25,7 @@ def resolution_notes(
     """
     units = estimate.task.data.units
     notes = []
-    for k in np.flatnonzero(~noise.is_known & (noise.least > 0)):
+    for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():
         name = estimate.model.states[k]
         unit = units.get(name, "")
         least = noise.least[k]
