@@ -71,24 +71,23 @@ class LikelihoodSolver:
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
         """The optimum of the whole record, through windows where it needs them."""
-        start = replace(start, steps=self._steps(start))
-        longest = max(
-            float(run.t[-1] - run.t[0]) for run in self.task.data.trajectories
-        )
         if self.loss.window is not None:
-            return self._through_windows(start, self.loss.window, longest)
+            return self.solve_through_windows(start)
+        start = replace(start, steps=self._steps(start))
         if not self.task.settings.thorough or start.is_optimum:
             return self.solve(start)
         estimate = self.solve(start, ways=_ways_of_first_attempt(start))
         if estimate.is_success:
             return estimate
         self.task.say("the whole record could not be solved; going through windows")
-        return self._through_windows(start, longest / FIRST_WINDOWS, longest)
+        return self.solve_through_windows(start)
 
-    def _through_windows(
-        self, start: StartingPoint, window: float, longest: float
-    ) -> LikelihoodEstimate:
+    def solve_through_windows(self, start: StartingPoint) -> LikelihoodEstimate:
         """Windows that grow, each from the last result, and then the whole record."""
+        start = replace(start, steps=self._steps(start))
+        runs = self.task.data.trajectories
+        longest = max(float(run.t[-1] - run.t[0]) for run in runs)
+        window = self.loss.window or longest / FIRST_WINDOWS
         while window < longest:
             estimate = self.solve(start, window=window)
             if estimate.is_success:

@@ -2,8 +2,8 @@
 
 1. Start: parameters by the PHSI loss; states from the data, or, where some are missing,
    from the missing-force program.
-2. Windows, where the whole record cannot be solved (or where they are asked for):
-   pieces with free starting states.
+2. Windows, where the whole record cannot be solved or leads far off (or where they are
+   asked for): pieces with free starting states.
 3. The whole record, with the noise re-estimated until it stays. Each solve by
    Gauss-Newton steps, where that fails with the exact Hessian, at last along solutions
    of the model.
@@ -12,13 +12,11 @@
 5. Pruning, where it is asked for.
 """
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from phsi_opt.errors import SolveError
+from phsi_opt.estimation.best_optimum import best_optimum
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
@@ -30,9 +28,8 @@ from phsi_opt.estimation.likelihood_start import (
     from_fit,
     needs_first_part,
 )
-from phsi_opt.estimation.multi_start import random_starts
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.residual_scatter import is_plausible, scatter_warnings
+from phsi_opt.estimation.residual_scatter import scatter_warnings
 from phsi_opt.estimation.resolution_notes import resolution_notes
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.step_refinement import finer_steps
@@ -42,9 +39,6 @@ from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 MOST_STEP_REFINEMENTS = 5
-# Difference of -2 log likelihood up to which two starts found the same optimum: far
-# below what one parameter more explains by chance, far above the solver's tolerance.
-SAME_DEVIANCE = 0.1
 
 
 def by_likelihood(
@@ -60,18 +54,11 @@ def by_likelihood(
     problem = LikelihoodProblem.of(task, loss)
     first = _starting_point(problem, start)
     solver = LikelihoodSolver(problem)
-    estimates = []
-    for point in random_starts(first, problem):
-        estimates.append(solver.solve_from(point))
-    if first.alternative is not None and not is_plausible(_best(estimates)):
-        task.say(
-            "the residuals are far above what neighbouring samples scatter: "
-            "another start"
-        )
-        with suppress(SolveError):  # it is only a second chance
-            estimates.append(solver.solve_from(first.alternative()))
-    notes = first.notes + _agreement_note(estimates)
-    estimate = replace(_best(estimates), notes=notes)
+    # A fit to start from has been through this before.
+    may_go_through_windows = (
+        start is None and loss.window is None and task.settings.thorough
+    )
+    estimate = best_optimum(solver, first, with_windows=may_go_through_windows)
     if loss.steps is None and task.settings.thorough:
         estimate = _with_fine_steps(solver, estimate)
     estimate = _with_few_terms(solver, estimate)
@@ -89,22 +76,6 @@ def _starting_point(problem: LikelihoodProblem, start: Fit | None) -> StartingPo
         first = by_likelihood(first_part(problem.task), of_part, None)
         return from_first_part(problem, first)
     return from_data(problem)
-
-
-def _best(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
-    """The smallest deviance among the optima."""
-    return min(estimates, key=lambda e: (not e.is_success, e.deviance))
-
-
-def _agreement_note(estimates: Sequence[LikelihoodEstimate]) -> tuple[str, ...]:
-    """A sentence on how many of several starts agree."""
-    if len(estimates) == 1:
-        return ()
-    limit = _best(estimates).deviance + SAME_DEVIANCE
-    n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
-    return (
-        f"{n_agreeing} of {len(estimates)} starting points led to the best solution",
-    )
 
 
 def _with_fine_steps(

@@ -15,6 +15,9 @@ from phsi_opt.statistics import TINY
 
 # Residuals over the scatter of neighbouring samples beyond which a solution is doubted.
 SUSPICIOUS_RATIO = 2.0
+# Share of a channel's standard deviation that residuals reach, at least, in an optimum
+# that is far off: a motion out of step leaves all of its own size.
+FAR_OFF_SHARE = 0.1
 # Scatter that data without noise are taken to have, in units of the least noise that is
 # assumed: what they scatter says nothing about it.
 NOISE_FREE_SCATTER = 10
@@ -53,6 +56,21 @@ class ResidualScatter:
 def is_plausible(estimate: LikelihoodEstimate) -> bool:
     """Whether it is an optimum with residuals as small as the scatter."""
     return estimate.is_success and ResidualScatter.of(estimate).explains_residuals
+
+
+def is_far_off(estimate: LikelihoodEstimate) -> bool:
+    """Whether it is an optimum with residuals as only a motion out of step leaves them.
+
+    Far above the scatter, and no small share of what was measured.
+    """
+    if not estimate.is_success or is_plausible(estimate):
+        return False
+    is_measured = np.asarray(estimate.grid.measured.any(axis=0))
+    residual = estimate.sigma * _rms_by_channel(estimate, is_measured)
+    for k in np.flatnonzero(is_measured):
+        if residual[k] > FAR_OFF_SHARE * np.nanstd(estimate.grid.y[:, k]):
+            return True
+    return False
 
 
 def scatter_warnings(

@@ -1,0 +1,82 @@
+"""The best of the optima of a likelihood, as far as they are looked for.
+
+From the first starting point, and from as many random ones as were asked for. Where the
+best of these is implausible, from the second starting point; where it is far off even
+so, through windows that grow. A record of many periods has an optimum for every number
+of periods that the model may be wrong by, and flat ones where it dies out; in a window
+of a period or two there is one alone. A plausible optimum costs nothing of this.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.multi_start import random_starts
+from phsi_opt.estimation.residual_scatter import is_far_off, is_plausible
+from phsi_opt.estimation.starting_point import StartingPoint
+
+# Difference of -2 log likelihood up to which two starts found the same optimum: far
+# below what one parameter more explains by chance, far above the solver's tolerance.
+SAME_DEVIANCE = 0.1
+BY_WINDOWS = (
+    "the record solved at once led to a worse optimum; this one was found through "
+    "windows that grow, as with window=..."
+)
+
+
+def best_optimum(
+    solver: LikelihoodSolver, first: StartingPoint, *, with_windows: bool
+) -> LikelihoodEstimate:
+    """The optimum of least deviance, with notes on how it was found.
+
+    Args:
+        solver: of the likelihood.
+        first: the first starting point.
+        with_windows: whether windows are tried where all points lead far off.
+    """
+    estimates = _from_all_points(solver, first)
+    best = _best(estimates)
+    notes = first.notes + _agreement_note(estimates)
+    if with_windows and is_far_off(best):
+        solver.task.say("the residuals are large: the record again, through windows")
+        through = solver.solve_through_windows(first)
+        if through.is_success and through.deviance < best.deviance - SAME_DEVIANCE:
+            best = through
+            notes = (*notes, BY_WINDOWS)
+    return replace(best, notes=notes)
+
+
+def _from_all_points(
+    solver: LikelihoodSolver, first: StartingPoint
+) -> list[LikelihoodEstimate]:
+    """From the first point and random ones; then, where it is needed, the second."""
+    estimates = []
+    for point in random_starts(first, solver.problem):
+        estimates.append(solver.solve_from(point))
+    if first.alternative is not None and not is_plausible(_best(estimates)):
+        solver.task.say(
+            "the residuals are far above what neighbouring samples scatter: "
+            "another start"
+        )
+        with suppress(SolveError):  # it is only a second chance
+            estimates.append(solver.solve_from(first.alternative()))
+    return estimates
+
+
+def _best(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
+    """The smallest deviance among the optima."""
+    return min(estimates, key=lambda e: (not e.is_success, e.deviance))
+
+
+def _agreement_note(estimates: Sequence[LikelihoodEstimate]) -> tuple[str, ...]:
+    """A sentence on how many of several starts agree."""
+    if len(estimates) == 1:
+        return ()
+    limit = _best(estimates).deviance + SAME_DEVIANCE
+    n_agreeing = sum(e.is_success and e.deviance < limit for e in estimates)
+    return (
+        f"{n_agreeing} of {len(estimates)} starting points led to the best solution",
+    )

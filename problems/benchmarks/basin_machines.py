@@ -1,0 +1,194 @@
+"""Random machines that swing for many periods, and models whose start is half off.
+
+Everything is drawn from one generator in a fixed order, so that a case is the same
+whenever it is drawn.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import phsi_opt as ph
+
+KINDS = ("oscillator", "pendulum", "two masses")
+PERIODS = (10, 60)  # in the record
+PER_PERIOD = (18, 40)  # samples
+NOISE = (0.01, 0.03)  # share of a channel's standard deviation
+OFF = 0.5  # share by which the parameters that set the frequencies start off
+# Damping ratio times periods: the motion falls to between 0.9 and 0.15 of its start.
+DECAY = (0.02, 0.3)
+DRIVE = (0.1, 0.3)  # root mean square of the input over the force of the springs
+N_SINES = 5  # in the input
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class BasinCase:
+    """A machine, its noisy record, and a model that starts far off.
+
+    Attributes:
+        kind: one of `KINDS`.
+        n_periods: of the (slower) free motion in the record.
+        truth: true values of the free parameters by name.
+        model: the model with its free parameters at the start.
+        data: what was measured.
+        noise: (n_samples, n_states) noise of the measured states, NaN elsewhere.
+    """
+
+    kind: str
+    n_periods: int
+    truth: dict[str, float]
+    model: ph.PseudoHamiltonian
+    data: ph.Measurements
+    noise: Array
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether the machine has an input."""
+        return bool(self.model.inputs)
+
+    @property
+    def frequency_parameters(self) -> list[str]:
+        """Names of the parameters that set the frequencies."""
+        return [name for name in self.truth if name[0] in "kg"]
+
+
+def draw_case(kind: str, seed: int) -> BasinCase:
+    """The machine of a seed with its record and its start."""
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    n_periods = int(rng.integers(PERIODS[0], PERIODS[1] + 1))
+    is_driven = bool(rng.random() < 0.5)
+    truth = _truth(rng, kind, n_periods, is_driven)
+    true_model = _model(kind, truth, is_driven)
+    states = true_model.states
+    period = 2 * np.pi / _slowest(kind, truth)
+    n_samples = int(n_periods * rng.uniform(*PER_PERIOD))
+    t = np.linspace(0.0, n_periods * period, n_samples)
+    start = _starting_states(rng, kind)
+    drive = _multisine(rng, t, period) * rng.uniform(*DRIVE) * _force_size(truth, start)
+    u = drive[:, None] if is_driven else np.zeros((n_samples, 0))
+    clean = ph.simulate(true_model, t, start, u if is_driven else None)
+    sigma = rng.uniform(*NOISE) * clean.std(axis=0)
+    is_seen = _measured(rng, len(states) // 2)
+    noise = np.where(is_seen, sigma * rng.normal(size=clean.shape), np.nan)
+    data = ph.Measurements.from_arrays(
+        t,
+        clean + noise,
+        u if is_driven else None,
+        states=states,
+        inputs=["u"] if is_driven else None,
+    )
+    model = _model(kind, _start_values(rng, truth), is_driven)
+    return BasinCase(kind, n_periods, truth, model, data, noise)
+
+
+def _truth(
+    rng: np.random.Generator, kind: str, n_periods: int, is_driven: bool
+) -> dict[str, float]:
+    """Values of the free parameters; masses are one."""
+    if kind == "oscillator":
+        names = ("k", "c")
+    elif kind == "pendulum":
+        names = ("g", "c")
+    else:
+        names = ("k1", "k2", "c1", "c2")
+    ratio = np.exp(rng.uniform(*np.log(DECAY))) / n_periods
+    truth = {}
+    for name in names:
+        size = np.exp(rng.uniform(np.log(0.5), np.log(2.0)))
+        truth[name] = float(size if name[0] in "kg" else 2 * ratio * size)
+    if is_driven:
+        truth["b"] = float(rng.uniform(0.7, 1.4))
+    return truth
+
+
+def _model(
+    kind: str, values: dict[str, float], is_driven: bool
+) -> ph.PseudoHamiltonian:
+    free = {name: ph.Parameter(value, lower=0.0) for name, value in values.items()}
+    if kind == "two masses":
+        springs = {name: free[name] for name in ("k1", "k2")}
+        energy = "k1*q1**2/2 + k2*(q1 - q2)**2/2 + p1**2/2 + p2**2/2"
+        H = ph.formula(energy, **springs)
+        n = 2
+    elif kind == "pendulum":
+        H = ph.formula("g*(1 - cos(q)) + p**2/2", g=free["g"])
+        n = 1
+    else:
+        H = ph.formula("k*q**2/2 + p**2/2", k=free["k"])
+        n = 1
+    momenta = ["p"] if n == 1 else ["p1", "p2"]
+    positions = ["q"] if n == 1 else ["q1", "q2"]
+    R = {}
+    for name, momentum in zip(_dampers(values), momenta, strict=True):
+        R[momentum] = ph.formula(name, **{name: free[name]})
+    push = {momenta[0]: ph.formula("b*u", b=free["b"])} if is_driven else {}
+    return ph.PseudoHamiltonian(
+        states=[*positions, *momenta],
+        inputs=["u"] if is_driven else [],
+        S=ph.canonical(n),
+        H=H,
+        R=R,
+        F=push,
+    )
+
+
+def _dampers(values: dict[str, float]) -> list[str]:
+    return [name for name in values if name[0] == "c"]
+
+
+def _slowest(kind: str, truth: dict[str, float]) -> float:
+    """The slowest frequency of small motions, rad per unit of time."""
+    if kind != "two masses":
+        return float(np.sqrt(truth.get("k", truth.get("g", np.nan))))
+    k1 = truth["k1"]
+    k2 = truth["k2"]
+    stiffness = np.array([[k1 + k2, -k2], [-k2, k2]])
+    return float(np.sqrt(np.linalg.eigvalsh(stiffness)[0]))
+
+
+def _starting_states(rng: np.random.Generator, kind: str) -> Array:
+    if kind == "two masses":
+        return rng.normal(size=4)
+    amplitude = rng.uniform(0.3, 2.0)
+    return np.array([amplitude, 0.0])
+
+
+def _force_size(truth: dict[str, float], start: Array) -> float:
+    """Size of the springs' force at the start."""
+    stiffness = max(value for name, value in truth.items() if name[0] in "kg")
+    return float(stiffness * np.sqrt(np.mean(start**2)))
+
+
+def _multisine(rng: np.random.Generator, t: Array, period: float) -> Array:
+    """An input about the resonance with a root mean square of one."""
+    omega = 2 * np.pi / period * rng.uniform(0.4, 1.8, (N_SINES, 1))
+    phase = rng.uniform(0, 2 * np.pi, (N_SINES, 1))
+    signal = np.sin(omega * t + phase).sum(axis=0)
+    return np.asarray(signal / signal.std())
+
+
+def _measured(rng: np.random.Generator, n: int) -> Array:
+    """Positions always; in half of the cases momenta too, all of them or one."""
+    has_momenta = rng.random() < 0.5
+    is_seen = np.zeros(2 * n, dtype=bool)
+    is_seen[:n] = True
+    if has_momenta:
+        n_momenta = int(rng.integers(1, n + 1))
+        is_seen[n : n + n_momenta] = True
+    return is_seen
+
+
+def _start_values(
+    rng: np.random.Generator, truth: dict[str, float]
+) -> dict[str, float]:
+    """Frequencies' parameters half too small or too large, others up to half off."""
+    values = {}
+    for name, value in truth.items():
+        if name[0] in "kg":
+            factor = 1 + OFF * rng.choice([-1.0, 1.0])
+        else:
+            factor = 1 + OFF * rng.uniform(-1.0, 1.0)
+        values[name] = float(factor * value)
+    return values
