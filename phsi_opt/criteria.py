@@ -18,6 +18,15 @@ DIVERGED_RUN = 1e3
 # run: among 1e4 values normal noise gets there once or not at all.
 HORIZON_RESIDUAL = 4.0
 
+# Percent of the measured motion up to which a flat free run explains it, and share of
+# the measured standard deviation up to which it moves. A motion that dies out within a
+# twentieth of the record is flat.
+FLAT_FIT_PERCENT = 5.0
+FLAT_SPREAD = 0.25
+# Share of the measured standard deviation from which noise makes it up: where a state
+# shows little but noise, a flat free run is right.
+FLAT_NOISE = 0.5
+
 # --- Does a model fail, and does a larger one explain what was missing?
 
 # Free-run error over the noise floor from which a model counts as failing.

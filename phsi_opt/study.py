@@ -112,6 +112,8 @@ class Study:
         self._say("fitting the base model")
         fit = identify_aligned(model, self._train, self._loss)
         self.steps: list[Step] = [self._step("base model", (), fit)]
+        if self.steps[0].train.warning:
+            self._say(self.steps[0].train.warning)
 
     @property
     def train(self) -> Measurements:

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.energy_balance import energy_balance
+from phsi_opt.comparison.flat_run import flat_sentence, is_flat
 from phsi_opt.comparison.prediction_bands import prediction_bands
 from phsi_opt.criteria import DIVERGED_RUN, HORIZON_RESIDUAL
 from phsi_opt.data.measurements import Measurements
@@ -150,6 +151,28 @@ class Comparison:
         end = t[beyond[0]] if len(beyond) else t[-1]
         return float(end - t[0])
 
+    @cached_property
+    def flat(self) -> tuple[str, ...]:
+        """Names of the states whose free run hardly moves, and explains nothing.
+
+        The limits are `FLAT_FIT_PERCENT` and `FLAT_SPREAD` of `phsi_opt.criteria`.
+        """
+        y = np.concatenate([run.x for run in self.data.trajectories])
+        shown = np.concatenate(self.shown)
+        names = []
+        for number, name in enumerate(self.model.states):
+            is_measured = np.isfinite(y[:, number])
+            if name in self.data.measured and is_flat(
+                y[is_measured, number], shown[is_measured, number], self.sigma[number]
+            ):
+                names.append(name)
+        return tuple(names)
+
+    @property
+    def warning(self) -> str:
+        """What to do where the free run is flat; empty where it is not."""
+        return flat_sentence(self.flat)
+
     @property
     def weights(self) -> np.ndarray:
         """Scale of each state in `rmse`, (n_states,).
@@ -255,10 +278,11 @@ class Comparison:
 
     def __str__(self) -> str:
         table = self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}")
-        return (
+        said = (
             f"Free run against {self.data.n_samples} samples: rmse {self.rmse:.4g}, "
             f"noise floor {self.noise_floor:.4g}\n{table}"
         )
+        return f"{said}\n{self.warning}" if self.warning else said
 
     __repr__ = __str__
 

@@ -157,8 +157,13 @@ class Diagnosis:
 
     @property
     def sentences(self) -> list[str]:
-        """Where the model fails, in plain words, an equation each; strongest first."""
-        return self.analysis.sentences
+        """Where the model fails, in plain words, an equation each; strongest first.
+
+        Before them, where the free run is flat, what to do about that.
+        """
+        if not self.base.warning:
+            return self.analysis.sentences
+        return [self.base.warning, *self.analysis.sentences]
 
     @cached_property
     def separation(self) -> Separation | None:
@@ -252,8 +257,9 @@ class Diagnosis:
 
     def __str__(self) -> str:
         table = _printed(self.candidates.head(N_PRINTED))
+        warning = f"{self.base.warning}\n" if self.base.warning else ""
         return (
-            f"{self.verdict}: {self.reason}\n"
+            f"{self.verdict}: {self.reason}\n{warning}"
             f"where it fails\n{_printed(self.where)}\n"
             f"candidates, best first\n{table}"
         )

@@ -1,9 +1,10 @@
-"""Random machines that swing for many periods, and models whose start is half off.
+"""Random machines that swing for many periods, and models that start far off.
 
 Everything is drawn from one generator in a fixed order, so that a case is the same
 whenever it is drawn.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,13 +15,19 @@ KINDS = ("oscillator", "pendulum", "two masses")
 PERIODS = (10, 60)  # in the record
 PER_PERIOD = (18, 40)  # samples
 NOISE = (0.01, 0.03)  # share of a channel's standard deviation
-OFF = 0.5  # share by which the parameters that set the frequencies start off
+OTHERS_OFF = 0.5  # share by which other parameters start off, at most
 # Damping ratio times periods: the motion falls to between 0.9 and 0.15 of its start.
 DECAY = (0.02, 0.3)
 DRIVE = (0.1, 0.3)  # root mean square of the input over the force of the springs
+# What the model of a machine may lack: a force on the first momentum.
+NOTHING = "nothing"
+UNREST = "random force"
+LACKS = (NOTHING, UNREST)
+LACKING = (0.02, 0.2)  # its size over the force of the springs
 N_SINES = 5  # in the input
 
 Array = np.ndarray
+Force = Callable[[float, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,33 +61,69 @@ class BasinCase:
         return [name for name in self.truth if name[0] in "kg"]
 
 
-def draw_case(kind: str, seed: int) -> BasinCase:
-    """The machine of a seed with its record and its start."""
+def draw_case(
+    kind: str, seed: int, off: float = 0.5, lacks: str = NOTHING
+) -> BasinCase:
+    """The machine of a seed with its record and its start.
+
+    Args:
+        kind: one of `KINDS`.
+        seed: of everything that is drawn.
+        off: share by which the parameters that set the frequencies start off.
+        lacks: one of `LACKS`; acts on the machine and is not in the model.
+    """
     rng = np.random.default_rng([KINDS.index(kind), seed])
     n_periods = int(rng.integers(PERIODS[0], PERIODS[1] + 1))
     is_driven = bool(rng.random() < 0.5)
     truth = _truth(rng, kind, n_periods, is_driven)
-    true_model = _model(kind, truth, is_driven)
-    states = true_model.states
+    machine = _model(kind, truth, is_driven)
     period = 2 * np.pi / _slowest(kind, truth)
     n_samples = int(n_periods * rng.uniform(*PER_PERIOD))
     t = np.linspace(0.0, n_periods * period, n_samples)
     start = _starting_states(rng, kind)
-    drive = _multisine(rng, t, period) * rng.uniform(*DRIVE) * _force_size(truth, start)
-    u = drive[:, None] if is_driven else np.zeros((n_samples, 0))
-    clean = ph.simulate(true_model, t, start, u if is_driven else None)
+    size = _force_size(truth, start)
+    u = (_multisine(rng, t, period) * rng.uniform(*DRIVE) * size)[:, None]
+    if not is_driven:
+        u = np.zeros((n_samples, 0))
+    force = _hidden_force(lacks, seed, machine, t, period / 4, size)
+    motion = _motion(machine, t, start, u, force)
+    clean = motion.states
     sigma = rng.uniform(*NOISE) * clean.std(axis=0)
-    is_seen = _measured(rng, len(states) // 2)
+    is_seen = _measured(rng, machine.n_states // 2)
     noise = np.where(is_seen, sigma * rng.normal(size=clean.shape), np.nan)
     data = ph.Measurements.from_arrays(
         t,
         clean + noise,
-        u if is_driven else None,
-        states=states,
+        motion.u if is_driven else None,
+        states=machine.states,
         inputs=["u"] if is_driven else None,
     )
-    model = _model(kind, _start_values(rng, truth), is_driven)
+    model = _model(kind, _start_values(rng, truth, off), is_driven)
     return BasinCase(kind, n_periods, truth, model, data, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """States (n_samples, n_states) and the input (n_samples, n_inputs) behind them."""
+
+    states: Array
+    u: Array
+
+
+def _motion(
+    machine: ph.PseudoHamiltonian, t: Array, start: Array, u: Array, force: Force | None
+) -> _Motion:
+    """The simulated motion; a pendulum that turns over has its input halved.
+
+    One that turns over is chaotic, and has no periods to count.
+    """
+    while True:
+        given = u if u.shape[1] else None
+        states = ph.simulate(machine, t, start, given, force=force)
+        turns_over = "g" in machine.entries and np.max(np.abs(states[:, 0])) > np.pi
+        if not turns_over:
+            return _Motion(states, u)
+        u = u / 2
 
 
 def _truth(
@@ -161,6 +204,41 @@ def _force_size(truth: dict[str, float], start: Array) -> float:
     return float(stiffness * np.sqrt(np.mean(start**2)))
 
 
+def _hidden_force(
+    lacks: str,
+    seed: int,
+    model: ph.PseudoHamiltonian,
+    t: Array,
+    correlation_time: float,
+    force_size: float,
+) -> Force | None:
+    """The rate that the model does not have."""
+    if lacks == NOTHING:
+        return None
+    rng = np.random.default_rng([LACKS.index(lacks), seed])
+    size = force_size * np.exp(rng.uniform(*np.log(LACKING)))
+    n = model.n_states // 2
+    unrest = _ornstein_uhlenbeck(rng, t, correlation_time)
+
+    def force(time: float, _: Array) -> Array:
+        rates = np.zeros(2 * n)
+        rates[n] = size * np.interp(time, t, unrest)
+        return rates
+
+    return force
+
+
+def _ornstein_uhlenbeck(
+    rng: np.random.Generator, t: Array, correlation_time: float
+) -> Array:
+    """A random force of size one, (n_samples,)."""
+    kept = np.exp(-np.diff(t) / correlation_time)
+    force = rng.normal(size=len(t))
+    for i in range(1, len(t)):
+        force[i] = kept[i - 1] * force[i - 1] + np.sqrt(1 - kept[i - 1] ** 2) * force[i]
+    return force
+
+
 def _multisine(rng: np.random.Generator, t: Array, period: float) -> Array:
     """An input about the resonance with a root mean square of one."""
     omega = 2 * np.pi / period * rng.uniform(0.4, 1.8, (N_SINES, 1))
@@ -181,14 +259,14 @@ def _measured(rng: np.random.Generator, n: int) -> Array:
 
 
 def _start_values(
-    rng: np.random.Generator, truth: dict[str, float]
+    rng: np.random.Generator, truth: dict[str, float], off: float
 ) -> dict[str, float]:
-    """Frequencies' parameters half too small or too large, others up to half off."""
+    """Frequencies' parameters too small or too large by ``off``, others up to half."""
     values = {}
     for name, value in truth.items():
         if name[0] in "kg":
-            factor = 1 + OFF * rng.choice([-1.0, 1.0])
+            factor = 1 + off * rng.choice([-1.0, 1.0])
         else:
-            factor = 1 + OFF * rng.uniform(-1.0, 1.0)
+            factor = 1 + OTHERS_OFF * rng.uniform(-1.0, 1.0)
         values[name] = float(factor * value)
     return values
