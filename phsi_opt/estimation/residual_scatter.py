@@ -16,9 +16,9 @@ from phsi_opt.statistics import TINY
 # Residuals over the scatter of neighbouring samples beyond which a solution is doubted.
 SUSPICIOUS_RATIO = 2.0
 # Share of a channel's standard deviation that residuals reach, at least, in an optimum
-# that is far off. A motion out of step leaves its own size: 0.5 and more in the wrong
-# optima that were found (19 of 850 swinging machines). Forces of 1 to 5 % that a model
-# lacked left up to 0.26 in the right ones.
+# that is far off. A motion out of step leaves its own size: 0.53 to 1 in ten wrong
+# optima of swinging machines. Forces of 1 to 5 % that a model lacked left up to 0.26 in
+# 74 right ones.
 FAR_OFF_SHARE = 0.3
 # Scatter that data without noise are taken to have, in units of the least noise that is
 # assumed: what they scatter says nothing about it.

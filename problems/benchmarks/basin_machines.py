@@ -130,6 +130,7 @@ def _truth(
     rng: np.random.Generator, kind: str, n_periods: int, is_driven: bool
 ) -> dict[str, float]:
     """Values of the free parameters; masses are one."""
+    names: tuple[str, ...]
     if kind == "oscillator":
         names = ("k", "c")
     elif kind == "pendulum":

@@ -177,11 +177,11 @@ def _what(first: int, last: int) -> str:
         which were not looked at while the method was developed. Parameters that set the
         frequencies start too small or too large by the share that is given, all others
         by up to half. Right is a fit that is no less likely than the true motion; where
-        the model lacks a force, of 2 to 20 % of the springs', than the likeliest of the
-        fits that begin at the true values, at the start, and with windows. "Without windows": right before the windows that a poor fit is
-        followed by. "Windows first": `window=` of a thirty-second of the record. A
-        pendulum whose input makes it turn over has that halved; those that turn over
-        are chaotic.
+        the model lacks a force (2 to 20 % of the springs'), than the likeliest of the
+        fits that begin at the true values, at the start, and with windows. "Without
+        windows": right without the windows that follow a poor fit. "Windows first":
+        `window=` of a thirty-second of the record. A pendulum whose input makes it turn
+        over has that halved; those that turn over are chaotic.
         """)
 
 
