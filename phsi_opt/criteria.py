@@ -36,6 +36,10 @@ FAILING_ERROR = 1.1
 WHITE_ERROR = 1.25
 # p-value, for all channels together, below which residuals are not white.
 WHITENESS_LEVEL = 1e-3
+# Steps of a quantised channel by which it must move (standard deviation) for an effect
+# to be named: errors of quantisation are like noise from about one on (Widrow 1956);
+# below, a complete model of an oscillator seen in three values was given dry friction.
+RESOLVED_STEPS = 1.0
 # Share of the squared error above the noise floor that an effect must explain to be
 # named where the rest is small but not white: gravity stands in for a spring q|v| up to
 # 97 % of it.

@@ -228,6 +228,16 @@ def test_a_motion_of_less_than_a_step_is_called_one() -> None:
     assert any("q moves by less than one of its steps" in w for w in fit.warnings)
 
 
+def test_steps_coarser_than_the_motion_are_not_taken_for_an_effect() -> None:
+    train, test = measured(truth(), 1.0).split(0.6)
+    found = ph.diagnose(ph.identify(base(), train), train, test)
+    # The best candidate, dry friction, explains what three values leave.
+    assert found.ranking[0].delta_bic < -10
+    assert found.verdict is ph.Verdict.UNEXPLAINED
+    assert "the steps of q, which moves by less than one of them" in found.reason
+    assert found.proposed == ()
+
+
 def test_what_is_missing_is_named_through_a_quantised_sensor() -> None:
     train, test = measured(truth(friction=0.08), 2 / 30).split(0.6)
     found = ph.diagnose(ph.identify(base(), train), train, test)

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from phsi_opt.criteria import RESOLVED_STEPS
 from phsi_opt.data.measurements import Measurements
 
 # Values of a channel below which its resolution is not asked for: among a few, repeats
@@ -59,6 +60,20 @@ def quantisation_noise(data: Measurements) -> np.ndarray:
     for k in range(data.n_states):
         steps.append(resolution([run.x[:, k] for run in data.trajectories]))
     return DEVIATION_PER_STEP * np.array(steps)
+
+
+def unresolved_channels(data: Measurements) -> tuple[str, ...]:
+    """Names of the states that move by less than a step (`RESOLVED_STEPS`).
+
+    The errors of their values follow the motion and are no noise.
+    """
+    names = []
+    steps = quantisation_noise(data) / DEVIATION_PER_STEP
+    for k in np.flatnonzero(steps > 0).tolist():
+        values = np.concatenate([run.x[:, k] for run in data.trajectories])
+        if np.nanstd(values) < RESOLVED_STEPS * steps[k]:
+            names.append(data.states[k])
+    return tuple(names)
 
 
 def resolution(runs: Sequence[np.ndarray]) -> float:

@@ -9,6 +9,7 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
 )
 from phsi_opt.criteria import EXPLAINED_IF_PROPOSED
+from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.proposal import Proposal
 from phsi_opt.diagnosis.verdict import Verdict
@@ -48,6 +49,10 @@ def conclusion(base: DiagnosedModel, proposed: Proposal | None) -> Conclusion:
         f"(noise floor {after.noise_floor:.4g})"
     )
     if is_explained(before, proposed.trained, after):
+        unresolved = unresolved_channels(base.record.data)
+        if unresolved:
+            explained = f"{names}{proposed.size} would explain it"
+            return _behind_steps(explained, unresolved, change)
         reason = f"{names}{proposed.size}; {change}"
         return Conclusion(Verdict.NAMED, reason, proposed.effects, proposed.fit)
     share = explained_share(before, after)
@@ -62,6 +67,17 @@ def conclusion(base: DiagnosedModel, proposed: Proposal | None) -> Conclusion:
     if share <= EXPLAINED_IF_PROPOSED:
         return Conclusion(Verdict.UNEXPLAINED, reason)
     return Conclusion(Verdict.UNEXPLAINED, reason, proposed.effects, proposed.fit)
+
+
+def _behind_steps(
+    explained: str, unresolved: tuple[str, ...], change: str
+) -> Conclusion:
+    """Nothing is named from channels whose steps may look like an effect."""
+    reason = (
+        f"{explained}, but so may the steps of {', '.join(unresolved)}, which moves by "
+        f"less than one of them (standard deviation): {change}"
+    )
+    return Conclusion(Verdict.UNEXPLAINED, reason)
 
 
 def _without_effect(base: DiagnosedModel, where: str) -> Conclusion:

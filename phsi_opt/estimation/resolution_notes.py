@@ -6,7 +6,7 @@ several steps (Widrow 1956). Where it stays within one, the errors follow the mo
 
 import numpy as np
 
-from phsi_opt.data.resolution import DEVIATION_PER_STEP
+from phsi_opt.data.resolution import DEVIATION_PER_STEP, unresolved_channels
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import NoiseLevels
 
@@ -24,6 +24,7 @@ def resolution_notes(
         noise: what was known of it before; of a declared one nothing is said.
     """
     units = estimate.task.data.units
+    unresolved = unresolved_channels(estimate.task.data)
     notes = []
     for k in np.flatnonzero(~noise.is_known & (noise.least > 0)).tolist():
         name = estimate.model.states[k]
@@ -36,12 +37,12 @@ def resolution_notes(
                 f"{_with_unit(f'{step:.3g}', unit)}: at least "
                 f"{_with_unit(f'{least:.2g}', unit)} counts as noise"
             )
-        if np.nanstd(estimate.grid.y[:, k]) < step:
+        if name in unresolved:
             notes.append(
                 f"{name} moves by less than one of its steps of "
                 f"{_with_unit(f'{step:.3g}', unit)} (standard deviation): the errors "
                 "of its values follow the motion, so standard errors are too small and "
-                "a diagnosis may name what is not there"
+                "a diagnosis names nothing"
             )
     return tuple(notes)
 
