@@ -110,7 +110,7 @@ class MaximumLikelihood:
             all count squared.
         window: length in time of the pieces with free starting states that are solved
             first, from which the whole record starts; None: only where the whole record
-            cannot be solved.
+            cannot be solved, or leads far off.
         starts: number of starting points, the first from the data, others moved from it
             by a fixed random sequence; the fit's warnings say how many of them agree.
 
