@@ -113,17 +113,26 @@ class _Motion:
 def _motion(
     machine: ph.PseudoHamiltonian, t: Array, start: Array, u: Array, force: Force | None
 ) -> _Motion:
-    """The simulated motion; a pendulum that turns over has its input halved.
+    """The simulated motion; a pendulum that turns over has what drives it halved.
 
     One that turns over is chaotic, and has no periods to count.
     """
+    given_force = force
+    share = 1.0
     while True:
         given = u if u.shape[1] else None
+        if given_force is not None:
+            force = _scaled(given_force, share)
         states = ph.simulate(machine, t, start, given, force=force)
         turns_over = "g" in machine.entries and np.max(np.abs(states[:, 0])) > np.pi
         if not turns_over:
             return _Motion(states, u)
         u = u / 2
+        share /= 2
+
+
+def _scaled(force: Force, share: float) -> Force:
+    return lambda time, x: share * force(time, x)
 
 
 def _truth(

@@ -1,12 +1,15 @@
 """From starts far off, along records of many periods: how often is the right optimum
 found, and what does it cost?
 
-    python -m problems.benchmarks.basins [--quick]
+    python -m problems.benchmarks.basins [--quick] [--page] [SETTING ...]
+
+Settings are numbers, counted from 0; rows of the others are kept in basins.csv.
 
 Seeds 0 to 999 are for development.
 """
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,9 +26,9 @@ from problems.benchmarks.basin_machines import (
     draw_case,
 )
 from problems.tools import markdown
-from problems.tools.command_line import flag
+from problems.tools.command_line import chosen, flag
 from problems.tools.intervals import share
-from problems.tools.provenance import write
+from problems.tools.provenance import RESULTS, write
 
 FIRST_SEED = 5000
 # Difference of the deviance up to which a fit is no less likely than its reference:
@@ -43,7 +46,7 @@ class Setting:
     n: int
 
 
-MOST_MACHINES = 50  # of a kind in a setting
+TABLE = RESULTS / "basins.csv"
 SETTINGS = (
     Setting(0.5, NOTHING, 50),
     Setting(0.7, NOTHING, 20),
@@ -180,8 +183,8 @@ def _what(first: int, last: int) -> str:
         the model lacks a force (2 to 20 % of the springs'), than the likeliest of the
         fits that begin at the true values, at the start, and with windows. "Without
         windows": right without the windows that follow a poor fit. "Windows first":
-        `window=` of a thirty-second of the record. A pendulum whose input makes it turn
-        over has that halved; those that turn over are chaotic.
+        `window=` of a thirty-second of the record. A pendulum that turns over has
+        what drives it halved, because it would be chaotic.
         """)
 
 
@@ -196,19 +199,36 @@ def _reading(frame: pd.DataFrame) -> str:
         """)
 
 
-def main(first: int, most: int) -> pd.DataFrame:
-    """Machines of each kind in each setting, ``most`` at most, from a seed on."""
+def main(first: int, settings: Sequence[Setting]) -> pd.DataFrame:
+    """Machines of each kind in each setting, from a seed on."""
     rows = []
-    for setting in SETTINGS:
-        for seed in range(first, first + min(setting.n, most)):
+    for setting in settings:
+        for seed in range(first, first + setting.n):
             for kind in KINDS:
                 rows.append(row(kind, seed, setting))
                 print(rows[-1], flush=True)
     return pd.DataFrame(rows)
 
 
+def recorded(number: int) -> pd.DataFrame:
+    """Rows of one setting measured anew, with those of the others as they were."""
+    new = main(FIRST_SEED, [SETTINGS[number]])
+    new.insert(0, "setting", number)
+    if TABLE.exists():
+        known = pd.read_csv(TABLE)
+        others = known[known["setting"] != number]
+        new = pd.concat([others, new]).sort_values("setting", kind="stable")
+    new.to_csv(TABLE, index=False, float_format="%.6g")
+    return new
+
+
 if __name__ == "__main__":
     if flag("quick"):
-        print(page(main(0, 1)))
+        print(page(main(0, [replace(each, n=1) for each in SETTINGS])))
+    elif flag("page"):
+        write("basins.md", page(pd.read_csv(TABLE)))
     else:
-        write("basins.md", page(main(FIRST_SEED, MOST_MACHINES)))
+        numbers = [int(text) for text in chosen()] or range(len(SETTINGS))
+        for number in numbers:
+            rows = recorded(number)
+        write("basins.md", page(rows))
