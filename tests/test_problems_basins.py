@@ -50,3 +50,10 @@ def test_one_machine_from_half_off_is_judged_right_by_its_own_truth() -> None:
         "all": 1,
     }
     assert "## Those that are wrong" in basins.page(frame)
+
+
+def test_a_random_force_that_would_turn_a_pendulum_over_is_halved() -> None:
+    case = draw_case("pendulum", 5001, off=0.7, lacks=UNREST)
+    assert not case.is_driven
+    x = case.data.trajectories[0].x[:, 0] - case.noise[:, 0]
+    assert np.max(np.abs(x)) <= np.pi

@@ -117,22 +117,18 @@ def _motion(
 
     One that turns over is chaotic, and has no periods to count.
     """
-    given_force = force
-    share = 1.0
     while True:
         given = u if u.shape[1] else None
-        if given_force is not None:
-            force = _scaled(given_force, share)
         states = ph.simulate(machine, t, start, given, force=force)
         turns_over = "g" in machine.entries and np.max(np.abs(states[:, 0])) > np.pi
         if not turns_over:
             return _Motion(states, u)
         u = u / 2
-        share /= 2
+        force = None if force is None else _halved(force)
 
 
-def _scaled(force: Force, share: float) -> Force:
-    return lambda time, x: share * force(time, x)
+def _halved(force: Force) -> Force:
+    return lambda time, x: 0.5 * force(time, x)
 
 
 def _truth(
