@@ -58,6 +58,20 @@ FEWEST_INDEPENDENT = 3.0
 # doubted: it contradicts another one, which no force explains.
 DOUBTFUL_NOISE = 1.5
 
+# --- Standard errors where residuals are more than noise (`model_error`)
+
+# Gain of the log evidence from which a disturbance beside white noise is taken as
+# there. Of 60 records without any, 4 had such a gain by chance.
+MODEL_ERROR_EVIDENCE = 2.0
+# Trajectories of equal weight from which their scatter gives the standard errors: with
+# ten a standard error is itself known to a quarter.
+FEWEST_TRAJECTORIES = 10.0
+# p-value of the hypothesis that trajectories differ by noise alone, below which it is
+# given up.
+AGREEMENT_LEVEL = 0.05
+# Ratio of two standard errors beyond which both are told.
+DIFFERENT_STD_ERRORS = 4 / 3
+
 # --- Which candidates are compared
 
 # Squared trace of an effect of natural size, in noise variances, below which the record

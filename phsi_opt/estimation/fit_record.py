@@ -15,9 +15,11 @@ import pandas as pd
 from scipy.stats import t as student_t
 
 from phsi_opt.errors import DataError
+from phsi_opt.estimation.model_error_table import COLUMNS, ModelErrorRow
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
+from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.simulation.simulate import simulate
 
@@ -54,6 +56,13 @@ class FitRecord(Identified):
             trajectory.
         huber: Residuals beyond this many standard deviations counted linearly (see
             `MaximumLikelihood`); None: all counted squared.
+        std_error_source: What the standard errors come from, one of `Source`: white
+            noise, the scatter between trajectories, or model error.
+        covariances: (n_names, n_names) by source, all that were worked out; that of
+            white noise is the inverse of the likelihood's information.
+        freedom: (n_names,) degrees of freedom of the variances, for intervals; None:
+            those that the residuals leave.
+        model_error_rows: What was found beside the model (see `model_error`).
     """
 
     names: tuple[str, ...] = ()
@@ -71,6 +80,10 @@ class FitRecord(Identified):
     states: tuple[np.ndarray, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
     huber: float | None = None
+    std_error_source: str = Source.NOISE
+    covariances: Mapping[str, np.ndarray] = field(default_factory=dict)
+    freedom: np.ndarray | None = None
+    model_error_rows: tuple[ModelErrorRow, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -104,17 +117,53 @@ class FitRecord(Identified):
         correlations = self.covariance / np.outer(std_errors, std_errors)
         return pd.DataFrame(correlations, index=self.names, columns=self.names)
 
-    def intervals(self, level: float = 0.95) -> pd.DataFrame:
-        """Confidence intervals of the estimates, from the curvature of the likelihood.
+    @property
+    def degrees_of_freedom(self) -> np.ndarray:
+        """How well each variance is known, (n_names,), for Student's quantiles."""
+        if self.freedom is not None:
+            return self.freedom
+        return np.full(len(self.names), max(self.n_values - len(self.names), 1))
 
-        With n_values residuals and n_names estimates the limits are::
+    @property
+    def standard_errors(self) -> pd.DataFrame:
+        """Standard errors of the estimates by where they come from.
+
+        A row per estimate with its name as index. Columns: ``std_error``, the one that
+        is given everywhere; ``freedom``, its degrees of freedom; and one per source
+        that was worked out (`Source`), such as "white noise", what the likelihood says
+        if residuals are independent.
+        """
+        table = pd.DataFrame(index=list(self.names))
+        table["std_error"] = np.sqrt(np.diag(self.covariance))
+        table["freedom"] = self.degrees_of_freedom
+        for source, covariance in self.covariances.items():
+            table[str(source)] = np.sqrt(np.diag(covariance))
+        return table
+
+    @property
+    def model_error(self) -> pd.DataFrame:
+        """What acts beside the model, as the record shows it.
+
+        Columns: where (equation or sensor), kind (force, function of a state, sensor
+        error), size (standard deviation), time (correlation time), unit of the size,
+        share (of the typical rate of that equation, or of the channel's spread). Empty
+        where nothing but white noise shows.
+        """
+        rows = [vars(row) for row in self.model_error_rows]
+        return pd.DataFrame(rows, columns=list(COLUMNS))
+
+    def intervals(self, level: float = 0.95) -> pd.DataFrame:
+        """Confidence intervals of the estimates, from their standard errors.
+
+        The limits are::
 
             value +- t * std_error
 
-        where t is the quantile of Student's distribution with n_values - n_names
-        degrees of freedom: the noise was estimated from the same data. Where the
-        curvature misleads (a bent valley, a bound near by), `profile` gives better
-        limits.
+        where t is the quantile of Student's distribution. Its degrees of freedom
+        (``freedom``) are n_values - n_names where white noise is all there is: the
+        noise was estimated from the same data. Where trajectories give the standard
+        errors, or disturbances that were estimated, they are fewer. Where the curvature
+        misleads (a bent valley, a bound near by), `profile` gives better limits.
 
         Args:
             level: Probability that an interval covers the true value, between 0 and 1.
@@ -130,10 +179,10 @@ class FitRecord(Identified):
         """
         if not 0 < level < 1:
             raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
-        n_free_residuals = max(self.n_values - len(self.names), 1)
-        quantile = student_t.isf((1 - level) / 2, n_free_residuals)
+        quantiles = student_t.isf((1 - level) / 2, self.degrees_of_freedom)
         rows = []
-        for name, value in self.estimates.items():
+        pairs = zip(self.estimates.items(), quantiles, strict=True)
+        for (name, value), quantile in pairs:
             half_width = quantile * self.std_errors[name]
             rows.append((value, value - half_width, value + half_width))
         columns = ["value", "ci_lower", "ci_upper"]

@@ -11,7 +11,14 @@ import numpy as np
 from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
+from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty
+from phsi_opt.model_error.standard_errors import (
+    Source,
+    StandardErrors,
+    standard_errors,
+)
 from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.grid import steps_per_gap
@@ -58,11 +65,13 @@ class LikelihoodEstimate(Estimate):
 
     Attributes:
         sigma: (n_states,) standard deviation of the noise per state.
+        is_known: (n_states,) whether it was declared.
         way: how it was solved, one of `WAYS`.
     """
 
     loss: MaximumLikelihood
     sigma: np.ndarray
+    is_known: np.ndarray
     way: str = GAUSS_NEWTON
 
     @property
@@ -155,9 +164,40 @@ class LikelihoodEstimate(Estimate):
         values = self.solution.values
         return [values[name] for name in values if name.startswith("outlier_")]
 
+    @cached_property
+    def solved(self) -> SolvedLikelihood:
+        """The parts of the solved likelihood, to be linearised."""
+        channel = np.nonzero(self.grid.measured)[1]
+        within = 1.0
+        if self.loss.huber is not None:
+            within = self.huber_moments.share_within
+        return SolvedLikelihood(
+            task=self.task,
+            model=self.model,
+            grid=self.grid,
+            unknown=self.unknown,
+            theta=self.theta,
+            nodes=self.nodes,
+            point=self.point,
+            program=self.program,
+            solution=self.solution,
+            reduced=self.reduced,
+            sigma=self.sigma,
+            is_known=self.is_known,
+            residual=self.standardized * self.sigma[channel],
+            within=within,
+        )
+
+    @cached_property
+    def standard_errors(self) -> StandardErrors | None:
+        """The standard errors that survive model error; None where there are none."""
+        if not self.is_success or self.has_l1 or not len(self.theta):
+            return None
+        return standard_errors(self.solved.plain())
+
     def fit(self) -> Fit:
         """The result record, with noise, states and information criterion."""
-        return replace(
+        fit = replace(
             super().fit(),
             noise=self._noise_by_name(),
             bic=self.bic,
@@ -165,6 +205,29 @@ class LikelihoodEstimate(Estimate):
             steps=tuple(steps_per_gap(self.grid)),
             huber=self.loss.huber,
         )
+        found = self.standard_errors
+        if found is None:
+            return fit
+        covariances = {Source.NOISE: fit.covariance}
+        for source, spread in found.spreads.items():
+            if source != Source.NOISE:
+                covariances[source] = self._unscaled(spread.covariance)
+        rows = model_error_rows(self.solved, found.disturbances)
+        return replace(
+            fit,
+            covariance=covariances[found.source],
+            covariances=covariances,
+            freedom=found.spread.freedom,
+            std_error_source=found.source,
+            model_error_rows=rows,
+        )
+
+    def _unscaled(self, covariance: np.ndarray) -> np.ndarray:
+        """In the parameters' units, NaN where noise alone gives none."""
+        scale = self.program.scale[self.program.variables["theta"].slice]
+        plain = self.uncertainty.covariance
+        known = covariance * np.outer(scale, scale)
+        return np.where(np.isfinite(plain), known, np.nan)
 
     def _noise_by_name(self) -> dict[str, float]:
         """Noise of the states that were measured."""

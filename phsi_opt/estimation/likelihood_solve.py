@@ -148,6 +148,7 @@ class LikelihoodSolver:
             solution=optimum.solution,
             l1=l1,
             sigma=optimum.sigma,
+            is_known=self.problem.noise.is_known,
             way=chain.way,
         )
 

@@ -14,6 +14,45 @@ from scipy.linalg.lapack import dgbtrf, dgbtrs
 from phsi_opt.errors import SolveError
 
 
+class BandLayout:
+    """Where the entries of matrices of one pattern stand in LAPACK's band storage.
+
+    Args:
+        rows: (n_entries,) row of every entry; entries at one place are added.
+        columns: (n_entries,) its column.
+        order: (n,), the unknowns in the order in which they make a band.
+
+    Attributes:
+        kl: number of diagonals below the main one.
+        ku: number of diagonals above it.
+    """
+
+    def __init__(self, rows: np.ndarray, columns: np.ndarray, order: np.ndarray):
+        self.order = order
+        self.n = len(order)
+        rank = np.empty(self.n, dtype=np.int64)
+        rank[order] = np.arange(self.n)
+        sorted_rows = rank[rows]
+        sorted_columns = rank[columns]
+        offsets = sorted_rows - sorted_columns
+        self.kl = int(np.max(offsets, initial=0))
+        self.ku = int(np.max(-offsets, initial=0))
+        # LAPACK's band storage, with kl more rows for what pivoting fills in.
+        self._height = 2 * self.kl + self.ku + 1
+        self._places = sorted_columns * self._height + self.diagonal + offsets
+
+    @property
+    def diagonal(self) -> int:
+        """Row of the band storage that holds the main diagonal."""
+        return self.kl + self.ku
+
+    def filled(self, entries: np.ndarray) -> np.ndarray:
+        """The band of a matrix with these entries, (height, n)."""
+        size = self.n * self._height
+        band = np.bincount(self._places, weights=entries, minlength=size)
+        return band.reshape(self.n, self._height).T
+
+
 class Banded:
     """LU factors (LAPACK, partial pivoting) of a matrix that is banded once sorted.
 
@@ -21,28 +60,33 @@ class Banded:
         matrix: square, SciPy sparse, (n, n).
         order: (n,), the unknowns in the order in which they make a band.
 
-    Attributes:
-        kl: number of diagonals below the main one.
-        ku: number of diagonals above it.
-
     Raises:
         SolveError: the matrix is singular.
     """
 
     def __init__(self, matrix: Any, order: np.ndarray) -> None:
-        self.order = order
-        self.n = len(order)
-        rank = np.empty(self.n, dtype=np.int64)
-        rank[order] = np.arange(self.n)
         entries = matrix.tocoo()
-        rows = rank[entries.row]
-        columns = rank[entries.col]
-        self.kl = int(np.max(rows - columns, initial=0))
-        self.ku = int(np.max(columns - rows, initial=0))
-        # LAPACK's band storage, with kl more rows for what pivoting fills in.
-        band = np.zeros((2 * self.kl + self.ku + 1, self.n), order="F")
-        self._diagonal = self.kl + self.ku
-        np.add.at(band, (self._diagonal + rows - columns, columns), entries.data)
+        layout = BandLayout(entries.row, entries.col, order)
+        self._factor(layout, entries.data)
+
+    @classmethod
+    def of(cls, layout: BandLayout, entries: np.ndarray) -> "Banded":
+        """Of the matrix with these entries (n_entries,) in a layout made before.
+
+        Raises:
+            SolveError: the matrix is singular.
+        """
+        banded = cls.__new__(cls)
+        banded._factor(layout, entries)
+        return banded
+
+    def _factor(self, layout: BandLayout, entries: np.ndarray) -> None:
+        self.order = layout.order
+        self.n = layout.n
+        self.kl = layout.kl
+        self.ku = layout.ku
+        self._diagonal = layout.diagonal
+        band = layout.filled(entries)
         self.factors, self.pivots, info = dgbtrf(
             band, self.kl, self.ku, overwrite_ab=True
         )

@@ -1,0 +1,133 @@
+"""The solution of a likelihood, linearised: what standard errors are worked out from.
+
+In the scale of the program; the record of slopes is that of `phsi_opt.model_error`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csc_matrix, csr_matrix, diags
+
+from phsi_opt.data.noise import initial_noise
+from phsi_opt.estimation.problem import Task
+from phsi_opt.model.model import Model
+from phsi_opt.model.structure import forced_rows
+from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.sandwich import Response
+from phsi_opt.model_error.standard_errors import PlainEstimate
+from phsi_opt.optimization.ipopt import Solution
+from phsi_opt.optimization.program import Program
+from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.sensors import SensorOutputs, output_slopes_in_theta
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedLikelihood:
+    """The parts of a solved likelihood that are looked at together.
+
+    Attributes:
+        task: what was asked for.
+        model: with the terms that are left.
+        grid: nodes and intervals.
+        unknown: names and places of the parameters.
+        theta: (n_theta,) their estimates.
+        nodes: (n_nodes, n_states) states.
+        point: with the scale of each unknown.
+        program: the nonlinear program.
+        solution: its solution.
+        reduced: the likelihood with its states eliminated.
+        sigma: (n_states,) noise.
+        is_known: (n_states,) whether it was declared.
+        residual: (n_values,) measured minus shown, cut where the loss cuts it.
+        within: share of the residuals that are not cut.
+    """
+
+    task: Task
+    model: Model
+    grid: Grid
+    unknown: Theta
+    theta: np.ndarray
+    nodes: np.ndarray
+    point: Point
+    program: Program
+    solution: Solution
+    reduced: ReducedSystem
+    sigma: np.ndarray
+    is_known: np.ndarray
+    residual: np.ndarray
+    within: float
+
+    @property
+    def held(self) -> list[int]:
+        """Places of parameters that ended at a bound."""
+        at_bounds = self.solution.outcome.at_bounds
+        return [i for i, name in enumerate(self.unknown.names) if name in at_bounds]
+
+    def linearized(self) -> Linearization:
+        """Slopes of dynamics and sensors at the solution."""
+        grid = self.grid
+        program = self.program
+        x = program.variables["x"].slice
+        theta = program.variables["theta"].slice
+        constraints = program.constraints["defect"].slice
+        jacobian = csc_matrix(self.solution.kkt.jacobian[constraints])
+        of_runs = np.asarray(self.unknown.by_trajectory(self.theta))
+        sensors = SensorOutputs.at(self.model, grid, self.nodes, of_runs)
+        in_theta = output_slopes_in_theta(self.unknown, grid, self.nodes, self.theta)
+        measured = np.flatnonzero(grid.measured.ravel())
+        n_states = self.model.n_states
+        n_theta = len(self.unknown)
+        x_scale = np.tile(self.point.x_scale, grid.n_nodes)
+        theta_scale = program.scale[theta]
+        shown_in_states = csr_matrix(sensors.jacobian @ diags(x_scale))
+        shown_in_theta = in_theta.reshape(-1, n_theta) * theta_scale
+        memory = self.model.memory
+        observed = [k for k, name in enumerate(self.model.states) if name not in memory]
+        return Linearization(
+            grid=grid,
+            nodes=self.nodes,
+            dynamics_in_states=jacobian[:, x],
+            dynamics_in_theta=jacobian[:, theta].toarray(),
+            shown_in_states=shown_in_states[measured],
+            shown_in_theta=shown_in_theta[measured],
+            residual=self.residual,
+            node=measured // n_states,
+            channel=measured % n_states,
+            x_scale=self.point.x_scale,
+            theta_scale=theta_scale,
+            forced=forced_rows(self.model),
+            observed=tuple(observed),
+        )
+
+    def plain(self) -> PlainEstimate:
+        """The estimate as one that counts residuals as white noise."""
+        problem = self.linearized()
+        held = self.held
+        covariance = regularized_inverse(self.reduced.information, held)
+        n_theta = len(covariance)
+        following = self.reduced.following.reshape(-1, n_theta)
+        in_theta = problem.shown_in_states @ following + problem.shown_in_theta
+        weight = 1 / self.sigma[problem.channel] ** 2
+        response = Response(
+            to_dynamics=self.reduced.response_to_offsets(covariance) / self.within,
+            to_values=(covariance @ (in_theta.T * weight)) / self.within,
+        )
+        shape = (problem.n_trajectories, len(self.sigma))
+        measured = self.grid.measured.any(axis=0)
+        channels = np.flatnonzero(measured & ~self.is_known).tolist()
+        scatter = np.where(self.is_known, self.sigma, initial_noise(self.task.data))
+        return PlainEstimate(
+            problem=problem,
+            response=response,
+            covariance=covariance,
+            in_theta=in_theta,
+            moving=np.array([i for i in range(n_theta) if i not in held], dtype=int),
+            sigma=np.broadcast_to(self.sigma, shape).copy(),
+            scatter=np.broadcast_to(scatter, shape).copy(),
+            channels=tuple(channels),
+            is_shared=self.unknown.is_shared,
+            n_values=problem.n_values,
+        )

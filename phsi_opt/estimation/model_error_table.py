@@ -1,0 +1,84 @@
+"""What was found beside a model, as rows of a table: where, how large, how lasting."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.processes import Process
+from phsi_opt.statistics import TINY
+
+COLUMNS = ("where", "kind", "size", "time", "unit", "share")
+
+
+@dataclass(frozen=True)
+class ModelErrorRow:
+    """One disturbance beside a model.
+
+    Attributes:
+        where: equation, such as "dp/dt", or sensor, such as "sensor of q".
+        kind: "force", "sensor error", or "function of q".
+        size: standard deviation, in ``unit``.
+        time: correlation time in the unit of the record's times; NaN for a function.
+        unit: of the size.
+        share: of the typical rate of that equation, or of the channel's spread.
+    """
+
+    where: str
+    kind: str
+    size: float
+    time: float
+    unit: str
+    share: float
+
+
+def model_error_rows(
+    solved: SolvedLikelihood, disturbances: Disturbances
+) -> tuple[ModelErrorRow, ...]:
+    """A row per disturbance beside white noise, forces first."""
+    table = _Rows(solved)
+    rows = []
+    for force in disturbances.forces:
+        rows.append(table.of_force(force.place, force.size, force.time, "force"))
+    for function in disturbances.functions:
+        state = solved.model.states[function.state]
+        kind = f"function of {state}"
+        rows.append(table.of_force(function.equation, function.size, np.nan, kind))
+    for sensor in disturbances.sensors:
+        rows.append(table.of_sensor(sensor))
+    return tuple(rows)
+
+
+class _Rows:
+    def __init__(self, solved: SolvedLikelihood) -> None:
+        self._states = solved.model.states
+        self._units = solved.task.data.units
+        rates = solved.grid.rates(solved.nodes)
+        self._rates = np.sqrt(np.mean(rates**2, axis=0))
+        self._y = solved.grid.y
+
+    def of_force(
+        self, equation: int, size: float, time: float, kind: str
+    ) -> ModelErrorRow:
+        state = self._states[equation]
+        share = size / max(float(self._rates[equation]), TINY)
+        where = f"d{state}/dt"
+        return ModelErrorRow(where, kind, size, time, self._rate_unit(state), share)
+
+    def of_sensor(self, sensor: Process) -> ModelErrorRow:
+        state = self._states[sensor.place]
+        spread = max(float(np.nanstd(self._y[:, sensor.place])), TINY)
+        where = f"sensor of {state}"
+        unit = self._units.get(state, "")
+        share = sensor.size / spread
+        return ModelErrorRow(
+            where, "sensor error", sensor.size, sensor.time, unit, share
+        )
+
+    def _rate_unit(self, state: str) -> str:
+        unit = self._units.get(state, "")
+        of_time = self._units.get("t", "")
+        if not of_time:
+            return unit and f"{unit} per unit of time"
+        return f"{unit or '1'}/{of_time}"

@@ -1,0 +1,305 @@
+"""Which disturbances a record shows, and how large they are.
+
+By marginal likelihood, one kind after the other: forces and sensors that wander, then
+functions of states. A kind is taken only where the evidence for it is clear: a
+disturbance that the record does not show would widen every interval for nothing.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
+from phsi_opt.errors import SolveError
+from phsi_opt.model_error.coordinates import Coordinates
+from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
+from phsi_opt.model_error.processes import Process
+from phsi_opt.statistics import TINY
+
+# Correlation times to begin with: in sampling intervals, and as shares of a record.
+FIRST_INTERVALS = 3.0
+FIRST_SHARE = 0.1
+# Sizes to begin with: a force as shares of the typical rate of its state, a sensor's
+# process as shares of the residuals.
+FORCE_SHARES = (0.1, 0.01)
+SENSOR_SHARES = (0.7,)
+# Sizes of a function that are tried, as shares of the typical rate.
+FUNCTION_SHARES = (0.003, 0.01, 0.03, 0.1)
+ABSENT_SHARE = 1e-9  # size of a function that is not there, as a share of that rate
+STEP = 1e-3  # of logarithms, for the slopes of the evidence
+MOST_ITERATIONS = 25  # of a search; it ends in 5 to 15 where it was measured
+# Gain of the log evidence by an iteration at which a search ends: far below what makes
+# a difference to a standard error.
+LEAST_GAIN = 0.02
+SHORTEST_INTERVALS = 0.3  # shortest correlation time, in sampling intervals
+LOST = 1e12  # stands for minus the log evidence where no states follow
+# Columns of functions beside the parameters, at most: each costs as much as one more
+# parameter.
+MOST_FUNCTION_COLUMNS = 80
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Disturbances with the logarithm of their marginal likelihood.
+
+    Attributes:
+        disturbances: with their sizes.
+        log_evidence: up to a constant of the record.
+        coordinates: in which they were found; None: they were given.
+    """
+
+    disturbances: Disturbances
+    log_evidence: float
+    coordinates: Coordinates | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DisturbanceSearch:
+    """A search for the disturbances of a linearised record.
+
+    Attributes:
+        problem: the linearised record.
+        moving: (n_moving,) places of the parameters that are free to move.
+        plain: white noise of the plain likelihood, (n_trajectories, n_states).
+        scatter: noise that neighbouring samples show, in the same shape.
+        channels: states whose noise is not known.
+    """
+
+    problem: Linearization
+    moving: np.ndarray
+    plain: np.ndarray
+    scatter: np.ndarray
+    channels: tuple[int, ...]
+
+    def white(self) -> Evidence:
+        """White noise alone, as the plain likelihood has it.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        return self.evidence(Disturbances(self.plain))
+
+    def evidence(self, disturbances: Disturbances) -> Evidence:
+        """Of given disturbances.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        likelihood = self._likelihood(disturbances)
+        marginal = likelihood.at(disturbances)
+        return Evidence(disturbances, marginal.log_evidence)
+
+    def found(self) -> Evidence:
+        """What the record shows, white noise where it shows no more.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        best = self.white()
+        of_forces = self.best_of(self._force_starts())
+        of_sensors = self.best_of(self._sensor_starts())
+        one = max(of_forces, of_sensors, key=_log_evidence)
+        if one.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
+            best = one
+            both = self.best_of(self._with_the_other_kind(one.disturbances))
+            if both.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
+                best = both
+        with_functions = self._with_functions(best)
+        if with_functions.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
+            best = with_functions
+        return best
+
+    def best_of(
+        self, starts: Sequence[Disturbances], fixed_times: bool = False
+    ) -> Evidence:
+        """The most likely disturbances, searched from the best of some starts.
+
+        The starts have the same structure.
+        """
+        if not starts:
+            return Evidence(Disturbances(self.plain), -LOST)
+        likelihood = self._likelihood(starts[0])
+        values = [_negative_evidence(likelihood, start) for start in starts]
+        origin = starts[int(np.argmin(values))]
+        coordinates = Coordinates(
+            origin, self.channels, self._shortest, self._longest, fixed_times
+        )
+
+        def negative(vector: np.ndarray) -> float:
+            return _negative_evidence(likelihood, coordinates.at(vector))
+
+        vector = _minimum(negative, coordinates.bounds)
+        disturbances = coordinates.at(vector)
+        moved = replace(coordinates, origin=disturbances)
+        return Evidence(disturbances, -negative(vector), moved)
+
+    def _likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
+        return MarginalLikelihood(self.problem, disturbances.structure, self.moving)
+
+    @property
+    def _interval(self) -> float:
+        return float(np.median(self.problem.grid.h))
+
+    @property
+    def _longest(self) -> float:
+        grid = self.problem.grid
+        return float(grid.t[-1] - grid.t[grid.first[-1]])
+
+    @property
+    def _shortest(self) -> float:
+        return SHORTEST_INTERVALS * self._interval
+
+    def first_times(self) -> list[float]:
+        """Correlation times to begin a search with."""
+        short = FIRST_INTERVALS * self._interval
+        long = max(FIRST_SHARE * self._longest, 2 * short)
+        return [short, float(np.sqrt(short * long)), long]
+
+    def noises(self) -> list[np.ndarray]:
+        """White noises to begin with: of the residuals, and of neighbouring samples."""
+        lower = np.minimum(self.scatter, self.plain)
+        known = [k for k in range(lower.shape[1]) if k not in self.channels]
+        lower[:, known] = self.plain[:, known]
+        return [lower, self.plain]
+
+    def rates(self) -> np.ndarray:
+        """Typical rate of every state, (n_states,)."""
+        rates = self.problem.grid.rates(self.problem.nodes)
+        typical: np.ndarray = np.sqrt(np.mean(rates**2, axis=0))
+        return np.maximum(typical, TINY ** (1 / 4))
+
+    def _force_starts(self) -> list[Disturbances]:
+        rates = self.rates()
+        starts = []
+        for sigma in self.noises():
+            for time in self.first_times():
+                for share in FORCE_SHARES:
+                    forces = []
+                    for equation in self.problem.forced:
+                        forces.append(Process(equation, share * rates[equation], time))
+                    starts.append(Disturbances(sigma, tuple(forces)))
+        return starts if self.problem.forced else []
+
+    def _sensor_starts(self) -> list[Disturbances]:
+        starts = []
+        for sigma in self.noises():
+            for time in self.first_times():
+                for share in SENSOR_SHARES:
+                    sensors = self._sensors(share, time)
+                    starts.append(Disturbances(sigma, sensors=sensors))
+        return starts
+
+    def _sensors(self, share: float, time: float) -> tuple[Process, ...]:
+        sensors = []
+        for channel in np.unique(self.problem.channel).tolist():
+            size = share * float(np.mean(self.plain[:, channel]))
+            sensors.append(Process(channel, size, time))
+        return tuple(sensors)
+
+    def _with_the_other_kind(self, found: Disturbances) -> list[Disturbances]:
+        """The disturbances beside a little of the kind that is not among them."""
+        starts = []
+        for time in self.first_times():
+            if found.forces:
+                sensors = self._sensors(FORCE_SHARES[0], time)
+                starts.append(replace(found, sensors=sensors))
+                continue
+            forces = []
+            for equation in self.problem.forced:
+                size = FORCE_SHARES[-1] * self.rates()[equation]
+                forces.append(Process(equation, size, time))
+            starts.append(replace(found, forces=tuple(forces)))
+        return starts if found.forces or self.problem.forced else []
+
+    def _with_functions(self, found: Evidence) -> Evidence:
+        """Functions of states beside it, one after the other, and all sizes again."""
+        places = self._function_places()
+        if not places:
+            return found
+        rates = self.rates()
+        candidates = []
+        for equation, state in places:
+            candidates.append(StateFunction(equation, state, rates[equation]))
+        with_all = found.disturbances.with_functions(tuple(candidates))
+        border = self._likelihood(with_all).border(with_all)
+        sizes = _chosen_sizes(border, rates[[equation for equation, _ in places]])
+        chosen = []
+        for candidate, size in zip(candidates, sizes, strict=True):
+            if size > 0:
+                chosen.append(replace(candidate, size=float(size)))
+        if not chosen:
+            return found
+        return self.best_of([found.disturbances.with_functions(tuple(chosen))])
+
+    def _function_places(self) -> list[tuple[int, int]]:
+        """Equation and state of the functions that are tried."""
+        problem = self.problem
+        places = []
+        n_columns = 0
+        for equation in problem.forced:
+            for state in problem.observed:
+                n_functions = problem.function_values[state].shape[1]
+                if n_functions:
+                    places.append((equation, state))
+                    n_columns += n_functions
+        return places if n_columns <= MOST_FUNCTION_COLUMNS else []
+
+
+def _log_evidence(found: Evidence) -> float:
+    return found.log_evidence
+
+
+def _negative_evidence(
+    likelihood: MarginalLikelihood, disturbances: Disturbances
+) -> float:
+    try:
+        value = -likelihood.at(disturbances).log_evidence
+    except (SolveError, np.linalg.LinAlgError):
+        return LOST
+    return value if np.isfinite(value) else LOST
+
+
+def _minimum(
+    function: Callable[[np.ndarray], float], bounds: list[tuple[float, float]]
+) -> np.ndarray:
+    """Where a function of logarithms is least, searched from zero."""
+    start = np.zeros(len(bounds))
+    size = max(abs(function(start)), 1.0)
+    found = minimize(
+        function,
+        start,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"eps": STEP, "ftol": LEAST_GAIN / size, "maxiter": MOST_ITERATIONS},
+    )
+    vector: np.ndarray = found.x
+    return vector
+
+
+def _chosen_sizes(border: Border, rates: np.ndarray) -> np.ndarray:
+    """Sizes of functions that the evidence asks for, (n_functions,); 0: left out.
+
+    Args:
+        border: with all functions.
+        rates: (n_functions,) typical rate in the equation of each.
+    """
+    absent = ABSENT_SHARE * rates
+    sizes = absent.copy()
+    best = border.marginal(sizes).log_evidence
+    for _ in rates:
+        trials = []
+        for number, rate in enumerate(rates):
+            for share in FUNCTION_SHARES:
+                trial = sizes.copy()
+                trial[number] = share * rate
+                trials.append((border.marginal(trial).log_evidence, number, trial))
+        evidence, _, trial = max(trials, key=lambda found: found[0])
+        if evidence < best + MODEL_ERROR_EVIDENCE / 2:
+            break
+        best = evidence
+        sizes = trial
+    return np.where(sizes > absent, sizes, 0.0)

@@ -1,0 +1,66 @@
+"""How well a variance is itself known: its degrees of freedom.
+
+The sizes of disturbances are estimated, and so is every variance that follows from them.
+Satterthwaite's rule gives the chi-square distribution that scatters alike (Biometrics
+Bulletin 2, 1946; for sizes found by restricted likelihood, Kenward and Roger, Biometrics
+53, 1997)::
+
+    freedom = 2 variance^2 / Var(variance)
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+STEP = 0.1  # of logarithms of sizes and times, for slopes and curvatures
+# Curvature of minus the log evidence in a logarithm, at least: a size that the record
+# tells no better is known to a factor of four.
+LEAST_CURVATURE = 0.5
+FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
+
+
+def degrees_of_freedom(
+    negative_evidence: Callable[[np.ndarray], float],
+    log_variances: Callable[[np.ndarray], np.ndarray],
+    n_coordinates: int,
+) -> np.ndarray:
+    """Degrees of freedom of variances that follow from estimated logarithms.
+
+    Args:
+        negative_evidence: minus the log evidence, least at zero.
+        log_variances: logarithms of the variances, (n,).
+        n_coordinates: length of the vectors that both take.
+
+    Returns:
+        (n,), at least `FEWEST`.
+    """
+    curvature = _curvature(negative_evidence, n_coordinates)
+    values, vectors = np.linalg.eigh(curvature)
+    spread = 1 / np.maximum(values, LEAST_CURVATURE)
+    covariance = (vectors * spread) @ vectors.T
+    slopes = _slopes(log_variances, n_coordinates)
+    variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
+    return np.maximum(2 / np.maximum(variance, 2e-9), FEWEST)
+
+
+def _slopes(function: Callable[[np.ndarray], np.ndarray], n: int) -> np.ndarray:
+    """Of several functions in every coordinate, (n_coordinates, n_functions)."""
+    slopes = []
+    for unit in STEP * np.eye(n):
+        slopes.append((function(unit) - function(-unit)) / (2 * STEP))
+    return np.array(slopes)
+
+
+def _curvature(function: Callable[[np.ndarray], float], n: int) -> np.ndarray:
+    """Second derivatives at zero, (n, n)."""
+    units = STEP * np.eye(n)
+    middle = function(np.zeros(n))
+    above = np.array([function(unit) for unit in units])
+    below = np.array([function(-unit) for unit in units])
+    curvature = np.diag((above - 2 * middle + below) / STEP**2)
+    for i in range(n):
+        for j in range(i):
+            both = function(units[i] + units[j])
+            mixed = (both - above[i] - above[j] + middle) / STEP**2
+            curvature[i, j] = curvature[j, i] = mixed
+    return curvature

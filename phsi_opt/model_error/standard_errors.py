@@ -1,0 +1,175 @@
+"""Which standard errors a fit gives: the policy, and the sentences about it.
+
+- Noise alone: no disturbance shows in the record, and trajectories agree as far as the
+  noise lets them.
+- Trajectories: there are many of them, and their scatter gives the covariance.
+- Disturbances: what acts beside the model is estimated from the record, and the
+  covariance of the estimates follows from it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from phsi_opt.criteria import AGREEMENT_LEVEL, FEWEST_TRAJECTORIES
+from phsi_opt.errors import SolveError
+from phsi_opt.model_error.clusters import Clusters
+from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.freedom import degrees_of_freedom
+from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
+from phsi_opt.model_error.sandwich import Response, covariance_under
+
+
+class Source(StrEnum):
+    """Where standard errors come from."""
+
+    NOISE = "white noise"
+    TRAJECTORIES = "scatter between trajectories"
+    DISTURBANCES = "model error"
+
+
+@dataclass(frozen=True, eq=False)
+class PlainEstimate:
+    """An estimate that counts residuals as white noise, ready to be judged.
+
+    Attributes:
+        problem: its likelihood, linearised.
+        response: how it answers errors.
+        covariance: (n_theta, n_theta) of the scaled parameters, from noise alone.
+        in_theta: (n_values, n_theta) slope of what is shown in the scaled parameters
+            when the states follow them.
+        moving: (n_moving,) places of the parameters that are free to move.
+        sigma: (n_trajectories, n_states) its noise.
+        scatter: noise that neighbouring samples show, in the same shape.
+        channels: states whose noise is not known.
+        is_shared: whether all trajectories share all parameters.
+        n_values: number of measured values.
+    """
+
+    problem: Linearization
+    response: Response
+    covariance: np.ndarray
+    in_theta: np.ndarray
+    moving: np.ndarray
+    sigma: np.ndarray
+    scatter: np.ndarray
+    channels: tuple[int, ...]
+    is_shared: bool
+    n_values: int
+
+    @property
+    def search(self) -> DisturbanceSearch:
+        """The search for what acts beside the model."""
+        return DisturbanceSearch(
+            self.problem, self.moving, self.sigma, self.scatter, self.channels
+        )
+
+    @property
+    def noise_freedom(self) -> np.ndarray:
+        """Degrees of freedom where noise is all there is, (n_theta,)."""
+        n_theta = len(self.covariance)
+        return np.full(n_theta, max(float(self.n_values - n_theta), 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A covariance of the scaled parameters, and how well it is known.
+
+    Attributes:
+        covariance: (n_theta, n_theta).
+        freedom: (n_theta,) degrees of freedom of the variances.
+    """
+
+    covariance: np.ndarray
+    freedom: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class StandardErrors:
+    """The standard errors of an estimate.
+
+    Attributes:
+        source: of those that are given.
+        spreads: all that were worked out, by source.
+        disturbances: what was found beside the model.
+        evidence: gain of the log evidence by it.
+    """
+
+    source: Source
+    spreads: Mapping[Source, Spread]
+    disturbances: Disturbances
+    evidence: float
+
+    @property
+    def spread(self) -> Spread:
+        """The one that is given."""
+        return self.spreads[self.source]
+
+
+def standard_errors(plain: PlainEstimate) -> StandardErrors:
+    """The standard errors of a plain estimate."""
+    of_noise = Spread(plain.covariance, plain.noise_freedom)
+    spreads = {Source.NOISE: of_noise}
+    white = Disturbances(plain.sigma)
+    gain = 0.0
+    found = white
+    try:
+        baseline = plain.search.white()
+        best = plain.search.found()
+        gain = best.log_evidence - baseline.log_evidence
+    except (SolveError, np.linalg.LinAlgError):
+        best = Evidence(white, 0.0)
+    if not best.disturbances.is_white:
+        found = best.disturbances
+        spreads[Source.DISTURBANCES] = _under_disturbances(plain, best)
+    clusters = _clusters(plain)
+    if clusters is not None:
+        freedom = np.maximum(clusters.effective_numbers() - 1, 1.0)
+        spreads[Source.TRAJECTORIES] = Spread(clusters.jackknife(), freedom)
+    differ = clusters is not None and clusters.agreement() < AGREEMENT_LEVEL
+    is_disturbed = Source.DISTURBANCES in spreads
+    source = Source.NOISE
+    if clusters is not None and (differ or is_disturbed):
+        source = Source.TRAJECTORIES
+    elif is_disturbed:
+        source = Source.DISTURBANCES
+    return StandardErrors(source, spreads, found, gain)
+
+
+def _clusters(plain: PlainEstimate) -> Clusters | None:
+    """The trajectories, where they are enough and share the parameters."""
+    if not plain.is_shared or plain.problem.n_trajectories < FEWEST_TRAJECTORIES:
+        return None
+    clusters = Clusters.of(plain.problem, plain.in_theta, plain.sigma)
+    numbers = clusters.effective_numbers()[plain.moving]
+    if len(numbers) and numbers.min() < FEWEST_TRAJECTORIES:
+        return None
+    return clusters
+
+
+def _under_disturbances(plain: PlainEstimate, best: Evidence) -> Spread:
+    coordinates = best.coordinates
+    assert coordinates is not None
+    structure = best.disturbances.structure
+    likelihood = MarginalLikelihood(plain.problem, structure, plain.moving)
+
+    def covariance(vector: np.ndarray) -> np.ndarray:
+        at = coordinates.at(vector)
+        return covariance_under(plain.problem, plain.response, at)
+
+    def log_variances(vector: np.ndarray) -> np.ndarray:
+        variances = np.diag(covariance(vector))[plain.moving]
+        return np.log(np.maximum(variances, np.finfo(float).tiny))
+
+    def negative_evidence(vector: np.ndarray) -> float:
+        return -likelihood.at(coordinates.at(vector)).log_evidence
+
+    n_coordinates = len(coordinates.bounds)
+    freedom = plain.noise_freedom
+    found = degrees_of_freedom(negative_evidence, log_variances, n_coordinates)
+    freedom[plain.moving] = np.minimum(found, freedom[plain.moving])
+    return Spread(covariance(np.zeros(n_coordinates)), freedom)

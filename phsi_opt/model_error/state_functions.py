@@ -1,0 +1,48 @@
+"""Smooth functions of a state, as random functions with a given correlation length.
+
+A Gaussian process whose correlation falls as ``exp(-(a - b)^2 / (2 length^2))``, written
+as a sum of few functions with independent coefficients of one size (Rasmussen and
+Williams, Gaussian Processes for Machine Learning, 2006, chapter 8).
+"""
+
+import numpy as np
+
+from phsi_opt.statistics import TINY
+
+# Correlation length in standard deviations of the state. Shorter, the slope that a
+# parameter of the model would have is told too well beside an unknown function;
+# longer, a curved function is not found. Measured on oscillators with a hidden cubic
+# spring: 0.7 and 1.5 hold the stiffness in 80 to 95 % and 65 to 95 % of the records.
+LENGTH = 1.0
+N_POINTS = 10  # at which the process is written down exactly, over the state's range
+# Share of the largest variance below which a function is left out.
+LEAST_VARIANCE = 1e-4
+
+
+def smooth_functions(values: np.ndarray) -> np.ndarray:
+    """Values of the functions along a state, (n, n_functions).
+
+    Args:
+        values: (n,) of the state.
+
+    Returns:
+        Columns whose sum with independent coefficients of size one is a process of
+        size one; none where the state does not move.
+    """
+    spread = float(np.std(values))
+    if not spread > TINY:
+        return np.zeros((len(values), 0))
+    standard = (values - np.mean(values)) / spread
+    points = np.linspace(standard.min(), standard.max(), N_POINTS)
+    variance, directions = np.linalg.eigh(_covariance(points, points))
+    is_kept = variance > LEAST_VARIANCE * variance[-1]
+    to_functions = directions[:, is_kept] / np.sqrt(variance[is_kept])
+    functions: np.ndarray = _covariance(standard, points) @ to_functions
+    return functions
+
+
+def _covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(len(a), len(b))."""
+    distance = (a[:, None] - b[None, :]) / LENGTH
+    covariance: np.ndarray = np.exp(-(distance**2) / 2)
+    return covariance
