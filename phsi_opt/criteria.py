@@ -69,6 +69,9 @@ FEWEST_TRAJECTORIES = 10.0
 # p-value of the hypothesis that trajectories differ by noise alone, below which it is
 # given up.
 AGREEMENT_LEVEL = 0.05
+# Factor on the error of predictions of parts left out from which a prior of the model
+# error is given up for one that predicts better.
+WORSE_PREDICTION = 1.05
 # Ratio of two standard errors beyond which both are told.
 DIFFERENT_STD_ERRORS = 4 / 3
 

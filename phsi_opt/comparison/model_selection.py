@@ -108,10 +108,16 @@ def free_run_deviance(comparison: Comparison) -> float:
 
 
 def share_of_change(old: Comparison, new: Comparison) -> float:
-    """`effective_sample_share` for the change from one model to a larger one.
+    """Share of the residuals that is independent, for the change to a larger model.
 
-    Both on the same data; states that only one of the models has are left out.
+    That of the parameters which the larger model has more (`Fit.independent_share`);
+    where it is not known, `effective_sample_share` of the two free runs, states that
+    only one of the models has left out.
     """
+    added = [name for name in new.fit.names if name not in old.fit.names]
+    share = new.fit.independent_share(added) if added else np.nan
+    if np.isfinite(share):
+        return share
     n_states = min(old.residuals[0].shape[1], new.residuals[0].shape[1])
     before = [run[:, :n_states] for run in old.residuals]
     after = [run[:, :n_states] for run in new.residuals]

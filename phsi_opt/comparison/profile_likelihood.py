@@ -110,9 +110,11 @@ def profile(
 ) -> Profile:
     """Profile likelihood of one parameter of a fit by `MaximumLikelihood`.
 
-    The noise stays at the fit's estimate; the threshold is that of the F distribution,
-    which knows that it was estimated (for a fit with ``huber``, times the ratio by
-    which its loss rises faster than the squares).
+    The noise stays at the fit's estimate; the threshold is that of the F distribution
+    with the fit's degrees of freedom, over the share of the residuals that is
+    independent (`Fit.independent_share`), so that profile and standard error mean the
+    same (for a fit with ``huber``, times the ratio by which its loss rises faster than
+    the squares).
 
     Args:
         fit: by maximum likelihood.
@@ -129,10 +131,10 @@ def profile(
     _check(fit, name, level)
     line = _Line(fit, AlignedData.of(fit.model, data), name, progress or _silent)
     value = line.value
-    n_free = max(fit.n_values - len(fit.names), 1)
-    quantile = float(f_distribution.isf(1 - level, 1, n_free))
+    freedom = fit.degrees_of_freedom[fit.names.index(name)]
+    quantile = float(f_distribution.isf(1 - level, 1, freedom))
     half = fit.std_errors[name] * np.sqrt(quantile)
-    threshold = quantile * line.factor
+    threshold = quantile * line.factor / fit.independent_share([name])
     parameter = fit.model.entries[name].parameter
     lower = line.end(min(parameter.lower, value), half, threshold)
     upper = line.end(max(parameter.upper, value), half, threshold)

@@ -4,7 +4,7 @@ The estimated states are left out: they are as long as the record, and a fit is 
 without them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from phsi_opt.data.checks import HOLDS
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.model_content import Content, model_content, model_from
+from phsi_opt.estimation.model_error_table import ModelErrorRow, PriorRow
+from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
 
 FORMAT = "phsi_opt fit 1"
@@ -28,6 +30,11 @@ def fit_content(fit: FitRecord) -> Content:
         "loss": fit.loss,
         "loss_value": fit.loss_value,
         "covariance": fit.covariance.tolist(),
+        "std_error_source": str(fit.std_error_source),
+        "covariances": _covariances_content(fit.covariances),
+        "freedom": None if fit.freedom is None else fit.freedom.tolist(),
+        "model_error": [vars(row) for row in fit.model_error_rows],
+        "model_error_priors": [vars(row) for row in fit.prior_rows],
         "noise": dict(fit.noise),
         "outcome": _outcome_content(fit.outcome),
         "n_values": fit.n_values,
@@ -42,6 +49,10 @@ def fit_content(fit: FitRecord) -> Content:
         "warnings": list(fit.warnings),
         "provenance": dict(fit.provenance),
     }
+
+
+def _covariances_content(covariances: Mapping[str, np.ndarray]) -> Content:
+    return {str(source): matrix.tolist() for source, matrix in covariances.items()}
 
 
 def _outcome_content(outcome: Outcome) -> Content:
@@ -74,6 +85,11 @@ def fit_parts(content: Content) -> dict[str, Any]:
         "loss": str(content["loss"]),
         "loss_value": float(content["loss_value"]),
         "covariance": covariance.reshape(len(names), len(names)),
+        "std_error_source": _source_from(content),
+        "covariances": _covariances_from(content.get("covariances", {}), len(names)),
+        "freedom": _freedom_from(content.get("freedom")),
+        "model_error_rows": _model_error_from(content.get("model_error", [])),
+        "prior_rows": _priors_from(content.get("model_error_priors", [])),
         "noise": _numbers(content["noise"]),
         "outcome": _outcome_from(content["outcome"]),
         "n_values": int(content["n_values"]),
@@ -95,6 +111,54 @@ def _texts(content: Sequence[Any]) -> tuple[str, ...]:
 
 def _numbers(content: Content) -> dict[str, float]:
     return {str(name): float(value) for name, value in content.items()}
+
+
+def _source_from(content: Content) -> Source:
+    """Files of before hold standard errors from white noise alone."""
+    return Source(content.get("std_error_source", Source.NOISE))
+
+
+def _covariances_from(content: Content, n: int) -> dict[Source, np.ndarray]:
+    covariances = {}
+    for source, matrix in content.items():
+        covariance = np.array(matrix, dtype=float).reshape(n, n)
+        covariances[Source(source)] = covariance
+    return covariances
+
+
+def _freedom_from(content: Sequence[float] | None) -> np.ndarray | None:
+    return None if content is None else np.array(content, dtype=float)
+
+
+def _model_error_from(content: Sequence[Content]) -> tuple[ModelErrorRow, ...]:
+    rows = []
+    for row in content:
+        rows.append(
+            ModelErrorRow(
+                where=str(row["where"]),
+                kind=str(row["kind"]),
+                size=float(row["size"]),
+                time=float(row["time"]),
+                unit=str(row["unit"]),
+                share=float(row["share"]),
+            )
+        )
+    return tuple(rows)
+
+
+def _priors_from(content: Sequence[Content]) -> tuple[PriorRow, ...]:
+    rows = []
+    for row in content:
+        rows.append(
+            PriorRow(
+                prior=str(row["prior"]),
+                log_evidence=float(row["log_evidence"]),
+                prediction=float(row["prediction"]),
+                agreement=float(row["agreement"]),
+                chosen=bool(row["chosen"]),
+            )
+        )
+    return tuple(rows)
 
 
 def _by_trajectory_from(content: Content) -> dict[str, dict[str, float]]:

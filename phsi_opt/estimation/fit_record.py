@@ -5,7 +5,7 @@ printed, stored and drawn stands in files of its own, which read this record; `F
 them together.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,13 +15,19 @@ import pandas as pd
 from scipy.stats import t as student_t
 
 from phsi_opt.errors import DataError
-from phsi_opt.estimation.model_error_table import COLUMNS, ModelErrorRow
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
+from phsi_opt.estimation.model_error_table import (
+    COLUMNS,
+    PRIOR_COLUMNS,
+    ModelErrorRow,
+    PriorRow,
+)
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.simulation.simulate import simulate
+from phsi_opt.statistics import TINY
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,6 +69,8 @@ class FitRecord(Identified):
         freedom: (n_names,) degrees of freedom of the variances, for intervals; None:
             those that the residuals leave.
         model_error_rows: What was found beside the model (see `model_error`).
+        prior_rows: Which priors of the model error were compared (see
+            `model_error_priors`).
     """
 
     names: tuple[str, ...] = ()
@@ -84,6 +92,7 @@ class FitRecord(Identified):
     covariances: Mapping[str, np.ndarray] = field(default_factory=dict)
     freedom: np.ndarray | None = None
     model_error_rows: tuple[ModelErrorRow, ...] = ()
+    prior_rows: tuple[PriorRow, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -140,6 +149,31 @@ class FitRecord(Identified):
             table[str(source)] = np.sqrt(np.diag(covariance))
         return table
 
+    def independent_share(self, names: Sequence[str]) -> float:
+        """Share of the residuals that is independent, for what these parameters tell.
+
+        What white noise would leave of the variance of the parameters over the variance
+        that they have: the mean over their k directions,
+        ``k / trace(C_white^-1 C)``, at most one. A gain of the likelihood by them is
+        worth this share of it (Rotnitzky and Jewell, Biometrika 77, 1990).
+
+        Args:
+            names: of estimated parameters.
+
+        Returns:
+            The share; NaN where a covariance is not known.
+        """
+        if self.std_error_source == Source.NOISE:
+            return 1.0
+        places = [self.names.index(name) for name in names if name in self.names]
+        chosen = np.ix_(places, places)
+        white = self.covariances[Source.NOISE][chosen]
+        honest = self.covariance[chosen]
+        if not places or not np.isfinite(white).all() or not np.isfinite(honest).all():
+            return float("nan")
+        ratio = np.trace(np.linalg.pinv(white, hermitian=True) @ honest) / len(places)
+        return float(min(1 / max(ratio, TINY), 1.0))
+
     @property
     def model_error(self) -> pd.DataFrame:
         """What acts beside the model, as the record shows it.
@@ -151,6 +185,18 @@ class FitRecord(Identified):
         """
         rows = [vars(row) for row in self.model_error_rows]
         return pd.DataFrame(rows, columns=list(COLUMNS))
+
+    @property
+    def model_error_priors(self) -> pd.DataFrame:
+        """Priors of the model error that were compared, for ``model_error=True``.
+
+        Columns: prior, log_evidence (up to a common constant), prediction (root mean
+        square of the residuals of parts of the record that were predicted from the
+        others, in standard deviations of the plain likelihood's noise), agreement
+        (p-value of the hypothesis that all parts have the same parameters), chosen.
+        """
+        rows = [vars(row) for row in self.prior_rows]
+        return pd.DataFrame(rows, columns=list(PRIOR_COLUMNS))
 
     def intervals(self, level: float = 0.95) -> pd.DataFrame:
         """Confidence intervals of the estimates, from their standard errors.

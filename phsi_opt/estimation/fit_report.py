@@ -7,10 +7,12 @@ import re
 
 import numpy as np
 
+from phsi_opt.criteria import DIFFERENT_STD_ERRORS
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.model_error.standard_errors import Source
 
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 
@@ -31,12 +33,54 @@ def report(fit: FitRecord) -> str:
     lines += [f"  {row}" for row in _fixed(fit)]
     if fit.noise:
         lines.append(f"  noise: {_noise(fit)}")
+    if fit.covariances:
+        lines.append(f"  {_standard_errors(fit)}")
     if fit.removed:
         lines.append(f"  removed: {', '.join(fit.removed)}")
     loss = f"loss {fit.loss_value:.6g} over {fit.n_values} values"
     lines.append(f"  {loss}; solver: {fit.outcome}")
     lines += [f"  note: {warning}" for warning in fit.warnings]
     return "\n".join(lines)
+
+
+def _standard_errors(fit: FitRecord) -> str:
+    """Where the standard errors come from, and others where they differ."""
+    if fit.std_error_source == Source.NOISE:
+        return "standard errors: from white noise, as what is left looks like it"
+    sentence = f"standard errors: from {fit.std_error_source}"
+    if fit.std_error_source == Source.DISTURBANCES:
+        sentence += f" ({_model_error(fit)})"
+    others = [s for s in fit.covariances if s != fit.std_error_source]
+    for source in others:
+        sentence += _difference(fit, source)
+    return sentence
+
+
+def _model_error(fit: FitRecord) -> str:
+    """Everything that acts beside the model: force in dp/dt of 12 % lasting 1 s."""
+    unit_of_time = fit.units.get("t", "")
+    parts = []
+    for row in fit.model_error_rows:
+        lasting = ""
+        if np.isfinite(row.time):
+            lasting = f" over {row.time:.2g} {unit_of_time}".rstrip()
+        place = "of" if row.kind == "sensor error" else "in"
+        where = row.where.removeprefix("sensor of ")
+        parts.append(f"{row.kind} {place} {where}, {100 * row.share:.2g} %{lasting}")
+    return "; ".join(parts)
+
+
+def _difference(fit: FitRecord, source: str) -> str:
+    """How much larger or smaller they would be from another source, if they differ."""
+    errors = fit.standard_errors
+    ratios = (errors[str(source)] / errors["std_error"]).dropna()
+    if not len(ratios):
+        return ""
+    least = float(ratios.min())
+    most = float(ratios.max())
+    if most < DIFFERENT_STD_ERRORS and least > 1 / DIFFERENT_STD_ERRORS:
+        return ""
+    return f"; {source} alone would give {least:.2g} to {most:.2g} times as much"
 
 
 def _structure(model: Model) -> list[str]:

@@ -11,6 +11,7 @@ from functools import singledispatch
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.estimation.disturbed_estimate import with_model_error
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.maximum_likelihood import by_likelihood
@@ -181,7 +182,8 @@ def _(loss: PHSILoss, task: Task, start: Fit | None) -> Estimate:
 
 @estimate_by.register
 def _(loss: MaximumLikelihood, task: Task, start: Fit | None) -> Estimate:
-    return by_likelihood(task, loss, start)
+    estimate = by_likelihood(task, loss, start)
+    return with_model_error(estimate) if loss.model_error else estimate
 
 
 @estimate_by.register

@@ -15,6 +15,7 @@ from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty
 from phsi_opt.model_error.standard_errors import (
+    PlainEstimate,
     Source,
     StandardErrors,
     standard_errors,
@@ -167,10 +168,6 @@ class LikelihoodEstimate(Estimate):
     @cached_property
     def solved(self) -> SolvedLikelihood:
         """The parts of the solved likelihood, to be linearised."""
-        channel = np.nonzero(self.grid.measured)[1]
-        within = 1.0
-        if self.loss.huber is not None:
-            within = self.huber_moments.share_within
         return SolvedLikelihood(
             task=self.task,
             model=self.model,
@@ -181,19 +178,26 @@ class LikelihoodEstimate(Estimate):
             point=self.point,
             program=self.program,
             solution=self.solution,
-            reduced=self.reduced,
             sigma=self.sigma,
             is_known=self.is_known,
-            residual=self.standardized * self.sigma[channel],
-            within=within,
         )
+
+    @property
+    def plain(self) -> PlainEstimate:
+        """The estimate as one that counts residuals as white noise."""
+        channel = np.nonzero(self.grid.measured)[1]
+        residual = self.standardized * self.sigma[channel]
+        within = 1.0
+        if self.loss.huber is not None:
+            within = self.huber_moments.share_within
+        return self.solved.plain(self.reduced, residual, within)
 
     @cached_property
     def standard_errors(self) -> StandardErrors | None:
         """The standard errors that survive model error; None where there are none."""
         if not self.is_success or self.has_l1 or not len(self.theta):
             return None
-        return standard_errors(self.solved.plain())
+        return standard_errors(self.plain)
 
     def fit(self) -> Fit:
         """The result record, with noise, states and information criterion."""

@@ -3,7 +3,7 @@
 In the scale of the program; the record of slopes is that of `phsi_opt.model_error`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags
@@ -12,8 +12,9 @@ from phsi_opt.data.noise import initial_noise
 from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
+from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.sandwich import Response
+from phsi_opt.model_error.marginal_likelihood import Response
 from phsi_opt.model_error.standard_errors import PlainEstimate
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
@@ -38,11 +39,8 @@ class SolvedLikelihood:
         point: with the scale of each unknown.
         program: the nonlinear program.
         solution: its solution.
-        reduced: the likelihood with its states eliminated.
         sigma: (n_states,) noise.
         is_known: (n_states,) whether it was declared.
-        residual: (n_values,) measured minus shown, cut where the loss cuts it.
-        within: share of the residuals that are not cut.
     """
 
     task: Task
@@ -54,11 +52,8 @@ class SolvedLikelihood:
     point: Point
     program: Program
     solution: Solution
-    reduced: ReducedSystem
     sigma: np.ndarray
     is_known: np.ndarray
-    residual: np.ndarray
-    within: float
 
     @property
     def held(self) -> list[int]:
@@ -74,6 +69,11 @@ class SolvedLikelihood:
         theta = program.variables["theta"].slice
         constraints = program.constraints["defect"].slice
         jacobian = csc_matrix(self.solution.kkt.jacobian[constraints])
+        others = np.setdiff1d(
+            np.arange(jacobian.shape[1]), np.r_[_range(theta), _range(x)]
+        )
+        # What the disturbances do to the dynamics, in which they are linear.
+        offset = -jacobian[:, others] @ self.solution.z[others]
         of_runs = np.asarray(self.unknown.by_trajectory(self.theta))
         sensors = SensorOutputs.at(self.model, grid, self.nodes, of_runs)
         in_theta = output_slopes_in_theta(self.unknown, grid, self.nodes, self.theta)
@@ -91,9 +91,10 @@ class SolvedLikelihood:
             nodes=self.nodes,
             dynamics_in_states=jacobian[:, x],
             dynamics_in_theta=jacobian[:, theta].toarray(),
+            offset=offset,
             shown_in_states=shown_in_states[measured],
             shown_in_theta=shown_in_theta[measured],
-            residual=self.residual,
+            residual=(grid.y - sensors.values).ravel()[measured],
             node=measured // n_states,
             channel=measured % n_states,
             x_scale=self.point.x_scale,
@@ -102,32 +103,50 @@ class SolvedLikelihood:
             observed=tuple(observed),
         )
 
-    def plain(self) -> PlainEstimate:
-        """The estimate as one that counts residuals as white noise."""
-        problem = self.linearized()
-        held = self.held
-        covariance = regularized_inverse(self.reduced.information, held)
+    def plain(
+        self, reduced: ReducedSystem, residual: np.ndarray, within: float
+    ) -> PlainEstimate:
+        """The estimate as one that counts residuals as white noise.
+
+        Args:
+            reduced: the likelihood with its states eliminated.
+            residual: (n_values,) measured minus shown, cut where the loss cuts it.
+            within: share of the residuals that are not cut.
+        """
+        problem = replace(self.linearized(), residual=residual)
+        covariance = regularized_inverse(reduced.information, self.held)
         n_theta = len(covariance)
-        following = self.reduced.following.reshape(-1, n_theta)
+        following = reduced.following.reshape(-1, n_theta)
         in_theta = problem.shown_in_states @ following + problem.shown_in_theta
         weight = 1 / self.sigma[problem.channel] ** 2
         response = Response(
-            to_dynamics=self.reduced.response_to_offsets(covariance) / self.within,
-            to_values=(covariance @ (in_theta.T * weight)) / self.within,
+            to_dynamics=reduced.response_to_offsets(covariance) / within,
+            to_values=(covariance @ (in_theta.T * weight)) / within,
         )
+        return PlainEstimate(
+            search=self.search(problem),
+            response=response,
+            covariance=covariance,
+            in_theta=in_theta,
+            is_shared=self.unknown.is_shared,
+        )
+
+    def search(self, problem: Linearization) -> DisturbanceSearch:
+        """The search for what acts beside the model, from the noise of the solution."""
         shape = (problem.n_trajectories, len(self.sigma))
         measured = self.grid.measured.any(axis=0)
         channels = np.flatnonzero(measured & ~self.is_known).tolist()
         scatter = np.where(self.is_known, self.sigma, initial_noise(self.task.data))
-        return PlainEstimate(
+        n_theta = len(self.unknown)
+        moving = [i for i in range(n_theta) if i not in self.held]
+        return DisturbanceSearch(
             problem=problem,
-            response=response,
-            covariance=covariance,
-            in_theta=in_theta,
-            moving=np.array([i for i in range(n_theta) if i not in held], dtype=int),
-            sigma=np.broadcast_to(self.sigma, shape).copy(),
+            moving=np.array(moving, dtype=int),
+            plain=np.broadcast_to(self.sigma, shape).copy(),
             scatter=np.broadcast_to(scatter, shape).copy(),
             channels=tuple(channels),
-            is_shared=self.unknown.is_shared,
-            n_values=problem.n_values,
         )
+
+
+def _range(places: slice) -> np.ndarray:
+    return np.arange(places.start, places.stop)

@@ -86,8 +86,28 @@ def of_likelihood(
         likelihood: What `reduced` makes of the two.
     """
     scale = program.scale[program.variables["theta"].slice]
-    held = _places(names, solution.outcome.at_bounds)
-    scaled = regularized_inverse(likelihood.information, held)
+    at_bounds = solution.outcome.at_bounds
+    scaled = regularized_inverse(likelihood.information, _places(names, at_bounds))
+    return of_covariance(names, theta, scale, scaled, at_bounds)
+
+
+def of_covariance(
+    names: Sequence[str],
+    theta: np.ndarray,
+    scale: np.ndarray,
+    scaled: np.ndarray,
+    at_bounds: tuple[str, ...],
+) -> Uncertainty:
+    """A covariance of scaled parameters, without those of which nothing is known.
+
+    Args:
+        names: Of the parameters, in the order of theta.
+        theta: (n_theta,) estimates.
+        scale: (n_theta,) size of each.
+        scaled: (n_theta, n_theta) covariance of theta over scale.
+        at_bounds: Names of the parameters that ended at a bound.
+    """
+    held = _places(names, at_bounds)
     silent = silent_directions(names, theta / scale, scaled, held)
     covariance = scaled * np.outer(scale, scale)
     not_known = [*held, *silent.parameters]

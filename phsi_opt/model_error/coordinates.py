@@ -18,6 +18,7 @@ class Coordinates:
     """Logarithms of sizes and times relative to those of given disturbances.
 
     All forces share the factor on their time where it is free, and so do all sensors.
+    White processes, those with the shortest time, stay white.
 
     Attributes:
         origin: the disturbances at zero.
@@ -47,10 +48,14 @@ class Coordinates:
         self, processes: tuple[Process, ...], fixed: bool
     ) -> list[tuple[float, float]]:
         bounds = [(SMALLEST, LARGEST)] * len(processes)
-        if processes and not fixed:
-            time = processes[0].time
-            bounds.append((np.log(self.shortest / time), np.log(self.longest / time)))
+        times = [p.time for p in processes if self._lasts(p)]
+        if times and not fixed:
+            lower = np.log(self.shortest / times[0])
+            bounds.append((lower, np.log(self.longest / times[0])))
         return bounds
+
+    def _lasts(self, process: Process) -> bool:
+        return process.time > self.shortest
 
     def at(self, vector: np.ndarray) -> Disturbances:
         """The disturbances of a vector (n_coordinates,)."""
@@ -64,20 +69,25 @@ class Coordinates:
         for function in self.origin.functions:
             size = function.size * float(np.exp(left.pop(0)))
             functions.append(replace(function, size=size))
-        return Disturbances(sigma, forces, sensors, tuple(functions))
+        return replace(
+            self.origin,
+            sigma=sigma,
+            forces=forces,
+            sensors=sensors,
+            functions=tuple(functions),
+        )
 
     def _moved(
         self, processes: tuple[Process, ...], left: list[float], fixed: bool
     ) -> tuple[Process, ...]:
         """Take the coordinates of these processes off the list."""
-        if not processes:
-            return ()
         sizes = []
         for process in processes:
             sizes.append(process.size * float(np.exp(left.pop(0))))
-        factor = 1.0 if fixed else float(np.exp(left.pop(0)))
+        is_free = not fixed and any(self._lasts(process) for process in processes)
+        factor = float(np.exp(left.pop(0))) if is_free else 1.0
         moved = []
         for process, size in zip(processes, sizes, strict=True):
-            time = process.time * factor
+            time = process.time * factor if self._lasts(process) else process.time
             moved.append(Process(process.place, size, time))
         return tuple(moved)

@@ -37,6 +37,10 @@ MOST_ITERATIONS = 25  # of a search; it ends in 5 to 15 where it was measured
 LEAST_GAIN = 0.02
 SHORTEST_INTERVALS = 0.3  # shortest correlation time, in sampling intervals
 LOST = 1e12  # stands for minus the log evidence where no states follow
+# Intervals on which a search begins: sizes and times are known to a few percent from
+# them, and the whole record has the last word.
+MOST_SEARCHED = 3_000
+SHORTEST_PIECE = 300  # intervals of the pieces that a long record is searched on
 # Columns of functions beside the parameters, at most: each costs as much as one more
 # parameter.
 MOST_FUNCTION_COLUMNS = 80
@@ -96,9 +100,51 @@ class DisturbanceSearch:
     def found(self) -> Evidence:
         """What the record shows, white noise where it shows no more.
 
+        Of a long record evenly spread pieces are searched, and the sizes then moved to
+        the optimum of the whole.
+
         Raises:
             SolveError: the states do not follow from the data.
         """
+        pieces = self.pieces()
+        if pieces is None:
+            return self._found_directly()
+        in_pieces = pieces._found_directly().disturbances
+        white = self.white()
+        if in_pieces.is_white:
+            return white
+        best = self.best_of([self.on_whole_record(in_pieces)])
+        is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
+        return best if is_clear else white
+
+    def pieces(self) -> "DisturbanceSearch | None":
+        """The same search on a part of a long record; None for one that is short."""
+        n_intervals = self.problem.grid.n_intervals
+        if n_intervals <= 1.5 * MOST_SEARCHED:
+            return None
+        n_pieces = n_intervals // SHORTEST_PIECE
+        stride = -(-n_intervals // MOST_SEARCHED)
+        numbers = self.problem.piece_numbers(n_pieces)
+        chosen = np.where(numbers % stride == 0, numbers, -1)
+        kept, first = np.unique(chosen, return_index=True)
+        runs = self.problem.grid.trajectory[first[kept >= 0]]
+        return replace(
+            self,
+            problem=self.problem.cut(chosen),
+            plain=self.plain[runs],
+            scatter=self.scatter[runs],
+        )
+
+    def on_whole_record(self, in_pieces: Disturbances) -> Disturbances:
+        """Disturbances that were found in `pieces`, for all trajectories.
+
+        Their noises keep the ratios that they have in the plain likelihood.
+        """
+        mean_of_pieces = np.exp(np.mean(np.log(in_pieces.sigma), axis=0))
+        mean_of_plain = np.exp(np.mean(np.log(self.plain), axis=0))
+        return replace(in_pieces, sigma=self.plain * (mean_of_pieces / mean_of_plain))
+
+    def _found_directly(self) -> Evidence:
         best = self.white()
         of_forces = self.best_of(self._force_starts())
         of_sensors = self.best_of(self._sensor_starts())
@@ -126,7 +172,7 @@ class DisturbanceSearch:
         values = [_negative_evidence(likelihood, start) for start in starts]
         origin = starts[int(np.argmin(values))]
         coordinates = Coordinates(
-            origin, self.channels, self._shortest, self._longest, fixed_times
+            origin, self.channels, self.shortest, self._longest, fixed_times
         )
 
         def negative(vector: np.ndarray) -> float:
@@ -141,7 +187,8 @@ class DisturbanceSearch:
         return MarginalLikelihood(self.problem, disturbances.structure, self.moving)
 
     @property
-    def _interval(self) -> float:
+    def interval(self) -> float:
+        """Typical interval between nodes."""
         return float(np.median(self.problem.grid.h))
 
     @property
@@ -150,12 +197,13 @@ class DisturbanceSearch:
         return float(grid.t[-1] - grid.t[grid.first[-1]])
 
     @property
-    def _shortest(self) -> float:
-        return SHORTEST_INTERVALS * self._interval
+    def shortest(self) -> float:
+        """Shortest correlation time, as good as white."""
+        return SHORTEST_INTERVALS * self.interval
 
     def first_times(self) -> list[float]:
         """Correlation times to begin a search with."""
-        short = FIRST_INTERVALS * self._interval
+        short = FIRST_INTERVALS * self.interval
         long = max(FIRST_SHARE * self._longest, 2 * short)
         return [short, float(np.sqrt(short * long)), long]
 

@@ -3,19 +3,20 @@
 ::
 
     shown residual   r - C x - C_theta theta
-    dynamics         J x + J_theta theta = B w
+    dynamics         J x + J_theta theta + offset = B w
 
 for changes x of the states, theta of the parameters, and forces w that the model does
 not know. States and parameters are in the scale of the program that was solved, forces
 in the unit of a rate of their state.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 
 from phsi_opt.model_error.state_functions import smooth_functions
 from phsi_opt.transcription.grid import Grid
@@ -32,6 +33,8 @@ class Linearization:
         dynamics_in_theta: J_theta, (n_intervals * n_states, n_theta).
         shown_in_states: C, sparse, (n_values, n_nodes * n_states).
         shown_in_theta: C_theta, (n_values, n_theta).
+        offset: of the dynamics at the solution, (n_intervals * n_states,); zero where
+            it obeys the model.
         residual: r, measured minus shown, (n_values,).
         node: (n_values,) node of every measured value.
         channel: (n_values,) its state.
@@ -45,6 +48,7 @@ class Linearization:
     nodes: np.ndarray
     dynamics_in_states: Any
     dynamics_in_theta: np.ndarray
+    offset: np.ndarray
     shown_in_states: Any
     shown_in_theta: np.ndarray
     residual: np.ndarray
@@ -117,7 +121,65 @@ class Linearization:
         columns[self.places_of_force(equation)] = -values * effect[:, None]
         return columns
 
+    def piece_numbers(self, n_pieces: int) -> np.ndarray:
+        """Number of the piece of every node when the record is cut evenly, (n_nodes,).
 
-def as_sparse(matrix: Any) -> csc_matrix:
-    """A matrix in SciPy's column format."""
-    return csc_matrix(matrix)
+        Every trajectory is cut into pieces of about an equal number of nodes.
+        """
+        length = max(int(np.ceil(self.grid.n_nodes / n_pieces)), 1)
+        numbers = np.zeros(self.grid.n_nodes, dtype=int)
+        first = 0
+        limits = [*self.grid.first.tolist(), self.grid.n_nodes]
+        for begin, end in pairwise(limits):
+            n_of_run = max(round((end - begin) / length), 1)
+            place = np.arange(end - begin) * n_of_run // (end - begin)
+            numbers[begin:end] = first + place
+            first += n_of_run
+        return numbers
+
+    def cut(self, piece: np.ndarray) -> "Linearization":
+        """The same record in pieces, each of them a trajectory of its own.
+
+        Args:
+            piece: (n_nodes,) number of the piece of every node, not decreasing;
+                negative: left out.
+        """
+        grid = self.grid
+        same = piece[grid.begin] == piece[grid.begin + 1]
+        intervals = np.flatnonzero(same & (piece[grid.begin] >= 0))
+        kept_nodes = np.flatnonzero(piece >= 0)
+        new_number = np.cumsum(piece >= 0) - 1
+        values = np.flatnonzero(piece[self.node] >= 0)
+        places = intervals[:, None] * self.n_states + np.arange(self.n_states)
+        rows = places.ravel()
+        columns = (
+            kept_nodes[:, None] * self.n_states + np.arange(self.n_states)
+        ).ravel()
+        _, trajectory = np.unique(piece[kept_nodes], return_inverse=True)
+        shorter = replace(
+            grid,
+            t=grid.t[kept_nodes],
+            y=grid.y[kept_nodes],
+            trajectory=trajectory,
+            sample=grid.sample[kept_nodes],
+            u=grid.u[kept_nodes],
+            begin=new_number[grid.begin[intervals]],
+            h=grid.h[intervals],
+            u0=grid.u0[intervals],
+            u1=grid.u1[intervals],
+        )
+        dynamics = csc_matrix(csr_matrix(self.dynamics_in_states)[rows][:, columns])
+        shown = csr_matrix(self.shown_in_states)[values][:, columns]
+        return replace(
+            self,
+            grid=shorter,
+            nodes=self.nodes[kept_nodes],
+            dynamics_in_states=dynamics,
+            dynamics_in_theta=self.dynamics_in_theta[rows],
+            offset=self.offset[rows],
+            shown_in_states=shown,
+            shown_in_theta=self.shown_in_theta[values],
+            residual=self.residual[values],
+            node=new_number[self.node[values]],
+            channel=self.channel[values],
+        )

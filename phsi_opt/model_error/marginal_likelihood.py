@@ -8,7 +8,9 @@ sizes of the disturbances are not taken too small because the parameters followe
 order of time the matrix is banded; parameters and functions of states are its border.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, hstack
@@ -50,7 +52,10 @@ class Border:
         constant: sum of squares without them.
         log_evidence: all that does not depend on them.
         n_theta: number of parameters.
-        owner: (n - n_theta,) number of the function that a coefficient belongs to.
+        owner: number of the function that a coefficient belongs to, after the
+            parameters; (n_coefficients,).
+
+    Behind the coefficients stand the multipliers of what forces are not allowed to do.
     """
 
     information: np.ndarray
@@ -60,11 +65,30 @@ class Border:
     n_theta: int
     owner: np.ndarray
 
+    @classmethod
+    def sum(cls, borders: Sequence["Border"]) -> "Border":
+        """What several records say together."""
+        first = borders[0]
+        return replace(
+            first,
+            information=np.sum([border.information for border in borders], axis=0),
+            gradient=np.sum([border.gradient for border in borders], axis=0),
+            constant=sum(border.constant for border in borders),
+            log_evidence=sum(border.log_evidence for border in borders),
+        )
+
+    def with_priors(self, sizes: np.ndarray) -> np.ndarray:
+        """Information with that of functions of these sizes, (n_functions,)."""
+        precision = np.zeros(len(self.gradient))
+        precision[: self.n_theta] = RIDGE
+        coefficients = slice(self.n_theta, self.n_theta + len(self.owner))
+        precision[coefficients] = 1 / sizes[self.owner] ** 2
+        information: np.ndarray = self.information + np.diag(precision)
+        return information
+
     def marginal(self, sizes: np.ndarray) -> Marginal:
         """With functions of these sizes, (n_functions,)."""
-        precision = np.full(len(self.gradient), RIDGE)
-        precision[self.n_theta :] = 1 / sizes[self.owner] ** 2
-        information = self.information + np.diag(precision)
+        information = self.with_priors(sizes)
         found = np.linalg.solve(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         log_det = np.linalg.slogdet(information)[1]
@@ -76,6 +100,19 @@ class Border:
             theta=found[:n],
             covariance=covariance[:n, :n],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """How an estimate answers errors, in the scale of the parameters.
+
+    Attributes:
+        to_dynamics: (n_theta, n_intervals * n_states), to an offset of the dynamics.
+        to_values: (n_theta, n_values), to an error of a measured value.
+    """
+
+    to_dynamics: np.ndarray
+    to_values: np.ndarray
 
 
 class MarginalLikelihood:
@@ -132,7 +169,6 @@ class MarginalLikelihood:
     def _set_layout(self) -> None:
         """Places of all entries: dynamics, products of slopes, priors of processes."""
         dynamics = self._dynamics_in_unknowns()
-        self._n_dynamics = dynamics.shape[0]
         below = dynamics.row + self._n_unknowns
         rows = [below, dynamics.col]
         columns = [dynamics.col, below]
@@ -182,9 +218,52 @@ class MarginalLikelihood:
             owner += [number] * columns.shape[1]
         self._border_in_dynamics = np.hstack(in_dynamics)
         self._owner = np.array(owner, dtype=int)
+        n_columns = self._border_in_dynamics.shape[1]
+        in_unknowns = np.zeros((self._n_unknowns, 0))
+        if self.structure.is_orthogonal:
+            in_unknowns = self._own_directions()
+            no_dynamics = np.zeros((len(self._border_in_dynamics), len(self.moving)))
+            self._border_in_dynamics = np.hstack(
+                [self._border_in_dynamics, no_dynamics]
+            )
+        before = np.zeros((self._n_unknowns, n_columns))
+        self._border_in_unknowns = np.hstack([before, in_unknowns])
         in_shown = np.zeros((problem.n_values, self._border_in_dynamics.shape[1]))
         in_shown[:, : len(self.moving)] = problem.shown_in_theta[:, self.moving]
         self._border_in_shown = in_shown
+
+    def _own_directions(self) -> np.ndarray:
+        """What the model's own parameters do, as directions of the forces.
+
+        (n_unknowns, n_moving), zero but for the forces.
+        """
+        problem = self.problem
+        own = problem.dynamics_in_theta[:, self.moving]
+        directions = np.zeros((self._n_unknowns, len(self.moving)))
+        first = problem.dynamics_in_states.shape[1]
+        for equation in self.structure.forces:
+            effect = problem.effect_of_force(equation)
+            of_force = own[problem.places_of_force(equation)] * effect[:, None]
+            directions[first : first + len(effect)] = of_force
+            first += len(effect)
+        return directions
+
+    def _log_room(self, disturbances: Disturbances, whiteners: list[Whitener]) -> float:
+        """Half the log determinant of the prior covariance of the own directions."""
+        if not self.structure.is_orthogonal:
+            return 0.0
+        covariance = np.zeros((len(self.moving), len(self.moving)))
+        first = self.problem.dynamics_in_states.shape[1]
+        for force, whitener in zip(disturbances.forces, whiteners, strict=False):
+            n = len(whitener.diagonal)
+            directions = self._border_in_unknowns[
+                first : first + n, -len(self.moving) :
+            ]
+            factor = whitener.factor_of(directions)
+            covariance += force.size**2 * (factor.T @ factor)
+            first += n
+        ridge = RIDGE * np.eye(len(covariance)) * np.trace(covariance)
+        return float(np.linalg.slogdet(covariance + ridge)[1] / 2)
 
     def whiteners(self, disturbances: Disturbances) -> list[Whitener]:
         """Of every process, forces first, of size one."""
@@ -196,12 +275,7 @@ class MarginalLikelihood:
             whiteners.append(whitener_of_sensor(problem, sensor))
         return whiteners
 
-    def border(self, disturbances: Disturbances) -> Border:
-        """What is left when states and processes are integrated out.
-
-        Raises:
-            SolveError: the states do not follow from the data.
-        """
+    def _eliminated(self, disturbances: Disturbances) -> "_Eliminated":
         problem = self.problem
         weight = noise_weights(problem, disturbances.sigma)
         squared = weight**2
@@ -216,30 +290,122 @@ class MarginalLikelihood:
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
         factors = Banded.of(self._layout, np.concatenate(entries))
-
         weighted_border = squared[:, None] * self._border_in_shown
-        coupling = np.vstack(
-            [self._shown.T @ weighted_border, self._border_in_dynamics]
-        )
-        no_dynamics = np.zeros(self._n_dynamics)
+        of_unknowns = self._shown.T @ weighted_border + self._border_in_unknowns
+        coupling = np.vstack([of_unknowns, self._border_in_dynamics])
         in_unknowns = self._shown.T @ (squared * problem.residual)
-        gradient = np.concatenate([in_unknowns, no_dynamics])
-        both = np.column_stack([coupling, gradient])
-        solved = factors.solve(both)
-        products = both.T @ solved
-        n = self._border_in_shown.shape[1]
-        information = self._border_in_shown.T @ weighted_border - products[:n, :n]
-        of_border = weighted_border.T @ problem.residual - products[:n, n]
-        squares = float(np.sum(squared * problem.residual**2))
+        gradient = np.concatenate([in_unknowns, -problem.offset])
+        right = np.column_stack([coupling, gradient])
         log_noise = float(np.sum(np.log(weight)))
+        log_prior += self._log_room(disturbances, whiteners)
+        return _Eliminated(
+            weights=squared,
+            right=right,
+            solved=factors.solve(right),
+            log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
+        )
+
+    def border(self, disturbances: Disturbances) -> Border:
+        """What is left when states and processes are integrated out.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        eliminated = self._eliminated(disturbances)
+        everything = slice(None)
+        return self._border_of(eliminated, everything, everything)
+
+    def borders_by_run(self, disturbances: Disturbances) -> list[Border]:
+        """The same, what every trajectory says by itself.
+
+        The log evidence is that of all of them, shared out evenly.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        eliminated = self._eliminated(disturbances)
+        run_of_value = self.problem.grid.trajectory[self.problem.node]
+        run_of_unknown = self._runs_of_unknowns()
+        borders = []
+        for run in range(self.problem.n_trajectories):
+            values = np.flatnonzero(run_of_value == run)
+            unknowns = np.flatnonzero(run_of_unknown == run)
+            borders.append(self._border_of(eliminated, values, unknowns))
+        return borders
+
+    def response(self, disturbances: Disturbances) -> Response:
+        """How the estimate under these disturbances answers errors.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        eliminated = self._eliminated(disturbances)
+        everything = slice(None)
+        border = self._border_of(eliminated, everything, everything)
+        sizes = np.array([function.size for function in disturbances.functions])
+        inverse = np.linalg.inv(border.with_priors(sizes))[: border.n_theta]
+        answers = eliminated.solved[:, :-1]
+        shown = self._border_in_shown - self._shown @ answers[: self._n_unknowns]
+        of_dynamics = answers[self._n_unknowns :]
+        n_theta = self.problem.n_theta
+        to_dynamics = np.zeros((n_theta, len(of_dynamics)))
+        to_dynamics[self.moving] = inverse @ of_dynamics.T
+        to_values = np.zeros((n_theta, len(shown)))
+        to_values[self.moving] = inverse @ (shown.T * eliminated.weights)
+        return Response(to_dynamics, to_values)
+
+    def _border_of(
+        self, eliminated: "_Eliminated", values: Any, unknowns: Any
+    ) -> Border:
+        """From some of the values, and the unknowns that belong to them."""
+        weights = eliminated.weights[values]
+        in_shown = self._border_in_shown[values]
+        residual = self.problem.residual[values]
+        right = eliminated.right[unknowns]
+        products = right.T @ eliminated.solved[unknowns]
+        n = in_shown.shape[1]
+        weighted = weights[:, None] * in_shown
+        information = in_shown.T @ weighted - products[:n, :n]
+        squares = float(np.sum(weights * residual**2))
         return Border(
             information=(information + information.T) / 2,
-            gradient=of_border,
+            gradient=weighted.T @ residual - products[:n, n],
             constant=squares - float(products[n, n]),
-            log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
+            log_evidence=eliminated.log_evidence
+            * len(weights)
+            / len(eliminated.weights),
             n_theta=len(self.moving),
             owner=self._owner,
         )
+
+    def _runs_of_unknowns(self) -> np.ndarray:
+        """Number of the trajectory of every unknown and multiplier."""
+        problem = self.problem
+        trajectory = problem.grid.trajectory
+        runs = [np.repeat(trajectory, problem.n_states)]
+        runs += [problem.runs] * len(self.structure.forces)
+        for channel in self.structure.sensors:
+            runs.append(trajectory[problem.node[problem.values_of(channel)]])
+        runs.append(np.repeat(problem.runs, problem.n_states))
+        return np.concatenate(runs)
+
+    def log_likelihood(self, disturbances: Disturbances) -> float:
+        """Logarithm of the likelihood of the measurements at the best parameters.
+
+        Disturbances and starting states are integrated out, parameters are not, so that
+        models with other parameters can be compared.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        sizes = np.array([function.size for function in disturbances.functions])
+        border = self.border(disturbances)
+        marginal = border.marginal(sizes)
+        information = border.with_priors(sizes)
+        inner = information[border.n_theta :, border.n_theta :]
+        log_det = np.linalg.slogdet(information)[1] - np.linalg.slogdet(inner)[1]
+        constant = self.problem.n_values * np.log(2 * np.pi) / 2
+        return float(marginal.log_evidence + log_det / 2 - constant)
 
     def at(self, disturbances: Disturbances) -> Marginal:
         """The marginal likelihood and the estimate under these disturbances.
@@ -249,6 +415,23 @@ class MarginalLikelihood:
         """
         sizes = np.array([function.size for function in disturbances.functions])
         return self.border(disturbances).marginal(sizes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Eliminated:
+    """States and processes solved for, for each column of the border and the data.
+
+    Attributes:
+        weights: (n_values,) one over the noise variance.
+        right: (n_unknowns, n_border + 1) right-hand sides, the last of the data.
+        solved: in the same shape.
+        log_evidence: all that does not depend on the border.
+    """
+
+    weights: np.ndarray
+    right: np.ndarray
+    solved: np.ndarray
+    log_evidence: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,29 +7,15 @@ under the disturbances that the record itself tells, gives that of the estimate 
 Econometrica 50, 1982, with the covariance of the scores from a model of them).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import (
+    Response,
     whitener_of_force,
     whitener_of_sensor,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Response:
-    """How the plain estimate answers errors, in the scale of the parameters.
-
-    Attributes:
-        to_dynamics: (n_theta, n_intervals * n_states), to an offset of the dynamics.
-        to_values: (n_theta, n_values), to an error of a measured value.
-    """
-
-    to_dynamics: np.ndarray
-    to_values: np.ndarray
 
 
 def covariance_under(

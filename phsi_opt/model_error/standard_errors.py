@@ -20,8 +20,8 @@ from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.freedom import degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
-from phsi_opt.model_error.sandwich import Response, covariance_under
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Response
+from phsi_opt.model_error.sandwich import covariance_under
 
 
 class Source(StrEnum):
@@ -37,42 +37,40 @@ class PlainEstimate:
     """An estimate that counts residuals as white noise, ready to be judged.
 
     Attributes:
-        problem: its likelihood, linearised.
+        search: for what acts beside the model, on its linearised likelihood.
         response: how it answers errors.
         covariance: (n_theta, n_theta) of the scaled parameters, from noise alone.
         in_theta: (n_values, n_theta) slope of what is shown in the scaled parameters
             when the states follow them.
-        moving: (n_moving,) places of the parameters that are free to move.
-        sigma: (n_trajectories, n_states) its noise.
-        scatter: noise that neighbouring samples show, in the same shape.
-        channels: states whose noise is not known.
         is_shared: whether all trajectories share all parameters.
-        n_values: number of measured values.
     """
 
-    problem: Linearization
+    search: DisturbanceSearch
     response: Response
     covariance: np.ndarray
     in_theta: np.ndarray
-    moving: np.ndarray
-    sigma: np.ndarray
-    scatter: np.ndarray
-    channels: tuple[int, ...]
     is_shared: bool
-    n_values: int
 
     @property
-    def search(self) -> DisturbanceSearch:
-        """The search for what acts beside the model."""
-        return DisturbanceSearch(
-            self.problem, self.moving, self.sigma, self.scatter, self.channels
-        )
+    def problem(self) -> Linearization:
+        """The likelihood, linearised."""
+        return self.search.problem
+
+    @property
+    def moving(self) -> np.ndarray:
+        """Places of the parameters that are free to move, (n_moving,)."""
+        return self.search.moving
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Noise of the plain likelihood, (n_trajectories, n_states)."""
+        return self.search.plain
 
     @property
     def noise_freedom(self) -> np.ndarray:
         """Degrees of freedom where noise is all there is, (n_theta,)."""
         n_theta = len(self.covariance)
-        return np.full(n_theta, max(float(self.n_values - n_theta), 1.0))
+        return np.full(n_theta, max(float(self.problem.n_values - n_theta), 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +123,9 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
         best = Evidence(white, 0.0)
     if not best.disturbances.is_white:
         found = best.disturbances
-        spreads[Source.DISTURBANCES] = _under_disturbances(plain, best)
+        spreads[Source.DISTURBANCES] = under_disturbances(
+            plain.search, plain.response, best
+        )
     clusters = _clusters(plain)
     if clusters is not None:
         freedom = np.maximum(clusters.effective_numbers() - 1, 1.0)
@@ -151,25 +151,37 @@ def _clusters(plain: PlainEstimate) -> Clusters | None:
     return clusters
 
 
-def _under_disturbances(plain: PlainEstimate, best: Evidence) -> Spread:
-    coordinates = best.coordinates
-    assert coordinates is not None
-    structure = best.disturbances.structure
-    likelihood = MarginalLikelihood(plain.problem, structure, plain.moving)
+def under_disturbances(
+    search: DisturbanceSearch, response: Response, best: Evidence
+) -> Spread:
+    """Covariance of an estimate under the disturbances that were found.
 
-    def covariance(vector: np.ndarray) -> np.ndarray:
-        at = coordinates.at(vector)
-        return covariance_under(plain.problem, plain.response, at)
+    Args:
+        search: by which they were found.
+        response: of the estimate.
+        best: what was found.
+    """
+    problem = search.problem
+    coordinates = best.coordinates
+    n_theta = problem.n_theta
+    freedom = np.full(n_theta, max(float(problem.n_values - n_theta), 1.0))
+    if coordinates is None:
+        covariance = covariance_under(problem, response, best.disturbances)
+        return Spread(covariance, freedom)
+    structure = best.disturbances.structure
+    likelihood = MarginalLikelihood(problem, structure, search.moving)
+
+    def covariance_at(vector: np.ndarray) -> np.ndarray:
+        return covariance_under(problem, response, coordinates.at(vector))
 
     def log_variances(vector: np.ndarray) -> np.ndarray:
-        variances = np.diag(covariance(vector))[plain.moving]
+        variances = np.diag(covariance_at(vector))[search.moving]
         return np.log(np.maximum(variances, np.finfo(float).tiny))
 
     def negative_evidence(vector: np.ndarray) -> float:
         return -likelihood.at(coordinates.at(vector)).log_evidence
 
     n_coordinates = len(coordinates.bounds)
-    freedom = plain.noise_freedom
     found = degrees_of_freedom(negative_evidence, log_variances, n_coordinates)
-    freedom[plain.moving] = np.minimum(found, freedom[plain.moving])
-    return Spread(covariance(np.zeros(n_coordinates)), freedom)
+    freedom[search.moving] = np.minimum(found, freedom[search.moving])
+    return Spread(covariance_at(np.zeros(n_coordinates)), freedom)

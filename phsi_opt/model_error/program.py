@@ -1,0 +1,158 @@
+"""The nonlinear program with disturbances as unknowns.
+
+::
+
+    minimise   1/2 |(y - shown - e)/sigma|^2 + 1/2 |w|^2 + 1/2 |e|^2 + 1/2 |a|^2
+    over parameters, states, forces w, errors e of sensors, coefficients a of functions
+    subject to dynamics = w + functions of states
+
+each disturbance in the norm of its own prior. Sizes and times are given: inside the
+program they would collapse to zero; `disturbance_search` finds them.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.sparse import csc_matrix, diags, hstack
+
+from phsi_opt.model.model import Model
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.marginal_likelihood import (
+    noise_weights,
+    whitener_of_force,
+    whitener_of_sensor,
+)
+from phsi_opt.model_error.processes import Whitener
+from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.program_builder import Assembly
+from phsi_opt.transcription.defect_constraint import DefectConstraint
+from phsi_opt.transcription.defects import defects
+from phsi_opt.transcription.loss_blocks import ThetaVariable, state_variable
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
+from phsi_opt.transcription.sensors import outputs
+
+
+def disturbed_program(
+    model: Model,
+    point: Point,
+    unknown: Theta,
+    integrator: str,
+    problem: Linearization,
+    disturbances: Disturbances,
+) -> Program:
+    """The program in theta, x and the disturbances.
+
+    Args:
+        model: the model.
+        point: where the solver begins, and the sizes of the unknowns.
+        unknown: the parameters.
+        integrator: the scheme of the defects.
+        problem: the record linearised near by; functions of states are taken along its
+            states.
+        disturbances: with their sizes and times.
+    """
+    grid = problem.grid
+    build = Assembly()
+    theta = ThetaVariable.added_to(build, unknown, point)
+    x = state_variable(build, grid, point)
+    constraint = DefectConstraint(model, grid, integrator, point, unknown)
+    n_obeying = len(unknown) + point.x.size
+    blocks = _Blocks(build, problem, disturbances)
+    d = defects(model, grid, integrator, x, theta.by_trajectory)
+    scaled = ca.vec(constraint.scaled(d)) - blocks.in_dynamics
+
+    def jacobian(z: ca.MX) -> ca.MX:
+        return ca.horzcat(constraint.jacobian(z[:n_obeying]), ca.DM(-blocks.slopes))
+
+    build.constrain(
+        "defect",
+        ca.reshape(scaled, d.shape[0], d.shape[1]),
+        label=grid.interval_label(model.n_states),
+        jacobian=jacobian,
+    )
+    if disturbances.is_orthogonal:
+        own = csc_matrix(problem.dynamics_in_theta.T)
+        build.constrain("orthogonal", ca.mtimes(ca.DM(own), blocks.force_in_dynamics))
+    shown = outputs(model, grid, x, theta.by_trajectory) if model.sensor else x
+    measured = np.flatnonzero(grid.measured.ravel()).tolist()
+    y = ca.DM(grid.y.ravel()[measured])
+    weights = ca.DM(noise_weights(problem, disturbances.sigma))
+    error = y - ca.vec(shown)[measured] - blocks.in_shown
+    build.residual(error * weights)
+    for innovations in blocks.innovations:
+        build.residual(innovations)
+    return build.finish()
+
+
+class _Blocks:
+    """The variables of the disturbances, and what they do.
+
+    Attributes:
+        in_dynamics: (n_intervals * n_states,) symbols, added to the dynamics.
+        force_in_dynamics: the part of it that is due to processes.
+        in_shown: (n_values,) symbols, added to what is shown.
+        innovations: whitened values of every block.
+        slopes: of ``in_dynamics`` in the scaled variables, sparse and constant.
+    """
+
+    def __init__(
+        self, build: Assembly, problem: Linearization, disturbances: Disturbances
+    ) -> None:
+        n_dynamics = problem.dynamics_in_states.shape[0]
+        self._build = build
+        self._slopes: list[Any] = []
+        self.in_dynamics: Any = ca.DM.zeros(n_dynamics)
+        self.in_shown: Any = ca.DM.zeros(problem.n_values)
+        self.innovations: list[ca.MX] = []
+        for number, force in enumerate(disturbances.forces):
+            places = problem.places_of_force(force.place)
+            effect = problem.effect_of_force(force.place)
+            matrix = _spread_out(places, effect, n_dynamics)
+            values = self._added(f"force_{number}", matrix, force.size)
+            whitener = _matrix(whitener_of_force(problem, force)) / force.size
+            self.innovations.append(ca.mtimes(ca.DM(whitener), values))
+        self.force_in_dynamics = self.in_dynamics
+        for number, function in enumerate(disturbances.functions):
+            columns = problem.dynamics_of_function(function.equation, function.state)
+            matrix = csc_matrix(-columns)
+            values = self._added(f"function_{number}", matrix, function.size)
+            self.innovations.append(values / function.size)
+        for number, sensor in enumerate(disturbances.sensors):
+            places = problem.values_of(sensor.place)
+            none = csc_matrix((n_dynamics, len(places)))
+            values = self._added(f"sensor_{number}", none, sensor.size)
+            to_values = _spread_out(places, np.ones(len(places)), problem.n_values)
+            self.in_shown = self.in_shown + ca.mtimes(ca.DM(to_values), values)
+            whitener = _matrix(whitener_of_sensor(problem, sensor)) / sensor.size
+            self.innovations.append(ca.mtimes(ca.DM(whitener), values))
+        self.slopes = _joined(self._slopes, n_dynamics)
+
+    def _added(self, name: str, in_dynamics: Any, size: float) -> ca.MX:
+        """Add a block of variables that begins at zero."""
+        n = in_dynamics.shape[1]
+        values = self._build.variable(name, np.zeros(n), scale=np.full(n, size))
+        self._slopes.append(in_dynamics * size)
+        if in_dynamics.nnz:
+            moved = ca.mtimes(ca.DM(in_dynamics), values)
+            self.in_dynamics = self.in_dynamics + moved
+        return values
+
+
+def _spread_out(places: np.ndarray, values: np.ndarray, n_rows: int) -> csc_matrix:
+    """Matrix with one value per column, at its place."""
+    n = len(places)
+    return csc_matrix((values, (places, np.arange(n))), shape=(n_rows, n))
+
+
+def _matrix(whitener: Whitener) -> csc_matrix:
+    return diags([whitener.diagonal, whitener.below], [0, -1], format="csc")
+
+
+def _joined(slopes: Sequence[Any], n_rows: int) -> csc_matrix:
+    if not slopes:
+        return csc_matrix((n_rows, 0))
+    return csc_matrix(hstack(slopes))
