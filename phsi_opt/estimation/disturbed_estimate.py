@@ -18,19 +18,28 @@ from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.estimation.model_error_table import PriorRow, model_error_rows, prior_rows
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
+from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Smoothed
 from phsi_opt.model_error.priors import Prior, compared_priors
 from phsi_opt.model_error.program import disturbed_program
-from phsi_opt.model_error.standard_errors import Source, Spread, under_disturbances
-from phsi_opt.optimization.ipopt import Solver
+from phsi_opt.model_error.spread import Spread
+from phsi_opt.model_error.standard_errors import Source, under_disturbances
+from phsi_opt.optimization.ipopt import Solution, Solver
+from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
 
 MOST_SOLVES = 3  # each followed by better sizes of the disturbances
 # Change of the logarithm of the evidence by better sizes up to which they stay.
 SETTLED_EVIDENCE = 0.1
+# Factors on the noise through which a solve goes that failed: with much noise the states
+# need not follow the data at once.
+LARGER_NOISE = (1e3, 1e2, 1e1, 1.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,8 +67,7 @@ class DisturbedEstimate(Estimate):
     @property
     def misfit(self) -> float:
         """Mean of the squared residuals over their noise, the force let in."""
-        squares = float(np.sum(self.solution.residual[: self.n_values] ** 2))
-        return squares / self.n_values
+        return float(np.sum(self.solution.residual[: self.n_values] ** 2) / 2)
 
     @cached_property
     def _likelihood(self) -> MarginalLikelihood:
@@ -67,22 +75,55 @@ class DisturbedEstimate(Estimate):
         return MarginalLikelihood(self.search.problem, structure, self.search.moving)
 
     @cached_property
-    def spread(self) -> Spread:
-        """Covariance of the scaled parameters under all that the record shows.
+    def spreads(self) -> dict[Source, Spread]:
+        """Covariances of the scaled parameters, the one that is given last.
 
-        That may be more than the prior allows, such as functions of states.
+        Under all that the record shows, which may be more than the prior allows, such
+        as functions of states; and from the scatter between trajectories where they are
+        enough.
         """
         response = self._likelihood.response(self.disturbances)
-        return under_disturbances(self.search, response, self.search.found())
+        found = under_disturbances(self.search, response, self.search.found())
+        spreads = {Source.DISTURBANCES: found}
+        clusters = self._clusters()
+        if clusters is not None:
+            moving = self.search.moving
+            of_clusters = clusters.spread(moving, len(self.unknown))
+            spreads[Source.TRAJECTORIES] = of_clusters
+        return spreads
+
+    def _clusters(self) -> Clusters | None:
+        """The trajectories, where they are enough and share the parameters."""
+        if not self.unknown.is_shared:
+            return None
+        disturbances = self.disturbances
+        sizes = np.array([function.size for function in disturbances.functions])
+        borders = self._likelihood.borders_by_run(disturbances)
+        step = self._likelihood.at(disturbances).border
+        clusters = Clusters.of_borders(borders, sizes, step)
+        return clusters if clusters.is_enough else None
+
+    @property
+    def source(self) -> Source:
+        """Where the standard errors come from."""
+        return list(self.spreads)[-1]
+
+    @property
+    def spread(self) -> Spread:
+        """The covariance that is given."""
+        return self.spreads[self.source]
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Covariance of theta, and where nothing is known of it."""
+        return self._uncertainty(self.source)
+
+    def _uncertainty(self, source: Source) -> Uncertainty:
         theta = self.program.variables["theta"].slice
         return of_covariance(
             self.unknown.names,
             self.theta,
             self.program.scale[theta],
-            self.spread.covariance,
+            self.spreads[source].covariance,
             self.solution.outcome.at_bounds,
         )
 
@@ -96,19 +137,21 @@ class DisturbedEstimate(Estimate):
 
         It holds no states: a free run begins at states that obey the model.
         """
-        bic = self.deviance + len(self.unknown) * float(np.log(self.n_values))
         fit = super().fit()
-        covariances = {Source.DISTURBANCES: fit.covariance}
-        if self.is_success:
-            covariances[Source.NOISE] = self.plain.uncertainty.covariance
+        if not self.is_success:
+            return fit
+        bic = self.deviance + len(self.unknown) * float(np.log(self.n_values))
+        covariances = {Source.NOISE: self.plain.uncertainty.covariance}
+        for source in self.spreads:
+            covariances[source] = self._uncertainty(source).covariance
         return replace(
             fit,
             noise=self._noise_by_name(),
             bic=bic,
             steps=tuple(steps_per_gap(self.grid)),
-            std_error_source=Source.DISTURBANCES,
+            std_error_source=self.source,
             covariances=covariances,
-            freedom=self.spread.freedom if self.is_success else None,
+            freedom=self.spread.freedom,
             model_error_rows=model_error_rows(_solved(self), self.disturbances),
             prior_rows=self._prior_rows(),
         )
@@ -134,6 +177,29 @@ def _solved(estimate: DisturbedEstimate) -> SolvedLikelihood:
         program=estimate.program,
         solution=estimate.solution,
     )
+
+
+def _moved(point: Point, unknown: Theta, step: Smoothed) -> Point:
+    """The point after a step of parameters and states, within their bounds."""
+    theta = point.theta + step.theta * point.theta_scale
+    x = point.x + step.x * point.x_scale
+    if point.x_bounds is not None:
+        x = np.clip(x, point.x_bounds.lower, point.x_bounds.upper)
+    return replace(point, theta=np.clip(theta, unknown.lower, unknown.upper), x=x)
+
+
+def _solution(program: Program, settings: SolverSettings) -> Solution:
+    """The optimum; where that is too far, through noise that shrinks to its size."""
+    solver = Solver(program, settings)
+    solution = solver.solve(raise_on_failure=False)
+    if solution.outcome.success:
+        return solution
+    start = program.start
+    for factor in LARGER_NOISE:
+        weights = program.set_to / factor
+        solution = solver.solve(start, weights, raise_on_failure=False)
+        start = solution.z
+    return solution
 
 
 def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
@@ -162,6 +228,11 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         if is_settled:
             break
         task.say(f"states and force together, prior: {chosen.name}")
+        likelihood = MarginalLikelihood(
+            search.problem, disturbances.structure, search.moving
+        )
+        smoothed = likelihood.smoothed(disturbances)
+        point = _moved(point, plain.unknown, smoothed)
         program = disturbed_program(
             plain.model,
             point,
@@ -169,8 +240,9 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             plain.loss.integrator,
             search.problem,
             disturbances,
+            smoothed,
         )
-        solution = Solver(program, task.settings).solve(raise_on_failure=False)
+        solution = _solution(program, task.settings)
         estimate = DisturbedEstimate(
             task=task,
             loss=plain.loss,

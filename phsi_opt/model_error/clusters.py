@@ -1,39 +1,50 @@
-"""Covariance of plain estimates from the scatter between trajectories.
+"""Covariance of estimates from the scatter between trajectories.
 
 Where there are many trajectories, each of them an experiment of its own, their scores
 say how much the estimates scatter, whatever the errors within a trajectory are. The
-covariance is that of the jackknife that leaves out one trajectory at a time (CR3 of Bell
-and McCaffrey, Survey Methodology 28, 2002); trajectories that say more than others count
-as fewer (Carter, Schnepel and Steigerwald, Review of Economics and Statistics 99, 2017).
+covariance is that of the jackknife that leaves out one trajectory at a time (CR3 of
+Bell and McCaffrey, Survey Methodology 28, 2002); trajectories that say more than others
+count as fewer (Carter, Schnepel and Steigerwald, Review of Economics and Statistics 99,
+2017).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
+from phsi_opt.criteria import FEWEST_TRAJECTORIES
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import noise_weights
+from phsi_opt.model_error.marginal_likelihood import Border, noise_weights
+from phsi_opt.model_error.spread import Spread
 from phsi_opt.transcription.elimination import RIDGE
 
 
 @dataclass(frozen=True, eq=False)
 class Clusters:
-    """What every trajectory says of the parameters, at the plain estimate.
+    """What every trajectory says of the parameters, at an estimate.
+
+    Behind the parameters may stand other unknowns that all trajectories share, such as
+    the coefficients of functions of states.
 
     Attributes:
-        scores: (n_trajectories, n_theta) slopes of the log likelihood.
-        information: (n_trajectories, n_theta, n_theta).
+        scores: (n_trajectories, n) slopes of the log likelihood.
+        information: (n_trajectories, n, n).
+        prior: (n, n) information that is not the trajectories'.
+        n_theta: number of parameters, the first of the n unknowns.
     """
 
     scores: np.ndarray
     information: np.ndarray
+    prior: np.ndarray
+    n_theta: int
 
     @classmethod
     def of(
         cls, problem: Linearization, in_theta: np.ndarray, sigma: np.ndarray
     ) -> "Clusters":
-        """Of a linearised record.
+        """Of a plain likelihood.
 
         Args:
             problem: the linearised record.
@@ -53,12 +64,34 @@ class Clusters:
             of_run = slopes[is_in]
             scores[number] = of_run.T @ residual[is_in]
             information[number] = of_run.T @ of_run
-        return cls(scores, information)
+        return cls(scores, information, RIDGE * np.eye(n_theta), n_theta)
+
+    @classmethod
+    def of_borders(
+        cls, borders: Sequence[Border], sizes: np.ndarray, step: np.ndarray
+    ) -> "Clusters":
+        """Of a likelihood with disturbances.
+
+        Args:
+            borders: of every trajectory.
+            sizes: (n_functions,) of the functions of states.
+            step: (n_border,) to the optimum of all trajectories together.
+        """
+        scores = [border.gradient - border.information @ step for border in borders]
+        information = [border.information for border in borders]
+        first = borders[0]
+        prior = first.with_priors(sizes) - first.information
+        return cls(np.array(scores), np.array(information), prior, first.n_theta)
 
     @property
     def n_clusters(self) -> int:
         """Number of trajectories."""
         return len(self.scores)
+
+    @property
+    def _everything(self) -> np.ndarray:
+        everything: np.ndarray = self.information.sum(axis=0) + self.prior
+        return everything
 
     def jackknife(self) -> np.ndarray:
         """Covariance of the scaled estimate, (n_theta, n_theta).
@@ -67,12 +100,11 @@ class Clusters:
 
             (n - 1)/n sum over trajectories of d d',   d = (I - I_g)^-1 s_g
         """
-        everything = self.information.sum(axis=0)
-        ridge = RIDGE * np.eye(len(everything))
+        everything = self._everything
         moves = []
         for score, own in zip(self.scores, self.information, strict=True):
-            moves.append(np.linalg.solve(everything - own + ridge, score))
-        shifts = np.array(moves)
+            moves.append(np.linalg.lstsq(everything - own, score)[0])
+        shifts = np.array(moves)[:, : self.n_theta]
         n = self.n_clusters
         covariance: np.ndarray = (n - 1) / n * (shifts.T @ shifts)
         return covariance
@@ -84,12 +116,31 @@ class Clusters:
 
             n / (1 + variance of a trajectory's share / squared mean share)
         """
-        everything = self.information.sum(axis=0)
-        bread = np.linalg.inv(everything + RIDGE * np.eye(len(everything)))
-        shares = np.einsum("jp,gpq,qj->gj", bread, self.information, bread)
+        bread = np.linalg.pinv(self._everything)[: self.n_theta]
+        shares = np.einsum("jp,gpq,jq->gj", bread, self.information, bread)
         spread = np.var(shares, axis=0) / np.mean(shares, axis=0) ** 2
         numbers: np.ndarray = self.n_clusters / (1 + spread)
         return numbers
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether their scatter says how uncertain the parameters are."""
+        if self.n_clusters < FEWEST_TRAJECTORIES or not self.n_theta:
+            return False
+        return bool(self.effective_numbers().min() >= FEWEST_TRAJECTORIES)
+
+    def spread(self, moving: np.ndarray, n_theta: int) -> Spread:
+        """Covariance and degrees of freedom among all parameters.
+
+        Args:
+            moving: (n_moving,) places of the parameters of the clusters.
+            n_theta: number of all parameters; those that do not move have no variance.
+        """
+        covariance = np.zeros((n_theta, n_theta))
+        covariance[np.ix_(moving, moving)] = self.jackknife()
+        freedom = np.ones(n_theta)
+        freedom[moving] = np.maximum(self.effective_numbers() - 1, 1.0)
+        return Spread(covariance, freedom)
 
     def agreement(self) -> float:
         """p-value of the hypothesis that trajectories differ by noise alone.
@@ -99,10 +150,9 @@ class Clusters:
         of the estimate (Cochran, Biometrics 10, 1954).
         """
         statistic = 0.0
-        freedom = 0
+        freedom = -self.scores.shape[1]
         for score, own in zip(self.scores, self.information, strict=True):
             inverse = np.linalg.pinv(own, rcond=RIDGE, hermitian=True)
             statistic += float(score @ inverse @ score)
-            freedom += int(np.linalg.matrix_rank(own, tol=RIDGE, hermitian=True))
-        freedom -= self.scores.shape[1]
+            freedom += int(np.linalg.matrix_rank(own, rtol=RIDGE, hermitian=True))
         return float(chi2.sf(statistic, freedom)) if freedom > 0 else 1.0

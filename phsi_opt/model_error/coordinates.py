@@ -23,26 +23,41 @@ class Coordinates:
     Attributes:
         origin: the disturbances at zero.
         channels: states whose white noise is estimated.
+        least_noise: (n_states,) least mean of it over the trajectories.
         shortest: correlation time, at least.
         longest: at most.
+        largest_functions: sizes of the functions, at most.
         fixed_times: whether the times of the forces stay as they are.
     """
 
     origin: Disturbances
     channels: tuple[int, ...]
+    least_noise: np.ndarray
     shortest: float
     longest: float
+    largest_functions: tuple[float, ...] = ()
     fixed_times: bool = False
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
         """Lower and upper bound of every coordinate."""
         origin = self.origin
-        bounds = [(SMALLEST, LARGEST)] * len(self.channels)
+        bounds = []
+        for channel in self.channels:
+            noise = float(np.mean(origin.sigma[:, channel]))
+            lowest = float(np.log(self.least_noise[channel] / noise))
+            bounds.append((min(lowest, 0.0), LARGEST))
         bounds += self._bounds_of(origin.forces, self.fixed_times)
         bounds += self._bounds_of(origin.sensors, False)
-        bounds += [(SMALLEST, LARGEST)] * len(origin.functions)
+        limits = zip(origin.functions, self.largest_functions, strict=True)
+        for function, largest in limits:
+            bounds.append((SMALLEST, max(float(np.log(largest / function.size)), 0.0)))
         return bounds
+
+    def is_free(self, distance: float) -> np.ndarray:
+        """Whether the origin is farther from both bounds than that, (n_coordinates,)."""
+        nearest = np.array([min(-lower, upper) for lower, upper in self.bounds])
+        return np.asarray(nearest > distance)
 
     def _bounds_of(
         self, processes: tuple[Process, ...], fixed: bool

@@ -27,9 +27,14 @@ FIRST_SHARE = 0.1
 # process as shares of the residuals.
 FORCE_SHARES = (0.1, 0.01)
 SENSOR_SHARES = (0.7,)
-# Sizes of a function that are tried, as shares of the typical rate.
+# Sizes of a function that are tried, as shares of the typical rate. The last is also
+# the limit: a model that lacks more is wrong and not inexact, and a smooth function of
+# any size would imitate the corner of a friction that is not smooth.
 FUNCTION_SHARES = (0.003, 0.01, 0.03, 0.1)
 ABSENT_SHARE = 1e-9  # size of a function that is not there, as a share of that rate
+# Least noise as a share of what neighbouring samples scatter, which is noise and what
+# a cubic does not follow.
+LEAST_NOISE = 0.1
 STEP = 1e-3  # of logarithms, for the slopes of the evidence
 MOST_ITERATIONS = 25  # of a search; it ends in 5 to 15 where it was measured
 # Gain of the log evidence by an iteration at which a search ends: far below what makes
@@ -172,7 +177,13 @@ class DisturbanceSearch:
         values = [_negative_evidence(likelihood, start) for start in starts]
         origin = starts[int(np.argmin(values))]
         coordinates = Coordinates(
-            origin, self.channels, self.shortest, self._longest, fixed_times
+            origin=origin,
+            channels=self.channels,
+            least_noise=LEAST_NOISE * np.mean(self.scatter, axis=0),
+            shortest=self.shortest,
+            longest=self._longest,
+            largest_functions=self._largest_functions(origin.functions),
+            fixed_times=fixed_times,
         )
 
         def negative(vector: np.ndarray) -> float:
@@ -219,6 +230,13 @@ class DisturbanceSearch:
         rates = self.problem.grid.rates(self.problem.nodes)
         typical: np.ndarray = np.sqrt(np.mean(rates**2, axis=0))
         return np.maximum(typical, TINY ** (1 / 4))
+
+    def _largest_functions(
+        self, functions: Sequence[StateFunction]
+    ) -> tuple[float, ...]:
+        rates = self.rates()
+        largest = [FUNCTION_SHARES[-1] * rates[f.equation] for f in functions]
+        return tuple(float(size) for size in largest)
 
     def _force_starts(self) -> list[Disturbances]:
         rates = self.rates()

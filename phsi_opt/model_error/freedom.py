@@ -22,39 +22,45 @@ FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
 def degrees_of_freedom(
     negative_evidence: Callable[[np.ndarray], float],
     log_variances: Callable[[np.ndarray], np.ndarray],
-    n_coordinates: int,
+    is_free: np.ndarray,
 ) -> np.ndarray:
     """Degrees of freedom of variances that follow from estimated logarithms.
 
     Args:
         negative_evidence: minus the log evidence, least at zero.
         log_variances: logarithms of the variances, (n,).
-        n_coordinates: length of the vectors that both take.
+        is_free: (n_coordinates,) whether a coordinate of the vectors that both take was
+            estimated, and is not given by a bound.
 
     Returns:
         (n,), at least `FEWEST`.
     """
-    curvature = _curvature(negative_evidence, n_coordinates)
+    units = STEP * np.eye(len(is_free))[is_free]
+    curvature = _curvature(negative_evidence, units)
     values, vectors = np.linalg.eigh(curvature)
     spread = 1 / np.maximum(values, LEAST_CURVATURE)
     covariance = (vectors * spread) @ vectors.T
-    slopes = _slopes(log_variances, n_coordinates)
+    slopes = _slopes(log_variances, units)
     variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
     return np.maximum(2 / np.maximum(variance, 2e-9), FEWEST)
 
 
-def _slopes(function: Callable[[np.ndarray], np.ndarray], n: int) -> np.ndarray:
-    """Of several functions in every coordinate, (n_coordinates, n_functions)."""
+def _slopes(
+    function: Callable[[np.ndarray], np.ndarray], units: np.ndarray
+) -> np.ndarray:
+    """Of several functions along every unit, (n_units, n_functions)."""
     slopes = []
-    for unit in STEP * np.eye(n):
+    for unit in units:
         slopes.append((function(unit) - function(-unit)) / (2 * STEP))
     return np.array(slopes)
 
 
-def _curvature(function: Callable[[np.ndarray], float], n: int) -> np.ndarray:
-    """Second derivatives at zero, (n, n)."""
-    units = STEP * np.eye(n)
-    middle = function(np.zeros(n))
+def _curvature(
+    function: Callable[[np.ndarray], float], units: np.ndarray
+) -> np.ndarray:
+    """Second derivatives at zero, (n_units, n_units)."""
+    n = len(units)
+    middle = function(np.zeros(units.shape[1]))
     above = np.array([function(unit) for unit in units])
     below = np.array([function(-unit) for unit in units])
     curvature = np.diag((above - 2 * middle + below) / STEP**2)
@@ -62,5 +68,6 @@ def _curvature(function: Callable[[np.ndarray], float], n: int) -> np.ndarray:
         for j in range(i):
             both = function(units[i] + units[j])
             mixed = (both - above[i] - above[j] + middle) / STEP**2
-            curvature[i, j] = curvature[j, i] = mixed
+            curvature[i, j] = mixed
+            curvature[j, i] = mixed
     return curvature

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, hstack
 
+from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import Disturbances, Structure
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.processes import Process, Whitener
@@ -31,11 +32,31 @@ class Marginal:
             linearisation.
         theta: (n_theta,) step of the scaled parameters to their estimate.
         covariance: (n_theta, n_theta) of the scaled parameters.
+        border: (n_border,) the step of the parameters, then coefficients of functions,
+            then multipliers.
     """
 
     log_evidence: float
     theta: np.ndarray
     covariance: np.ndarray
+    border: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """Everything unknown, where the linearised record makes it most likely.
+
+    Attributes:
+        theta: (n_theta,) step of the scaled parameters; zero for those that are held.
+        x: (n_nodes, n_states) step of the scaled states.
+        processes: values of every process, forces first.
+        coefficients: of the functions of states, one array per function.
+    """
+
+    theta: np.ndarray
+    x: np.ndarray
+    processes: list[np.ndarray]
+    coefficients: list[np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +108,21 @@ class Border:
         return information
 
     def marginal(self, sizes: np.ndarray) -> Marginal:
-        """With functions of these sizes, (n_functions,)."""
+        """With functions of these sizes, (n_functions,).
+
+        Raises:
+            SolveError: rounding has made the information indefinite.
+        """
         information = self.with_priors(sizes)
         found = np.linalg.solve(information, self.gradient)
         misfit = self.constant - self.gradient @ found
-        log_det = np.linalg.slogdet(information)[1]
+        sign, log_det = np.linalg.slogdet(information)
+        n_multipliers = len(found) - self.n_theta - len(self.owner)
+        if sign != (-1.0) ** n_multipliers:
+            raise SolveError(
+                "the information about the parameters is lost to rounding: noise and "
+                "model error are too far apart in size."
+            )
         log_prior = -np.sum(np.log(sizes[self.owner]))
         covariance = np.linalg.inv(information)
         n = self.n_theta
@@ -99,6 +130,7 @@ class Border:
             log_evidence=float(self.log_evidence - (misfit + log_det) / 2 + log_prior),
             theta=found[:n],
             covariance=covariance[:n, :n],
+            border=found,
         )
 
 
@@ -332,6 +364,36 @@ class MarginalLikelihood:
             unknowns = np.flatnonzero(run_of_unknown == run)
             borders.append(self._border_of(eliminated, values, unknowns))
         return borders
+
+    def smoothed(self, disturbances: Disturbances) -> Smoothed:
+        """The most likely parameters, states and disturbances.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        eliminated = self._eliminated(disturbances)
+        everything = slice(None)
+        sizes = np.array([function.size for function in disturbances.functions])
+        border = self._border_of(eliminated, everything, everything).marginal(sizes)
+        solved = eliminated.solved
+        unknowns = (solved[:, -1] - solved[:, :-1] @ border.border)[: self._n_unknowns]
+        problem = self.problem
+        theta = np.zeros(problem.n_theta)
+        theta[self.moving] = border.theta
+        n_x = problem.nodes.size
+        processes = []
+        for first, n in self._places_of_processes():
+            processes.append(unknowns[first : first + n])
+        of_functions = border.border[len(self.moving) :][: len(self._owner)]
+        coefficients = []
+        for number in range(len(self.structure.functions)):
+            coefficients.append(of_functions[self._owner == number])
+        return Smoothed(
+            theta=theta,
+            x=unknowns[:n_x].reshape(problem.nodes.shape),
+            processes=processes,
+            coefficients=coefficients,
+        )
 
     def response(self, disturbances: Disturbances) -> Response:
         """How the estimate under these disturbances answers errors.

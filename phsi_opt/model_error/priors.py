@@ -23,6 +23,8 @@ from phsi_opt.model_error.processes import Process
 
 FEWEST_PARTS = 4  # of a record, for predictions of one from the others
 SHORT_INTERVALS = 3.0  # correlation time of the short prior, in sampling intervals
+FIRST_SHARE = 0.03  # of the typical rate, size of a force of which nothing is known
+SMALL_SHARE = 0.1  # factor on the size of a force of which another has taken the place
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,58 +62,79 @@ def compared_priors(search: DisturbanceSearch, horizon: float | None) -> list[Pr
     Raises:
         SolveError: the states do not follow from the data.
     """
-    found = search.found().disturbances
     parts = _Parts.of(search, horizon)
     priors = []
-    for name, start, is_fixed in _starts(search, found):
-        best = search.best_of(start, is_fixed)
+    for name, best, is_fixed in _candidates(search):
         judged = parts.judged(best.disturbances)
         priors.append(Prior(name, best, judged.prediction, judged.agreement, is_fixed))
     chosen = _chosen(priors)
     return [replace(prior, is_chosen=prior is chosen) for prior in priors]
 
 
-def _starts(
-    search: DisturbanceSearch, found: Disturbances
-) -> list[tuple[str, list[Disturbances], bool]]:
-    """Name, starts, and whether times stay, of every prior."""
-    noise = found.sigma
-    beside = {"sensors": found.sensors}
-    interval = search.interval
-    short = SHORT_INTERVALS * interval
-    sizes = _sizes(search, found)
-    white = _forces(sizes, search.shortest)
-    lasting = []
-    for time in search.first_times():
-        lasting.append(Disturbances(noise, _forces(sizes, time), **beside))
-    long = search.first_times()[-1]
-    both = (*white, *_forces(sizes, long))
-    starts = [
-        ("white", [Disturbances(noise, white, **beside)], True),
-        ("short", [Disturbances(noise, _forces(sizes, short), **beside)], True),
+def _candidates(search: DisturbanceSearch) -> list[tuple[str, Evidence, bool]]:
+    """Name, best sizes, and whether times stay, of every prior.
+
+    Errors of sensors that the record shows are beside each of them.
+    """
+    found = search.found().disturbances
+    starts = _Starts(search, found)
+    short = SHORT_INTERVALS * search.interval
+    lasting = search.best_of(starts.at_times(search.first_times()))
+    one = lasting.disturbances
+    small = _scaled(starts.forces(search.shortest), SMALL_SHARE)
+    both = [
+        replace(one, forces=(*small, *one.forces)),
+        replace(one, forces=(*starts.forces(search.shortest), *one.forces)),
+    ]
+    orthogonal = replace(one, is_orthogonal=True)
+    candidates = [
+        ("white", search.best_of(starts.at_times([search.shortest]), True), True),
+        ("short", search.best_of(starts.at_times([short]), True), True),
         ("lasting", lasting, False),
-        ("white and lasting", [Disturbances(noise, both, **beside)], False),
-        ("orthogonal", [replace(one, is_orthogonal=True) for one in lasting], False),
+        ("white and lasting", search.best_of(both), False),
+        ("orthogonal", search.best_of([orthogonal]), False),
     ]
     if found.functions:
-        with_functions = found
-        if not found.forces:
-            with_functions = replace(found, forces=_forces(sizes, long))
-        starts.append(("with functions of states", [with_functions], False))
-    return starts
+        forces = found.forces or _scaled(one.forces, SMALL_SHARE)
+        with_functions = search.best_of([replace(found, forces=forces)])
+        candidates.append(("with functions of states", with_functions, False))
+    return candidates
 
 
-def _sizes(search: DisturbanceSearch, found: Disturbances) -> dict[int, float]:
-    """Size of the force in every equation, to begin with."""
-    rates = search.rates()
-    sizes = {row: 0.01 * float(rates[row]) for row in search.problem.forced}
-    for force in found.forces:
-        sizes[force.place] = force.size
-    return sizes
+@dataclass(frozen=True, eq=False)
+class _Starts:
+    """Where the searches for the sizes of a prior begin.
+
+    Attributes:
+        search: of the record.
+        found: what the record shows by evidence alone.
+    """
+
+    search: DisturbanceSearch
+    found: Disturbances
+
+    def at_times(self, times: Sequence[float]) -> list[Disturbances]:
+        """Forces with each of these correlation times, as found and small."""
+        starts = []
+        for time in times:
+            forces = self.forces(time)
+            for factor in (1.0, SMALL_SHARE):
+                scaled = _scaled(forces, factor)
+                starts.append(replace(self.found, forces=scaled, functions=()))
+        return starts
+
+    def forces(self, time: float) -> tuple[Process, ...]:
+        """A force per equation, as strong over long times as the one that was found."""
+        rates = self.search.rates()
+        sizes = {row: FIRST_SHARE * rates[row] for row in self.search.problem.forced}
+        for force in self.found.forces:
+            strength = np.sqrt(max(force.time / time, 1.0))
+            sizes[force.place] = force.size * strength
+        return tuple(Process(row, float(size), time) for row, size in sizes.items())
 
 
-def _forces(sizes: dict[int, float], time: float) -> tuple[Process, ...]:
-    return tuple(Process(row, size, time) for row, size in sizes.items())
+def _scaled(forces: Sequence[Process], factor: float) -> tuple[Process, ...]:
+    return tuple(replace(force, size=factor * force.size) for force in forces)
 
 
 @dataclass(frozen=True)

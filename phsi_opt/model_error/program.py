@@ -2,7 +2,7 @@
 
 ::
 
-    minimise   1/2 |(y - shown - e)/sigma|^2 + 1/2 |w|^2 + 1/2 |e|^2 + 1/2 |a|^2
+    minimise   (1/N) (|(y - shown - e)/sigma|^2 + |w|^2 + |e|^2 + |a|^2)
     over parameters, states, forces w, errors e of sensors, coefficients a of functions
     subject to dynamics = w + functions of states
 
@@ -21,6 +21,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import (
+    Smoothed,
     noise_weights,
     whitener_of_force,
     whitener_of_sensor,
@@ -43,6 +44,7 @@ def disturbed_program(
     integrator: str,
     problem: Linearization,
     disturbances: Disturbances,
+    start: Smoothed,
 ) -> Program:
     """The program in theta, x and the disturbances.
 
@@ -53,7 +55,9 @@ def disturbed_program(
         integrator: the scheme of the defects.
         problem: the record linearised near by; functions of states are taken along its
             states.
-        disturbances: with their sizes and times.
+        disturbances: with their sizes and times; one over the noise of every value is
+            a setting of the program.
+        start: where the disturbances begin.
     """
     grid = problem.grid
     build = Assembly()
@@ -61,7 +65,7 @@ def disturbed_program(
     x = state_variable(build, grid, point)
     constraint = DefectConstraint(model, grid, integrator, point, unknown)
     n_obeying = len(unknown) + point.x.size
-    blocks = _Blocks(build, problem, disturbances)
+    blocks = _Blocks(build, problem, disturbances, start)
     d = defects(model, grid, integrator, x, theta.by_trajectory)
     scaled = ca.vec(constraint.scaled(d)) - blocks.in_dynamics
 
@@ -80,11 +84,13 @@ def disturbed_program(
     shown = outputs(model, grid, x, theta.by_trajectory) if model.sensor else x
     measured = np.flatnonzero(grid.measured.ravel()).tolist()
     y = ca.DM(grid.y.ravel()[measured])
-    weights = ca.DM(noise_weights(problem, disturbances.sigma))
+    weights = build.setting("weights", noise_weights(problem, disturbances.sigma))
     error = y - ca.vec(shown)[measured] - blocks.in_shown
-    build.residual(error * weights)
+    # Twice the mean square of the residuals is near one, whatever the record's length.
+    per_value = np.sqrt(2 / problem.n_values)
+    build.residual(error * weights * per_value)
     for innovations in blocks.innovations:
-        build.residual(innovations)
+        build.residual(innovations * per_value)
     return build.finish()
 
 
@@ -100,7 +106,11 @@ class _Blocks:
     """
 
     def __init__(
-        self, build: Assembly, problem: Linearization, disturbances: Disturbances
+        self,
+        build: Assembly,
+        problem: Linearization,
+        disturbances: Disturbances,
+        start: Smoothed,
     ) -> None:
         n_dynamics = problem.dynamics_in_states.shape[0]
         self._build = build
@@ -108,33 +118,39 @@ class _Blocks:
         self.in_dynamics: Any = ca.DM.zeros(n_dynamics)
         self.in_shown: Any = ca.DM.zeros(problem.n_values)
         self.innovations: list[ca.MX] = []
+        n_forces = len(disturbances.forces)
         for number, force in enumerate(disturbances.forces):
+            first = start.processes[number]
             places = problem.places_of_force(force.place)
             effect = problem.effect_of_force(force.place)
             matrix = _spread_out(places, effect, n_dynamics)
-            values = self._added(f"force_{number}", matrix, force.size)
+            values = self._added(f"force_{number}", matrix, force.size, first)
             whitener = _matrix(whitener_of_force(problem, force)) / force.size
             self.innovations.append(ca.mtimes(ca.DM(whitener), values))
         self.force_in_dynamics = self.in_dynamics
         for number, function in enumerate(disturbances.functions):
             columns = problem.dynamics_of_function(function.equation, function.state)
             matrix = csc_matrix(-columns)
-            values = self._added(f"function_{number}", matrix, function.size)
+            first = start.coefficients[number]
+            values = self._added(f"function_{number}", matrix, function.size, first)
             self.innovations.append(values / function.size)
         for number, sensor in enumerate(disturbances.sensors):
             places = problem.values_of(sensor.place)
             none = csc_matrix((n_dynamics, len(places)))
-            values = self._added(f"sensor_{number}", none, sensor.size)
+            first = start.processes[n_forces + number]
+            values = self._added(f"sensor_{number}", none, sensor.size, first)
             to_values = _spread_out(places, np.ones(len(places)), problem.n_values)
             self.in_shown = self.in_shown + ca.mtimes(ca.DM(to_values), values)
             whitener = _matrix(whitener_of_sensor(problem, sensor)) / sensor.size
             self.innovations.append(ca.mtimes(ca.DM(whitener), values))
         self.slopes = _joined(self._slopes, n_dynamics)
 
-    def _added(self, name: str, in_dynamics: Any, size: float) -> ca.MX:
-        """Add a block of variables that begins at zero."""
-        n = in_dynamics.shape[1]
-        values = self._build.variable(name, np.zeros(n), scale=np.full(n, size))
+    def _added(
+        self, name: str, in_dynamics: Any, size: float, first: np.ndarray
+    ) -> ca.MX:
+        """Add a block of variables that begins at given values."""
+        scale = np.full(len(first), size)
+        values = self._build.variable(name, first, scale=scale)
         self._slopes.append(in_dynamics * size)
         if in_dynamics.nnz:
             moved = ca.mtimes(ca.DM(in_dynamics), values)

@@ -13,15 +13,16 @@ from enum import StrEnum
 
 import numpy as np
 
-from phsi_opt.criteria import AGREEMENT_LEVEL, FEWEST_TRAJECTORIES
+from phsi_opt.criteria import AGREEMENT_LEVEL
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.freedom import degrees_of_freedom
+from phsi_opt.model_error.freedom import STEP, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Response
 from phsi_opt.model_error.sandwich import covariance_under
+from phsi_opt.model_error.spread import Spread
 
 
 class Source(StrEnum):
@@ -74,19 +75,6 @@ class PlainEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
-    """A covariance of the scaled parameters, and how well it is known.
-
-    Attributes:
-        covariance: (n_theta, n_theta).
-        freedom: (n_theta,) degrees of freedom of the variances.
-    """
-
-    covariance: np.ndarray
-    freedom: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class StandardErrors:
     """The standard errors of an estimate.
 
@@ -128,8 +116,8 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
         )
     clusters = _clusters(plain)
     if clusters is not None:
-        freedom = np.maximum(clusters.effective_numbers() - 1, 1.0)
-        spreads[Source.TRAJECTORIES] = Spread(clusters.jackknife(), freedom)
+        of_clusters = clusters.spread(plain.moving, len(plain.covariance))
+        spreads[Source.TRAJECTORIES] = of_clusters
     differ = clusters is not None and clusters.agreement() < AGREEMENT_LEVEL
     is_disturbed = Source.DISTURBANCES in spreads
     source = Source.NOISE
@@ -142,13 +130,11 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
 
 def _clusters(plain: PlainEstimate) -> Clusters | None:
     """The trajectories, where they are enough and share the parameters."""
-    if not plain.is_shared or plain.problem.n_trajectories < FEWEST_TRAJECTORIES:
+    if not plain.is_shared:
         return None
-    clusters = Clusters.of(plain.problem, plain.in_theta, plain.sigma)
-    numbers = clusters.effective_numbers()[plain.moving]
-    if len(numbers) and numbers.min() < FEWEST_TRAJECTORIES:
-        return None
-    return clusters
+    in_theta = plain.in_theta[:, plain.moving]
+    clusters = Clusters.of(plain.problem, in_theta, plain.sigma)
+    return clusters if clusters.is_enough else None
 
 
 def under_disturbances(
@@ -181,7 +167,7 @@ def under_disturbances(
     def negative_evidence(vector: np.ndarray) -> float:
         return -likelihood.at(coordinates.at(vector)).log_evidence
 
-    n_coordinates = len(coordinates.bounds)
-    found = degrees_of_freedom(negative_evidence, log_variances, n_coordinates)
+    is_free = coordinates.is_free(STEP)
+    found = degrees_of_freedom(negative_evidence, log_variances, is_free)
     freedom[search.moving] = np.minimum(found, freedom[search.moving])
-    return Spread(covariance_at(np.zeros(n_coordinates)), freedom)
+    return Spread(covariance_at(np.zeros(len(is_free))), freedom)

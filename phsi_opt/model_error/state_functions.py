@@ -27,7 +27,8 @@ def smooth_functions(values: np.ndarray) -> np.ndarray:
 
     Returns:
         Columns whose sum with independent coefficients of size one is a process of
-        size one; none where the state does not move.
+        size one, less its mean: a constant force is no function of a state. None where
+        the state does not move.
     """
     spread = float(np.std(values))
     if not spread > TINY:
@@ -38,7 +39,7 @@ def smooth_functions(values: np.ndarray) -> np.ndarray:
     is_kept = variance > LEAST_VARIANCE * variance[-1]
     to_functions = directions[:, is_kept] / np.sqrt(variance[is_kept])
     functions: np.ndarray = _covariance(standard, points) @ to_functions
-    return functions
+    return functions - functions.mean(axis=0)
 
 
 def _covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
