@@ -37,8 +37,8 @@ from phsi_opt.transcription.point import Point
 MOST_SOLVES = 3  # each followed by better sizes of the disturbances
 # Change of the logarithm of the evidence by better sizes up to which they stay.
 SETTLED_EVIDENCE = 0.1
-# Factors on the noise through which a solve goes that failed: with much noise the states
-# need not follow the data at once.
+# Factors on the noise through which a solve goes that failed: with much noise the
+# states need not follow the data at once.
 LARGER_NOISE = (1e3, 1e2, 1e1, 1.0)
 
 

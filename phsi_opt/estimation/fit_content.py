@@ -51,7 +51,7 @@ def fit_content(fit: FitRecord) -> Content:
     }
 
 
-def _covariances_content(covariances: Mapping[str, np.ndarray]) -> Content:
+def _covariances_content(covariances: Mapping[Source, np.ndarray]) -> Content:
     return {str(source): matrix.tolist() for source, matrix in covariances.items()}
 
 

@@ -17,7 +17,7 @@ from scipy.stats import t as student_t
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
 from phsi_opt.estimation.model_error_table import (
-    COLUMNS,
+    MODEL_ERROR_COLUMNS,
     PRIOR_COLUMNS,
     ModelErrorRow,
     PriorRow,
@@ -88,8 +88,8 @@ class FitRecord(Identified):
     states: tuple[np.ndarray, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
     huber: float | None = None
-    std_error_source: str = Source.NOISE
-    covariances: Mapping[str, np.ndarray] = field(default_factory=dict)
+    std_error_source: Source = Source.NOISE
+    covariances: Mapping[Source, np.ndarray] = field(default_factory=dict)
     freedom: np.ndarray | None = None
     model_error_rows: tuple[ModelErrorRow, ...] = ()
     prior_rows: tuple[PriorRow, ...] = ()
@@ -184,7 +184,7 @@ class FitRecord(Identified):
         where nothing but white noise shows.
         """
         rows = [vars(row) for row in self.model_error_rows]
-        return pd.DataFrame(rows, columns=list(COLUMNS))
+        return pd.DataFrame(rows, columns=list(MODEL_ERROR_COLUMNS))
 
     @property
     def model_error_priors(self) -> pd.DataFrame:

@@ -70,7 +70,7 @@ def _model_error(fit: FitRecord) -> str:
     return "; ".join(parts)
 
 
-def _difference(fit: FitRecord, source: str) -> str:
+def _difference(fit: FitRecord, source: Source) -> str:
     """How much larger or smaller they would be from another source, if they differ."""
     errors = fit.standard_errors
     ratios = (errors[str(source)] / errors["std_error"]).dropna()

@@ -12,7 +12,7 @@ from phsi_opt.model_error.processes import Process
 from phsi_opt.statistics import TINY
 
 PRIOR_COLUMNS = ("prior", "log_evidence", "prediction", "agreement", "chosen")
-COLUMNS = ("where", "kind", "size", "time", "unit", "share")
+MODEL_ERROR_COLUMNS = ("where", "kind", "size", "time", "unit", "share")
 
 
 @dataclass(frozen=True)

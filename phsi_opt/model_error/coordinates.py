@@ -9,8 +9,8 @@ from phsi_opt.model_error.processes import Process
 
 # Logarithm of the factor on a size down to which a search goes: what is smaller than a
 # millionth of where it began is not there.
-SMALLEST = -14.0
-LARGEST = 7.0  # and up to which it goes
+SMALLEST_LOG = -14.0
+LARGEST_LOG = 7.0  # and up to which it goes
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,23 +46,25 @@ class Coordinates:
         for channel in self.channels:
             noise = float(np.mean(origin.sigma[:, channel]))
             lowest = float(np.log(self.least_noise[channel] / noise))
-            bounds.append((min(lowest, 0.0), LARGEST))
+            bounds.append((min(lowest, 0.0), LARGEST_LOG))
         bounds += self._bounds_of(origin.forces, self.fixed_times)
         bounds += self._bounds_of(origin.sensors, False)
         limits = zip(origin.functions, self.largest_functions, strict=True)
         for function, largest in limits:
-            bounds.append((SMALLEST, max(float(np.log(largest / function.size)), 0.0)))
+            bounds.append(
+                (SMALLEST_LOG, max(float(np.log(largest / function.size)), 0.0))
+            )
         return bounds
 
     def is_free(self, distance: float) -> np.ndarray:
-        """Whether the origin is farther from both bounds than that, (n_coordinates,)."""
+        """Whether the origin is farther from both bounds, (n_coordinates,) of bool."""
         nearest = np.array([min(-lower, upper) for lower, upper in self.bounds])
         return np.asarray(nearest > distance)
 
     def _bounds_of(
         self, processes: tuple[Process, ...], fixed: bool
     ) -> list[tuple[float, float]]:
-        bounds = [(SMALLEST, LARGEST)] * len(processes)
+        bounds = [(SMALLEST_LOG, LARGEST_LOG)] * len(processes)
         times = [p.time for p in processes if self._lasts(p)]
         if times and not fixed:
             lower = np.log(self.shortest / times[0])

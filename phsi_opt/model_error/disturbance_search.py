@@ -22,7 +22,7 @@ from phsi_opt.statistics import TINY
 
 # Correlation times to begin with: in sampling intervals, and as shares of a record.
 FIRST_INTERVALS = 3.0
-FIRST_SHARE = 0.1
+FIRST_DURATION_SHARE = 0.1
 # Sizes to begin with: a force as shares of the typical rate of its state, a sensor's
 # process as shares of the residuals.
 FORCE_SHARES = (0.1, 0.01)
@@ -35,13 +35,13 @@ ABSENT_SHARE = 1e-9  # size of a function that is not there, as a share of that 
 # Least noise as a share of what neighbouring samples scatter, which is noise and what
 # a cubic does not follow.
 LEAST_NOISE = 0.1
-STEP = 1e-3  # of logarithms, for the slopes of the evidence
+SLOPE_STEP = 1e-3  # of logarithms, for the slopes of the evidence
 MOST_ITERATIONS = 25  # of a search; it ends in 5 to 15 where it was measured
 # Gain of the log evidence by an iteration at which a search ends: far below what makes
 # a difference to a standard error.
 LEAST_GAIN = 0.02
 SHORTEST_INTERVALS = 0.3  # shortest correlation time, in sampling intervals
-LOST = 1e12  # stands for minus the log evidence where no states follow
+NO_STATES = 1e12  # stands for minus the log evidence where no states follow
 # Intervals on which a search begins: sizes and times are known to a few percent from
 # them, and the whole record has the last word.
 MOST_SEARCHED = 3_000
@@ -172,7 +172,7 @@ class DisturbanceSearch:
         The starts have the same structure.
         """
         if not starts:
-            return Evidence(Disturbances(self.plain), -LOST)
+            return Evidence(Disturbances(self.plain), -NO_STATES)
         likelihood = self._likelihood(starts[0])
         values = [_negative_evidence(likelihood, start) for start in starts]
         origin = starts[int(np.argmin(values))]
@@ -215,7 +215,7 @@ class DisturbanceSearch:
     def first_times(self) -> list[float]:
         """Correlation times to begin a search with."""
         short = FIRST_INTERVALS * self.interval
-        long = max(FIRST_SHARE * self._longest, 2 * short)
+        long = max(FIRST_DURATION_SHARE * self._longest, 2 * short)
         return [short, float(np.sqrt(short * long)), long]
 
     def noises(self) -> list[np.ndarray]:
@@ -325,8 +325,8 @@ def _negative_evidence(
     try:
         value = -likelihood.at(disturbances).log_evidence
     except (SolveError, np.linalg.LinAlgError):
-        return LOST
-    return value if np.isfinite(value) else LOST
+        return NO_STATES
+    return value if np.isfinite(value) else NO_STATES
 
 
 def _minimum(
@@ -340,7 +340,11 @@ def _minimum(
         start,
         method="L-BFGS-B",
         bounds=bounds,
-        options={"eps": STEP, "ftol": LEAST_GAIN / size, "maxiter": MOST_ITERATIONS},
+        options={
+            "eps": SLOPE_STEP,
+            "ftol": LEAST_GAIN / size,
+            "maxiter": MOST_ITERATIONS,
+        },
     )
     vector: np.ndarray = found.x
     return vector

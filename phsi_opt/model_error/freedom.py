@@ -1,9 +1,9 @@
 """How well a variance is itself known: its degrees of freedom.
 
-The sizes of disturbances are estimated, and so is every variance that follows from them.
-Satterthwaite's rule gives the chi-square distribution that scatters alike (Biometrics
-Bulletin 2, 1946; for sizes found by restricted likelihood, Kenward and Roger, Biometrics
-53, 1997)::
+The sizes of disturbances are estimated, and so is every variance that follows from
+them. Satterthwaite's rule gives the chi-square distribution that scatters alike
+(Biometrics Bulletin 2, 1946; for sizes found by restricted likelihood, Kenward and
+Roger, Biometrics 53, 1997)::
 
     freedom = 2 variance^2 / Var(variance)
 """
@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-STEP = 0.1  # of logarithms of sizes and times, for slopes and curvatures
+LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes and curvatures
 # Curvature of minus the log evidence in a logarithm, at least: a size that the record
 # tells no better is known to a factor of four.
 LEAST_CURVATURE = 0.5
@@ -35,7 +35,7 @@ def degrees_of_freedom(
     Returns:
         (n,), at least `FEWEST`.
     """
-    units = STEP * np.eye(len(is_free))[is_free]
+    units = LOG_STEP * np.eye(len(is_free))[is_free]
     curvature = _curvature(negative_evidence, units)
     values, vectors = np.linalg.eigh(curvature)
     spread = 1 / np.maximum(values, LEAST_CURVATURE)
@@ -51,7 +51,7 @@ def _slopes(
     """Of several functions along every unit, (n_units, n_functions)."""
     slopes = []
     for unit in units:
-        slopes.append((function(unit) - function(-unit)) / (2 * STEP))
+        slopes.append((function(unit) - function(-unit)) / (2 * LOG_STEP))
     return np.array(slopes)
 
 
@@ -63,11 +63,11 @@ def _curvature(
     middle = function(np.zeros(units.shape[1]))
     above = np.array([function(unit) for unit in units])
     below = np.array([function(-unit) for unit in units])
-    curvature = np.diag((above - 2 * middle + below) / STEP**2)
+    curvature = np.diag((above - 2 * middle + below) / LOG_STEP**2)
     for i in range(n):
         for j in range(i):
             both = function(units[i] + units[j])
-            mixed = (both - above[i] - above[j] + middle) / STEP**2
+            mixed = (both - above[i] - above[j] + middle) / LOG_STEP**2
             curvature[i, j] = mixed
             curvature[j, i] = mixed
     return curvature

@@ -2,10 +2,11 @@
 
 At a solution the measurements are taken as linear in states, parameters and
 disturbances. All of them are then Gaussian, and what is not known can be integrated out
-in closed form: the parameters and starting states as well, with flat priors, so that the
-sizes of the disturbances are not taken too small because the parameters followed them
-(restricted maximum likelihood; Patterson and Thompson, Biometrika 58, 1971). In the
-order of time the matrix is banded; parameters and functions of states are its border.
+in closed form: the parameters and starting states as well, with flat priors, so that
+the sizes of the disturbances are not taken too small because the parameters followed
+them (restricted maximum likelihood; Patterson and Thompson, Biometrika 58, 1971). In
+the order of time the matrix is banded; parameters and functions of states are its
+border.
 """
 
 from collections.abc import Sequence
@@ -233,7 +234,8 @@ class MarginalLikelihood:
         problem = self.problem
         grid = problem.grid
         at_middles = grid.begin + 0.5
-        positions = [np.repeat(np.arange(grid.n_nodes), problem.n_states)]
+        of_nodes = np.arange(grid.n_nodes, dtype=float)
+        positions = [np.repeat(of_nodes, problem.n_states)]
         positions += [at_middles] * len(self.structure.forces)
         for channel in self.structure.sensors:
             positions.append(problem.node[problem.values_of(channel)])

@@ -1,7 +1,7 @@
 """Which prior of a model error is taken: compared by prediction, not by evidence alone.
 
-A force that is free to last can explain whatever the model itself could: its evidence is
-the higher the more it swallows, and the parameters that it leaves predict badly. So
+A force that is free to last can explain whatever the model itself could: its evidence
+is the higher the more it swallows, and the parameters that it leaves predict badly. So
 several priors are estimated by evidence, each, and then judged by how the model alone,
 with the parameters that a prior leads to, runs along parts of the record that were not
 used; and by whether the parts agree about the parameters. Among the priors that
@@ -23,7 +23,9 @@ from phsi_opt.model_error.processes import Process
 
 FEWEST_PARTS = 4  # of a record, for predictions of one from the others
 SHORT_INTERVALS = 3.0  # correlation time of the short prior, in sampling intervals
-FIRST_SHARE = 0.03  # of the typical rate, size of a force of which nothing is known
+UNKNOWN_FORCE_SHARE = (
+    0.03  # of the typical rate, size of a force of which nothing is known
+)
 SMALL_SHARE = 0.1  # factor on the size of a force of which another has taken the place
 
 
@@ -126,7 +128,9 @@ class _Starts:
     def forces(self, time: float) -> tuple[Process, ...]:
         """A force per equation, as strong over long times as the one that was found."""
         rates = self.search.rates()
-        sizes = {row: FIRST_SHARE * rates[row] for row in self.search.problem.forced}
+        sizes = {
+            row: UNKNOWN_FORCE_SHARE * rates[row] for row in self.search.problem.forced
+        }
         for force in self.found.forces:
             strength = np.sqrt(max(force.time / time, 1.0))
             sizes[force.place] = force.size * strength

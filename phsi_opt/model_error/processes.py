@@ -20,7 +20,7 @@ class Process:
     independent (Uhlenbeck and Ornstein, Physical Review 36, 1930).
 
     Attributes:
-        place: number of the equation that it acts in, or of the state whose sensor errs.
+        place: number of its equation, or of the state whose sensor errs.
         size: standard deviation, in the unit of that equation or sensor.
         time: correlation time, in the unit of the record's times; 0: white, a value of
             its own at every time.

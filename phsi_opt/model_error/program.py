@@ -80,7 +80,8 @@ def disturbed_program(
     )
     if disturbances.is_orthogonal:
         own = csc_matrix(problem.dynamics_in_theta.T)
-        build.constrain("orthogonal", ca.mtimes(ca.DM(own), blocks.force_in_dynamics))
+        in_own_directions = ca.mtimes(ca.DM(own), blocks.force_in_dynamics)
+        build.constrain("orthogonal", ca.MX(in_own_directions))
     shown = outputs(model, grid, x, theta.by_trajectory) if model.sensor else x
     measured = np.flatnonzero(grid.measured.ravel()).tolist()
     y = ca.DM(grid.y.ravel()[measured])

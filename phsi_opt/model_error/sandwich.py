@@ -1,7 +1,7 @@
 """Covariance of plain estimates when more than white noise disturbed the record.
 
-Estimates that count every residual as independent noise are still good estimates when it
-is not; their covariance is another one. To first order an estimate moves with every
+Estimates that count every residual as independent noise are still good ones when it is
+not; their covariance is another one. To first order an estimate moves with every
 error in what was shown and with every force in the dynamics; the covariance of these,
 under the disturbances that the record itself tells, gives that of the estimate (White,
 Econometrica 50, 1982, with the covariance of the scores from a model of them).

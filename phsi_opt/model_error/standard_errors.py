@@ -18,7 +18,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.freedom import STEP, degrees_of_freedom
+from phsi_opt.model_error.freedom import LOG_STEP, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Response
 from phsi_opt.model_error.sandwich import covariance_under
@@ -167,7 +167,7 @@ def under_disturbances(
     def negative_evidence(vector: np.ndarray) -> float:
         return -likelihood.at(coordinates.at(vector)).log_evidence
 
-    is_free = coordinates.is_free(STEP)
+    is_free = coordinates.is_free(LOG_STEP)
     found = degrees_of_freedom(negative_evidence, log_variances, is_free)
     freedom[search.moving] = np.minimum(found, freedom[search.moving])
     return Spread(covariance_at(np.zeros(len(is_free))), freedom)

@@ -1,8 +1,8 @@
 """Smooth functions of a state, as random functions with a given correlation length.
 
-A Gaussian process whose correlation falls as ``exp(-(a - b)^2 / (2 length^2))``, written
-as a sum of few functions with independent coefficients of one size (Rasmussen and
-Williams, Gaussian Processes for Machine Learning, 2006, chapter 8).
+A Gaussian process whose correlation falls as ``exp(-(a - b)^2 / (2 length^2))``,
+written as a sum of few functions with independent coefficients of one size (Rasmussen
+and Williams, Gaussian Processes for Machine Learning, 2006, chapter 8).
 """
 
 import numpy as np

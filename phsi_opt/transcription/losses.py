@@ -150,8 +150,8 @@ class MaximumLikelihood:
             return
         if self.huber is not None:
             raise ModelError(
-                f"huber={self.huber!r} and model_error=True of MaximumLikelihood do not "
-                "go together: outliers are no model error; take one of them."
+                f"huber={self.huber!r} and model_error=True of MaximumLikelihood do "
+                "not go together: outliers are no model error; take one of them."
             )
 
     def program(

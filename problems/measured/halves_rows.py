@@ -89,16 +89,18 @@ def estimate_of(fit: ph.Fit, name: str) -> Estimate:
         fit.values[name],
         std_error,
         _white_error(fit, name),
-        fit.n_values - len(fit.names),
+        _freedom(fit, name),
     )
 
 
+def _freedom(fit: ph.Fit, name: str) -> float:
+    """Degrees of freedom of its variance."""
+    return float(fit.standard_errors.loc[name, "freedom"])
+
+
 def _white_error(fit: ph.Fit, name: str) -> float:
-    """From the fit's table of standard errors; its only one where there is none."""
-    table = getattr(fit, "standard_errors", None)
-    if table is None:
-        return fit.std_errors[name]
-    return float(table.loc[name, "white"])
+    """As if residuals were independent."""
+    return float(fit.standard_errors.loc[name, "white noise"])
 
 
 # --- fits of halves
