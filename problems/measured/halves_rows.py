@@ -95,12 +95,12 @@ def estimate_of(fit: ph.Fit, name: str) -> Estimate:
 
 def _freedom(fit: ph.Fit, name: str) -> float:
     """Degrees of freedom of its variance."""
-    return float(fit.standard_errors.loc[name, "freedom"])
+    return float(fit.standard_errors["freedom"][name])
 
 
 def _white_error(fit: ph.Fit, name: str) -> float:
     """As if residuals were independent."""
-    return float(fit.standard_errors.loc[name, "white noise"])
+    return float(fit.standard_errors["white noise"][name])
 
 
 # --- fits of halves
