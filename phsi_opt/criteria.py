@@ -72,6 +72,9 @@ AGREEMENT_LEVEL = 0.05
 # Factor on the error of predictions of parts left out from which a prior of the model
 # error is given up for one that predicts better.
 WORSE_PREDICTION = 1.05
+# p-value of the hypothesis that all trajectories have one noise, below which each gets
+# its own.
+DIFFERENT_RUNS_LEVEL = 1e-3
 # Ratio of two standard errors beyond which both are told.
 DIFFERENT_STD_ERRORS = 4 / 3
 

@@ -60,6 +60,9 @@ def prediction_bands(
     by_theta = response.by_theta
     from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
     from_starts = np.einsum("aii->ai", response.left_open)
+    # What is not independent tells as little about starting states as about parameters.
+    share = fit.independent_share(fit.names)
+    from_starts = from_starts / (share if np.isfinite(share) else 1.0)
     variance = from_parameters + from_starts
     return grid.split(np.sqrt(np.maximum(variance, 0.0)))
 

@@ -165,6 +165,11 @@ def _check(fit: Fit, name: str, level: float) -> None:
             f"parameter {name!r} has no profile: the fit has no free parameter, all "
             "values were given."
         )
+    if fit.has_model_error:
+        raise ModelError(
+            "the fit has a model error in its likelihood, whose profile is not known; "
+            "take fit.intervals(), or the profile of a fit by MaximumLikelihood()."
+        )
     if name not in fit.model.free or name not in fit.names:
         raise ModelError(
             f"parameter {name!r} is not a free, shared one of the fit."

@@ -213,10 +213,12 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     task = plain.task
     task.say("priors of the model error")
     first = plain.plain.search
-    shorter = first.pieces() or first
-    priors = compared_priors(shorter, plain.loss.horizon)
+    pieces = first.pieces()
+    priors = compared_priors(pieces or first, plain.loss.horizon)
     chosen = next(prior for prior in priors if prior.is_chosen)
-    disturbances = first.on_whole_record(chosen.evidence.disturbances)
+    disturbances = chosen.evidence.disturbances
+    if pieces is not None:
+        disturbances = first.on_whole_record(disturbances, pieces)
     is_fixed = chosen.has_fixed_times
     search = first
     point = replace(plain.point, theta=plain.theta, x=plain.nodes)

@@ -149,13 +149,19 @@ class FitRecord(Identified):
             table[str(source)] = np.sqrt(np.diag(covariance))
         return table
 
+    @property
+    def has_model_error(self) -> bool:
+        """Whether a random force was part of the likelihood (``model_error=True``)."""
+        return bool(self.prior_rows)
+
     def independent_share(self, names: Sequence[str]) -> float:
         """Share of the residuals that is independent, for what these parameters tell.
 
         What white noise would leave of the variance of the parameters over the variance
         that they have: the mean over their k directions,
         ``k / trace(C_white^-1 C)``, at most one. A gain of the likelihood by them is
-        worth this share of it (Rotnitzky and Jewell, Biometrika 77, 1990).
+        worth this share of it (Rotnitzky and Jewell, Biometrika 77, 1990). One for a
+        fit with ``model_error=True``, whose likelihood knows of it already.
 
         Args:
             names: of estimated parameters.
@@ -163,7 +169,7 @@ class FitRecord(Identified):
         Returns:
             The share; NaN where a covariance is not known.
         """
-        if self.std_error_source == Source.NOISE:
+        if self.std_error_source == Source.NOISE or self.has_model_error:
             return 1.0
         places = [self.names.index(name) for name in names if name in self.names]
         chosen = np.ix_(places, places)

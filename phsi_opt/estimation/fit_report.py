@@ -60,7 +60,10 @@ def _model_error(fit: FitRecord) -> str:
     """Everything that acts beside the model: force in dp/dt of 12 % lasting 1 s."""
     unit_of_time = fit.units.get("t", "")
     parts = []
-    for row in fit.model_error_rows:
+    rows = [row for row in fit.model_error_rows if row.time != 0]
+    if len(rows) < len(fit.model_error_rows):
+        parts.append("noise differs between trajectories")
+    for row in rows:
         lasting = ""
         if np.isfinite(row.time):
             lasting = f" over {row.time:.2g} {unit_of_time}".rstrip()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags
 
-from phsi_opt.data.noise import initial_noise
+from phsi_opt.data.noise_by_run import scatter_by_run
 from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
@@ -136,14 +136,15 @@ class SolvedLikelihood:
         shape = (problem.n_trajectories, len(self.sigma))
         measured = self.grid.measured.any(axis=0)
         channels = np.flatnonzero(measured & ~self.is_known).tolist()
-        scatter = np.where(self.is_known, self.sigma, initial_noise(self.task.data))
+        scatter = np.where(self.is_known, 1.0, scatter_by_run(self.task.data))
+        scatter = np.where(self.is_known, self.sigma, scatter)
         n_theta = len(self.unknown)
         moving = [i for i in range(n_theta) if i not in self.held]
         return DisturbanceSearch(
             problem=problem,
             moving=np.array(moving, dtype=int),
             plain=np.broadcast_to(self.sigma, shape).copy(),
-            scatter=np.broadcast_to(scatter, shape).copy(),
+            scatter=scatter,
             channels=tuple(channels),
         )
 

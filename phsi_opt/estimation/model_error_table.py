@@ -21,9 +21,11 @@ class ModelErrorRow:
 
     Attributes:
         where: equation, such as "dp/dt", or sensor, such as "sensor of q".
-        kind: "force", "sensor error", or "function of q".
+        kind: "force", "sensor error", "function of q", or "noise of run 1" where white
+            noise differs between trajectories.
         size: standard deviation, in ``unit``.
-        time: correlation time in the unit of the record's times; NaN for a function.
+        time: correlation time in the unit of the record's times; NaN for a function, 0
+            for white noise.
         unit: of the size.
         share: of the typical rate of that equation, or of the channel's spread.
     """
@@ -86,12 +88,14 @@ def model_error_rows(
         rows.append(table.of_force(function.equation, function.size, np.nan, kind))
     for sensor in disturbances.sensors:
         rows.append(table.of_sensor(sensor))
+    rows += table.of_noises(disturbances.sigma)
     return tuple(rows)
 
 
 class _Rows:
     def __init__(self, solved: SolvedLikelihood) -> None:
         self._states = solved.model.states
+        self._runs = solved.task.runs
         self._units = solved.task.data.units
         rates = solved.grid.rates(solved.nodes)
         self._rates = np.sqrt(np.mean(rates**2, axis=0))
@@ -114,6 +118,23 @@ class _Rows:
         return ModelErrorRow(
             where, "sensor error", sensor.size, sensor.time, unit, share
         )
+
+    def of_noises(self, sigma: np.ndarray) -> list[ModelErrorRow]:
+        """White noise of every trajectory, for the states of which it differs."""
+        rows = []
+        for k, state in enumerate(self._states):
+            of_runs = sigma[:, k]
+            measured = self._y[:, k]
+            if np.ptp(of_runs) <= 0 or not np.isfinite(measured).any():
+                continue
+            spread = max(float(np.nanstd(measured)), TINY)
+            for run, size in zip(self._runs, of_runs.tolist(), strict=True):
+                where = f"sensor of {state}"
+                kind = f"noise of {run}"
+                unit = self._units.get(state, "")
+                row = ModelErrorRow(where, kind, size, 0.0, unit, size / spread)
+                rows.append(row)
+        return rows
 
     def _rate_unit(self, state: str) -> str:
         unit = self._units.get(state, "")

@@ -116,9 +116,9 @@ class DisturbanceSearch:
             return self._found_directly()
         in_pieces = pieces._found_directly().disturbances
         white = self.white()
-        if in_pieces.is_white:
+        if in_pieces.is_white and not self.noise_differs:
             return white
-        best = self.best_of([self.on_whole_record(in_pieces)])
+        best = self.best_of([self.on_whole_record(in_pieces, pieces)])
         is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
         return best if is_clear else white
 
@@ -140,17 +140,23 @@ class DisturbanceSearch:
             scatter=self.scatter[runs],
         )
 
-    def on_whole_record(self, in_pieces: Disturbances) -> Disturbances:
+    def on_whole_record(
+        self, in_pieces: Disturbances, pieces: "DisturbanceSearch"
+    ) -> Disturbances:
         """Disturbances that were found in `pieces`, for all trajectories.
 
-        Their noises keep the ratios that they have in the plain likelihood.
+        Their noises keep the ratios that neighbouring samples show.
         """
-        mean_of_pieces = np.exp(np.mean(np.log(in_pieces.sigma), axis=0))
-        mean_of_plain = np.exp(np.mean(np.log(self.plain), axis=0))
-        return replace(in_pieces, sigma=self.plain * (mean_of_pieces / mean_of_plain))
+        ratios = np.log(in_pieces.sigma / pieces.noises()[0])
+        sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
+        return replace(in_pieces, sigma=sigma)
 
     def _found_directly(self) -> Evidence:
         best = self.white()
+        if self.noise_differs:
+            by_run = self.best_of([Disturbances(self.noises()[0])])
+            if by_run.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
+                best = by_run
         of_forces = self.best_of(self._force_starts())
         of_sensors = self.best_of(self._sensor_starts())
         one = max(of_forces, of_sensors, key=_log_evidence)
@@ -198,6 +204,11 @@ class DisturbanceSearch:
         return MarginalLikelihood(self.problem, disturbances.structure, self.moving)
 
     @property
+    def noise_differs(self) -> bool:
+        """Whether the scatter says that trajectories have noises of their own."""
+        return bool(np.ptp(self.scatter, axis=0).max() > 0)
+
+    @property
     def interval(self) -> float:
         """Typical interval between nodes."""
         return float(np.median(self.problem.grid.h))
@@ -220,7 +231,9 @@ class DisturbanceSearch:
 
     def noises(self) -> list[np.ndarray]:
         """White noises to begin with: of the residuals, and of neighbouring samples."""
-        lower = np.minimum(self.scatter, self.plain)
+        scatter = self.scatter / np.max(self.scatter, axis=0)
+        largest = np.minimum(np.max(self.scatter, axis=0), np.max(self.plain, axis=0))
+        lower = scatter * largest
         known = [k for k in range(lower.shape[1]) if k not in self.channels]
         lower[:, known] = self.plain[:, known]
         return [lower, self.plain]

@@ -109,7 +109,7 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
         gain = best.log_evidence - baseline.log_evidence
     except (SolveError, np.linalg.LinAlgError):
         best = Evidence(white, 0.0)
-    if not best.disturbances.is_white:
+    if best.coordinates is not None:
         found = best.disturbances
         spreads[Source.DISTURBANCES] = under_disturbances(
             plain.search, plain.response, best

@@ -1,0 +1,52 @@
+"""Noise that differs between trajectories, from the data alone.
+
+What neighbouring samples scatter (`phsi_opt.data.noise`) is known to about 1.2 over the
+root of the number of samples, as a share of itself. Trajectories whose scatter differs
+by more than that have noises of their own.
+"""
+
+import numpy as np
+from scipy.stats import chi2
+
+from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import difference_noise, initial_noise
+
+# Standard deviation of the logarithm of a scatter, times the root of the number of
+# samples: that of a median of absolute values of normal residuals.
+MEDIAN_SPREAD = 1.17
+# Samples of a trajectory from which its scatter is asked for.
+FEWEST_SAMPLES = 30
+
+
+def scatter_by_run(data: Measurements) -> np.ndarray:
+    """Noise that neighbouring samples show, (n_trajectories, n_states).
+
+    One for all trajectories of a state unless they differ by more than chance.
+
+    Raises:
+        DataError: no measured value ever changes.
+    """
+    together = initial_noise(data)
+    scatter = np.tile(together, (data.n_trajectories, 1))
+    if data.n_trajectories == 1:
+        return scatter
+    n_samples = np.array([run.n_samples for run in data.trajectories])
+    if n_samples.min() < FEWEST_SAMPLES:
+        return scatter
+    runs = [data[number] for number in range(data.n_trajectories)]
+    of_runs = np.array([difference_noise(run) for run in runs])
+    for state in range(data.n_states):
+        of_state = of_runs[:, state]
+        is_known = np.all(np.isfinite(of_state)) and np.all(of_state > 0)
+        if is_known and _differ(np.log(of_state), MEDIAN_SPREAD**2 / n_samples):
+            scatter[:, state] = np.maximum(of_state, together[state] / 100)
+    return scatter
+
+
+def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
+    """Whether values (n,) of known variances scatter more than they should."""
+    weights = 1 / variances
+    mean = np.sum(weights * values) / np.sum(weights)
+    statistic = np.sum(weights * (values - mean) ** 2)
+    return bool(chi2.sf(statistic, len(values) - 1) < DIFFERENT_RUNS_LEVEL)
