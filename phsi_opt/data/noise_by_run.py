@@ -1,6 +1,6 @@
 """Noise that differs between trajectories, from the data alone.
 
-What neighbouring samples scatter (`phsi_opt.data.noise`) is known to about 1.2 over the
+What neighbouring samples scatter (`phsi_opt.data.noise`) is known to about 2 over the
 root of the number of samples, as a share of itself. Trajectories whose scatter differs
 by more than that have noises of their own.
 """
@@ -13,8 +13,9 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise, initial_noise
 
 # Standard deviation of the logarithm of a scatter, times the root of the number of
-# samples: that of a median of absolute values of normal residuals.
-MEDIAN_SPREAD = 1.17
+# samples: that of a median of absolute values of normal residuals is 1.17, and residuals
+# of one stencil, which overlap, are worth about a third of as many independent ones.
+MEDIAN_SPREAD = 2.0
 # Samples of a trajectory from which its scatter is asked for.
 FEWEST_SAMPLES = 30
 

@@ -61,6 +61,33 @@ class Coordinates:
         nearest = np.array([min(-lower, upper) for lower, upper in self.bounds])
         return np.asarray(nearest > distance)
 
+    def among_slopes(self) -> np.ndarray:
+        """Which slopes of `ascent.Slopes` belong to each coordinate, ones and zeros.
+
+        (n_coordinates, n_slopes); a time that several processes share has the sum of
+        their slopes.
+        """
+        origin = self.origin
+        n_channels = len(self.channels)
+        n_processes = len(origin.forces) + len(origin.sensors)
+        n_functions = len(origin.functions)
+        units = np.eye(n_channels + 2 * n_processes + n_functions)
+        rows = [*units[:n_channels]]
+        first = n_channels
+        for processes, fixed in (
+            (origin.forces, self.fixed_times),
+            (origin.sensors, False),
+        ):
+            last = first + len(processes)
+            rows += [*units[first:last]]
+            lasting = np.array([self._lasts(process) for process in processes])
+            if lasting.any() and not fixed:
+                times = units[first + n_processes : last + n_processes]
+                rows.append(times[lasting].sum(axis=0))
+            first = last
+        rows += [*units[n_channels + 2 * n_processes :]]
+        return np.array(rows).reshape(len(rows), len(units))
+
     def _bounds_of(
         self, processes: tuple[Process, ...], fixed: bool
     ) -> list[tuple[float, float]]:

@@ -5,14 +5,14 @@ functions of states. A kind is taken only where the evidence for it is clear: a
 disturbance that the record does not show would widen every interval for nothing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
 from phsi_opt.errors import SolveError
+from phsi_opt.model_error.ascent import climbed
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.linearization import Linearization
@@ -35,11 +35,6 @@ ABSENT_SHARE = 1e-9  # size of a function that is not there, as a share of that 
 # Least noise as a share of what neighbouring samples scatter, which is noise and what
 # a cubic does not follow.
 LEAST_NOISE = 0.1
-SLOPE_STEP = 1e-3  # of logarithms, for the slopes of the evidence
-MOST_ITERATIONS = 25  # of a search; it ends in 5 to 15 where it was measured
-# Gain of the log evidence by an iteration at which a search ends: far below what makes
-# a difference to a standard error.
-LEAST_GAIN = 0.02
 SHORTEST_INTERVALS = 0.3  # shortest correlation time, in sampling intervals
 NO_STATES = 1e12  # stands for minus the log evidence where no states follow
 # Intervals on which a search begins: sizes and times are known to a few percent from
@@ -155,7 +150,9 @@ class DisturbanceSearch:
         best = self.white()
         if self.noise_differs:
             by_run = self.best_of([Disturbances(self.noises()[0])])
-            if by_run.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
+            # Each trajectory's noise was taken from the data.
+            limit = MODEL_ERROR_EVIDENCE + self.problem.n_trajectories
+            if by_run.log_evidence > best.log_evidence + limit:
                 best = by_run
         of_forces = self.best_of(self._force_starts())
         of_sensors = self.best_of(self._sensor_starts())
@@ -192,13 +189,10 @@ class DisturbanceSearch:
             fixed_times=fixed_times,
         )
 
-        def negative(vector: np.ndarray) -> float:
-            return _negative_evidence(likelihood, coordinates.at(vector))
-
-        vector = _minimum(negative, coordinates.bounds)
-        disturbances = coordinates.at(vector)
+        found = climbed(likelihood, coordinates, self.channels)
+        disturbances = coordinates.at(found.vector)
         moved = replace(coordinates, origin=disturbances)
-        return Evidence(disturbances, -negative(vector), moved)
+        return Evidence(disturbances, found.log_evidence, moved)
 
     def _likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
         return MarginalLikelihood(self.problem, disturbances.structure, self.moving)
@@ -340,27 +334,6 @@ def _negative_evidence(
     except (SolveError, np.linalg.LinAlgError):
         return NO_STATES
     return value if np.isfinite(value) else NO_STATES
-
-
-def _minimum(
-    function: Callable[[np.ndarray], float], bounds: list[tuple[float, float]]
-) -> np.ndarray:
-    """Where a function of logarithms is least, searched from zero."""
-    start = np.zeros(len(bounds))
-    size = max(abs(function(start)), 1.0)
-    found = minimize(
-        function,
-        start,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={
-            "eps": SLOPE_STEP,
-            "ftol": LEAST_GAIN / size,
-            "maxiter": MOST_ITERATIONS,
-        },
-    )
-    vector: np.ndarray = found.x
-    return vector
 
 
 def _chosen_sizes(border: Border, rates: np.ndarray) -> np.ndarray:

@@ -155,6 +155,12 @@ class MarginalLikelihood:
         problem: the linearised record.
         structure: which disturbances there are.
         moving: (n_moving,) places of the parameters that are free to move.
+
+    Attributes:
+        n_unknowns: number of states at all nodes and of values of processes.
+        shown: slope of the measured values in them, sparse.
+        border_in_shown: (n_values, n_border), in parameters and coefficients.
+        border_in_dynamics: (n_intervals * n_states, n_border).
     """
 
     def __init__(
@@ -163,8 +169,8 @@ class MarginalLikelihood:
         self.problem = problem
         self.structure = structure
         self.moving = moving
-        self._shown = self._shown_in_unknowns()
-        self._n_unknowns = self._shown.shape[1]
+        self.shown = self._shown_in_unknowns()
+        self.n_unknowns = self.shown.shape[1]
         self._set_layout()
         self._set_border()
 
@@ -202,21 +208,21 @@ class MarginalLikelihood:
     def _set_layout(self) -> None:
         """Places of all entries: dynamics, products of slopes, priors of processes."""
         dynamics = self._dynamics_in_unknowns()
-        below = dynamics.row + self._n_unknowns
+        below = dynamics.row + self.n_unknowns
         rows = [below, dynamics.col]
         columns = [dynamics.col, below]
         self._dynamics_entries = np.concatenate([dynamics.data, dynamics.data])
-        self._products = _products_of_rows(self._shown)
+        self._products = _products_of_rows(self.shown)
         rows.append(self._products.row)
         columns.append(self._products.column)
-        for first, n in self._places_of_processes():
+        for first, n in self.places_of_processes():
             on_diagonal = first + np.arange(n)
             rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
             columns += [on_diagonal, on_diagonal[:-1], on_diagonal[1:]]
         order = np.argsort(self._times_of_unknowns(), kind="stable")
         self._layout = BandLayout(np.concatenate(rows), np.concatenate(columns), order)
 
-    def _places_of_processes(self) -> list[tuple[int, int]]:
+    def places_of_processes(self) -> list[tuple[int, int]]:
         """First place and length of every process among the unknowns."""
         problem = self.problem
         lengths = [problem.grid.n_intervals] * len(self.structure.forces)
@@ -250,21 +256,19 @@ class MarginalLikelihood:
             columns = problem.dynamics_of_function(equation, state)
             in_dynamics.append(columns)
             owner += [number] * columns.shape[1]
-        self._border_in_dynamics = np.hstack(in_dynamics)
+        self.border_in_dynamics = np.hstack(in_dynamics)
         self._owner = np.array(owner, dtype=int)
-        n_columns = self._border_in_dynamics.shape[1]
-        in_unknowns = np.zeros((self._n_unknowns, 0))
+        n_columns = self.border_in_dynamics.shape[1]
+        in_unknowns = np.zeros((self.n_unknowns, 0))
         if self.structure.is_orthogonal:
             in_unknowns = self._own_directions()
-            no_dynamics = np.zeros((len(self._border_in_dynamics), len(self.moving)))
-            self._border_in_dynamics = np.hstack(
-                [self._border_in_dynamics, no_dynamics]
-            )
-        before = np.zeros((self._n_unknowns, n_columns))
+            no_dynamics = np.zeros((len(self.border_in_dynamics), len(self.moving)))
+            self.border_in_dynamics = np.hstack([self.border_in_dynamics, no_dynamics])
+        before = np.zeros((self.n_unknowns, n_columns))
         self._border_in_unknowns = np.hstack([before, in_unknowns])
-        in_shown = np.zeros((problem.n_values, self._border_in_dynamics.shape[1]))
+        in_shown = np.zeros((problem.n_values, self.border_in_dynamics.shape[1]))
         in_shown[:, : len(self.moving)] = problem.shown_in_theta[:, self.moving]
-        self._border_in_shown = in_shown
+        self.border_in_shown = in_shown
 
     def _own_directions(self) -> np.ndarray:
         """What the model's own parameters do, as directions of the forces.
@@ -273,7 +277,7 @@ class MarginalLikelihood:
         """
         problem = self.problem
         own = problem.dynamics_in_theta[:, self.moving]
-        directions = np.zeros((self._n_unknowns, len(self.moving)))
+        directions = np.zeros((self.n_unknowns, len(self.moving)))
         first = problem.dynamics_in_states.shape[1]
         for equation in self.structure.forces:
             effect = problem.effect_of_force(equation)
@@ -299,6 +303,25 @@ class MarginalLikelihood:
         ridge = RIDGE * np.eye(len(covariance)) * np.trace(covariance)
         return float(np.linalg.slogdet(covariance + ridge)[1] / 2)
 
+    def values_of_processes(self, unknowns: np.ndarray) -> np.ndarray:
+        """What processes alone add to the measured values, (n_values,)."""
+        n_x = self.problem.dynamics_in_states.shape[1]
+        processes = unknowns.copy()
+        processes[:n_x] = 0.0
+        shown: np.ndarray = self.shown @ processes
+        return shown
+
+    def dynamics_of_processes(self, unknowns: np.ndarray) -> np.ndarray:
+        """What forces alone do to the dynamics, (n_intervals * n_states,)."""
+        problem = self.problem
+        moved = np.zeros(problem.dynamics_in_states.shape[0])
+        places = self.places_of_processes()
+        for equation, (first, n) in zip(self.structure.forces, places, strict=False):
+            force = unknowns[first : first + n]
+            effect = problem.effect_of_force(equation)
+            moved[problem.places_of_force(equation)] += effect * force
+        return moved
+
     def whiteners(self, disturbances: Disturbances) -> list[Whitener]:
         """Of every process, forces first, of size one."""
         problem = self.problem
@@ -309,7 +332,12 @@ class MarginalLikelihood:
             whiteners.append(whitener_of_sensor(problem, sensor))
         return whiteners
 
-    def _eliminated(self, disturbances: Disturbances) -> "_Eliminated":
+    def eliminated(self, disturbances: Disturbances) -> "Eliminated":
+        """States and processes solved for, in terms of the border.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
         problem = self.problem
         weight = noise_weights(problem, disturbances.sigma)
         squared = weight**2
@@ -324,18 +352,19 @@ class MarginalLikelihood:
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
         factors = Banded.of(self._layout, np.concatenate(entries))
-        weighted_border = squared[:, None] * self._border_in_shown
-        of_unknowns = self._shown.T @ weighted_border + self._border_in_unknowns
-        coupling = np.vstack([of_unknowns, self._border_in_dynamics])
-        in_unknowns = self._shown.T @ (squared * problem.residual)
+        weighted_border = squared[:, None] * self.border_in_shown
+        of_unknowns = self.shown.T @ weighted_border + self._border_in_unknowns
+        coupling = np.vstack([of_unknowns, self.border_in_dynamics])
+        in_unknowns = self.shown.T @ (squared * problem.residual)
         gradient = np.concatenate([in_unknowns, -problem.offset])
         right = np.column_stack([coupling, gradient])
         log_noise = float(np.sum(np.log(weight)))
         log_prior += self._log_room(disturbances, whiteners)
-        return _Eliminated(
+        return Eliminated(
             weights=squared,
             right=right,
             solved=factors.solve(right),
+            factors=factors,
             log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
         )
 
@@ -345,7 +374,10 @@ class MarginalLikelihood:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        eliminated = self._eliminated(disturbances)
+        return self.border_of(self.eliminated(disturbances))
+
+    def border_of(self, eliminated: "Eliminated") -> Border:
+        """What is left of states and processes that were solved for."""
         everything = slice(None)
         return self._border_of(eliminated, everything, everything)
 
@@ -357,7 +389,7 @@ class MarginalLikelihood:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        eliminated = self._eliminated(disturbances)
+        eliminated = self.eliminated(disturbances)
         run_of_value = self.problem.grid.trajectory[self.problem.node]
         run_of_unknown = self._runs_of_unknowns()
         borders = []
@@ -373,18 +405,17 @@ class MarginalLikelihood:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        eliminated = self._eliminated(disturbances)
-        everything = slice(None)
+        eliminated = self.eliminated(disturbances)
         sizes = np.array([function.size for function in disturbances.functions])
-        border = self._border_of(eliminated, everything, everything).marginal(sizes)
+        border = self.border_of(eliminated).marginal(sizes)
         solved = eliminated.solved
-        unknowns = (solved[:, -1] - solved[:, :-1] @ border.border)[: self._n_unknowns]
+        unknowns = (solved[:, -1] - solved[:, :-1] @ border.border)[: self.n_unknowns]
         problem = self.problem
         theta = np.zeros(problem.n_theta)
         theta[self.moving] = border.theta
         n_x = problem.nodes.size
         processes = []
-        for first, n in self._places_of_processes():
+        for first, n in self.places_of_processes():
             processes.append(unknowns[first : first + n])
         of_functions = border.border[len(self.moving) :][: len(self._owner)]
         coefficients = []
@@ -403,14 +434,13 @@ class MarginalLikelihood:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        eliminated = self._eliminated(disturbances)
-        everything = slice(None)
-        border = self._border_of(eliminated, everything, everything)
+        eliminated = self.eliminated(disturbances)
+        border = self.border_of(eliminated)
         sizes = np.array([function.size for function in disturbances.functions])
         inverse = np.linalg.inv(border.with_priors(sizes))[: border.n_theta]
         answers = eliminated.solved[:, :-1]
-        shown = self._border_in_shown - self._shown @ answers[: self._n_unknowns]
-        of_dynamics = answers[self._n_unknowns :]
+        shown = self.border_in_shown - self.shown @ answers[: self.n_unknowns]
+        of_dynamics = answers[self.n_unknowns :]
         n_theta = self.problem.n_theta
         to_dynamics = np.zeros((n_theta, len(of_dynamics)))
         to_dynamics[self.moving] = inverse @ of_dynamics.T
@@ -419,11 +449,11 @@ class MarginalLikelihood:
         return Response(to_dynamics, to_values)
 
     def _border_of(
-        self, eliminated: "_Eliminated", values: Any, unknowns: Any
+        self, eliminated: "Eliminated", values: Any, unknowns: Any
     ) -> Border:
         """From some of the values, and the unknowns that belong to them."""
         weights = eliminated.weights[values]
-        in_shown = self._border_in_shown[values]
+        in_shown = self.border_in_shown[values]
         residual = self.problem.residual[values]
         right = eliminated.right[unknowns]
         products = right.T @ eliminated.solved[unknowns]
@@ -482,19 +512,21 @@ class MarginalLikelihood:
 
 
 @dataclass(frozen=True, eq=False)
-class _Eliminated:
+class Eliminated:
     """States and processes solved for, for each column of the border and the data.
 
     Attributes:
         weights: (n_values,) one over the noise variance.
         right: (n_unknowns, n_border + 1) right-hand sides, the last of the data.
         solved: in the same shape.
+        factors: of the matrix of unknowns and multipliers.
         log_evidence: all that does not depend on the border.
     """
 
     weights: np.ndarray
     right: np.ndarray
     solved: np.ndarray
+    factors: Banded
     log_evidence: float
 
 

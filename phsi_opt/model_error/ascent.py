@@ -1,0 +1,427 @@
+"""The slope of the log evidence in every size and time, and steps uphill.
+
+Slopes follow from the solution at given sizes, but for traces of an inverse, which are
+estimated by random signs from a fixed seed (Hutchinson 1990). The curvature is the
+average information, of which only solutions for further right-hand sides are needed
+(Gilmour, Thompson and Cullis, Biometrics 51, 1995). So a step costs about two
+evaluations of the evidence, however many sizes there are.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_banded
+
+from phsi_opt.errors import SolveError
+from phsi_opt.model_error.coordinates import Coordinates
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.marginal_likelihood import Eliminated, MarginalLikelihood
+from phsi_opt.model_error.processes import Process, Whitener
+from phsi_opt.statistics import TINY
+
+SEED = 0  # of the random signs: the same every time
+N_PROBED = 8_000  # values that all random vectors together look at, at least
+FEWEST_PROBES = 6
+MOST_PROBES = 24
+# Share of the information that is added to it (Levenberg 1944, Marquardt 1963), and the
+# factor on it after a step that led down.
+FIRST_DAMPING = 0.1
+LEAST_DAMPING = 1e-3
+MOST_DAMPING = 1e4
+MORE_DAMPING = 10.0
+LEAST_INFORMATION = 0.1  # of a coordinate: a size that nothing tells moves freely
+LONGEST_STEP = 2.0  # of a logarithm
+MOST_STEPS = 25
+# Gain of the log evidence by a step at which an ascent ends: far below what makes a
+# difference to a standard error, and about what the random signs leave open.
+LEAST_GAIN = 0.03
+LOG_TIME_STEP = 1e-4  # of the logarithm of a time, for the slope of its prior
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Slopes of the log evidence in logarithms.
+
+    In the order: noise of each channel, size of each process, time of each process,
+    size of each function.
+
+    Attributes:
+        log_evidence: where they were taken.
+        gradient: (n,).
+        information: (n, n) average information, a curvature.
+    """
+
+    log_evidence: float
+    gradient: np.ndarray
+    information: np.ndarray
+
+
+def slopes(
+    likelihood: MarginalLikelihood,
+    disturbances: Disturbances,
+    channels: tuple[int, ...],
+) -> Slopes:
+    """Slopes at given disturbances.
+
+    Args:
+        likelihood: of the structure of the disturbances.
+        disturbances: with their sizes.
+        channels: states whose noise is estimated.
+
+    Raises:
+        SolveError: the states do not follow from the data.
+    """
+    return _Derivatives(likelihood, disturbances, channels).slopes()
+
+
+@dataclass(frozen=True, eq=False)
+class Climbed:
+    """Where an ascent ended.
+
+    Attributes:
+        vector: (n_coordinates,).
+        log_evidence: there.
+    """
+
+    vector: np.ndarray
+    log_evidence: float
+
+
+def climbed(
+    likelihood: MarginalLikelihood, coordinates: Coordinates, channels: tuple[int, ...]
+) -> Climbed:
+    """The largest log evidence, by damped Newton steps from the coordinates' origin.
+
+    Args:
+        likelihood: of the structure of the origin.
+        coordinates: with their bounds.
+        channels: states whose noise is estimated.
+    """
+    lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
+    to_coordinates = coordinates.among_slopes()
+    vector = np.zeros(len(lower))
+    damping = FIRST_DAMPING
+    try:
+        here = slopes(likelihood, coordinates.at(vector), channels)
+    except SolveError:
+        return Climbed(vector, -np.inf)
+    for _ in range(MOST_STEPS):
+        gradient = to_coordinates @ here.gradient
+        information = to_coordinates @ here.information @ to_coordinates.T
+        leads_out = (vector <= lower) & (gradient < 0)
+        leads_out |= (vector >= upper) & (gradient > 0)
+        step = _newton_step(gradient, information, ~leads_out, damping)
+        trial = np.clip(vector + step, lower, upper)
+        there = _slopes_at(likelihood, coordinates.at(trial), channels)
+        if there is None or there.log_evidence < here.log_evidence:
+            damping *= MORE_DAMPING
+            if damping > MOST_DAMPING:
+                break
+            continue
+        gain = there.log_evidence - here.log_evidence
+        vector = trial
+        here = there
+        damping = max(damping / MORE_DAMPING, LEAST_DAMPING)
+        if gain < LEAST_GAIN:
+            break
+    return Climbed(vector, here.log_evidence)
+
+
+def _slopes_at(
+    likelihood: MarginalLikelihood, there: Disturbances, channels: tuple[int, ...]
+) -> Slopes | None:
+    """Slopes, or None where the states do not follow from the data."""
+    try:
+        found = slopes(likelihood, there, channels)
+    except SolveError:
+        return None
+    return found if np.isfinite(found.log_evidence) else None
+
+
+def _newton_step(
+    gradient: np.ndarray, information: np.ndarray, moves: np.ndarray, damping: float
+) -> np.ndarray:
+    """A step uphill, no coordinate by more than `LONGEST_STEP`."""
+    step = np.zeros(len(gradient))
+    if not moves.any():
+        return step
+    inner = information[np.ix_(moves, moves)]
+    diagonal = np.maximum(np.diag(inner), LEAST_INFORMATION)
+    damped = inner + np.diag(damping * diagonal + LEAST_INFORMATION)
+    step[moves] = np.linalg.solve(damped, gradient[moves])
+    longest = np.max(np.abs(step))
+    return step * min(1.0, LONGEST_STEP / max(longest, TINY))
+
+
+@dataclass(frozen=True, eq=False)
+class _Prior:
+    """A process, its values, and how its prior changes with its time.
+
+    The inverse covariance of the values has two diagonals; ``d_diagonal`` and
+    ``d_below`` are their slopes in the logarithm of the time.
+    """
+
+    process: Process
+    whitener: Whitener
+    places: slice
+    d_diagonal: np.ndarray
+    d_below: np.ndarray
+    d_log_det: float
+
+    @classmethod
+    def of(
+        cls, process: Process, whitener: Whitener, later: Whitener, places: slice
+    ) -> "_Prior":
+        step = LOG_TIME_STEP
+        diagonal = later.precision_diagonal - whitener.precision_diagonal
+        below = later.precision_below - whitener.precision_below
+        scale = process.size**2 * step
+        d_log_det = (later.log_det - whitener.log_det) / step
+        return cls(
+            process, whitener, places, diagonal / scale, below / scale, d_log_det
+        )
+
+    @property
+    def n(self) -> int:
+        return len(self.whitener.diagonal)
+
+    def changed(self, values: np.ndarray) -> np.ndarray:
+        """Slope of the inverse covariance times values (n, ...)."""
+        result = (self.d_diagonal * values.T).T
+        result[1:] += (self.d_below * values[:-1].T).T
+        result[:-1] += (self.d_below * values[1:].T).T
+        return result
+
+    def whitened(self, values: np.ndarray) -> np.ndarray:
+        """Standard normals of values (n, ...)."""
+        whitener = self.whitener
+        result = (whitener.diagonal * values.T).T
+        result[1:] += (whitener.below * values[:-1].T).T
+        return result / self.process.size
+
+    def transposed(self, normals: np.ndarray) -> np.ndarray:
+        """The transposed whitener times (n, k)."""
+        whitener = self.whitener
+        result = whitener.diagonal[:, None] * normals
+        result[:-1] += whitener.below[:, None] * normals[1:]
+        return result / self.process.size
+
+    def coloured(self, normals: np.ndarray) -> np.ndarray:
+        """Values with this prior from standard normals (n, ...)."""
+        lower = np.zeros((2, self.n))
+        lower[0] = self.whitener.diagonal
+        lower[1, :-1] = self.whitener.below
+        values: np.ndarray = solve_banded((1, 0), lower, normals) * self.process.size
+        return values
+
+    def covariance_times(self, values: np.ndarray) -> np.ndarray:
+        """The covariance times values (n,)."""
+        inner = self.whitener.factor_of(values[:, None])[:, 0] * self.process.size
+        return self.coloured(inner)
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """Right-hand sides: in the unknowns and dynamics, in the border, and in the data.
+
+    Attributes:
+        inner: (n_inner, k).
+        border: (n_border, k).
+        data: (n_values, k), the part of it that is a change of the data.
+    """
+
+    inner: np.ndarray
+    border: np.ndarray
+    data: np.ndarray
+
+
+class _Derivatives:
+    def __init__(
+        self,
+        likelihood: MarginalLikelihood,
+        disturbances: Disturbances,
+        channels: tuple[int, ...],
+    ) -> None:
+        self.likelihood = likelihood
+        self.disturbances = disturbances
+        self.channels = channels
+        self.problem = likelihood.problem
+        self.parts: Eliminated = likelihood.eliminated(disturbances)
+        self.sizes = np.array([f.size for f in disturbances.functions])
+        border = likelihood.border_of(self.parts)
+        self.information = border.with_priors(self.sizes)
+        marginal = border.marginal(self.sizes)
+        self.log_evidence = marginal.log_evidence
+        self.step = marginal.border
+        self.n_theta = border.n_theta
+        self.owner = border.owner
+        solved = self.parts.solved
+        self.unknowns = solved[:, -1] - solved[:, :-1] @ self.step
+        n = likelihood.n_unknowns
+        shown = likelihood.shown @ self.unknowns[:n]
+        self.residual = (
+            self.problem.residual - shown - likelihood.border_in_shown @ self.step
+        )
+        self.priors = self._priors()
+
+    def _priors(self) -> list[_Prior]:
+        forces = self.disturbances.forces
+        processes = [*forces, *self.disturbances.sensors]
+        later = []
+        for process in processes:
+            time = process.time * float(np.exp(LOG_TIME_STEP))
+            later.append(Process(process.place, process.size, time))
+        n = len(forces)
+        moved = Disturbances(
+            self.disturbances.sigma, tuple(later[:n]), tuple(later[n:])
+        )
+        now = self.likelihood.whiteners(self.disturbances)
+        then = self.likelihood.whiteners(moved)
+        priors = []
+        places = self.likelihood.places_of_processes()
+        for number, process in enumerate(processes):
+            first, length = places[number]
+            where = slice(first, first + length)
+            priors.append(_Prior.of(process, now[number], then[number], where))
+        return priors
+
+    def slopes(self) -> Slopes:
+        """Gradient and average information."""
+        changes = self._changes()
+        probes = self._probes()
+        inner = np.hstack([changes.inner, probes.inner])
+        border = np.hstack([changes.border, probes.border])
+        k = changes.inner.shape[1]
+        alone = self.parts.factors.solve(inner)
+        open_border = border - self.parts.right[:, :-1].T @ alone
+        of_border = np.linalg.solve(self.information, open_border)
+        information = self._information(
+            changes, alone[:, :k], open_border[:, :k], of_border[:, :k]
+        )
+        answer = alone[:, k:] - self.parts.solved[:, :-1] @ of_border[:, k:]
+        gradient = self._gradient(answer, of_border[:, k:])
+        return Slopes(self.log_evidence, gradient, information)
+
+    def _changes(self) -> _Columns:
+        """How the data would move with each size and time, as right-hand sides."""
+        likelihood = self.likelihood
+        n_inner = len(self.parts.right)
+        n = likelihood.n_unknowns
+        weights = self.parts.weights
+        data = []
+        dynamics = []
+        for channel in self.channels:
+            is_in = self.problem.channel == channel
+            data.append(np.where(is_in, 2 * self.residual, 0.0))
+            dynamics.append(np.zeros(n_inner - n))
+        for moved in self._moved_processes():
+            data.append(likelihood.values_of_processes(moved))
+            dynamics.append(likelihood.dynamics_of_processes(moved))
+        for number in range(len(self.sizes)):
+            step = np.zeros(len(self.step))
+            places = self.n_theta + np.flatnonzero(self.owner == number)
+            step[places] = 2 * self.step[places]
+            data.append(np.zeros(len(weights)))
+            dynamics.append(-likelihood.border_in_dynamics @ step)
+        shifts = np.array(data).T.reshape(len(weights), -1)
+        offsets = np.array(dynamics).T.reshape(n_inner - n, -1)
+        weighted = weights[:, None] * shifts
+        return _Columns(
+            inner=np.vstack([likelihood.shown.T @ weighted, offsets]),
+            border=likelihood.border_in_shown.T @ weighted,
+            data=shifts,
+        )
+
+    def _moved_processes(self) -> list[np.ndarray]:
+        """Values of all processes, as each size and then each time would move them."""
+        n = self.likelihood.n_unknowns
+        by_size = []
+        by_time = []
+        for prior in self.priors:
+            values = self.unknowns[prior.places]
+            moved = np.zeros(n)
+            moved[prior.places] = 2 * values
+            by_size.append(moved)
+            moved = np.zeros(n)
+            moved[prior.places] = -prior.covariance_times(prior.changed(values))
+            by_time.append(moved)
+        return [*by_size, *by_time]
+
+    def _probes(self) -> _Columns:
+        """Random signs: first of the measured values, then of the processes."""
+        likelihood = self.likelihood
+        n_values = self.problem.n_values
+        rng = np.random.default_rng(SEED)
+        n_probes = int(np.clip(N_PROBED // n_values, FEWEST_PROBES, MOST_PROBES))
+        self.n_probes = n_probes
+        self.value_signs = rng.choice([-1.0, 1.0], (n_values, n_probes))
+        self.process_signs = [
+            rng.choice([-1.0, 1.0], (prior.n, n_probes)) for prior in self.priors
+        ]
+        inner = np.zeros((len(self.parts.right), 2 * n_probes))
+        border = np.zeros((len(self.step), 2 * n_probes))
+        weighted = np.sqrt(self.parts.weights)[:, None] * self.value_signs
+        n = likelihood.n_unknowns
+        inner[:n, :n_probes] = likelihood.shown.T @ weighted
+        border[:, :n_probes] = likelihood.border_in_shown.T @ weighted
+        for prior, signs in zip(self.priors, self.process_signs, strict=True):
+            inner[prior.places, n_probes:] = prior.transposed(signs)
+        return _Columns(inner, border, np.zeros((0, 0)))
+
+    def _information(
+        self,
+        changes: _Columns,
+        alone: np.ndarray,
+        open_border: np.ndarray,
+        of_border: np.ndarray,
+    ) -> np.ndarray:
+        """Half the change of the data, over the covariance that is left of them."""
+        squares = changes.data.T @ (self.parts.weights[:, None] * changes.data)
+        explained = changes.inner.T @ alone + open_border.T @ of_border
+        information: np.ndarray = (squares - explained) / 2
+        return (information + information.T) / 2
+
+    def _gradient(self, answer: np.ndarray, of_border: np.ndarray) -> np.ndarray:
+        n_probes = self.n_probes
+        return np.concatenate(
+            [
+                self._in_noise(answer[:, :n_probes], of_border[:, :n_probes]),
+                *self._in_processes(answer[:, n_probes:]),
+                self._in_functions(),
+            ]
+        )
+
+    def _in_noise(self, answer: np.ndarray, of_border: np.ndarray) -> np.ndarray:
+        likelihood = self.likelihood
+        root = np.sqrt(self.parts.weights)
+        shown = likelihood.shown @ answer[: likelihood.n_unknowns]
+        shown = root[:, None] * (shown + likelihood.border_in_shown @ of_border)
+        leverage = np.mean(self.value_signs * shown, axis=1)
+        squares = (root * self.residual) ** 2
+        left = squares - 1 + leverage
+        return np.array([left[self.problem.channel == c].sum() for c in self.channels])
+
+    def _in_processes(self, answer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        by_size = []
+        by_time = []
+        for prior, signs in zip(self.priors, self.process_signs, strict=True):
+            values = self.unknowns[prior.places]
+            found = answer[prior.places]
+            squares = float(np.sum(prior.whitened(values) ** 2))
+            determined = float(np.mean(np.sum(signs * prior.whitened(found), axis=0)))
+            by_size.append(squares - prior.n + determined)
+            change = float(values @ prior.changed(values))
+            changed = prior.changed(prior.coloured(signs))
+            trace = float(np.mean(np.sum(found * changed, axis=0)))
+            by_time.append(prior.d_log_det - (change + trace) / 2)
+        return np.array(by_size), np.array(by_time)
+
+    def _in_functions(self) -> np.ndarray:
+        covariance = np.linalg.inv(self.information)
+        slopes = []
+        for number, size in enumerate(self.sizes):
+            places = self.n_theta + np.flatnonzero(self.owner == number)
+            squares = np.sum(self.step[places] ** 2)
+            trace = np.sum(np.diag(covariance)[places])
+            slopes.append((squares + trace) / size**2 - len(places))
+        return np.array(slopes)
