@@ -13,8 +13,8 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise, initial_noise
 
 # Standard deviation of the logarithm of a scatter, times the root of the number of
-# samples: that of a median of absolute values of normal residuals is 1.17, and residuals
-# of one stencil, which overlap, are worth about a third of as many independent ones.
+# samples: that of a median of absolute values of normal residuals is 1.17, and these
+# residuals, whose stencils overlap, are worth about a third as many independent ones.
 MEDIAN_SPREAD = 2.0
 # Samples of a trajectory from which its scatter is asked for.
 FEWEST_SAMPLES = 30

@@ -20,8 +20,8 @@ from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.statistics import TINY
 
 SEED = 0  # of the random signs: the same every time
-N_PROBED = 8_000  # values that all random vectors together look at, at least
-FEWEST_PROBES = 6
+PROBED_VALUES = 8_000  # values that all random vectors together look at, at least
+LEAST_PROBES = 6
 MOST_PROBES = 24
 # Share of the information that is added to it (Levenberg 1944, Marquardt 1963), and the
 # factor on it after a step that led down.
@@ -352,7 +352,7 @@ class _Derivatives:
         likelihood = self.likelihood
         n_values = self.problem.n_values
         rng = np.random.default_rng(SEED)
-        n_probes = int(np.clip(N_PROBED // n_values, FEWEST_PROBES, MOST_PROBES))
+        n_probes = int(np.clip(PROBED_VALUES // n_values, LEAST_PROBES, MOST_PROBES))
         self.n_probes = n_probes
         self.value_signs = rng.choice([-1.0, 1.0], (n_values, n_probes))
         self.process_signs = [
