@@ -218,7 +218,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     chosen = next(prior for prior in priors if prior.is_chosen)
     disturbances = chosen.evidence.disturbances
     if pieces is not None:
-        disturbances = first.on_whole_record(disturbances, pieces)
+        disturbances = first.translated(disturbances, pieces)
     is_fixed = chosen.has_fixed_times
     search = first
     point = replace(plain.point, theta=plain.theta, x=plain.nodes)

@@ -146,6 +146,7 @@ class SolvedLikelihood:
             plain=np.broadcast_to(self.sigma, shape).copy(),
             scatter=scatter,
             channels=tuple(channels),
+            is_brief=not self.task.settings.thorough,
         )
 
 

@@ -88,7 +88,10 @@ class Climbed:
 
 
 def climbed(
-    likelihood: MarginalLikelihood, coordinates: Coordinates, channels: tuple[int, ...]
+    likelihood: MarginalLikelihood,
+    coordinates: Coordinates,
+    channels: tuple[int, ...],
+    most_steps: int,
 ) -> Climbed:
     """The largest log evidence, by damped Newton steps from the coordinates' origin.
 
@@ -96,6 +99,7 @@ def climbed(
         likelihood: of the structure of the origin.
         coordinates: with their bounds.
         channels: states whose noise is estimated.
+        most_steps: uphill, at most.
     """
     lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
     to_coordinates = coordinates.among_slopes()
@@ -105,7 +109,7 @@ def climbed(
         here = slopes(likelihood, coordinates.at(vector), channels)
     except SolveError:
         return Climbed(vector, -np.inf)
-    for _ in range(MOST_STEPS):
+    for _ in range(most_steps):
         gradient = to_coordinates @ here.gradient
         information = to_coordinates @ here.information @ to_coordinates.T
         leads_out = (vector <= lower) & (gradient < 0)

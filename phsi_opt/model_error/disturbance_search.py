@@ -12,7 +12,7 @@ import numpy as np
 
 from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
 from phsi_opt.errors import SolveError
-from phsi_opt.model_error.ascent import climbed
+from phsi_opt.model_error.ascent import MOST_STEPS, climbed
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.linearization import Linearization
@@ -39,8 +39,9 @@ SHORTEST_INTERVALS = 0.3  # shortest correlation time, in sampling intervals
 NO_STATES = 1e12  # stands for minus the log evidence where no states follow
 # Intervals on which a search begins: sizes and times are known to a few percent from
 # them, and the whole record has the last word.
-MOST_SEARCHED = 3_000
-SHORTEST_PIECE = 300  # intervals of the pieces that a long record is searched on
+MOST_SEARCHED = 1_500
+SHORTEST_PIECE = 250  # samples of the pieces that a long record is searched on
+STEPS_ON_WHOLE = 4  # uphill, from what was found in pieces
 # Columns of functions beside the parameters, at most: each costs as much as one more
 # parameter.
 MOST_FUNCTION_COLUMNS = 80
@@ -71,6 +72,7 @@ class DisturbanceSearch:
         plain: white noise of the plain likelihood, (n_trajectories, n_states).
         scatter: noise that neighbouring samples show, in the same shape.
         channels: states whose noise is not known.
+        is_brief: whether one kind of disturbance is enough: that of a re-fit.
     """
 
     problem: Linearization
@@ -78,6 +80,7 @@ class DisturbanceSearch:
     plain: np.ndarray
     scatter: np.ndarray
     channels: tuple[int, ...]
+    is_brief: bool = False
 
     def white(self) -> Evidence:
         """White noise alone, as the plain likelihood has it.
@@ -113,7 +116,8 @@ class DisturbanceSearch:
         white = self.white()
         if in_pieces.is_white and not self.noise_differs:
             return white
-        best = self.best_of([self.on_whole_record(in_pieces, pieces)])
+        start = self.translated(in_pieces, pieces)
+        best = self.best_of([start], most_steps=STEPS_ON_WHOLE)
         is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
         return best if is_clear else white
 
@@ -122,8 +126,10 @@ class DisturbanceSearch:
         n_intervals = self.problem.grid.n_intervals
         if n_intervals <= 1.5 * MOST_SEARCHED:
             return None
-        n_pieces = n_intervals // SHORTEST_PIECE
-        stride = -(-n_intervals // MOST_SEARCHED)
+        per_sample = max(n_intervals / max(int(self.problem.grid.sample.sum()), 1), 1.0)
+        most = MOST_SEARCHED * per_sample**0.5
+        n_pieces = max(int(n_intervals / (SHORTEST_PIECE * per_sample)), 2)
+        stride = max(round(n_intervals / most), 2)
         numbers = self.problem.piece_numbers(n_pieces)
         chosen = np.where(numbers % stride == 0, numbers, -1)
         kept, first = np.unique(chosen, return_index=True)
@@ -135,16 +141,16 @@ class DisturbanceSearch:
             scatter=self.scatter[runs],
         )
 
-    def on_whole_record(
-        self, in_pieces: Disturbances, pieces: "DisturbanceSearch"
+    def translated(
+        self, disturbances: Disturbances, other: "DisturbanceSearch"
     ) -> Disturbances:
-        """Disturbances that were found in `pieces`, for all trajectories.
+        """Disturbances of another search, of pieces or of the whole, for this one.
 
-        Their noises keep the ratios that neighbouring samples show.
+        Noises keep the ratios that neighbouring samples show.
         """
-        ratios = np.log(in_pieces.sigma / pieces.noises()[0])
+        ratios = np.log(disturbances.sigma / other.noises()[0])
         sigma = self.noises()[0] * np.exp(np.mean(ratios, axis=0))
-        return replace(in_pieces, sigma=sigma)
+        return replace(disturbances, sigma=sigma)
 
     def _found_directly(self) -> Evidence:
         best = self.white()
@@ -159,20 +165,25 @@ class DisturbanceSearch:
         one = max(of_forces, of_sensors, key=_log_evidence)
         if one.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
             best = one
-            both = self.best_of(self._with_the_other_kind(one.disturbances))
+            both = best
+            if not self.is_brief:
+                both = self.best_of(self._with_the_other_kind(one.disturbances))
             if both.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
                 best = both
-        with_functions = self._with_functions(best)
+        with_functions = best if self.is_brief else self._with_functions(best)
         if with_functions.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
             best = with_functions
         return best
 
     def best_of(
-        self, starts: Sequence[Disturbances], fixed_times: bool = False
+        self,
+        starts: Sequence[Disturbances],
+        fixed_times: bool = False,
+        most_steps: int = MOST_STEPS,
     ) -> Evidence:
         """The most likely disturbances, searched from the best of some starts.
 
-        The starts have the same structure.
+        The starts have the same structure; ``most_steps`` uphill, at most.
         """
         if not starts:
             return Evidence(Disturbances(self.plain), -NO_STATES)
@@ -189,7 +200,7 @@ class DisturbanceSearch:
             fixed_times=fixed_times,
         )
 
-        found = climbed(likelihood, coordinates, self.channels)
+        found = climbed(likelihood, coordinates, self.channels, most_steps)
         disturbances = coordinates.at(found.vector)
         moved = replace(coordinates, origin=disturbances)
         return Evidence(disturbances, found.log_evidence, moved)

@@ -154,8 +154,11 @@ def under_disturbances(
     if coordinates is None:
         covariance = covariance_under(problem, response, best.disturbances)
         return Spread(covariance, freedom)
+    # How well sizes are known is asked of a part of a long record.
+    part = search.pieces() or search
     structure = best.disturbances.structure
-    likelihood = MarginalLikelihood(problem, structure, search.moving)
+    likelihood = MarginalLikelihood(part.problem, structure, search.moving)
+    longer = problem.grid.n_intervals / part.problem.grid.n_intervals
 
     def covariance_at(vector: np.ndarray) -> np.ndarray:
         return covariance_under(problem, response, coordinates.at(vector))
@@ -165,7 +168,8 @@ def under_disturbances(
         return np.log(np.maximum(variances, np.finfo(float).tiny))
 
     def negative_evidence(vector: np.ndarray) -> float:
-        return -likelihood.at(coordinates.at(vector)).log_evidence
+        at = part.translated(coordinates.at(vector), search)
+        return -longer * likelihood.at(at).log_evidence
 
     is_free = coordinates.is_free(LOG_STEP)
     found = degrees_of_freedom(negative_evidence, log_variances, is_free)
