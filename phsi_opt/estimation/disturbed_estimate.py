@@ -220,7 +220,8 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     if pieces is not None:
         disturbances = first.translated(disturbances, pieces)
     is_fixed = chosen.has_fixed_times
-    search = first
+    solved = plain.solved
+    search = solved.search(solved.linearized())
     point = replace(plain.point, theta=plain.theta, x=plain.nodes)
     evidence = -np.inf
     for _ in range(MOST_SOLVES):

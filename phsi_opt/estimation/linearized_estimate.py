@@ -13,8 +13,10 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import Response
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.standard_errors import PlainEstimate
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
@@ -91,6 +93,7 @@ class SolvedLikelihood:
             nodes=self.nodes,
             dynamics_in_states=jacobian[:, x],
             dynamics_in_theta=jacobian[:, theta].toarray(),
+            force_effects=self._force_effects(),
             offset=offset,
             shown_in_states=shown_in_states[measured],
             shown_in_theta=shown_in_theta[measured],
@@ -103,6 +106,12 @@ class SolvedLikelihood:
             observed=tuple(observed),
         )
 
+    def _force_effects(self) -> np.ndarray:
+        """A force enters its own equation, times the length of the interval."""
+        lengths = self.grid.h[:, None] / self.point.x_scale
+        effects: np.ndarray = lengths[:, :, None] * np.eye(len(self.point.x_scale))
+        return effects
+
     def plain(
         self, reduced: ReducedSystem, residual: np.ndarray, within: float
     ) -> PlainEstimate:
@@ -113,19 +122,17 @@ class SolvedLikelihood:
             residual: (n_values,) measured minus shown, cut where the loss cuts it.
             within: share of the residuals that are not cut.
         """
-        problem = replace(self.linearized(), residual=residual)
+        problem = between_samples(replace(self.linearized(), residual=residual))
         covariance = regularized_inverse(reduced.information, self.held)
         n_theta = len(covariance)
-        following = reduced.following.reshape(-1, n_theta)
+        following = reduced.following[self.grid.sample].reshape(-1, n_theta)
         in_theta = problem.shown_in_states @ following + problem.shown_in_theta
-        weight = 1 / self.sigma[problem.channel] ** 2
-        response = Response(
-            to_dynamics=reduced.response_to_offsets(covariance) / within,
-            to_values=(covariance @ (in_theta.T * weight)) / within,
-        )
+        search = self.search(problem)
+        white = Disturbances(search.plain)
+        likelihood = MarginalLikelihood(problem, white.structure, search.moving)
         return PlainEstimate(
-            search=self.search(problem),
-            response=response,
+            search=search,
+            response=likelihood.response(white).over(within),
             covariance=covariance,
             in_theta=in_theta,
             is_shared=self.unknown.is_shared,

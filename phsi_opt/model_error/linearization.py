@@ -33,6 +33,8 @@ class Linearization:
         dynamics_in_theta: J_theta, (n_intervals * n_states, n_theta).
         shown_in_states: C, sparse, (n_values, n_nodes * n_states).
         shown_in_theta: C_theta, (n_values, n_theta).
+        force_effects: (n_intervals, n_states, n_states) what a force of one in each
+            equation (the last axis) does to the dynamics.
         offset: of the dynamics at the solution, (n_intervals * n_states,); zero where
             it obeys the model.
         residual: r, measured minus shown, (n_values,).
@@ -48,6 +50,7 @@ class Linearization:
     nodes: np.ndarray
     dynamics_in_states: Any
     dynamics_in_theta: np.ndarray
+    force_effects: np.ndarray
     offset: np.ndarray
     shown_in_states: Any
     shown_in_theta: np.ndarray
@@ -91,16 +94,17 @@ class Linearization:
         """Number of the trajectory of each interval, (n_intervals,)."""
         return self.grid.trajectory[self.grid.begin]
 
-    def places_of_force(self, equation: int) -> np.ndarray:
-        """Where the dynamics of an equation stand among all, (n_intervals,)."""
-        numbers = np.arange(self.grid.n_intervals)
-        places: np.ndarray = numbers * self.n_states + equation
-        return places
-
     def effect_of_force(self, equation: int) -> np.ndarray:
-        """B: what a force of one does to the scaled dynamics, (n_intervals,)."""
-        effect: np.ndarray = self.grid.h / self.x_scale[equation]
-        return effect
+        """B: what a force of one does to the dynamics, (n_intervals, n_states)."""
+        return self.force_effects[:, :, equation]
+
+    def dynamics_of_force(self, equation: int) -> csc_matrix:
+        """B as a sparse matrix, (n_intervals * n_states, n_intervals)."""
+        effect = self.effect_of_force(equation)
+        interval, state = np.nonzero(effect)
+        rows = interval * self.n_states + state
+        shape = (effect.size, len(effect))
+        return csc_matrix((effect[interval, state], (rows, interval)), shape=shape)
 
     def values_of(self, channel: int) -> np.ndarray:
         """Places of the measured values of one state."""
@@ -116,10 +120,9 @@ class Linearization:
     def dynamics_of_function(self, equation: int, state: int) -> np.ndarray:
         """What functions of a state do to the dynamics, as J_theta does."""
         values = self.function_values[state]
-        columns = np.zeros((self.dynamics_in_states.shape[0], values.shape[1]))
         effect = self.effect_of_force(equation)
-        columns[self.places_of_force(equation)] = -values * effect[:, None]
-        return columns
+        columns = -effect[:, :, None] * values[:, None, :]
+        return columns.reshape(effect.size, -1)
 
     def piece_numbers(self, n_pieces: int) -> np.ndarray:
         """Number of the piece of every node when the record is cut evenly, (n_nodes,).
@@ -176,6 +179,7 @@ class Linearization:
             nodes=self.nodes[kept_nodes],
             dynamics_in_states=dynamics,
             dynamics_in_theta=self.dynamics_in_theta[rows],
+            force_effects=self.force_effects[intervals],
             offset=self.offset[rows],
             shown_in_states=shown,
             shown_in_theta=self.shown_in_theta[values],

@@ -147,6 +147,10 @@ class Response:
     to_dynamics: np.ndarray
     to_values: np.ndarray
 
+    def over(self, share: float) -> "Response":
+        """That of an estimate whose information is a share of what was taken."""
+        return Response(self.to_dynamics / share, self.to_values / share)
+
 
 class MarginalLikelihood:
     """The marginal likelihood of a linearised record for disturbances of one structure.
@@ -195,11 +199,7 @@ class MarginalLikelihood:
         n_dynamics = problem.dynamics_in_states.shape[0]
         blocks = [problem.dynamics_in_states]
         for equation in self.structure.forces:
-            rows = problem.places_of_force(equation)
-            effect = -problem.effect_of_force(equation)
-            columns = np.arange(len(rows))
-            shape = (n_dynamics, len(rows))
-            blocks.append(coo_matrix((effect, (rows, columns)), shape=shape))
+            blocks.append(-problem.dynamics_of_force(equation))
         for channel in self.structure.sensors:
             n_values = len(problem.values_of(channel))
             blocks.append(coo_matrix((n_dynamics, n_values)))
@@ -280,10 +280,9 @@ class MarginalLikelihood:
         directions = np.zeros((self.n_unknowns, len(self.moving)))
         first = problem.dynamics_in_states.shape[1]
         for equation in self.structure.forces:
-            effect = problem.effect_of_force(equation)
-            of_force = own[problem.places_of_force(equation)] * effect[:, None]
-            directions[first : first + len(effect)] = of_force
-            first += len(effect)
+            of_force = problem.dynamics_of_force(equation).T @ own
+            directions[first : first + len(of_force)] = of_force
+            first += len(of_force)
         return directions
 
     def _log_room(self, disturbances: Disturbances, whiteners: list[Whitener]) -> float:
@@ -318,8 +317,7 @@ class MarginalLikelihood:
         places = self.places_of_processes()
         for equation, (first, n) in zip(self.structure.forces, places, strict=False):
             force = unknowns[first : first + n]
-            effect = problem.effect_of_force(equation)
-            moved[problem.places_of_force(equation)] += effect * force
+            moved += problem.dynamics_of_force(equation) @ force
         return moved
 
     def whiteners(self, disturbances: Disturbances) -> list[Whitener]:

@@ -122,9 +122,7 @@ class _Blocks:
         n_forces = len(disturbances.forces)
         for number, force in enumerate(disturbances.forces):
             first = start.processes[number]
-            places = problem.places_of_force(force.place)
-            effect = problem.effect_of_force(force.place)
-            matrix = _spread_out(places, effect, n_dynamics)
+            matrix = problem.dynamics_of_force(force.place)
             values = self._added(f"force_{number}", matrix, force.size, first)
             whitener = _matrix(whitener_of_force(problem, force)) / force.size
             self.innovations.append(ca.mtimes(ca.DM(whitener), values))

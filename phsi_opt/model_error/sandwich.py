@@ -46,7 +46,5 @@ def _weights_of_force(
     problem: Linearization, response: Response, equation: int
 ) -> np.ndarray:
     """Answer to a force of one in each interval, (n_intervals, n_theta)."""
-    places = problem.places_of_force(equation)
-    effect = problem.effect_of_force(equation)
-    weights: np.ndarray = (response.to_dynamics[:, places] * effect).T
+    weights: np.ndarray = problem.dynamics_of_force(equation).T @ response.to_dynamics.T
     return weights

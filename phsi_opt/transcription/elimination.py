@@ -170,14 +170,6 @@ class ReducedSystem:
         states = self._per_theta[: self._n_x]
         return -states.reshape(n_nodes, self._n_states, n_theta)
 
-    def response_to_offsets(self, covariance: np.ndarray) -> np.ndarray:
-        """How theta answers an offset of each constraint, (n_theta, n_constraints).
-
-        Args:
-            covariance: (n_theta, n_theta) inverse of the information.
-        """
-        return -covariance @ self._per_theta[self._n_x :].T
-
     def start_covariances(
         self, starts: np.ndarray, trajectory: np.ndarray
     ) -> np.ndarray:
