@@ -17,6 +17,7 @@ LOG_STEP = 0.1  # of logarithms of sizes and times, for slopes and curvatures
 # tells no better is known to a factor of four.
 LEAST_CURVATURE = 0.5
 FEWEST = 3.0  # degrees of freedom; with fewer a variance means nothing
+MOST = 1e9  # degrees of freedom of a variance that is as good as known
 
 
 def degrees_of_freedom(
@@ -33,8 +34,11 @@ def degrees_of_freedom(
             estimated, and is not given by a bound.
 
     Returns:
-        (n,), at least `FEWEST`.
+        (n,), from `FEWEST` to `MOST`.
     """
+    if not is_free.any():
+        at_zero = log_variances(np.zeros(len(is_free)))
+        return np.full(len(at_zero), MOST)
     units = LOG_STEP * np.eye(len(is_free))[is_free]
     curvature = _curvature(negative_evidence, units)
     values, vectors = np.linalg.eigh(curvature)
@@ -42,7 +46,7 @@ def degrees_of_freedom(
     covariance = (vectors * spread) @ vectors.T
     slopes = _slopes(log_variances, units)
     variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
-    return np.maximum(2 / np.maximum(variance, 2e-9), FEWEST)
+    return np.maximum(2 / np.maximum(variance, 2 / MOST), FEWEST)
 
 
 def _slopes(
