@@ -81,11 +81,11 @@ class SolvedLikelihood:
         in_theta = output_slopes_in_theta(self.unknown, grid, self.nodes, self.theta)
         measured = np.flatnonzero(grid.measured.ravel())
         n_states = self.model.n_states
-        n_theta = len(self.unknown)
         x_scale = np.tile(self.point.x_scale, grid.n_nodes)
         theta_scale = program.scale[theta]
         shown_in_states = csr_matrix(sensors.jacobian @ diags(x_scale))
-        shown_in_theta = in_theta.reshape(-1, n_theta) * theta_scale
+        in_theta = in_theta.reshape(self.nodes.size, len(theta_scale))
+        shown_in_theta = in_theta * theta_scale
         memory = self.model.memory
         observed = [k for k, name in enumerate(self.model.states) if name not in memory]
         return Linearization(
@@ -125,7 +125,8 @@ class SolvedLikelihood:
         problem = between_samples(replace(self.linearized(), residual=residual))
         covariance = regularized_inverse(reduced.information, self.held)
         n_theta = len(covariance)
-        following = reduced.following[self.grid.sample].reshape(-1, n_theta)
+        following = reduced.following[self.grid.sample]
+        following = following.reshape(problem.nodes.size, n_theta)
         in_theta = problem.shown_in_states @ following + problem.shown_in_theta
         search = self.search(problem)
         white = Disturbances(search.plain)

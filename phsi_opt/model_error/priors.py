@@ -15,11 +15,14 @@ import numpy as np
 from scipy.stats import chi2
 
 from phsi_opt.criteria import AGREEMENT_LEVEL, WORSE_PREDICTION
+from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.processes import Process
+from phsi_opt.statistics import TINY
+from phsi_opt.transcription.grid import Grid
 
 FEWEST_PARTS = 4  # of a record, for predictions of one from the others
 SHORT_INTERVALS = 3.0  # correlation time of the short prior, in sampling intervals
@@ -59,7 +62,8 @@ def compared_priors(search: DisturbanceSearch, horizon: float | None) -> list[Pr
     Args:
         search: of the linearised record.
         horizon: length in time of the parts whose runs are predicted; None: whole
-            trajectories, or quarters where they are fewer than four.
+            trajectories, or quarters where they are fewer than four. A longer one than
+            that of a single trajectory means quarters too.
 
     Raises:
         SolveError: the states do not follow from the data.
@@ -94,8 +98,9 @@ def _candidates(search: DisturbanceSearch) -> list[tuple[str, Evidence, bool]]:
         ("short", search.best_of(starts.at_times([short]), True), True),
         ("lasting", lasting, False),
         ("white and lasting", search.best_of(both), False),
-        ("orthogonal", search.best_of([orthogonal]), False),
     ]
+    if len(search.moving):
+        candidates.append(("orthogonal", search.best_of([orthogonal]), False))
     if found.functions:
         forces = found.forces or _scaled(one.forces, SMALL_SHARE)
         with_functions = search.best_of([replace(found, forces=forces)])
@@ -172,19 +177,25 @@ class _Parts:
         grid = whole.grid
         piece = grid.trajectory
         if horizon is not None:
-            elapsed = grid.t - grid.t[grid.first][grid.trajectory]
-            window = np.floor(elapsed / horizon).astype(int)
-            changes = np.diff(grid.trajectory, prepend=grid.trajectory[0]) != 0
-            changes |= np.diff(window, prepend=window[0]) != 0
-            piece = np.cumsum(changes)
-        elif whole.n_trajectories < FEWEST_PARTS:
+            piece = _windows(grid, horizon)
+        is_whole = piece[-1] == 0
+        if is_whole or (horizon is None and whole.n_trajectories < FEWEST_PARTS):
             piece = whole.piece_numbers(FEWEST_PARTS)
         _, first = np.unique(piece, return_index=True)
         run = grid.trajectory[first]
         problem = whole.cut(piece)
         white = Disturbances(search.plain[run])
         likelihood = MarginalLikelihood(problem, white.structure, search.moving)
-        return cls(problem, search.moving, likelihood.borders_by_run(white), run)
+        try:
+            plain = likelihood.borders_by_run(white)
+        except SolveError as error:
+            length = "" if horizon is None else f" of horizon={horizon:g}"
+            raise SolveError(
+                f"the states in parts{length} of the record do not follow from what "
+                "was measured there, so that no prior of the model error can be judged "
+                "by predictions; let the parts be longer."
+            ) from error
+        return cls(problem, search.moving, plain, run)
 
     def judged(self, whole: Disturbances) -> _Judged:
         """How the parts predict each other, and whether they agree."""
@@ -207,8 +218,26 @@ class _Parts:
         freedom = (len(borders) - 1) * len(self.moving)
         return _Judged(
             prediction=float(np.sqrt(max(square, 0.0) / self.problem.n_values)),
-            agreement=float(chi2.sf(statistic, freedom)),
+            agreement=float(chi2.sf(statistic, freedom)) if freedom else 1.0,
         )
+
+
+def _windows(grid: Grid, horizon: float) -> np.ndarray:
+    """Number of the window of every node, (n_nodes,).
+
+    Every trajectory is cut evenly, so that no short rest is left at its end, into
+    windows whose length is nearest to the horizon.
+    """
+    numbers = np.zeros(grid.n_nodes, dtype=int)
+    first = 0
+    for run in range(int(grid.trajectory[-1]) + 1):
+        is_in = grid.trajectory == run
+        elapsed = grid.t[is_in] - grid.t[is_in][0]
+        n_windows = max(round(elapsed[-1] / horizon), 1)
+        place = np.floor(elapsed * (n_windows / max(elapsed[-1], TINY))).astype(int)
+        numbers[is_in] = first + np.minimum(place, n_windows - 1)
+        first += n_windows
+    return numbers
 
 
 def _squares(plain: Border, theta: np.ndarray) -> float:

@@ -117,7 +117,8 @@ class MaximumLikelihood:
             size and correlation time beside the parameters (`Fit.model_error`).
         horizon: length in time of the free runs that matter, for the choice among
             priors of the model error by what they predict; None: whole trajectories, or
-            quarters where they are fewer than four.
+            quarters where they are fewer than four. A record is cut evenly, into parts
+            whose length is nearest to it.
 
     Raises:
         ModelError: a setting is out of its range.
