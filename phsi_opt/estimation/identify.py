@@ -182,8 +182,22 @@ def _(loss: PHSILoss, task: Task, start: Fit | None) -> Estimate:
 
 @estimate_by.register
 def _(loss: MaximumLikelihood, task: Task, start: Fit | None) -> Estimate:
+    if loss.model_error:
+        _check_unshrunk(task)
     estimate = by_likelihood(task, loss, start)
-    return with_model_error(estimate) if loss.model_error else estimate
+    if not loss.model_error or not estimate.is_success:
+        return estimate
+    return with_model_error(estimate)
+
+
+def _check_unshrunk(task: Task) -> None:
+    is_debiased = task.pruning is not None and task.pruning.debias
+    if any(task.l1.values()) and not is_debiased:
+        raise ModelError(
+            f"l1={dict(task.l1)!r} and model_error=True of MaximumLikelihood do not go "
+            "together: the estimate with a model error has no L1 term; leave l1 out, "
+            "or take it to choose terms, with pruning=Pruning()."
+        )
 
 
 @estimate_by.register
