@@ -1,0 +1,857 @@
+"""What acts beside a model: found, counted in standard errors, let into the estimate."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.stats import f as f_distribution
+from scipy.stats import t as student_t
+
+from phsi_opt.comparison.profile_likelihood import profile
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.estimation import disturbed_estimate
+from phsi_opt.estimation import identify as identify_module
+from phsi_opt.estimation.disturbed_estimate import DisturbedEstimate
+from phsi_opt.estimation.estimate import Estimate
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import estimate_by, identify
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.model.model import PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.structure import canonical
+from phsi_opt.model.terms import formula
+from phsi_opt.model_error.clusters import Clusters
+from phsi_opt.model_error.coordinates import Coordinates
+from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
+from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.freedom import FEWEST, MOST, degrees_of_freedom
+from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
+from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
+from phsi_opt.model_error.processes import Process, Whitener
+from phsi_opt.model_error.standard_errors import Source
+from phsi_opt.model_error.state_functions import LENGTH, smooth_functions
+from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.losses import MaximumLikelihood
+
+TRUE = {"k": 4.0, "c": 0.3, "g": 1.0}
+SIZE = 0.2  # of the hidden force, a tenth of the typical acceleration
+TIME = 1.0  # for which it lasts
+NOISE = 0.02
+DT = 0.1
+STEPS = 5  # of the simulation in a sampling interval
+WITH_FORCE = MaximumLikelihood(model_error=True)
+
+
+# --- Simulated records of an oscillator
+
+
+def simulated(
+    seed: int,
+    n: int = 300,
+    runs: int = 1,
+    size: float = SIZE,
+    noise: float = NOISE,
+    kept: float = 0.0,
+    stiffness: Sequence[float] = (TRUE["k"],),
+    n_outliers: int = 0,
+) -> Measurements:
+    """q'' = -k q - c q' + g u + w with a force w that wanders; q is measured.
+
+    Args:
+        seed: of everything random.
+        n: samples of every trajectory.
+        runs: number of trajectories.
+        size: of the force.
+        noise: of the sensor.
+        kept: share of the sensor's error that stays from sample to sample.
+        stiffness: of every trajectory, or of all.
+        n_outliers: samples in every trajectory that are off by 15 times the noise.
+    """
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(n)
+    frequency = np.linspace(0.3, 6.0, 30)
+    phase = rng.uniform(0, 2 * np.pi, (runs, 1, 30))
+    u = np.sin(t[:, None] * frequency + phase).sum(axis=2) / np.sqrt(15)
+    x = 0.5 * rng.normal(size=(runs, 2))
+    w = size * rng.normal(size=runs)
+    q = [x[:, 0]]
+    for i in range(n - 1):
+        for step in range(STEPS):
+            share = (step + 0.5) / STEPS
+            at_step = u[:, i] + share * (u[:, i + 1] - u[:, i])
+            x = stepped(x, TRUE["g"] * at_step + w, np.array(stiffness))
+            new = rng.normal(size=runs)
+            w_kept = np.exp(-DT / STEPS / TIME)
+            w = w_kept * w + size * np.sqrt(1 - w_kept**2) * new
+        q.append(x[:, 0])
+    error = rng.normal(size=(runs, n))
+    for i in range(1, n):
+        error[:, i] = kept * error[:, i - 1] + np.sqrt(1 - kept**2) * error[:, i]
+    y = np.array(q).T + noise * error
+    for run in y:
+        places = rng.choice(n, n_outliers, replace=False)
+        run[places] += 15 * noise * rng.choice([-1, 1], n_outliers)
+    return Measurements.from_arrays(
+        [t] * runs,
+        [np.column_stack([run, np.full(n, np.nan)]) for run in y],
+        [run[:, None] for run in u],
+        states=["q", "v"],
+        inputs=["u"],
+        hold="linear",
+    )
+
+
+def stepped(x: np.ndarray, force: np.ndarray, k: np.ndarray) -> np.ndarray:
+    """A step of Runge and Kutta's method of order four, (n_runs, 2)."""
+    h = DT / STEPS
+
+    def rate(x: np.ndarray) -> np.ndarray:
+        acceleration = -k * x[:, 0] - TRUE["c"] * x[:, 1] + force
+        return np.column_stack([x[:, 1], acceleration])
+
+    first = rate(x)
+    second = rate(x + h / 2 * first)
+    third = rate(x + h / 2 * second)
+    fourth = rate(x + h * third)
+    end: np.ndarray = x + h / 6 * (first + 2 * second + 2 * third + fourth)
+    return end
+
+
+def oscillator(k: Parameter = Parameter(3.0, lower=0.0)) -> PseudoHamiltonian:  # noqa: B008
+    return PseudoHamiltonian(
+        states=("q", "v"),
+        inputs=("u",),
+        S=canonical(1),
+        H=formula("k*q**2/2 + v**2/2", k=k),
+        R={"v": formula("c", c=Parameter(0.2, lower=0.0))},
+        F={"v": formula("g*u", g=Parameter(0.8))},
+    )
+
+
+def known_oscillator() -> PseudoHamiltonian:
+    return PseudoHamiltonian(
+        states=("q", "v"),
+        inputs=("u",),
+        S=canonical(1),
+        H=formula("4*q**2/2 + v**2/2"),
+        R={"v": formula("0.3")},
+        F={"v": formula("u")},
+    )
+
+
+def estimated(
+    data: Measurements, loss: MaximumLikelihood, model: PseudoHamiltonian | None = None
+) -> Estimate:
+    model = model or oscillator()
+    task = Task(
+        model=model,
+        aligned=AlignedData.of(model, data),
+        l1={},
+        pruning=None,
+        settings=SolverSettings(),
+    )
+    return estimate_by(loss, task, None)
+
+
+@cache
+def record(seed: int) -> Measurements:
+    return simulated(seed)
+
+
+@cache
+def plain_fit(seed: int) -> Fit:
+    return identify(oscillator(), record(seed))
+
+
+@cache
+def forced_fit(seed: int) -> Fit:
+    return identify(oscillator(), record(seed), WITH_FORCE)
+
+
+@cache
+def search_of(seed: int) -> DisturbanceSearch:
+    estimate = estimated(record(seed), MaximumLikelihood())
+    assert isinstance(estimate, LikelihoodEstimate)
+    return estimate.plain.search
+
+
+def widening(fit: Fit) -> np.ndarray:
+    """Standard errors over those of white noise."""
+    table = fit.standard_errors
+    return (table["std_error"] / table["white noise"]).to_numpy()
+
+
+def errors_of(fit: Fit) -> np.ndarray:
+    return np.array([fit.values[name] - true for name, true in TRUE.items()])
+
+
+# --- Standard errors of plain fits
+
+
+@pytest.mark.parametrize("seed", [0, 3, 4])
+def test_a_hidden_force_is_found_in_its_equation_and_widens_the_standard_errors(
+    seed: int,
+) -> None:
+    fit = plain_fit(seed)
+    assert fit.std_error_source == Source.DISTURBANCES
+    assert str(fit.std_error_source) == "model error"
+    (row,) = fit.model_error.to_dict("records")
+    assert (row["where"], row["kind"]) == ("dv/dt", "force")
+    assert SIZE / 1.5 < row["size"] < 1.5 * SIZE
+    # 30 correlation times tell the logarithm of the time to about 0.4.
+    assert TIME / 3 < row["time"] < 3 * TIME
+    assert row["share"] == pytest.approx(0.1, abs=0.03)
+    assert (widening(fit) > 2.5).all()
+    assert "standard errors: from model error (force in dv/dt" in str(fit)
+    # Two of three standard errors, and none that is far off.
+    z = errors_of(fit) / np.array([fit.std_errors[name] for name in TRUE])
+    assert np.abs(z).max() < 3
+    assert np.mean(np.abs(errors_of(fit)) > 3 * _white(fit)) > 0.3
+
+
+def _white(fit: Fit) -> np.ndarray:
+    return fit.standard_errors["white noise"].to_numpy()
+
+
+def test_with_nothing_hidden_white_noise_gives_the_standard_errors() -> None:
+    fit = identify(oscillator(), simulated(0, size=0.0))
+    assert fit.std_error_source == Source.NOISE
+    assert fit.model_error.empty
+    assert fit.model_error_priors.empty
+    np.testing.assert_array_equal(widening(fit), 1.0)
+    np.testing.assert_array_equal(fit.degrees_of_freedom, fit.n_values - 3)
+    assert fit.independent_share(["k", "c"]) == 1.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_errors_of_a_sensor_that_last_are_told_from_forces(seed: int) -> None:
+    data = simulated(seed, size=0.0, noise=0.05, kept=0.9)
+    fit = identify(oscillator(), data)
+    assert fit.std_error_source == Source.DISTURBANCES
+    (row,) = fit.model_error.to_dict("records")
+    assert (row["where"], row["kind"]) == ("sensor of q", "sensor error")
+    assert row["size"] == pytest.approx(0.05, rel=0.25)
+    assert 0.5 < row["time"] < 2.0  # 0.95 makes a tenth of an error go in 0.1
+    assert (widening(fit) > 1.5).all()
+
+
+def test_many_trajectories_say_by_their_scatter_how_uncertain_a_fit_is() -> None:
+    fit = identify(oscillator(), simulated(2, n=100, runs=20))
+    assert fit.std_error_source == Source.TRAJECTORIES
+    assert {*fit.covariances} == {*Source}
+    assert (widening(fit) > 2).all()
+    # One less than the equal trajectories that they are worth, at least ten.
+    assert ((fit.degrees_of_freedom >= 9) & (fit.degrees_of_freedom <= 19)).all()
+    table = fit.standard_errors
+    ratio = table["std_error"] / table["model error"]
+    # 20 trajectories tell a standard error to 16 %.
+    assert ratio.between(0.6, 1.6).all()
+
+
+def test_few_trajectories_do_not_speak_by_their_scatter() -> None:
+    fit = identify(oscillator(), simulated(2, n=100, runs=6))
+    assert Source.TRAJECTORIES not in fit.covariances
+    assert fit.std_error_source == Source.DISTURBANCES
+
+
+def test_parameters_of_single_trajectories_get_standard_errors_from_model_error() -> (
+    None
+):
+    k = np.linspace(3.5, 4.5, 20)
+    data = simulated(2, n=100, runs=20, stiffness=k.tolist())
+    model = oscillator(Parameter(3.0, lower=0.0, per_trajectory=True))
+    fit = identify(model, data)
+    assert Source.TRAJECTORIES not in fit.covariances
+    assert fit.std_error_source == Source.DISTURBANCES
+    assert len(fit.standard_errors) == 22
+    assert np.isfinite(fit.standard_errors.to_numpy()).all()
+    z = []
+    for run, true in zip(fit.by_trajectory, k, strict=True):
+        name = f"k[{run}]"
+        z.append((fit.estimates[name] - true) / fit.std_errors[name])
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.5)
+    assert (widening(fit) > 2).all()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_outliers_cut_by_huber_leave_a_hidden_force_as_it_is(seed: int) -> None:
+    """What is left of an outlier, four times the noise, may count as a sensor's."""
+    loss = MaximumLikelihood(huber=1.345)
+    fit = identify(oscillator(), simulated(seed, n_outliers=6), loss)
+    clean = identify(oscillator(), record(seed), loss)
+    assert fit.std_error_source == Source.DISTURBANCES
+    force = fit.model_error.iloc[0]
+    assert (force["where"], force["kind"]) == ("dv/dt", "force")
+    assert force["size"] == pytest.approx(SIZE, rel=0.3)
+    assert (fit.model_error["size"][1:] < NOISE).all()
+    ratio = fit.standard_errors["std_error"] / clean.standard_errors["std_error"]
+    assert ratio.between(0.8, 1.25).all()
+    assert np.abs(errors_of(fit) - errors_of(clean)).max() < 0.03
+
+
+def test_a_parameter_at_a_bound_has_no_standard_error_from_any_source() -> None:
+    fit = identify(oscillator(Parameter(3.0, lower=0.0, upper=3.9)), record(0))
+    table = fit.standard_errors
+    assert fit.outcome.at_bounds == ("k",)
+    assert fit.std_error_source == Source.DISTURBANCES
+    assert table.loc["k", ["std_error", "white noise", "model error"]].isna().all()
+    assert np.isfinite(table.loc[["c", "g"]].to_numpy()).all()
+    assert np.isnan(fit.independent_share(["k"]))
+    assert 0 < fit.independent_share(["c", "g"]) < 1
+
+
+@pytest.mark.parametrize("loss", [MaximumLikelihood(), WITH_FORCE])
+def test_two_calls_give_the_same_bits(loss: MaximumLikelihood) -> None:
+    one = identify(oscillator(), record(1), loss)
+    other = identify(oscillator(), record(1), loss)
+    assert one.values == other.values
+    assert one.model_error_rows == other.model_error_rows
+    assert one.prior_rows == other.prior_rows
+    assert one.bic == other.bic
+    for source, covariance in one.covariances.items():
+        np.testing.assert_array_equal(covariance, other.covariances[source])
+    np.testing.assert_array_equal(one.freedom, other.freedom)
+
+
+def test_intervals_use_the_degrees_of_freedom_of_each_standard_error() -> None:
+    fit = plain_fit(0)
+    freedom = fit.degrees_of_freedom
+    # 30 correlation times of the force tell its size: not 297 independent values.
+    assert ((freedom > 5) & (freedom < 100)).all()
+    table = fit.intervals(0.9)
+    half = (table["ci_upper"] - table["ci_lower"]) / 2
+    expected = student_t.isf(0.05, freedom) * fit.standard_errors["std_error"]
+    np.testing.assert_allclose(half, expected, rtol=1e-12)
+
+
+def test_the_independent_share_is_the_ratio_of_the_variances() -> None:
+    fit = plain_fit(0)
+    white = fit.covariances[Source.NOISE]
+    for place, name in enumerate(fit.names):
+        share = fit.independent_share([name])
+        ratio = white[place, place] / fit.covariance[place, place]
+        assert share == pytest.approx(ratio, rel=1e-9)
+    all_of_them = fit.independent_share(list(TRUE))
+    directions = np.linalg.eigvals(np.linalg.solve(white, fit.covariance)).real
+    assert all_of_them == pytest.approx(1 / directions.mean(), rel=1e-9)
+    assert np.isnan(fit.independent_share(["unknown"]))
+
+
+def test_the_profile_means_what_the_standard_error_means() -> None:
+    fit = plain_fit(0)
+    found = profile(fit, record(0), "k")
+    freedom = fit.degrees_of_freedom[fit.names.index("k")]
+    quantile = f_distribution.isf(0.05, 1, freedom)
+    share = fit.independent_share(["k"])
+    assert share < 0.1
+    assert found.threshold == pytest.approx(quantile / share, rel=1e-9)
+    limits = fit.intervals()
+    lower = float(limits["ci_lower"]["k"])
+    upper = float(limits["ci_upper"]["k"])
+    assert found.curvature == pytest.approx((lower, upper), rel=1e-4)
+    # The likelihood is nearly a parabola; ends are found to 2 % of the half width.
+    half = (upper - lower) / 2
+    assert found.ci_lower == pytest.approx(lower, abs=0.1 * half)
+    assert found.ci_upper == pytest.approx(upper, abs=0.1 * half)
+
+
+# --- Files
+
+
+def test_what_was_found_beside_the_model_survives_a_file(tmp_path: Path) -> None:
+    fit = forced_fit(0)
+    fit.save(tmp_path / "fit.json")
+    loaded = Fit.load(tmp_path / "fit.json")
+    assert loaded.std_error_source is Source.DISTURBANCES
+    assert loaded.model_error_rows == fit.model_error_rows
+    assert loaded.prior_rows == fit.prior_rows
+    np.testing.assert_array_equal(loaded.freedom, fit.freedom)
+    assert list(loaded.covariances) == list(fit.covariances)
+    for source, covariance in fit.covariances.items():
+        np.testing.assert_array_equal(loaded.covariances[source], covariance)
+    assert loaded.standard_errors.equals(fit.standard_errors)
+    assert loaded.intervals().equals(fit.intervals())
+    assert loaded.independent_share(["k"]) == fit.independent_share(["k"])
+    assert str(loaded) == str(fit)
+
+
+def test_a_file_from_before_has_standard_errors_of_white_noise(tmp_path: Path) -> None:
+    path = tmp_path / "fit.json"
+    fit = plain_fit(0)
+    fit.save(path)
+    content = json.loads(path.read_text())
+    for name in (
+        "std_error_source",
+        "covariances",
+        "freedom",
+        "model_error",
+        "model_error_priors",
+    ):
+        del content[name]
+    path.write_text(json.dumps(content))
+    loaded = Fit.load(path)
+    assert loaded.std_error_source is Source.NOISE
+    assert loaded.model_error.empty
+    assert loaded.model_error_priors.empty
+    assert list(loaded.standard_errors) == ["std_error", "freedom"]
+    np.testing.assert_array_equal(loaded.degrees_of_freedom, fit.n_values - 3)
+    assert loaded.independent_share(["k"]) == 1.0
+    assert "standard errors:" not in str(loaded)
+
+
+# --- Estimates with a model error
+
+
+def test_estimates_are_nearer_to_the_truth_where_a_force_is_let_in() -> None:
+    seeds = range(6)
+    plain = np.array([errors_of(plain_fit(seed)) for seed in seeds])
+    forced = np.array([errors_of(forced_fit(seed)) for seed in seeds])
+    ratio = np.sqrt(np.mean(forced**2, axis=0) / np.mean(plain**2, axis=0))
+    assert (ratio < 0.8).all()
+
+
+def test_the_standard_errors_of_estimates_with_a_force_hold() -> None:
+    z = []
+    for seed in range(6):
+        fit = forced_fit(seed)
+        z += (errors_of(fit) / fit.standard_errors["std_error"].to_numpy()).tolist()
+        assert fit.std_error_source == Source.DISTURBANCES
+        (row,) = fit.model_error.to_dict("records")
+        assert (row["where"], row["kind"]) == ("dv/dt", "force")
+        assert fit.noise["q"] == pytest.approx(NOISE, rel=0.2)
+    # 18 values: their root mean square is known to 17 %.
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
+
+
+def test_the_table_of_priors_says_which_one_was_taken() -> None:
+    table = forced_fit(0).model_error_priors
+    names = ["white", "short", "lasting", "white and lasting", "orthogonal"]
+    assert table["prior"].tolist() == names
+    assert table["chosen"].sum() == 1
+    taken = table[table["chosen"]].iloc[0]
+    assert taken["prior"] == "lasting"
+    assert taken["prediction"] <= 1.05 * table["prediction"].min()
+    assert np.isfinite(table["log_evidence"]).all()
+    assert table["agreement"].between(0, 1).all()
+
+
+def made_up(
+    name: str,
+    log_evidence: float,
+    prediction: float = 1.0,
+    agreement: float = 0.5,
+    n_forces: int = 0,
+) -> Prior:
+    forces = tuple(Process(1, 1.0, 0.0) for _ in range(n_forces))
+    origin = Disturbances(np.ones((1, 2)), forces)
+    coordinates = Coordinates(
+        origin=origin,
+        channels=(),
+        least_noise=np.full(2, 0.1),
+        shortest=0.1,
+        longest=10.0,
+    )
+    evidence = Evidence(origin, log_evidence, coordinates)
+    return Prior(name, evidence, prediction, agreement, has_fixed_times=False)
+
+
+def test_the_likeliest_prior_is_not_taken_where_it_predicts_badly() -> None:
+    likely = made_up("likely", 100.0, prediction=1.2)
+    good = made_up("good", 10.0, prediction=1.04)
+    best = made_up("best", 0.0, prediction=1.0)
+    assert _chosen([likely, good, best]).name == "good"
+    assert _chosen([replace(likely, prediction=1.04), good, best]).name == "likely"
+
+
+def test_a_prior_is_not_taken_where_the_parts_of_the_record_contradict_it() -> None:
+    likely = made_up("likely", 100.0, agreement=1e-4)
+    good = made_up("good", 10.0)
+    assert _chosen([likely, good]).name == "good"
+    assert _chosen([likely, replace(good, agreement=1e-5)]).name == "likely"
+
+
+def test_every_size_of_a_prior_costs_one_of_its_log_evidence() -> None:
+    simple = made_up("simple", 10.0, n_forces=1)
+    assert _chosen([simple, made_up("rich", 11.9, n_forces=3)]).name == "simple"
+    assert _chosen([simple, made_up("rich", 12.1, n_forces=3)]).name == "rich"
+
+
+def test_the_horizon_belongs_to_model_error() -> None:
+    with pytest.raises(
+        ModelError, match=r"horizon=3\.0 .* set model_error=True as well"
+    ):
+        MaximumLikelihood(horizon=3.0)
+
+
+def test_outliers_and_model_error_do_not_go_together() -> None:
+    with pytest.raises(ModelError, match=r"huber=1\.345 and model_error=True"):
+        MaximumLikelihood(huber=1.345, model_error=True)
+
+
+def test_an_l1_term_and_model_error_do_not_go_together() -> None:
+    with pytest.raises(ModelError, match=r"and model_error=True .* leave l1 out"):
+        identify(oscillator(), record(0), WITH_FORCE, l1=0.01)
+    pruned = identify(oscillator(), record(0), WITH_FORCE, l1=0.01, pruning=Pruning())
+    expected = forced_fit(0)
+    for name in TRUE:
+        assert pruned.values[name] == pytest.approx(expected.values[name], rel=1e-3)
+
+
+def test_a_fit_with_model_error_has_no_profile() -> None:
+    with pytest.raises(ModelError, match="model_error=True, which has no profile"):
+        profile(forced_fit(0), record(0), "k")
+
+
+# 9.96 would leave one sample at the end of the record, which cannot be predicted; 1000
+# is longer than the record.
+@pytest.mark.parametrize("horizon", [3.0, 9.96, 1000.0])
+def test_a_horizon_cuts_the_record_evenly(horizon: float) -> None:
+    priors = compared_priors(search_of(0), horizon)
+    assert sum(prior.is_chosen for prior in priors) == 1
+    assert all(0.3 < prior.prediction < 2 for prior in priors)
+
+
+def test_a_horizon_too_short_for_states_to_follow_is_named() -> None:
+    with pytest.raises(SolveError, match=r"horizon=0\.15 .* let the parts be longer"):
+        compared_priors(search_of(0), 0.15)
+
+
+def test_a_known_model_lets_a_force_in() -> None:
+    fit = identify(known_oscillator(), record(0), WITH_FORCE)
+    assert fit.names == ()
+    (row,) = fit.model_error.to_dict("records")
+    assert SIZE / 1.5 < row["size"] < 1.5 * SIZE
+    assert fit.noise["q"] == pytest.approx(NOISE, rel=0.2)
+    assert "orthogonal" not in fit.model_error_priors["prior"].tolist()
+
+
+def test_where_the_plain_fit_fails_the_failure_is_returned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    estimate = estimated(record(0), MaximumLikelihood())
+    outcome = replace(estimate.solution.outcome, success=False)
+    failed = replace(estimate, solution=replace(estimate.solution, outcome=outcome))
+    monkeypatch.setattr(identify_module, "by_likelihood", lambda *_: failed)
+    with pytest.raises(SolveError, match="The solver failed"):
+        identify(oscillator(), record(0), WITH_FORCE)
+    fit = identify(oscillator(), record(0), WITH_FORCE, raise_on_failure=False)
+    assert not fit.outcome.success
+    assert np.isnan(fit.standard_errors["std_error"]).all()
+
+
+BESIDE = {
+    "force": Disturbances(np.full((1, 2), NOISE), (Process(1, SIZE, TIME),)),
+    "two forces": Disturbances(
+        np.full((1, 2), NOISE), (Process(1, 0.1, 0.0), Process(1, SIZE, TIME))
+    ),
+    "force and sensor": Disturbances(
+        np.full((1, 2), NOISE), (Process(1, SIZE, TIME),), (Process(0, 0.01, 2.0),)
+    ),
+    "force and function": Disturbances(
+        np.full((1, 2), NOISE),
+        (Process(1, SIZE, TIME),),
+        functions=(StateFunction(1, 0, 0.1),),
+    ),
+    "orthogonal": Disturbances(
+        np.full((1, 2), NOISE), (Process(1, SIZE, TIME),), is_orthogonal=True
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", list(BESIDE))
+def test_the_program_ends_where_the_marginal_likelihood_says(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linearised at the solution, nothing moves: neither parameters nor forces."""
+    evidence = Evidence(BESIDE[kind], 0.0)
+    prior = Prior(kind, evidence, 1.0, 1.0, has_fixed_times=False, is_chosen=True)
+    monkeypatch.setattr(disturbed_estimate, "compared_priors", lambda *_: [prior])
+    estimate = estimated(record(0), WITH_FORCE)
+    assert isinstance(estimate, DisturbedEstimate)
+    assert estimate.is_success
+    d = estimate.disturbances
+    assert d.structure == BESIDE[kind].structure
+    search = estimate.search
+    likelihood = MarginalLikelihood(search.problem, d.structure, search.moving)
+    step = likelihood.smoothed(d)
+    std_error = np.sqrt(np.diag(likelihood.at(d).covariance))
+    # Functions, and the directions of the parameters, are those of the states before.
+    limit = 0.1 if d.functions or d.is_orthogonal else 1e-3
+    assert np.abs(step.theta / std_error).max() < limit
+    sizes = [p.size for p in (*d.forces, *d.sensors)]
+    blocks = [f"force_{i}" for i in range(len(d.forces))]
+    blocks += [f"sensor_{i}" for i in range(len(d.sensors))]
+    for block, values, size in zip(blocks, step.processes, sizes, strict=True):
+        found = estimate.solution.values[block]
+        np.testing.assert_allclose(found, values, atol=limit * size)
+    assert estimate.misfit == pytest.approx(0.9, abs=0.15)
+
+
+# --- The search for disturbances
+
+
+def test_pieces_of_a_long_record_show_what_the_whole_shows() -> None:
+    estimate = estimated(simulated(3, n=4700), MaximumLikelihood(steps=1))
+    assert isinstance(estimate, LikelihoodEstimate)
+    search = estimate.plain.search
+    pieces = search.pieces()
+    assert pieces is not None
+    assert pieces.problem.grid.n_intervals < 0.6 * search.problem.grid.n_intervals
+    found = search.found()
+    whole = search._found_directly()
+    assert found.disturbances.structure == whole.disturbances.structure
+    (force,) = found.disturbances.forces
+    (expected,) = whole.disturbances.forces
+    assert force.size == pytest.approx(expected.size, rel=0.05)
+    assert force.time == pytest.approx(expected.time, rel=0.2)
+    assert found.log_evidence == pytest.approx(whole.log_evidence, abs=1.0)
+    assert expected.size == pytest.approx(SIZE, rel=0.1)
+    assert expected.time == pytest.approx(TIME, rel=0.3)
+
+
+def test_a_short_record_is_searched_whole() -> None:
+    assert search_of(0).pieces() is None
+
+
+def test_cut_pieces_are_what_the_record_is_there() -> None:
+    problem = search_of(0).problem
+    numbers = problem.piece_numbers(3)
+    assert np.bincount(numbers).tolist() == [100, 100, 100]
+    left_out = problem.cut(np.where(numbers == 1, -1, numbers))
+    assert left_out.n_trajectories == 2
+    np.testing.assert_array_equal(
+        left_out.residual, problem.residual[numbers[problem.node] != 1]
+    )
+    assert left_out.grid.n_intervals == 198
+    np.testing.assert_allclose(left_out.middles[99:], problem.middles[200:])
+    # Without disturbances, what a model shows of the cut is what it shows there.
+    _assert_same_dynamics(left_out, problem)
+
+
+def _assert_same_dynamics(cut: Linearization, whole: Linearization) -> None:
+    later = whole.dynamics_in_states.toarray()[400:, 400:]
+    np.testing.assert_array_equal(cut.dynamics_in_states.toarray()[198:, 200:], later)
+    assert not cut.dynamics_in_states.toarray()[:198, 200:].any()
+
+
+def test_coordinates_are_logarithms_of_factors() -> None:
+    forces = (Process(1, 0.2, 1.0), Process(1, 0.3, 0.05))
+    origin = Disturbances(
+        np.array([[0.1, 0.5], [0.2, 0.5]]),
+        forces,
+        (Process(0, 0.4, 2.0),),
+        (StateFunction(1, 0, 0.6),),
+    )
+    coordinates = Coordinates(
+        origin=origin,
+        channels=(0,),
+        least_noise=np.array([0.015, 0.5]),
+        shortest=0.05,
+        longest=8.0,
+        largest_functions=(1.2,),
+    )
+    assert len(coordinates.bounds) == 7
+    assert coordinates.at(np.zeros(7)).structure == origin.structure
+    np.testing.assert_array_equal(coordinates.at(np.zeros(7)).sigma, origin.sigma)
+    moved = coordinates.at(np.log([2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.5]))
+    np.testing.assert_allclose(moved.sigma[:, 0], [0.2, 0.4])
+    np.testing.assert_allclose(moved.sigma[:, 1], 0.5)
+    numbers = [(p.size, p.time) for p in (*moved.forces, *moved.sensors)]
+    # The white force stays white.
+    np.testing.assert_allclose(numbers, [(0.6, 5.0), (1.2, 0.05), (2.4, 1.0)])
+    assert moved.functions[0].size == pytest.approx(0.9)
+    lower = [pair[0] for pair in coordinates.bounds]
+    upper = [pair[1] for pair in coordinates.bounds]
+    assert lower[0] == pytest.approx(np.log(0.1))
+    assert (lower[3], upper[3]) == pytest.approx((np.log(0.05), np.log(8.0)))
+    assert upper[6] == pytest.approx(np.log(2.0))
+    assert coordinates.is_free(0.1).all()
+
+
+# --- Parts, against dense algebra and simulation
+
+
+@pytest.mark.parametrize("time", [0.0, 0.3, 20.0])
+def test_the_whitener_is_that_of_the_covariance(time: float) -> None:
+    rng = np.random.default_rng(0)
+    runs = [np.cumsum(rng.uniform(0.05, 0.6, n)) for n in (12, 1, 7)]
+    t = np.concatenate(runs)
+    trajectory = np.repeat([0, 1, 2], [12, 1, 7])
+    blocks = []
+    for of_run in runs:
+        distance = np.abs(of_run[:, None] - of_run)
+        same = np.eye(len(of_run))
+        blocks.append(np.exp(-distance / time) if time else same)
+    covariance = block_diag(*blocks)
+    whitener = Whitener.of(t, trajectory, time)
+    n = len(t)
+    matrix = np.diag(whitener.diagonal) + np.diag(whitener.below, -1)
+    np.testing.assert_allclose(matrix @ covariance @ matrix.T, np.eye(n), atol=1e-12)
+    values = rng.normal(size=n)
+    np.testing.assert_allclose(whitener.whitened(values), matrix @ values, atol=1e-12)
+    precision = np.linalg.inv(covariance)
+    np.testing.assert_allclose(whitener.precision_diagonal, np.diag(precision))
+    np.testing.assert_allclose(
+        whitener.precision_below, np.diag(precision, -1), atol=1e-10
+    )
+    log_det = np.linalg.slogdet(covariance)[1]
+    assert whitener.log_det == pytest.approx(-log_det / 2, abs=1e-10)
+    weights = rng.normal(size=(n, 3))
+    factor = whitener.factor_of(weights)
+    np.testing.assert_allclose(factor.T @ factor, weights.T @ covariance @ weights)
+
+
+def test_smooth_functions_have_the_correlation_of_their_length() -> None:
+    rng = np.random.default_rng(1)
+    values = 3 + 2 * rng.uniform(-1.7, 1.7, size=200)
+    functions = smooth_functions(values)
+    standard = (values - values.mean()) / values.std()
+    distance = (standard[:, None] - standard) / LENGTH
+    kernel = np.exp(-(distance**2) / 2)
+    centred = (
+        kernel - kernel.mean(axis=0) - kernel.mean(axis=1)[:, None] + kernel.mean()
+    )
+    # Ten points, and directions with more than a ten thousandth of the variance.
+    np.testing.assert_allclose(functions @ functions.T, centred, atol=2e-3)
+    assert functions.shape[1] < 10
+    np.testing.assert_allclose(functions.mean(axis=0), 0.0, atol=1e-12)
+    assert smooth_functions(np.full(5, 2.0)).shape == (5, 0)
+
+
+def regressions(
+    rng: np.random.Generator, n_runs: int, n: int, prior: np.ndarray | None = None
+) -> tuple[Clusters, list[np.ndarray], list[np.ndarray]]:
+    """Linear regressions of several runs on the same three coefficients."""
+    slopes = [rng.normal(size=(n, 3)) for _ in range(n_runs)]
+    values = [a @ [1.0, -1.0, 0.5] + rng.normal(size=n) for a in slopes]
+    prior = np.zeros((3, 3)) if prior is None else prior
+    estimate = least_squares(slopes, values, prior)
+    scores = [a.T @ (y - a @ estimate) for a, y in zip(slopes, values, strict=True)]
+    information = [a.T @ a for a in slopes]
+    clusters = Clusters(np.array(scores), np.array(information), prior, 3)
+    return clusters, slopes, values
+
+
+def least_squares(
+    slopes: Sequence[np.ndarray], values: Sequence[np.ndarray], prior: np.ndarray
+) -> np.ndarray:
+    a = np.vstack(slopes)
+    return np.linalg.solve(a.T @ a + prior, a.T @ np.concatenate(values))
+
+
+def test_the_jackknife_leaves_out_one_trajectory_at_a_time() -> None:
+    prior = np.diag([0.0, 0.0, 2.0])
+    rng = np.random.default_rng(2)
+    clusters, slopes, values = regressions(rng, 12, 9, prior)
+    estimate = least_squares(slopes, values, prior)
+    moves = []
+    for run in range(12):
+        others = [i for i in range(12) if i != run]
+        without = least_squares(
+            [slopes[i] for i in others], [values[i] for i in others], prior
+        )
+        moves.append(without - estimate)
+    expected = 11 / 12 * np.array(moves).T @ np.array(moves)
+    np.testing.assert_allclose(clusters.jackknife(), expected, rtol=1e-9)
+    # The coefficient behind the parameters is left out of what is told.
+    two = replace(clusters, n_theta=2)
+    np.testing.assert_allclose(two.jackknife(), expected[:2, :2], rtol=1e-9)
+
+
+def test_clusters_of_borders_are_the_trajectories_beside_a_function() -> None:
+    rng = np.random.default_rng(4)
+    size = np.array([0.7])
+    prior = np.diag([0.0, 0.0, 1 / size[0] ** 2])
+    expected, slopes, values = regressions(rng, 12, 9, prior)
+    borders = []
+    for a, y in zip(slopes, values, strict=True):
+        border = Border(a.T @ a, a.T @ y, float(y @ y), 0.0, 2, np.array([0]))
+        borders.append(border)
+    step = Border.sum(borders).marginal(size).border
+    np.testing.assert_allclose(step, least_squares(slopes, values, prior), rtol=1e-6)
+    found = Clusters.of_borders(borders, size, step)
+    np.testing.assert_allclose(
+        found.jackknife(), expected.jackknife()[:2, :2], rtol=1e-6
+    )
+
+
+def test_trajectories_that_say_more_count_as_fewer() -> None:
+    rng = np.random.default_rng(5)
+    clusters, _, _ = regressions(rng, 12, 9)
+    one = np.repeat(clusters.information[:1], 12, axis=0)
+    equal = replace(clusters, information=one)
+    np.testing.assert_allclose(equal.effective_numbers(), 12.0)
+    assert equal.is_enough
+    heavy = one.copy()
+    heavy[0] *= 1e4
+    unequal = replace(clusters, information=heavy)
+    np.testing.assert_allclose(unequal.effective_numbers(), 1.0, atol=0.01)
+    assert not unequal.is_enough
+    ten = replace(clusters, scores=clusters.scores[:9], information=one[:9])
+    assert not ten.is_enough
+
+
+def test_the_agreement_of_trajectories_is_a_p_value() -> None:
+    """Uniform where they differ by noise alone, small where they differ by more."""
+    rng = np.random.default_rng(6)
+    p_values = [regressions(rng, 10, 8)[0].agreement() for _ in range(400)]
+    # 400 values: their mean is known to 0.014, a share of 5 % to 1.1 %.
+    assert np.mean(p_values) == pytest.approx(0.5, abs=0.05)
+    assert np.mean(np.array(p_values) < 0.05) == pytest.approx(0.05, abs=0.035)
+    clusters, _, _ = regressions(rng, 10, 8)
+    assert replace(clusters, scores=2 * clusters.scores).agreement() < 1e-3
+
+
+def of_chi_squares(freedom: np.ndarray, weights: np.ndarray) -> float:
+    """Freedom of a sum of two variances that are estimated from normals.
+
+    The restricted likelihood of s^2 ~ v chi^2 / freedom in x = log(s/s_found) is
+    freedom x + freedom exp(-2 x)/2.
+    """
+
+    def negative_evidence(x: np.ndarray) -> float:
+        return float(np.sum(freedom * (x + np.exp(-2 * x) / 2)))
+
+    def log_variances(x: np.ndarray) -> np.ndarray:
+        return np.array([np.log(weights @ np.exp(2 * x))])
+
+    is_free = np.array([True, True])
+    found = degrees_of_freedom(negative_evidence, log_variances, is_free)
+    return float(found[0])
+
+
+@pytest.mark.parametrize("weights", [(1.0, 0.0), (1.0, 1.0), (0.2, 1.0)])
+def test_degrees_of_freedom_are_those_of_the_chi_square_that_scatters_alike(
+    weights: tuple[float, float],
+) -> None:
+    freedom = np.array([12.0, 40.0])
+    both = np.array(weights)
+    found = of_chi_squares(freedom, both)
+    closed_form = both.sum() ** 2 / np.sum(both**2 / freedom)
+    assert found == pytest.approx(closed_form, rel=0.02)  # of finite differences
+    rng = np.random.default_rng(8)
+    draws = rng.chisquare(freedom, size=(200_000, 2)) / freedom @ both
+    simulated_freedom = 2 * np.mean(draws) ** 2 / np.var(draws)
+    assert found == pytest.approx(simulated_freedom, rel=0.04)
+
+
+def test_degrees_of_freedom_stay_within_their_limits() -> None:
+    def falling(x: np.ndarray) -> np.ndarray:
+        return np.array([20 * x.sum(), 0.0])
+
+    found = degrees_of_freedom(lambda x: 0.0, falling, np.array([True, False]))
+    np.testing.assert_allclose(found, [FEWEST, MOST], rtol=1e-12)
+    nothing_estimated = degrees_of_freedom(
+        lambda x: 0.0, falling, np.array([False, False])
+    )
+    np.testing.assert_array_equal(nothing_estimated, MOST)
