@@ -283,6 +283,35 @@ def test_parameters_of_single_trajectories_get_standard_errors_from_model_error(
     assert (widening(fit) > 2).all()
 
 
+@pytest.mark.parametrize("huber", [None, 1.345])
+def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
+    huber: float | None,
+) -> None:
+    """Residuals that are cut move an estimate no more, and scatter less."""
+    ratios = []
+    agreement = []
+    for seed in range(6):
+        data = simulated(seed, n=80, runs=24, size=0.0)
+        estimate = estimated(data, MaximumLikelihood(huber=huber))
+        assert isinstance(estimate, LikelihoodEstimate)
+        plain = estimate.plain
+        clusters = Clusters.of(
+            plain.problem,
+            plain.in_theta,
+            plain.sigma,
+            plain.within,
+            plain.score_variance,
+        )
+        agreement.append(clusters.agreement())
+        scale = estimate.program.scale[estimate.program.variables["theta"].slice]
+        std_errors = np.sqrt(np.diag(clusters.jackknife())) * scale
+        ratios.append(std_errors / estimate.uncertainty.std_errors)
+    # 18 ratios, each known to about 20 %: their mean is known to 5 %.
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.12)
+    # Six p-values: their mean is known to 0.12.
+    assert np.mean(agreement) == pytest.approx(0.5, abs=0.3)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_outliers_cut_by_huber_leave_a_hidden_force_as_it_is(seed: int) -> None:
     """What is left of an outlier, four times the noise, may count as a sensor's."""

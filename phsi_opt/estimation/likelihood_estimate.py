@@ -188,9 +188,11 @@ class LikelihoodEstimate(Estimate):
         channel = np.nonzero(self.grid.measured)[1]
         residual = self.standardized * self.sigma[channel]
         within = 1.0
+        score_variance = 1.0
         if self.loss.huber is not None:
             within = self.huber_moments.share_within
-        return self.solved.plain(self.reduced, residual, within)
+            score_variance = self.huber_moments.rise_ratio
+        return self.solved.plain(self.reduced, residual, within, score_variance)
 
     @cached_property
     def standard_errors(self) -> StandardErrors | None:

@@ -113,7 +113,11 @@ class SolvedLikelihood:
         return effects
 
     def plain(
-        self, reduced: ReducedSystem, residual: np.ndarray, within: float
+        self,
+        reduced: ReducedSystem,
+        residual: np.ndarray,
+        within: float,
+        score_variance: float,
     ) -> PlainEstimate:
         """The estimate as one that counts residuals as white noise.
 
@@ -121,6 +125,7 @@ class SolvedLikelihood:
             reduced: the likelihood with its states eliminated.
             residual: (n_values,) measured minus shown, cut where the loss cuts it.
             within: share of the residuals that are not cut.
+            score_variance: of the scores over the information of those within.
         """
         problem = between_samples(replace(self.linearized(), residual=residual))
         covariance = regularized_inverse(reduced.information, self.held)
@@ -137,6 +142,8 @@ class SolvedLikelihood:
             covariance=covariance,
             in_theta=in_theta,
             is_shared=self.unknown.is_shared,
+            within=within,
+            score_variance=score_variance,
         )
 
     def search(self, problem: Linearization) -> DisturbanceSearch:

@@ -33,16 +33,24 @@ class Clusters:
         information: (n_trajectories, n, n).
         prior: (n, n) information that is not the trajectories'.
         n_theta: number of parameters, the first of the n unknowns.
+        score_variance: of scores over the information, where noise is all there is; one
+            unless residuals were cut.
     """
 
     scores: np.ndarray
     information: np.ndarray
     prior: np.ndarray
     n_theta: int
+    score_variance: float = 1.0
 
     @classmethod
     def of(
-        cls, problem: Linearization, in_theta: np.ndarray, sigma: np.ndarray
+        cls,
+        problem: Linearization,
+        in_theta: np.ndarray,
+        sigma: np.ndarray,
+        within: float = 1.0,
+        score_variance: float = 1.0,
     ) -> "Clusters":
         """Of a plain likelihood.
 
@@ -51,6 +59,9 @@ class Clusters:
             in_theta: (n_values, n_theta) slope of what is shown in the scaled
                 parameters when the states follow them.
             sigma: (n_trajectories, n_states) noise of the plain likelihood.
+            within: share of the residuals that are not cut: the others do not move an
+                estimate.
+            score_variance: of scores over that information.
         """
         weight = noise_weights(problem, sigma)
         slopes = in_theta * weight[:, None]
@@ -63,8 +74,9 @@ class Clusters:
             is_in = run == number
             of_run = slopes[is_in]
             scores[number] = of_run.T @ residual[is_in]
-            information[number] = of_run.T @ of_run
-        return cls(scores, information, RIDGE * np.eye(n_theta), n_theta)
+            information[number] = within * (of_run.T @ of_run)
+        prior = RIDGE * np.eye(n_theta)
+        return cls(scores, information, prior, n_theta, score_variance)
 
     @classmethod
     def of_borders(
@@ -145,14 +157,15 @@ class Clusters:
     def agreement(self) -> float:
         """p-value of the hypothesis that trajectories differ by noise alone.
 
-        The sum over trajectories of s' I_g^+ s is chi-square distributed with as many
-        degrees of freedom as the trajectories' informations have directions, less those
-        of the estimate (Cochran, Biometrics 10, 1954).
+        The sum over trajectories of s' I_g^+ s, over the variance of the scores, is
+        chi-square distributed with as many degrees of freedom as the trajectories'
+        informations have directions, less those of the estimate (Cochran, Biometrics
+        10, 1954).
         """
         statistic = 0.0
         freedom = -self.scores.shape[1]
         for score, own in zip(self.scores, self.information, strict=True):
             inverse = np.linalg.pinv(own, rcond=RIDGE, hermitian=True)
-            statistic += float(score @ inverse @ score)
+            statistic += float(score @ inverse @ score) / self.score_variance
             freedom += int(np.linalg.matrix_rank(own, rtol=RIDGE, hermitian=True))
         return float(chi2.sf(statistic, freedom)) if freedom > 0 else 1.0

@@ -44,6 +44,9 @@ class PlainEstimate:
         in_theta: (n_values, n_theta) slope of what is shown in the scaled parameters
             when the states follow them.
         is_shared: whether all trajectories share all parameters.
+        within: share of the residuals that are not cut by Huber's loss.
+        score_variance: variance of the scores over the information that the residuals
+            within carry; one where none is cut.
     """
 
     search: DisturbanceSearch
@@ -51,6 +54,8 @@ class PlainEstimate:
     covariance: np.ndarray
     in_theta: np.ndarray
     is_shared: bool
+    within: float = 1.0
+    score_variance: float = 1.0
 
     @property
     def problem(self) -> Linearization:
@@ -133,7 +138,9 @@ def _clusters(plain: PlainEstimate) -> Clusters | None:
     if not plain.is_shared:
         return None
     in_theta = plain.in_theta[:, plain.moving]
-    clusters = Clusters.of(plain.problem, in_theta, plain.sigma)
+    clusters = Clusters.of(
+        plain.problem, in_theta, plain.sigma, plain.within, plain.score_variance
+    )
     return clusters if clusters.is_enough else None
 
 
