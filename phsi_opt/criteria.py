@@ -61,8 +61,8 @@ DOUBTFUL_NOISE = 1.5
 # --- Standard errors where residuals are more than noise (`model_error`)
 
 # Gain of the log evidence from which a disturbance beside white noise is taken as
-# there. Of 60 records without any, 4 had such a gain by chance.
-MODEL_ERROR_EVIDENCE = 2.0
+# there. Of 60 records of 60 samples without any, 4 had a gain of 2 by chance.
+MODEL_ERROR_EVIDENCE = 3.0
 # Trajectories of equal weight from which their scatter gives the standard errors: with
 # ten a standard error is itself known to a quarter.
 FEWEST_TRAJECTORIES = 10.0

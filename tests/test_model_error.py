@@ -455,7 +455,7 @@ def test_the_standard_errors_of_estimates_with_a_force_hold() -> None:
         fit = forced_fit(seed)
         z += (errors_of(fit) / fit.standard_errors["std_error"].to_numpy()).tolist()
         assert fit.std_error_source == Source.DISTURBANCES
-        (row,) = fit.model_error.to_dict("records")
+        row = fit.model_error.to_dict("records")[0]
         assert (row["where"], row["kind"]) == ("dv/dt", "force")
         assert fit.noise["q"] == pytest.approx(NOISE, rel=0.2)
     # 18 values: their root mean square is known to 17 %.

@@ -22,6 +22,7 @@ from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import formula
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.processes import Process
@@ -106,9 +107,19 @@ def estimated(data: Measurements, model: FirstOrder, steps: int) -> LikelihoodEs
 @cache
 def plain_of(name: str) -> PlainEstimate:
     if name == "one run":
-        return estimated(record([40], 1), oscillator(), steps=1).plain
+        return with_all_steps(estimated(record([40], 1), oscillator(), steps=1))
     several = record([17, 25, 9], 2, gap=0.15, with_v=True)
-    return estimated(several, oscillator(), steps=2).plain
+    return with_all_steps(estimated(several, oscillator(), steps=2))
+
+
+def with_all_steps(estimate: LikelihoodEstimate) -> PlainEstimate:
+    """With the steps between samples, which are joined to one otherwise."""
+    plain = estimate.plain
+    problem = estimate.solved.linearized()
+    search = replace(plain.search, problem=problem)
+    white = Disturbances(search.plain)
+    likelihood = MarginalLikelihood(problem, white.structure, search.moving)
+    return replace(plain, search=search, response=likelihood.response(white))
 
 
 # --- Dense algebra: shown = M (starting states, parameters) + Gaussian errors
@@ -576,7 +587,7 @@ class Distance:
 def distance_at(steps: int) -> Distance:
     data = forced_record()
     estimate = estimated(data, free_oscillator(), steps)
-    problem = estimate.plain.problem
+    problem = estimate.solved.linearized()
     k = float(estimate.theta[0])
     t = data.trajectories[0].t
     y = data.trajectories[0].x[:, 0]
@@ -679,7 +690,7 @@ def of_statsmodels(problem: Linearization, d: Disturbances, start: str) -> Any:
 
 def test_the_evidence_is_that_of_statsmodels() -> None:
     pytest.importorskip("statsmodels")
-    problem = estimated(forced_record(), free_oscillator(), 2).plain.problem
+    problem = estimated(forced_record(), free_oscillator(), 2).solved.linearized()
     gains = []
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
@@ -693,7 +704,7 @@ def test_smoothed_states_and_forces_are_those_of_statsmodels() -> None:
     states that it smooths within an exactly diffuse start are others than the limit.
     """
     pytest.importorskip("statsmodels")
-    problem = estimated(forced_record(), free_oscillator(), 2).plain.problem
+    problem = estimated(forced_record(), free_oscillator(), 2).solved.linearized()
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
         ours = likelihood_of(problem, d, NONE).smoothed(d)
@@ -701,3 +712,26 @@ def test_smoothed_states_and_forces_are_those_of_statsmodels() -> None:
         # States and forces are of the order of one; rounding beside a variance of 1e7.
         np.testing.assert_allclose(ours.x, theirs[:2].T, atol=1e-6)
         np.testing.assert_allclose(ours.processes[0], theirs[2, :-1], atol=1e-6)
+
+
+# --- Steps between samples, joined to one
+
+
+def test_steps_between_samples_are_joined_without_loss() -> None:
+    several = record([17, 25, 9], 2, gap=0.15, with_v=True)
+    estimate = estimated(several, oscillator(), steps=4)
+    fine = estimate.solved.linearized()
+    joined = between_samples(fine)
+    moving = estimate.plain.moving
+    assert joined.grid.n_intervals == joined.grid.sample.sum() - 3
+    white = Disturbances(estimate.plain.sigma)
+    of_fine = MarginalLikelihood(fine, white.structure, moving).at(white)
+    of_joined = MarginalLikelihood(joined, white.structure, moving).at(white)
+    np.testing.assert_allclose(of_joined.theta, of_fine.theta, atol=1e-7)
+    np.testing.assert_allclose(of_joined.covariance, of_fine.covariance, rtol=1e-6)
+    # A force that outlasts the gaps is nearly held in them.
+    lasting = replace(white, forces=(Process(1, 0.5, 20.0),))
+    structure = lasting.structure
+    of_fine = MarginalLikelihood(fine, structure, moving).at(lasting)
+    of_joined = MarginalLikelihood(joined, structure, moving).at(lasting)
+    np.testing.assert_allclose(of_joined.covariance, of_fine.covariance, rtol=0.01)

@@ -85,10 +85,15 @@ class DisturbanceSearch:
     def white(self) -> Evidence:
         """White noise alone, as the plain likelihood has it.
 
+        The evidence is that of the best white noise: it is what others are compared
+        with.
+
         Raises:
             SolveError: the states do not follow from the data.
         """
-        return self.evidence(Disturbances(self.plain))
+        plain = self.evidence(Disturbances(self.plain))
+        best = self.best_of([plain.disturbances])
+        return replace(plain, log_evidence=max(best.log_evidence, plain.log_evidence))
 
     def evidence(self, disturbances: Disturbances) -> Evidence:
         """Of given disturbances.
