@@ -5,9 +5,15 @@ from scipy.stats import binomtest
 HALF_WIDTH = 1.959964  # of a normal 95 % interval, in standard errors
 
 
+def wilson(count: int, n: int) -> tuple[float, float]:
+    """Limits of a share that was counted (Wilson)."""
+    interval = binomtest(count, n).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
+
+
 def share(count: int, n: int) -> str:
     """A share with its 95 % interval (Wilson)."""
     if n == 0:
         return "-"
-    interval = binomtest(count, n).proportion_ci(method="wilson")
-    return f"{count / n:.0%} ({interval.low:.0%} to {interval.high:.0%})"
+    lower, upper = wilson(count, n)
+    return f"{count / n:.0%} ({lower:.0%} to {upper:.0%})"

@@ -1,0 +1,154 @@
+"""The coverage benchmark: its machine, its limits, its counting, on a few seeds."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import phsi_opt as ph
+from problems.benchmarks.coverage_fits import (
+    COLUMNS,
+    DEFAULT,
+    SCENARIOS,
+    WITH_FORCE,
+    Job,
+    kept,
+    make,
+)
+from problems.benchmarks.coverage_page import page
+from problems.benchmarks.coverage_summary import PLAIN, measures, summary
+from problems.benchmarks.disturbed_oscillator import (
+    SUBSTEPS,
+    TRUTH,
+    Disturbance,
+    Draw,
+    Layout,
+    cubic_coefficient,
+    model,
+    positions,
+    records,
+)
+from problems.benchmarks.estimate_limits import (
+    estimate_limits,
+    least_squares_estimate,
+)
+
+SHORT = Layout(2, 100)
+
+
+def test_a_seed_gives_the_same_record_alone_and_among_others() -> None:
+    disturbance = SCENARIOS["OU 0.2 m/s^2, 1 s"]
+    alone = records([2], disturbance, SHORT)[0]
+    among = records([1, 2, 3], disturbance, SHORT)[1]
+    assert alone.digest == among.digest
+
+
+def test_the_force_has_its_size_and_its_correlation_time() -> None:
+    disturbance = Disturbance(force_size=0.2, force_time=1.0)
+    force = Draw.of(1, disturbance, Layout(400, 50)).force
+    later = SUBSTEPS * 10  # one second
+    assert force.std() == pytest.approx(0.2, rel=0.05)
+    correlation = np.mean(force[:, :-later] * force[:, later:]) / np.mean(force**2)
+    assert correlation == pytest.approx(np.exp(-1), abs=0.06)
+
+
+def test_the_noise_keeps_its_size_where_it_lasts() -> None:
+    noise = Draw.of(1, Disturbance(noise_correlation=0.7), Layout(400, 50)).noise
+    assert noise.std() == pytest.approx(0.02, rel=0.03)
+    correlation = np.mean(noise[:, 1:] * noise[:, :-1]) / np.mean(noise**2)
+    assert correlation == pytest.approx(0.7, abs=0.03)
+
+
+def test_the_cubic_spring_has_its_share_of_the_force() -> None:
+    cubic = cubic_coefficient(0.05)
+    q = positions(Draw.of(5, Disturbance(), Layout(100, 400)), cubic)
+    part = cubic * q**3
+    share = np.sqrt(np.mean(part**2) / np.mean((TRUTH["k"] * q + part) ** 2))
+    assert share == pytest.approx(0.05, rel=0.1)
+
+
+def test_an_estimate_of_a_linear_machine_tends_to_the_truth() -> None:
+    draw = Draw.of(1, Disturbance(), Layout(20, 100))
+    found = least_squares_estimate(positions(draw, 0.0), draw.voltage)
+    assert found == pytest.approx(TRUTH, rel=1e-5)
+
+
+def test_least_squares_is_the_estimate_of_the_package_on_the_same_record() -> None:
+    disturbance = Disturbance(cubic_share=0.05)
+    draw = Draw.of(1, disturbance, SHORT)
+    cubic = cubic_coefficient(disturbance.cubic_share)
+    found = least_squares_estimate(positions(draw, cubic) + draw.noise, draw.voltage)
+    fit = ph.identify(model(), records([1], disturbance, SHORT)[0])
+    assert fit.estimates == pytest.approx(found, rel=1e-4)
+
+
+def test_a_stiffening_spring_is_estimated_stiffer() -> None:
+    limit = estimate_limits(Disturbance(cubic_share=0.05), 100)
+    assert 4.05 < limit["k"] < 4.4
+
+
+def test_coverage_is_counted_and_a_failed_fit_holds_nothing() -> None:
+    rows = pd.DataFrame(
+        {
+            "estimate": [1.0, 1.2, 2.0, np.nan],
+            "std_error": [0.1, 0.1, 0.5, np.nan],
+            "ci_lower": [0.8, 1.0, 1.0, np.nan],
+            "ci_upper": [1.2, 1.4, 3.0, np.nan],
+            "white": [0.1, 0.05, 0.1, np.nan],
+            "white_half": [0.2, 0.1, 0.2, np.nan],
+            "source": ["white noise", "model error", "model error", "SolveError"],
+        }
+    )
+    of_fit = measures(rows, 1.0, is_plain=False)
+    of_plain = measures(rows, 1.0, is_plain=True)
+    assert of_fit["coverage"] == 75.0
+    assert of_plain["coverage"] == 25.0
+    assert of_fit["n_failed"] == 1
+    assert of_fit["median_width_ratio"] == pytest.approx(2.0)
+    assert of_fit["same_width"] == 25.0
+    assert of_fit["model error"] == 50.0
+    assert of_fit["rms_z"] == pytest.approx(np.sqrt((0 + 4 + 4) / 3))
+
+
+def test_fits_are_kept_taken_up_and_told(tmp_path: Path) -> None:
+    path = tmp_path / "fits.csv"
+    plain = Job("none", SHORT, DEFAULT)
+    make(plain, [1, 2], path)
+    first = path.read_text()
+    make(plain, [1, 2, 3], path)
+    assert path.read_text().startswith(first)
+    rows = kept(path)
+    assert list(rows.columns) == COLUMNS
+    assert rows["seed"].tolist() == [1] * 3 + [2] * 3 + [3] * 3
+    half = (rows["ci_upper"] - rows["ci_lower"]) / 2
+    is_white = rows["source"] == "white noise"
+    assert is_white.any()
+    pd.testing.assert_series_equal(
+        half[is_white], rows["white_half"][is_white], check_names=False, rtol=1e-4
+    )
+
+
+def test_the_page_tells_every_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs = [
+        Job("none", SHORT, DEFAULT),
+        Job("cubic spring 5 %", SHORT, DEFAULT),
+        Job("cubic spring 5 %", SHORT, WITH_FORCE),
+    ]
+    for module in ("coverage_summary", "coverage_page"):
+        monkeypatch.setattr(f"problems.benchmarks.{module}.jobs", lambda: jobs)
+    layouts = {"two runs": SHORT}
+    monkeypatch.setattr("problems.benchmarks.coverage_page.LAYOUTS", layouts)
+    for job in jobs:
+        make(job, [1, 2], tmp_path / "fits.csv")
+    fits = kept(tmp_path / "fits.csv")
+    rows = summary(fits)
+    assert len(rows) == 3 * (2 + 2 * 2 + 2)
+    assert set(rows["method"]) == {PLAIN, DEFAULT, WITH_FORCE}
+    assert (rows["n"] == 2).all()
+    text = page(rows, fits)
+    assert "Not measured: nothing." in text
+    assert "default, two runs:" in text
+    assert "| cubic spring 5 % | 2 x 100 | limit of the estimate |" in text
