@@ -3,7 +3,9 @@
     python -m problems.benchmarks.coverage [--first=SEED] [--seeds=N] [--page]
 
 Fits are kept in results/coverage_fits.csv one by one: the same command takes up a run
-that was cut short. With --page no fit is made: the page is written from what is kept.
+that was cut short. After a change of what is estimated move that file away, or fits of
+two kinds are told together; the page names their commits. With --page no fit is made:
+the page is written from what is kept.
 """
 
 import os

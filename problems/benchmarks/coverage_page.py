@@ -91,8 +91,12 @@ ERRORS = markdown.paragraph("""
 
 def reading(rows: pd.DataFrame) -> str:
     """What holds and what does not, for the first paragraph."""
-    sentences = [f"Asked for: {LOWEST:g} to {HIGHEST:g} % under model error."]
-    disturbed = rows[rows["scenario"] != UNDISTURBED]
+    sentences = [
+        f"Asked for: {LOWEST:g} to {HIGHEST:g} % under model error. Counted are the",
+        "coverages of three parameters in every scenario that was not cut short.",
+    ]
+    is_whole = rows["n"] == rows["n"].max()
+    disturbed = rows[is_whole & (rows["scenario"] != UNDISTURBED)]
     for name, layout in LAYOUTS.items():
         of_layout = disturbed[disturbed["runs"] == layout.runs]
         for method in METHODS:
@@ -122,8 +126,13 @@ def _kept(rows: pd.DataFrame, what: str) -> str:
     text = f"{what}{is_kept.sum()} of {len(rows)} coverages lie within"
     spread = f"{rows['coverage'].min():.0f} to {rows['coverage'].max():.0f} %"
     below = rows[rows["coverage"] < LOWEST]["scenario"].unique()
-    where = f", too low in {'; '.join(below)}" if below else ""
-    return f"{text} ({spread}{where})"
+    above = rows[rows["coverage"] > HIGHEST]["scenario"].unique()
+    said = [spread]
+    if len(below):
+        said.append(f"too low in {'; '.join(below)}")
+    if len(above):
+        said.append(f"too high in {'; '.join(above)}")
+    return f"{text} ({', '.join(said)})"
 
 
 def _nothing_lost(rows: pd.DataFrame) -> str:
@@ -137,12 +146,14 @@ def _nothing_lost(rows: pd.DataFrame) -> str:
     for name, layout in LAYOUTS.items():
         if layout.runs in same.index:
             parts.append(
-                f"{name}: {same[layout.runs]:.0f} % of the intervals within"
-                f" {SAME_WIDTH:.0%}, mean width {mean[layout.runs]:.2f} of the plain"
+                f"{name}: {same[layout.runs]:.0f} % of the half widths are within"
+                f" {100 * SAME_WIDTH:g} % of the plain ones, whose mean they have"
+                f" {mean[layout.runs]:.2f} times"
             )
     return (
         "Without model error the estimates of the default are those of the plain"
-        f" likelihood by construction, and of its intervals ({'; '.join(parts)})."
+        " likelihood by construction; of the intervals, by the parameter where they"
+        f" differ most: {'; '.join(parts)}."
     )
 
 
@@ -153,8 +164,8 @@ def _chance(rows: pd.DataFrame) -> str:
     highest = int(np.floor(HIGHEST / 100 * n))
     within = binom.cdf(highest, n, LEVEL) - binom.cdf(lowest - 1, n, LEVEL)
     return markdown.paragraph(f"""
-        Of {n} records, intervals that hold with {LEVEL:.0%} exactly are counted within
-        {LOWEST:g} to {HIGHEST:g} % in {within:.0%} of the cases: single coverages just
+        Of {n} records, intervals that hold with {100 * LEVEL:g} % exactly are counted within
+        {LOWEST:g} to {HIGHEST:g} % in {100 * within:.0f} % of the cases: single coverages just
         outside are chance.
         """)
 
