@@ -110,13 +110,15 @@ def fit_rows(job: Job, seed: int, data: ph.Measurements) -> list[FitRow]:
         fit = ph.identify(model(), data, loss)
     except ph.PhsiOptError as error:
         return _failed(job, seed, type(error).__name__)
-    intervals = fit.intervals(LEVEL)
-    errors = fit.standard_errors
+    lower = fit.intervals(LEVEL)["ci_lower"].to_dict()
+    upper = fit.intervals(LEVEL)["ci_upper"].to_dict()
+    std_errors = fit.standard_errors["std_error"].to_dict()
+    of_white_noise = fit.standard_errors[WHITE].to_dict()
     white_freedom = max(fit.n_values - len(fit.names), 1)
     quantile = float(student_t.isf((1 - LEVEL) / 2, white_freedom))
     rows = []
     for parameter in TRUTH:
-        white = float(errors.loc[parameter, WHITE])
+        white = float(of_white_noise[parameter])
         row = FitRow(
             scenario=job.scenario,
             runs=job.layout.runs,
@@ -125,9 +127,9 @@ def fit_rows(job: Job, seed: int, data: ph.Measurements) -> list[FitRow]:
             seed=seed,
             parameter=parameter,
             estimate=float(fit.estimates[parameter]),
-            std_error=float(errors.loc[parameter, "std_error"]),
-            ci_lower=float(intervals.loc[parameter, "ci_lower"]),
-            ci_upper=float(intervals.loc[parameter, "ci_upper"]),
+            std_error=float(std_errors[parameter]),
+            ci_lower=float(lower[parameter]),
+            ci_upper=float(upper[parameter]),
             white=white,
             white_half=quantile * white,
             source=str(fit.std_error_source),

@@ -164,9 +164,9 @@ def _chance(rows: pd.DataFrame) -> str:
     highest = int(np.floor(HIGHEST / 100 * n))
     within = binom.cdf(highest, n, LEVEL) - binom.cdf(lowest - 1, n, LEVEL)
     return markdown.paragraph(f"""
-        Of {n} records, intervals that hold with {100 * LEVEL:g} % exactly are counted within
-        {LOWEST:g} to {HIGHEST:g} % in {100 * within:.0f} % of the cases: single coverages just
-        outside are chance.
+        Of {n} records, intervals that hold with {100 * LEVEL:g} % exactly are counted
+        within {LOWEST:g} to {HIGHEST:g} % in {100 * within:.0f} % of the cases: single
+        coverages just outside are chance.
         """)
 
 
