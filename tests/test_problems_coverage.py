@@ -108,6 +108,8 @@ def test_coverage_is_counted_and_a_failed_fit_holds_nothing() -> None:
     assert of_fit["median_width_ratio"] == pytest.approx(2.0)
     assert of_fit["same_width"] == 25.0
     assert of_fit["model error"] == 50.0
+    assert of_fit["coverage_if_white"] == 100.0
+    assert of_fit["coverage_if_more"] == pytest.approx(200 / 3)
     assert of_fit["rms_z"] == pytest.approx(np.sqrt((0 + 4 + 4) / 3))
 
 

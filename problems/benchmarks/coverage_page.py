@@ -76,6 +76,10 @@ def page(rows: pd.DataFrame, fits: pd.DataFrame) -> str:
     parts += ["## Errors of the estimates", "", ERRORS, ""]
     parts += [_table(rows, _in("rms_error", ".4f")), ""]
     parts += ["## Sources of the standard errors", "", _sources(_once(rows)), ""]
+    parts += ["Coverage in % of the records where more than white noise was found", ""]
+    parts += [_table(rows, _in("coverage_if_more", ".1f")), ""]
+    parts += ["and of those where it was not:", ""]
+    parts += [_table(rows, _in("coverage_if_white", ".1f")), ""]
     parts += ["## Without model error", "", *_undisturbed(rows)]
     return "\n".join(parts)
 
@@ -226,6 +230,8 @@ def _coverage(found: pd.DataFrame) -> str:
 
 def _numbers(found: pd.DataFrame, column: str, form: str) -> str:
     by_parameter = found.set_index("parameter")[column]
+    if by_parameter.isna().all():
+        return "-"
     return " / ".join(format(by_parameter[name], form) for name in TRUTH)
 
 

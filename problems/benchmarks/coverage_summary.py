@@ -8,6 +8,7 @@ import pandas as pd
 from problems.benchmarks.coverage_fits import (
     DEFAULT,
     SCENARIOS,
+    WHITE,
     WITH_FORCE,
     Job,
     jobs,
@@ -21,7 +22,7 @@ METHODS = {PLAIN: DEFAULT, DEFAULT: DEFAULT, WITH_FORCE: WITH_FORCE}
 PHYSICAL = "physical"
 LIMIT = "limit of the estimate"
 SAME_WIDTH = 0.05  # share by which an interval may differ where nothing is to be lost
-SOURCES = ("white noise", "model error", "scatter between trajectories")
+SOURCES = (WHITE, "model error", "scatter between trajectories")
 
 
 def summary(fits: pd.DataFrame) -> pd.DataFrame:
@@ -94,7 +95,8 @@ def measures(fits: pd.DataFrame, truth: float, is_plain: bool) -> dict[str, obje
         std_error = fits["std_error"]
     distance = estimate - truth
     n = len(fits)
-    n_held = int((distance.abs() <= half).sum())
+    is_held = distance.abs() <= half
+    n_held = int(is_held.sum())
     lower, upper = wilson(n_held, n)
     ratio = half / fits["white_half"]
     found: dict[str, object] = {
@@ -114,6 +116,9 @@ def measures(fits: pd.DataFrame, truth: float, is_plain: bool) -> dict[str, obje
     for source in SOURCES:
         is_from = fits["source"] == source
         found[source] = float("nan") if is_plain else 100 * float(is_from.mean())
+    is_white = fits["source"] == WHITE
+    found["coverage_if_white"] = 100 * float(is_held[is_white].mean())
+    found["coverage_if_more"] = 100 * float(is_held[~is_white].mean())
     return found
 
 
