@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag, expm, hadamard
+from scipy.optimize import minimize
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.identify import estimate_by
@@ -21,6 +22,8 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import formula
+from phsi_opt.model_error import ascent
+from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization
@@ -460,6 +463,160 @@ def test_a_trajectory_says_what_it_says_by_itself() -> None:
         np.testing.assert_allclose(part.information, expected.information, rtol=1e-8)
         np.testing.assert_allclose(part.gradient, expected.gradient, rtol=1e-8)
         assert part.constant == pytest.approx(expected.constant, rel=1e-9)
+
+
+# --- Slopes of the evidence, against differences of the dense one
+
+
+SLOPE_STEP = 1e-4  # of a logarithm, for central differences
+
+
+N_SIGNS = 512  # more than the rows that a test asks for
+
+
+class OrthogonalSigns:
+    """A generator of signs whose rows are orthogonal: those of a Hadamard matrix."""
+
+    def __init__(self) -> None:
+        self._rows = iter(hadamard(N_SIGNS).astype(float))
+
+    def choice(self, _: list[float], shape: tuple[int, int]) -> np.ndarray:
+        assert shape[1] == N_SIGNS
+        return np.array([next(self._rows) for _ in range(shape[0])])
+
+
+def moved(
+    d: Disturbances, logarithms: np.ndarray, channels: Sequence[int]
+) -> Disturbances:
+    """In the order of the slopes: noises, sizes and times of processes, functions."""
+    factors = np.exp(logarithms).tolist()
+    sigma = d.sigma.copy()
+    for channel in channels:
+        sigma[:, channel] *= factors.pop(0)
+    processes = [*d.forces, *d.sensors]
+    sizes = [process.size * factors.pop(0) for process in processes]
+    times = [process.time * factors.pop(0) for process in processes]
+    others = []
+    for process, size, time in zip(processes, sizes, times, strict=True):
+        others.append(replace(process, size=size, time=time))
+    functions = [replace(f, size=f.size * factors.pop(0)) for f in d.functions]
+    assert not factors
+    n = len(d.forces)
+    return replace(
+        d,
+        sigma=sigma,
+        forces=tuple(others[:n]),
+        sensors=tuple(others[n:]),
+        functions=tuple(functions),
+    )
+
+
+@pytest.mark.parametrize("kind", ["white", *KINDS])
+@pytest.mark.parametrize("name", RECORDS)
+def test_slopes_and_average_information_are_those_of_dense_algebra(
+    name: str, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With orthogonal signs in place of random ones, with which traces are exact."""
+    problem = plain_of(name).problem
+    moving = np.arange(3)
+    dense = Dense.of(problem, moving)
+    channels = tuple(np.unique(problem.channel).tolist())
+    d = cases(problem)[kind]
+    if kind == "two forces":  # a time of its own, however short, has a slope
+        d = replace(d, forces=(d.forces[0], replace(d.forces[1], time=0.05)))
+    likelihood = likelihood_of(problem, d, moving)
+    monkeypatch.setattr(ascent, "LEAST_PROBES", N_SIGNS)
+    monkeypatch.setattr(ascent, "MOST_PROBES", N_SIGNS)
+    monkeypatch.setattr(np.random, "default_rng", lambda _: OrthogonalSigns())
+    found = ascent.slopes(likelihood, d, channels)
+
+    n = len(found.gradient)
+    gradient = []
+    in_errors = []
+    for unit in SLOPE_STEP * np.eye(n):
+        above = moved(d, unit, channels)
+        below = moved(d, -unit, channels)
+        rise = dense.log_evidence(above, moving) - dense.log_evidence(below, moving)
+        gradient.append(rise / (2 * SLOPE_STEP))
+        change = dense.errors(above, moving) - dense.errors(below, moving)
+        in_errors.append(change / (2 * SLOPE_STEP))
+    # Slopes of priors are differences over 1e-4.
+    np.testing.assert_allclose(found.gradient, gradient, rtol=1e-3, atol=5e-3)
+
+    # Gilmour, Thompson and Cullis (1995): y'P V_i P V_j P y/2.
+    inverse = np.linalg.inv(dense.errors(d, moving))
+    to_design = dense.design.T @ inverse
+    projection = inverse - to_design.T @ np.linalg.solve(
+        to_design @ dense.design, to_design
+    )
+    pulled = projection @ dense.y
+    answers = np.array([change @ pulled for change in in_errors])
+    expected = answers @ projection @ answers.T / 2
+    # Beside a constraint, what a time changes is not projected; it is a curvature.
+    limit = 5e-3 if d.is_orthogonal else 1e-4
+    np.testing.assert_allclose(
+        found.information, expected, atol=limit * np.abs(expected).max()
+    )
+
+
+def coordinates_of(d: Disturbances, channels: tuple[int, ...]) -> Coordinates:
+    return Coordinates(
+        origin=d,
+        channels=channels,
+        least_noise=np.full(2, NOISE / 100),
+        shortest=0.05,
+        longest=50.0,
+        largest_functions=tuple(100 * f.size for f in d.functions),
+    )
+
+
+@pytest.mark.parametrize("kind", ["two forces", "all"])
+def test_slopes_in_coordinates_are_sums_of_those_that_move_together(kind: str) -> None:
+    problem = plain_of("several runs").problem
+    d = cases(problem)[kind]
+    coordinates = coordinates_of(d, (0, 1))
+    to_coordinates = coordinates.among_slopes()
+    units = np.eye(len(coordinates.bounds))
+    for unit, row in zip(units, to_coordinates, strict=True):
+        expected = moved(d, 0.1 * row, (0, 1))
+        found = coordinates.at(0.1 * unit)
+        np.testing.assert_allclose(found.sigma, expected.sigma)
+        pairs = zip(
+            [*found.forces, *found.sensors],
+            [*expected.forces, *expected.sensors],
+            strict=True,
+        )
+        for one, other in pairs:
+            assert one.size == pytest.approx(other.size)
+            assert one.time == pytest.approx(other.time)
+        for ours, theirs in zip(found.functions, expected.functions, strict=True):
+            assert ours.size == pytest.approx(theirs.size)
+
+
+@pytest.mark.parametrize("kind", ["force", "sensors", "functions", "orthogonal"])
+def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
+    problem = plain_of("one run").problem
+    moving = np.arange(3)
+    d = cases(problem)[kind]
+    coordinates = coordinates_of(d, (0,))
+    likelihood = likelihood_of(problem, d, moving)
+    found = ascent.climbed(likelihood, coordinates, (0,))
+    dense = Dense.of(problem, moving)
+    white = cases(problem)["white"]
+    constant = likelihood_of(problem, white, moving).at(white).log_evidence
+    constant -= dense.log_evidence(white, moving)
+    lower, upper = np.array(coordinates.bounds).T
+
+    def negative(vector: np.ndarray) -> float:
+        there = coordinates.at(np.clip(vector, lower, upper))
+        return -dense.log_evidence(there, moving)
+
+    assert found.log_evidence - constant == pytest.approx(-negative(found.vector))
+    best = minimize(negative, found.vector, method="Nelder-Mead")
+    from_start = minimize(negative, np.zeros(len(lower)), method="Nelder-Mead")
+    highest = -min(best.fun, from_start.fun)
+    # An ascent ends at gains of 0.03, and with slopes from few random signs.
+    assert highest - (found.log_evidence - constant) < 0.2
 
 
 # --- The continuous system: a Kalman filter with an exact transition

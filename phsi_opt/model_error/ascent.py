@@ -7,7 +7,7 @@ average information, of which only solutions for further right-hand sides are ne
 evaluations of the evidence, however many sizes there are.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -35,7 +35,7 @@ MOST_STEPS = 25
 # Gain of the log evidence by a step at which an ascent ends: far below what makes a
 # difference to a standard error, and about what the random signs leave open.
 LEAST_GAIN = 0.03
-LOG_TIME_STEP = 1e-4  # of the logarithm of a time, for the slope of its prior
+LOG_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,7 @@ class _Prior:
     def of(
         cls, process: Process, whitener: Whitener, later: Whitener, places: slice
     ) -> "_Prior":
-        step = LOG_TIME_STEP
+        step = LOG_STEP
         diagonal = later.precision_diagonal - whitener.precision_diagonal
         below = later.precision_below - whitener.precision_below
         scale = process.size**2 * step
@@ -273,7 +273,7 @@ class _Derivatives:
         processes = [*forces, *self.disturbances.sensors]
         later = []
         for process in processes:
-            time = process.time * float(np.exp(LOG_TIME_STEP))
+            time = process.time * float(np.exp(LOG_STEP))
             later.append(Process(process.place, process.size, time))
         n = len(forces)
         moved = Disturbances(
@@ -307,7 +307,11 @@ class _Derivatives:
         return Slopes(self.log_evidence, gradient, information)
 
     def _changes(self) -> _Columns:
-        """How the data would move with each size and time, as right-hand sides."""
+        """How the data would move with each size and time, as right-hand sides.
+
+        What a force adds to the states, the data would show; so it is taken from the
+        dynamics where it is added to the data.
+        """
         likelihood = self.likelihood
         n_inner = len(self.parts.right)
         n = likelihood.n_unknowns
@@ -328,7 +332,7 @@ class _Derivatives:
             data.append(np.zeros(len(weights)))
             dynamics.append(-likelihood.border_in_dynamics @ step)
         shifts = np.array(data).T.reshape(len(weights), -1)
-        offsets = np.array(dynamics).T.reshape(n_inner - n, -1)
+        offsets = -np.array(dynamics).T.reshape(n_inner - n, -1)
         weighted = weights[:, None] * shifts
         return _Columns(
             inner=np.vstack([likelihood.shown.T @ weighted, offsets]),
@@ -418,7 +422,29 @@ class _Derivatives:
             changed = prior.changed(prior.coloured(signs))
             trace = float(np.mean(np.sum(found * changed, axis=0)))
             by_time.append(prior.d_log_det - (change + trace) / 2)
-        return np.array(by_size), np.array(by_time)
+        room = self._in_room()
+        return np.array(by_size) + room[0], np.array(by_time) + room[1]
+
+    def _in_room(self) -> np.ndarray:
+        """What forces are not allowed to do: slopes by size, and by time.
+
+        (2, n_processes), of `MarginalLikelihood.log_room`.
+        """
+        in_room = np.zeros((2, len(self.priors)))
+        if not self.disturbances.is_orthogonal:
+            return in_room
+        forces = self.disturbances.forces
+        here = self.likelihood.log_room(self.disturbances)
+        factor = float(np.exp(LOG_STEP))
+        for number, force in enumerate(forces):
+            larger = replace(force, size=force.size * factor)
+            longer = replace(force, time=force.time * factor)
+            for row, moved in enumerate((larger, longer)):
+                others = (*forces[:number], moved, *forces[number + 1 :])
+                there = replace(self.disturbances, forces=others)
+                rise = self.likelihood.log_room(there) - here
+                in_room[row, number] = rise / LOG_STEP
+        return in_room
 
     def _in_functions(self) -> np.ndarray:
         covariance = np.linalg.inv(self.information)

@@ -285,10 +285,11 @@ class MarginalLikelihood:
             first += len(of_force)
         return directions
 
-    def _log_room(self, disturbances: Disturbances, whiteners: list[Whitener]) -> float:
+    def log_room(self, disturbances: Disturbances) -> float:
         """Half the log determinant of the prior covariance of the own directions."""
         if not self.structure.is_orthogonal:
             return 0.0
+        whiteners = self.whiteners(disturbances)
         covariance = np.zeros((len(self.moving), len(self.moving)))
         first = self.problem.dynamics_in_states.shape[1]
         for force, whitener in zip(disturbances.forces, whiteners, strict=False):
@@ -357,7 +358,7 @@ class MarginalLikelihood:
         gradient = np.concatenate([in_unknowns, -problem.offset])
         right = np.column_stack([coupling, gradient])
         log_noise = float(np.sum(np.log(weight)))
-        log_prior += self._log_room(disturbances, whiteners)
+        log_prior += self.log_room(disturbances)
         return Eliminated(
             weights=squared,
             right=right,
