@@ -630,7 +630,7 @@ def test_the_program_ends_where_the_marginal_likelihood_says(
 
 
 def test_pieces_of_a_long_record_show_what_the_whole_shows() -> None:
-    estimate = estimated(simulated(3, n=4700), MaximumLikelihood(steps=1))
+    estimate = estimated(simulated(3, n=2600), MaximumLikelihood(steps=1))
     assert isinstance(estimate, LikelihoodEstimate)
     search = estimate.plain.search
     pieces = search.pieces()

@@ -25,7 +25,6 @@ from phsi_opt.model.terms import formula
 from phsi_opt.model_error import ascent
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
-from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.processes import Process
@@ -108,21 +107,24 @@ def estimated(data: Measurements, model: FirstOrder, steps: int) -> LikelihoodEs
 
 
 @cache
-def plain_of(name: str) -> PlainEstimate:
+def estimate_of(name: str) -> LikelihoodEstimate:
     if name == "one run":
-        return with_all_steps(estimated(record([40], 1), oscillator(), steps=1))
+        return estimated(record([40], 1), oscillator(), steps=1)
     several = record([17, 25, 9], 2, gap=0.15, with_v=True)
-    return with_all_steps(estimated(several, oscillator(), steps=2))
+    return estimated(several, oscillator(), steps=2)
 
 
-def with_all_steps(estimate: LikelihoodEstimate) -> PlainEstimate:
-    """With the steps between samples, which are joined to one otherwise."""
-    plain = estimate.plain
-    problem = estimate.solved.linearized()
-    search = replace(plain.search, problem=problem)
-    white = Disturbances(search.plain)
-    likelihood = MarginalLikelihood(problem, white.structure, search.moving)
-    return replace(plain, search=search, response=likelihood.response(white))
+@cache
+def plain_of(name: str) -> PlainEstimate:
+    return estimate_of(name).plain
+
+
+@cache
+def problem_of(name: str) -> Linearization:
+    """One interval between samples, or all the steps of the integration."""
+    if name == "several runs, all steps":
+        return estimate_of("several runs").solved.linearized()
+    return plain_of(name).problem
 
 
 # --- Dense algebra: shown = M (starting states, parameters) + Gaussian errors
@@ -168,10 +170,10 @@ class Dense:
         return np.hstack([self.of_start, self.of_theta])
 
     def force_slopes(self, equation: int) -> np.ndarray:
-        n_intervals = self.problem.grid.n_intervals
-        columns = np.arange(n_intervals) * self.problem.n_states + equation
-        h = self.problem.grid.h / self.problem.x_scale[equation]
-        return self.of_dynamics[:, columns] * h
+        """What a force of one in each interval shows, (n_values, n_intervals)."""
+        effects = self.problem.force_effects[:, :, equation]
+        by_interval = self.of_dynamics.reshape(len(self.y), *effects.shape)
+        return np.einsum("vis,is->vi", by_interval, effects)
 
     def force_covariance(self, d: Disturbances, own: np.ndarray) -> np.ndarray:
         """Of the values of all forces, those without (own) directions conditioned."""
@@ -190,12 +192,12 @@ class Dense:
     def own_directions(self, d: Disturbances, moving: np.ndarray) -> np.ndarray:
         """What the parameters do to the dynamics, as seen by the forces."""
         problem = self.problem
+        in_theta = problem.dynamics_in_theta[:, moving]
         blocks = []
         for force in d.forces:
-            rows = np.arange(problem.grid.n_intervals) * problem.n_states + force.place
-            h = problem.grid.h / problem.x_scale[force.place]
-            in_theta = problem.dynamics_in_theta[np.ix_(rows, moving)]
-            blocks.append(in_theta * h[:, None])
+            effects = problem.force_effects[:, :, force.place]
+            by_interval = in_theta.reshape(*effects.shape, len(moving))
+            blocks.append(np.einsum("isp,is->ip", by_interval, effects))
         return np.vstack(blocks)
 
     def errors(self, d: Disturbances, moving: np.ndarray) -> np.ndarray:
@@ -286,7 +288,7 @@ def cases(problem: Linearization) -> dict[str, Disturbances]:
     }
 
 
-RECORDS = ("one run", "several runs")
+RECORDS = ("one run", "several runs", "several runs, all steps")
 KINDS = (
     "less white",
     "force",
@@ -312,7 +314,7 @@ def likelihood_of(
 def test_the_evidence_is_that_of_dense_restricted_likelihood(
     name: str, kind: str
 ) -> None:
-    problem = plain_of(name).problem
+    problem = problem_of(name)
     moving = np.arange(3)
     dense = Dense.of(problem, moving)
     white = cases(problem)["white"]
@@ -336,7 +338,7 @@ def test_the_evidence_is_that_of_dense_restricted_likelihood(
 def test_estimate_and_covariance_are_those_of_generalised_least_squares(
     name: str, kind: str, moving: list[int]
 ) -> None:
-    problem = plain_of(name).problem
+    problem = problem_of(name)
     places = np.array(moving)
     dense = Dense.of(problem, places)
     d = cases(problem)[kind]
@@ -351,7 +353,7 @@ def test_estimate_and_covariance_are_those_of_generalised_least_squares(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize("name", RECORDS[:2])
 def test_the_sandwich_is_that_of_dense_matrices(name: str, kind: str) -> None:
     """P Sigma P' with P the plain estimate's least squares, Sigma of all errors."""
     plain = plain_of(name)
@@ -370,7 +372,7 @@ def test_the_sandwich_is_that_of_dense_matrices(name: str, kind: str) -> None:
 def test_the_sandwich_of_an_estimate_with_disturbances_is_that_of_dense_matrices(
     name: str, taken: str
 ) -> None:
-    problem = plain_of(name).problem
+    problem = problem_of(name)
     moving = np.array([0, 2])
     dense = Dense.of(problem, moving)
     estimate = cases(problem)[taken]
@@ -389,7 +391,7 @@ def test_the_sandwich_of_an_estimate_with_disturbances_is_that_of_dense_matrices
 @pytest.mark.parametrize("name", RECORDS)
 def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
     """Also beside dynamics that the linearisation does not obey (an offset)."""
-    problem = plain_of(name).problem
+    problem = problem_of(name)
     rng = np.random.default_rng(7)
     offset = 0.01 * rng.normal(size=problem.dynamics_in_states.shape[0])
     problem = replace(problem, offset=offset)
@@ -432,7 +434,7 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_trajectories_say_adds_up_to_what_all_say(kind: str) -> None:
-    problem = plain_of("several runs").problem
+    problem = problem_of("several runs, all steps")
     moving = np.arange(3)
     d = cases(problem)[kind]
     likelihood = likelihood_of(problem, d, moving)
@@ -450,7 +452,7 @@ def test_what_trajectories_say_adds_up_to_what_all_say(kind: str) -> None:
 
 
 def test_a_trajectory_says_what_it_says_by_itself() -> None:
-    problem = plain_of("several runs").problem
+    problem = problem_of("several runs, all steps")
     moving = np.arange(3)
     every = cases(problem)["sensors"]
     d = replace(every, forces=(Process(1, 0.4, 0.7),))
@@ -465,13 +467,47 @@ def test_a_trajectory_says_what_it_says_by_itself() -> None:
         assert part.constant == pytest.approx(expected.constant, rel=1e-9)
 
 
+def held_between_samples(fine: Linearization, force: Process, n: int) -> np.ndarray:
+    """What a force shows that is held from sample to sample, (n_values, n_values)."""
+    grid = fine.grid
+    dense = Dense.of(fine, NONE)
+    gap = np.cumsum(grid.sample)[grid.begin] - 1
+    _, gap = np.unique(gap, return_inverse=True)
+    to_steps = np.eye(n)[gap]
+    slopes = dense.force_slopes(force.place) @ to_steps
+    samples = grid.t[grid.sample]
+    same = np.diff(grid.trajectory[grid.sample]) == 0
+    middles = ((samples[1:] + samples[:-1]) / 2)[same]
+    runs = grid.trajectory[grid.sample][1:][same]
+    covariance: np.ndarray = slopes @ kernel(force, middles, runs) @ slopes.T
+    return covariance
+
+
+def test_one_interval_between_samples_is_the_same_record_with_a_force_held() -> None:
+    fine = problem_of("several runs, all steps")
+    coarse = problem_of("several runs")
+    assert fine.grid.n_intervals == 2 * coarse.grid.n_intervals
+    of_fine = Dense.of(fine, np.arange(3))
+    of_coarse = Dense.of(coarse, np.arange(3))
+    np.testing.assert_allclose(of_coarse.of_start, of_fine.of_start, atol=1e-10)
+    np.testing.assert_allclose(of_coarse.of_theta, of_fine.of_theta, atol=1e-10)
+    np.testing.assert_allclose(of_coarse.y, of_fine.y, atol=1e-10)
+    for force in (Process(1, 0.4, 0.7), Process(0, 0.05, 2.0)):
+        slopes = of_coarse.force_slopes(force.place)
+        grid = coarse.grid
+        middles = (grid.t[grid.begin] + grid.t[grid.begin + 1]) / 2
+        found = slopes @ kernel(force, middles, coarse.runs) @ slopes.T
+        expected = held_between_samples(fine, force, grid.n_intervals)
+        np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
 # --- Slopes of the evidence, against differences of the dense one
 
 
 SLOPE_STEP = 1e-4  # of a logarithm, for central differences
 
 
-N_SIGNS = 512  # more than the rows that a test asks for
+N_SIGNS = 1024  # more than the rows that a test asks for
 
 
 class OrthogonalSigns:
@@ -517,7 +553,7 @@ def test_slopes_and_average_information_are_those_of_dense_algebra(
     name: str, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With orthogonal signs in place of random ones, with which traces are exact."""
-    problem = plain_of(name).problem
+    problem = problem_of(name)
     moving = np.arange(3)
     dense = Dense.of(problem, moving)
     channels = tuple(np.unique(problem.channel).tolist())
@@ -572,7 +608,7 @@ def coordinates_of(d: Disturbances, channels: tuple[int, ...]) -> Coordinates:
 
 @pytest.mark.parametrize("kind", ["two forces", "all"])
 def test_slopes_in_coordinates_are_sums_of_those_that_move_together(kind: str) -> None:
-    problem = plain_of("several runs").problem
+    problem = problem_of("several runs, all steps")
     d = cases(problem)[kind]
     coordinates = coordinates_of(d, (0, 1))
     to_coordinates = coordinates.among_slopes()
@@ -595,12 +631,12 @@ def test_slopes_in_coordinates_are_sums_of_those_that_move_together(kind: str) -
 
 @pytest.mark.parametrize("kind", ["force", "sensors", "functions", "orthogonal"])
 def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
-    problem = plain_of("one run").problem
+    problem = problem_of("one run")
     moving = np.arange(3)
     d = cases(problem)[kind]
     coordinates = coordinates_of(d, (0,))
     likelihood = likelihood_of(problem, d, moving)
-    found = ascent.climbed(likelihood, coordinates, (0,))
+    found = ascent.climbed(likelihood, coordinates, (0,), ascent.MOST_STEPS)
     dense = Dense.of(problem, moving)
     white = cases(problem)["white"]
     constant = likelihood_of(problem, white, moving).at(white).log_evidence
@@ -804,7 +840,7 @@ def discrete_transition(
         rows = dynamics[2 * i : 2 * i + 2]
         at_begin = rows[:, 2 * i : 2 * i + 2]
         at_end = rows[:, 2 * i + 2 : 2 * i + 4]
-        effect = np.array([0.0, problem.grid.h[i] / problem.x_scale[1]])
+        effect = problem.force_effects[i, :, 1]
         transition[:2, :2, i] = -np.linalg.solve(at_end, at_begin)
         transition[:2, 2, i] = np.linalg.solve(at_end, effect)
         if i < n - 2:
@@ -847,7 +883,8 @@ def of_statsmodels(problem: Linearization, d: Disturbances, start: str) -> Any:
 
 def test_the_evidence_is_that_of_statsmodels() -> None:
     pytest.importorskip("statsmodels")
-    problem = estimated(forced_record(), free_oscillator(), 2).solved.linearized()
+    estimate = estimated(forced_record(), free_oscillator(), 2)
+    problem = estimate.solved.linearized()
     gains = []
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
@@ -861,7 +898,8 @@ def test_smoothed_states_and_forces_are_those_of_statsmodels() -> None:
     states that it smooths within an exactly diffuse start are others than the limit.
     """
     pytest.importorskip("statsmodels")
-    problem = estimated(forced_record(), free_oscillator(), 2).solved.linearized()
+    estimate = estimated(forced_record(), free_oscillator(), 2)
+    problem = estimate.solved.linearized()
     for size, time, sigma in TRIED:
         d = Disturbances(np.full((1, 2), sigma), (Process(1, size, time),))
         ours = likelihood_of(problem, d, NONE).smoothed(d)
@@ -869,26 +907,3 @@ def test_smoothed_states_and_forces_are_those_of_statsmodels() -> None:
         # States and forces are of the order of one; rounding beside a variance of 1e7.
         np.testing.assert_allclose(ours.x, theirs[:2].T, atol=1e-6)
         np.testing.assert_allclose(ours.processes[0], theirs[2, :-1], atol=1e-6)
-
-
-# --- Steps between samples, joined to one
-
-
-def test_steps_between_samples_are_joined_without_loss() -> None:
-    several = record([17, 25, 9], 2, gap=0.15, with_v=True)
-    estimate = estimated(several, oscillator(), steps=4)
-    fine = estimate.solved.linearized()
-    joined = between_samples(fine)
-    moving = estimate.plain.moving
-    assert joined.grid.n_intervals == joined.grid.sample.sum() - 3
-    white = Disturbances(estimate.plain.sigma)
-    of_fine = MarginalLikelihood(fine, white.structure, moving).at(white)
-    of_joined = MarginalLikelihood(joined, white.structure, moving).at(white)
-    np.testing.assert_allclose(of_joined.theta, of_fine.theta, atol=1e-7)
-    np.testing.assert_allclose(of_joined.covariance, of_fine.covariance, rtol=1e-6)
-    # A force that outlasts the gaps is nearly held in them.
-    lasting = replace(white, forces=(Process(1, 0.5, 20.0),))
-    structure = lasting.structure
-    of_fine = MarginalLikelihood(fine, structure, moving).at(lasting)
-    of_joined = MarginalLikelihood(joined, structure, moving).at(lasting)
-    np.testing.assert_allclose(of_joined.covariance, of_fine.covariance, rtol=0.01)

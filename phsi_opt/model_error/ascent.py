@@ -35,7 +35,7 @@ MOST_STEPS = 25
 # Gain of the log evidence by a step at which an ascent ends: far below what makes a
 # difference to a standard error, and about what the random signs leave open.
 LEAST_GAIN = 0.03
-LOG_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
+PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,7 @@ class _Prior:
     def of(
         cls, process: Process, whitener: Whitener, later: Whitener, places: slice
     ) -> "_Prior":
-        step = LOG_STEP
+        step = PRIOR_STEP
         diagonal = later.precision_diagonal - whitener.precision_diagonal
         below = later.precision_below - whitener.precision_below
         scale = process.size**2 * step
@@ -273,7 +273,7 @@ class _Derivatives:
         processes = [*forces, *self.disturbances.sensors]
         later = []
         for process in processes:
-            time = process.time * float(np.exp(LOG_STEP))
+            time = process.time * float(np.exp(PRIOR_STEP))
             later.append(Process(process.place, process.size, time))
         n = len(forces)
         moved = Disturbances(
@@ -435,7 +435,7 @@ class _Derivatives:
             return in_room
         forces = self.disturbances.forces
         here = self.likelihood.log_room(self.disturbances)
-        factor = float(np.exp(LOG_STEP))
+        factor = float(np.exp(PRIOR_STEP))
         for number, force in enumerate(forces):
             larger = replace(force, size=force.size * factor)
             longer = replace(force, time=force.time * factor)
@@ -443,7 +443,7 @@ class _Derivatives:
                 others = (*forces[:number], moved, *forces[number + 1 :])
                 there = replace(self.disturbances, forces=others)
                 rise = self.likelihood.log_room(there) - here
-                in_room[row, number] = rise / LOG_STEP
+                in_room[row, number] = rise / PRIOR_STEP
         return in_room
 
     def _in_functions(self) -> np.ndarray:
