@@ -14,6 +14,7 @@ from scipy.stats import t as student_t
 
 from phsi_opt.comparison.profile_likelihood import profile
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation import disturbed_estimate
 from phsi_opt.estimation import identify as identify_module
@@ -24,6 +25,7 @@ from phsi_opt.estimation.identify import estimate_by, identify
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
@@ -884,3 +886,13 @@ def test_degrees_of_freedom_stay_within_their_limits() -> None:
         lambda x: 0.0, falling, np.array([False, False])
     )
     np.testing.assert_array_equal(nothing_estimated, MOST)
+
+
+def test_what_is_missing_is_looked_for_without_a_force_that_hides_it() -> None:
+    fit = forced_fit(0)
+    effects = [e for e in catalogue(fit.model) if e.name == "cubic stiffness"]
+    found = diagnose(fit, record(0), effects=effects)
+    plain = diagnose(plain_fit(0), record(0), effects=effects)
+    assert found.verdict == plain.verdict
+    assert not found.record.fit.has_model_error
+    assert found.record.fit.values["k"] == pytest.approx(plain_fit(0).values["k"])

@@ -12,8 +12,9 @@
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
-from phsi_opt.comparison.compare import Comparison, compare
+from phsi_opt.comparison.compare import Comparison, compare, compare_record
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.conclusion import conclusion
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
@@ -22,7 +23,9 @@ from phsi_opt.diagnosis.ranking import ranking
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.known_model import fit_of
+from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -50,7 +53,9 @@ def diagnose(
         held_out: measurements not used for fitting; without them the verdict rests on
             the training record alone.
         effects: candidates; default: `catalogue` of the model.
-        loss: how candidates are re-fitted; default `MaximumLikelihood`.
+        loss: how candidates are re-fitted; default `MaximumLikelihood`. A random force
+            in the equations (``model_error=True``) would hide what is missing; it is
+            left out, and a fit with one is made again without.
         progress: called with a line of text as the work goes on, such as ``print``.
 
     Returns:
@@ -97,10 +102,13 @@ def diagnose_comparison(
         ModelError: one of the ``effects`` does not fit the model, or has no free
             number.
     """
+    loss = _without_model_error(loss or MaximumLikelihood())
+    if trained.fit.has_model_error:
+        trained, judged = _without_force(trained, judged, loss)
     base = DiagnosedModel(
         trained=trained,
         judged=judged or trained,
-        loss=loss or MaximumLikelihood(),
+        loss=loss,
         say=progress or _silent,
     )
     listed = effects
@@ -126,6 +134,24 @@ def diagnose_comparison(
         proposed=concluded.effects,
         proposed_fit=concluded.fit,
     )
+
+
+def _without_model_error(loss: MaximumLikelihood) -> MaximumLikelihood:
+    """What is missing is looked for with the dynamics hard: a force would hide it."""
+    return replace(loss, model_error=False, horizon=None)
+
+
+def _without_force(
+    trained: Comparison, judged: Comparison | None, loss: MaximumLikelihood
+) -> tuple[Comparison, Comparison | None]:
+    """The comparisons of a fit with a random force, for one without."""
+    fit = identify_aligned(
+        trained.model, trained.record.aligned, loss, start=trained.fit
+    )
+    again = compare_record(Record.of_aligned(fit, trained.record.aligned))
+    if judged is None:
+        return again, None
+    return again, compare_record(Record.of_aligned(fit, judged.record.aligned))
 
 
 def _check_effects(effects: list[Effect], model: Model) -> None:
