@@ -60,6 +60,9 @@ DOUBTFUL_NOISE = 1.5
 
 # --- Standard errors where residuals are more than noise (`model_error`)
 
+# Correlation time of a sensor's noise, in sampling intervals, up to which it is noise:
+# neighbours with a correlation of 0.7 have 2.8. What lasts longer may be an effect.
+BRIEF_NOISE = 5.0
 # Gain of the log evidence from which a disturbance beside white noise is taken as
 # there. Of 60 records of 60 samples without any, 4 had a gain of 2 by chance.
 MODEL_ERROR_EVIDENCE = 3.0

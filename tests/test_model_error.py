@@ -15,6 +15,7 @@ from scipy.stats import t as student_t
 from phsi_opt.comparison.profile_likelihood import profile
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import diagnose
+from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation import disturbed_estimate
 from phsi_opt.estimation import identify as identify_module
@@ -896,3 +897,15 @@ def test_what_is_missing_is_looked_for_without_a_force_that_hides_it() -> None:
     assert found.verdict == plain.verdict
     assert not found.record.fit.has_model_error
     assert found.record.fit.values["k"] == pytest.approx(plain_fit(0).values["k"])
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_noise_that_lasts_from_sample_to_sample_is_not_called_unexplained(
+    seed: int,
+) -> None:
+    data = simulated(seed, size=0.0, kept=0.7)
+    fit = identify(oscillator(), data)
+    assert set(fit.model_error["kind"]) == {"sensor error"}
+    found = diagnose(fit, data)
+    assert found.verdict == Verdict.NOTHING_MISSING
+    assert found.base.rmse < 1.1 * found.base.noise_floor

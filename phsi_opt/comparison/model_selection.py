@@ -31,10 +31,12 @@ from phsi_opt.statistics import (
 def is_like_noise(comparison: Comparison) -> bool:
     """Whether the residuals look like noise: as small as the noise floor, and white.
 
-    The whiteness of several channels is tested together (Bonferroni).
+    The whiteness of several channels is tested together (Bonferroni). Noise that the
+    fit found to last from sample to sample need not be white.
     """
     p_values = comparison.table["whiteness"].to_numpy()
     is_white = np.nanmin(p_values) * len(p_values) > WHITENESS_LEVEL
+    is_white = is_white or comparison.record.has_correlated_noise
     is_small = comparison.rmse < WHITE_ERROR * comparison.noise_floor
     return bool(is_white and is_small)
 

@@ -11,6 +11,7 @@ from phsi_opt.model_error.priors import Prior
 from phsi_opt.model_error.processes import Process
 from phsi_opt.statistics import TINY
 
+SENSOR_ERROR = "sensor error"  # kind of a row
 PRIOR_COLUMNS = ("prior", "log_evidence", "prediction", "agreement", "chosen")
 MODEL_ERROR_COLUMNS = ("where", "kind", "size", "time", "unit", "share")
 
@@ -115,9 +116,7 @@ class _Rows:
         where = f"sensor of {state}"
         unit = self._units.get(state, "")
         share = sensor.size / spread
-        return ModelErrorRow(
-            where, "sensor error", sensor.size, sensor.time, unit, share
-        )
+        return ModelErrorRow(where, SENSOR_ERROR, sensor.size, sensor.time, unit, share)
 
     def of_noises(self, sigma: np.ndarray) -> list[ModelErrorRow]:
         """White noise of every trajectory, for the states of which it differs."""

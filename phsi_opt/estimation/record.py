@@ -11,10 +11,12 @@ from functools import cached_property
 
 import numpy as np
 
+from phsi_opt.criteria import BRIEF_NOISE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.force_search import missing_force_of
 from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.estimation.model_error_table import SENSOR_ERROR
 from phsi_opt.estimation.trajectory_parameters import (
     parameter_matrix,
     parameters_of,
@@ -103,10 +105,32 @@ class Record:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Noise per state, (n_states,); one for states that nobody measured."""
+        """Noise per state, (n_states,); one for states that nobody measured.
+
+        With noise that lasts from sample to sample, all of it.
+        """
         n_states = self.model.n_states
         known = self.estimate.sigma[:n_states]
-        return np.r_[known, np.ones(n_states - len(known))]
+        sigma = np.r_[known, np.ones(n_states - len(known))]
+        if not self.has_correlated_noise:
+            return sigma
+        # Beside a free force, noise that lasts was taken for a force.
+        of_fit = [self.fit.noise.get(name, 0.0) for name in self.model.states]
+        return np.maximum(sigma, of_fit)
+
+    @property
+    def has_correlated_noise(self) -> bool:
+        """Whether what is beside the model is noise of the sensors that lasts briefly.
+
+        As the fit found it: for a few samples, and no force and no function of a state.
+        """
+        longest = BRIEF_NOISE * float(np.median(self.grid.h))
+        rows = self.fit.model_error_rows
+        if self.fit.has_model_error:
+            return False
+        errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
+        others = [row for row in rows if row.kind != SENSOR_ERROR and row.time != 0]
+        return bool(errors) and not others and max(errors) <= longest
 
     @property
     def start(self) -> tuple[np.ndarray, ...]:
