@@ -1,6 +1,6 @@
 """The solution of a likelihood, linearised: what standard errors are worked out from.
 
-In the scale of the program; the record of slopes is that of `phsi_opt.model_error`.
+In the scale of the program; the record of slopes is that of ``phsi_opt.model_error``.
 """
 
 from dataclasses import dataclass, replace
