@@ -155,6 +155,45 @@ def test_the_hidden_effects(readme: str) -> None:
     )
 
 
+def _of_all_cuts(lines: list[str]) -> dict[str, float]:
+    """Root mean square of z over all cuts by set and model, of one table."""
+    found = {}
+    for line in lines:
+        cells = [cell.strip() for cell in line.strip("| ").split("|")]
+        number = re.match(r"([\d.]+) \(n (\d+)\)", cells[-1])
+        if len(cells) == 5 and number:
+            found[cells[0]] = float(number[1])
+    return found
+
+
+def test_the_halves_of_measured_records(readme: str) -> None:
+    text = (RESULTS / "halves.md").read_text("utf-8")
+    honest, white = text.split("## By standard errors that take")
+    of_models = _of_all_cuts(honest.splitlines())
+    of_white = _of_all_cuts(white.split("## The EMPS")[0].splitlines())
+    n = re.findall(r"^\| all \|.*\(n (\d+)\) \|$", honest, re.M)
+    together = of_models.pop("all")
+    assert f"by {together:.2f} of their standard errors" in readme
+    assert f"square, n {n[0]}; by white noise {of_white['all']:.2f})" in readme
+    assert f"at most {max(of_models.values()):.2f} for one model" in readme
+    assert text.count("| holds |") == 8
+
+
+def test_what_honest_standard_errors_cost(readme: str) -> None:
+    text = words(RESULTS / "model_error_speed.md")
+    found = re.search(r"takes at most ([\d.]+) times the likelihood alone", text)
+    assert found is not None
+    assert f"at 10 000 samples {found[1]} times the likelihood alone" in readme
+
+
+def test_starts_far_off(readme: str) -> None:
+    lines = (RESULTS / "basins.md").read_text("utf-8").splitlines()
+    (row,) = [line for line in lines if line.startswith("| 50 % | nothing | all |")]
+    n, right = [cell.strip() for cell in row.split("|")][4:6]
+    assert f"of {n} starts half off" in readme
+    assert f"periods, {right} lead to the right optimum" in readme
+
+
 def test_the_sizes_of_the_timed_diagnoses(readme: str) -> None:
     lines = (RESULTS / "diagnosis_speed.md").read_text("utf-8").splitlines()
     sizes = [int(found[1]) for line in lines if (found := re.match(r"\| (\d+)", line))]
