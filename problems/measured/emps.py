@@ -235,11 +235,11 @@ def _reading(fits: dict[str, ph.Fit], errors: Errors, scatter: float) -> str:
     windows = errors[SHORT]
     better = "better" if windows["fitted"] < windows["published"] else "no better"
     return markdown.paragraph(f"""
-        The standard errors take the residuals as independent noise, but at
-        {noise:.1f} mm they are errors of the model: a sample lies {scatter:.1g} mm off
-        the line through its neighbours. The two columns of fits lie up to
-        {markdown.number(max(distances))} standard errors apart. Over windows the fit to
-        the whole record is {better} than the published values.
+        At {noise:.1f} mm the residuals are errors of the model: a sample lies
+        {scatter:.1g} mm off the line through its neighbours. The standard errors come
+        from {fits[WHOLE].std_error_source}; the two columns of fits lie up to
+        {markdown.number(max(distances))} of them apart. Over windows the fit to the
+        whole record is {better} than the published values.
         """)
 
 
