@@ -112,14 +112,21 @@ def free_run_deviance(comparison: Comparison) -> float:
 def share_of_change(old: Comparison, new: Comparison) -> float:
     """Share of the residuals that is independent, for the change to a larger model.
 
-    That of the parameters which the larger model has more (`Fit.independent_share`);
-    where it is not known, `effective_sample_share` of the two free runs, states that
-    only one of the models has left out.
+    That of the parameters which the larger model has more (`Fit.independent_share`), or
+    that of the two free runs where it is smaller. On the ball and hoop the two differ
+    by a quarter, and what they tell apart is a tie on the test records.
     """
+    of_runs = _share_of_runs(old, new)
     added = [name for name in new.fit.names if name not in old.fit.names]
-    share = new.fit.independent_share(added) if added else np.nan
-    if np.isfinite(share):
-        return share
+    of_parameters = new.fit.independent_share(added) if added else np.nan
+    return float(np.fmin(of_runs, of_parameters))
+
+
+def _share_of_runs(old: Comparison, new: Comparison) -> float:
+    """`effective_sample_share` of two free runs.
+
+    States that only one of the models has are left out.
+    """
     n_states = min(old.residuals[0].shape[1], new.residuals[0].shape[1])
     before = [run[:, :n_states] for run in old.residuals]
     after = [run[:, :n_states] for run in new.residuals]
