@@ -113,8 +113,8 @@ def share_of_change(old: Comparison, new: Comparison) -> float:
     """Share of the residuals that is independent, for the change to a larger model.
 
     That of the parameters which the larger model has more (`Fit.independent_share`), or
-    that of the two free runs where it is smaller. On the ball and hoop the two differ
-    by a quarter, and what they tell apart is a tie on the test records.
+    that of the two free runs where it is smaller: a name is not given for a gain that
+    one of them takes for less.
     """
     of_runs = _share_of_runs(old, new)
     added = [name for name in new.fit.names if name not in old.fit.names]
