@@ -16,7 +16,7 @@ from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
-from phsi_opt.estimation.model_error_table import PriorRow, model_error_rows, prior_rows
+from phsi_opt.estimation.model_error_table import model_error_rows, prior_rows
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
@@ -158,11 +158,8 @@ class DisturbedEstimate(Estimate):
             covariances=covariances,
             freedom=self.spread.freedom,
             model_error_rows=model_error_rows(_solved(self), self.disturbances),
-            prior_rows=self._prior_rows(),
+            prior_rows=prior_rows(self.priors),
         )
-
-    def _prior_rows(self) -> tuple[PriorRow, ...]:
-        return prior_rows(self.priors)
 
     def _noise_by_name(self) -> dict[str, float]:
         """White noise of the states that were measured, the mean over trajectories."""

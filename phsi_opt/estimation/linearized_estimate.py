@@ -151,7 +151,7 @@ class SolvedLikelihood:
         shape = (problem.n_trajectories, len(self.sigma))
         measured = self.grid.measured.any(axis=0)
         channels = np.flatnonzero(measured & ~self.is_known).tolist()
-        scatter = np.where(self.is_known, 1.0, scatter_by_run(self.task.data))
+        scatter = scatter_by_run(self.task.data)
         scatter = np.where(self.is_known, self.sigma, scatter)
         n_theta = len(self.unknown)
         moving = [i for i in range(n_theta) if i not in self.held]

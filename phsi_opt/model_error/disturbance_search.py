@@ -24,9 +24,9 @@ from phsi_opt.statistics import TINY
 FIRST_INTERVALS = 3.0
 FIRST_DURATION_SHARE = 0.1
 # Sizes to begin with: a force as shares of the typical rate of its state, a sensor's
-# process as shares of the residuals.
+# process as a share of the residuals.
 FORCE_SHARES = (0.1, 0.01)
-SENSOR_SHARES = (0.7,)
+SENSOR_SHARE = 0.7
 # Sizes of a function that are tried, as shares of the typical rate. The last is also
 # the limit: a model that lacks more is wrong and not inexact, and a smooth function of
 # any size would imitate the corner of a friction that is not smooth.
@@ -277,9 +277,8 @@ class DisturbanceSearch:
         starts = []
         for sigma in self.noises():
             for time in self.first_times():
-                for share in SENSOR_SHARES:
-                    sensors = self._sensors(share, time)
-                    starts.append(Disturbances(sigma, sensors=sensors))
+                sensors = self._sensors(SENSOR_SHARE, time)
+                starts.append(Disturbances(sigma, sensors=sensors))
         return starts
 
     def _sensors(self, share: float, time: float) -> tuple[Process, ...]:
