@@ -19,6 +19,9 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.terms import Dictionary, formula
 
+INPUT_SIZE = "an error in the size of the input's force"
+INPUT_DELAY = "a delay of the input"
+
 # Half widths of a dead zone to try, as shares of the largest input.
 DEAD_ZONES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)
 # Limits of a saturation to try, as shares of the largest input.
@@ -74,7 +77,9 @@ class _Path:
         term: Dictionary,
         memory: Mapping[str, Dictionary] | None = None,
     ) -> Effect:
-        return Effect(f"{kind}{self.suffix}", "F", self.equation, term, memory or {})
+        name = f"{kind}{self.suffix}"
+        family = INPUT_DELAY if memory else INPUT_SIZE
+        return Effect(name, "F", self.equation, term, memory or {}, family)
 
     def _parameter(self, kind: str) -> str:
         return f"{kind}_{self.u}_{self.equation}"

@@ -11,6 +11,9 @@ from phsi_opt.model.catalogue_parts import (
 )
 from phsi_opt.model.effect import Effect
 
+POSITION_FORCE = "a force that depends on the position"
+COUPLING = "a coupling of two positions"
+
 # Free plays of a gap to try, as shares of the largest position.
 PLAYS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 
@@ -29,15 +32,17 @@ def energies(q: str, p: str) -> list[Effect]:
 def coupling(q1: str, q2: str, p1: str) -> Effect:
     """A spring between two positions; p1 is the momentum of the first one."""
     term = one_term(f"({q1} - {q2})**2/2", f"coupling_stiffness_{q1}_{q2}")
-    return Effect("coupling stiffness", "H", p1, term)
+    return Effect("coupling stiffness", "H", p1, term, family=COUPLING)
 
 
 def _energy(kind: str, q: str, p: str, body: str) -> Effect:
-    return Effect(kind, "H", p, one_term(body, f"{underscored(kind)}_{q}"))
+    term = one_term(body, f"{underscored(kind)}_{q}")
+    return Effect(kind, "H", p, term, family=POSITION_FORCE)
 
 
 def _gap(q: str, p: str) -> Effect:
     """A spring with free play, to both sides."""
     inner = {"play": tried(q, PLAYS, LARGEST_SHARE)}
     body = f"max(abs({q}) - play, 0)**2/2"
-    return Effect("gap", "H", p, one_term(body, f"gap_{q}", inner, lower=0.0))
+    term = one_term(body, f"gap_{q}", inner, lower=0.0)
+    return Effect("gap", "H", p, term, family=POSITION_FORCE)

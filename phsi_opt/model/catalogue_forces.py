@@ -9,6 +9,11 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.parameters import Parameter, Scan, Share
 from phsi_opt.model.terms import Dictionary, Term, formula
 
+CONSTANT_FORCE = "a constant force"
+CHANGING_FORCE = "a force that changes with the time"
+CHANGING_STIFFNESS = "a stiffness that changes with the time"
+HYSTERESIS = "hysteresis"
+
 # Displacements over which a hysteresis yields, to try, as shares of the largest
 # position.
 YIELD_WIDTHS = (0.05, 0.1, 0.2, 0.4)
@@ -25,16 +30,17 @@ def forces(model: BaseModel, equation: str) -> list[Effect]:
     drifting = one_term("t", f"drifting_force_{equation}")
     harmonic = _wave(_free_frequency(model, "harmonic", equation))
     return [
-        Effect("constant force", "F", equation, constant),
-        Effect("drifting force", "F", equation, drifting),
-        Effect("harmonic force", "F", equation, harmonic),
+        Effect("constant force", "F", equation, constant, family=CONSTANT_FORCE),
+        Effect("drifting force", "F", equation, drifting, family=CHANGING_FORCE),
+        Effect("harmonic force", "F", equation, harmonic, family=CHANGING_FORCE),
     ]
 
 
 def parametric_stiffness(model: BaseModel, q: str, p: str) -> Effect:
     """A stiffness that changes with the time: -q (a sin(omega t) + b cos(omega t))."""
     omega = _free_frequency(model, "parametric", p)
-    return Effect("parametric stiffness", "F", p, _wave(omega, factor=f"-{q}*"))
+    wave = _wave(omega, factor=f"-{q}*")
+    return Effect("parametric stiffness", "F", p, wave, family=CHANGING_STIFFNESS)
 
 
 def _wave(omega: str, factor: str = "") -> Dictionary:
@@ -72,4 +78,5 @@ def hysteresis(q: str, p: str) -> Effect:
     rounding = Parameter(lower=0.0, fixed=True, guess=Share(v, ROUNDED_VELOCITY))
     inner = {width: tried(q, YIELD_WIDTHS), slow: rounding}
     force = one_term(f"-{z}", f"hysteresis_force_{p}", lower=0.0)
-    return Effect("hysteresis", "F", p, force, {z: formula(rate, **inner)})
+    memory = {z: formula(rate, **inner)}
+    return Effect("hysteresis", "F", p, force, memory, HYSTERESIS)

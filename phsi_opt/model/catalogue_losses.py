@@ -19,6 +19,24 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.parameters import Parameter, Share
 from phsi_opt.model.structure import effort_of, flow_states
 
+SPEED_LOSS = "a loss that grows with speed"
+POSITION_DAMPING = "damping that depends on the position"
+DRY_FRICTION = "dry friction"
+LEVEL_LOSS = "a loss that grows with the level"
+OVERFLOW = "an overflow"
+FAMILIES = {
+    "viscous damping": SPEED_LOSS,
+    "quadratic drag": SPEED_LOSS,
+    "cubic drag": SPEED_LOSS,
+    "position-dependent damping": POSITION_DAMPING,
+    "coulomb friction": DRY_FRICTION,
+    "stribeck friction": DRY_FRICTION,
+    "linear leak": LEVEL_LOSS,
+    "turbulent leak": LEVEL_LOSS,
+    "saturating leak": LEVEL_LOSS,
+    "overflow": OVERFLOW,
+}
+
 # Dry friction turns over within this share of the typical (root mean square) velocity:
 # sharp beside the motion, smooth for the solver. The fourth powers make its plateau
 # flat, so that the share costs no friction at the velocities beyond it.
@@ -60,14 +78,15 @@ def overflow_into(model: BaseModel, state: str, source: str) -> Effect:
     inner = {"limit": tried(level, LIMITS, LARGEST_SHARE)}
     name = f"overflow_{source}_{state}"
     term = one_term(f"max({level} - limit, 0)", name, inner, lower=0.0)
-    return Effect(f"overflow from {source}", "F", state, term)
+    return Effect(f"overflow from {source}", "F", state, term, family=OVERFLOW)
 
 
 def _loss(
     kind: str, state: str, body: str, inner: Mapping[str, Parameter] | None = None
 ) -> Effect:
     name = f"{underscored(kind)}_{state}"
-    return Effect(kind, "R", state, one_term(body, name, inner, lower=0.0))
+    term = one_term(body, name, inner, lower=0.0)
+    return Effect(kind, "R", state, term, family=FAMILIES[kind])
 
 
 def _frictions(model: BaseModel, state: str) -> list[Effect]:
@@ -109,7 +128,7 @@ def _stribeck_friction(model: BaseModel, state: str) -> Effect:
     level = one_term(dry, f"coulomb_friction_{state}", {"v0": turnover}, lower=0.0)
     known = {term.body for term in model.terms_at("R", state)}
     term = rise if dry in known else level + rise
-    return Effect("stribeck friction", "R", state, term)
+    return Effect("stribeck friction", "R", state, term, family=DRY_FRICTION)
 
 
 def _leaks(model: BaseModel, state: str) -> list[Effect]:

@@ -14,6 +14,9 @@ from phsi_opt.model.catalogue_parts import (
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.terms import formula
 
+WRONG_READING = "an error of the sensor"
+LATE_READING = "a delay of the sensor"
+
 
 def sensors(state: str) -> list[Effect]:
     """What the sensor of a state may add to it."""
@@ -28,16 +31,18 @@ def sensors(state: str) -> list[Effect]:
 
 def _linear(kind: str, state: str, body: str) -> Effect:
     term = one_term(body, f"{underscored(kind)}_{state}")
-    return Effect(kind, "sensor", state, term)
+    return Effect(kind, "sensor", state, term, family=WRONG_READING)
 
 
 def _clipping(state: str) -> Effect:
     limit = f"clipping_{state}"
     body = f"min(max({state}, -{limit}), {limit}) - {state}"
     inner = {limit: tried(state, LIMITS, LARGEST_SHARE)}
-    return Effect("sensor clipping", "sensor", state, formula(body, **inner))
+    term = formula(body, **inner)
+    return Effect("sensor clipping", "sensor", state, term, family=WRONG_READING)
 
 
 def _delay(state: str) -> Effect:
     delay = Delay(state, f"sensor_delay_{state}", f"{state}_delayed")
-    return Effect("sensor delay", "sensor", state, delay.change(), delay.memory())
+    change = delay.change()
+    return Effect("sensor delay", "sensor", state, change, delay.memory(), LATE_READING)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType, UnionType
 
 from phsi_opt.errors import ModelError
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import SLOTS
 from phsi_opt.model.terms import Dictionary
@@ -24,6 +25,8 @@ class Effect:
         term: what it adds there.
         memory: further states that it needs, such as the lagged input, each with its
             rate of change.
+        family: the class in words that a diagnosis uses where its members cannot be
+            told apart, such as ``"a loss that grows with speed"``.
 
     Raises:
         ModelError: an unknown slot, or no term.
@@ -34,6 +37,7 @@ class Effect:
     equation: str
     term: Dictionary
     memory: Mapping[str, Dictionary] = field(default_factory=dict)
+    family: str = ""
 
     def __post_init__(self) -> None:
         if self.slot not in SLOTS:
@@ -49,11 +53,19 @@ class Effect:
         object.__setattr__(self, "memory", MappingProxyType(dict(self.memory)))
 
     def __reduce__(self) -> tuple[object, ...]:  # a mappingproxy cannot be pickled
-        parts = (self.name, self.slot, self.equation, self.term, dict(self.memory))
-        return Effect, parts
+        parts = (self.name, self.slot, self.equation, self.term)
+        return Effect, (*parts, dict(self.memory), self.family)
 
     def __str__(self) -> str:
         return f"{self.name} on {self.equation}"
+
+    @property
+    def needs_clock(self) -> bool:
+        """Whether the time t stands in its terms, or in the rates of its memory."""
+        for terms in (self.term, *self.memory.values()):
+            if any("t" in names_of(term.body) for term in terms):
+                return True
+        return False
 
 
 def is_scanned(effect: Effect) -> bool:
