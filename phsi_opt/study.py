@@ -23,6 +23,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.report import Section, write_report
@@ -79,6 +80,10 @@ class Study:
         model: the base model.
         train: measurements to fit.
         held_out: measurements to judge by (recommended).
+        effects: the effects that diagnoses consider, each an `Effect`, a name such as
+            ``"coulomb friction"`` (in every equation that can have it) or
+            ``"coulomb friction on p"``; default: `catalogue` of the model.
+        without: those that they never consider, in the same words.
         loss: how to fit; default `MaximumLikelihood`.
         progress: called with a line of text as the work goes on, such as ``print``.
 
@@ -88,6 +93,7 @@ class Study:
 
     Raises:
         DataError: a state or input of the model is not in the measurements.
+        ModelError: one of the ``effects``, or of those to leave out, is unknown.
         SolveError: the base model could not be fitted.
     """
 
@@ -97,10 +103,13 @@ class Study:
         train: Measurements,
         held_out: Measurements | None = None,
         *,
+        effects: Given | None = None,
+        without: Given = (),
         loss: MaximumLikelihood | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> None:
         self.base = model
+        self._choice = EffectChoice(effects, without).checked(model)
         self._train = AlignedData.of(model, train)
         self._held_out = None
         if held_out is not None:
@@ -109,6 +118,7 @@ class Study:
         self._loss = loss or MaximumLikelihood()
         self._say = progress or _silent
         self._diagnoses: dict[int, Diagnosis] = {}
+        self._considered: dict[int, EffectChoice] = {}
         self._say("fitting the base model")
         fit = identify_aligned(model, self._train, self._loss)
         self.steps: list[Step] = [self._step("base model", (), fit)]
@@ -165,12 +175,21 @@ class Study:
 
     def diagnose(self) -> Diagnosis:
         """What the present model lacks; worked out once per step."""
+        return self._diagnosed(self._choice)
+
+    def _diagnosed(self, choice: EffectChoice) -> Diagnosis:
+        """What the present model lacks, of the effects that are considered."""
         key = len(self.steps)
-        if key not in self._diagnoses:
+        if key not in self._diagnoses or self._considered[key] != choice:
             step = self.steps[-1]
             self._diagnoses[key] = diagnose_comparison(
-                step.train, step.held_out, loss=self._loss, progress=self._say
+                step.train,
+                step.held_out,
+                effects=choice.candidates(self.model),
+                loss=self._loss,
+                progress=self._say,
             )
+            self._considered[key] = choice
         return self._diagnoses[key]
 
     def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
@@ -241,7 +260,12 @@ class Study:
         self.stopped = ""
         return self.fit
 
-    def auto(self, max_steps: int = 4) -> str:
+    def auto(
+        self,
+        max_steps: int = 4,
+        effects: Given | None = None,
+        without: Given = (),
+    ) -> str:
         """Diagnose and add while an effect is significant, then say why it stopped.
 
         An effect is added when the diagnosis names it, or when it explains most of what
@@ -249,11 +273,22 @@ class Study:
         other. After each step, effects that were added before and that BIC no longer
         asks for are taken out again.
 
+        Args:
+            max_steps: how often it adds at most.
+            effects: the effects to consider, as in `Study`; default: those that the
+                study considers.
+            without: those never considered, beside those that the study leaves out.
+
         Returns:
             Why it stopped; kept in ``stopped``.
+
+        Raises:
+            ModelError: one of the ``effects``, or of those to leave out, is unknown.
         """
+        further = EffectChoice(effects, without).checked(self.base)
+        choice = self._choice.narrowed(further.effects, further.without)
         for _ in range(max_steps):
-            diagnosis = self.diagnose()
+            diagnosis = self._diagnosed(choice)
             said = f"{diagnosis.verdict}: {diagnosis.reason}"
             self._say(said)
             if not diagnosis.proposed:

@@ -368,3 +368,32 @@ def test_an_effect_is_added_by_name_alone_where_one_equation_can_have_it() -> No
     study = ph.Study(spring(), measurements(2.0, seed=3))
     study.add("coulomb friction")
     assert [str(effect) for effect in study.added] == ["coulomb friction on p"]
+
+
+def test_a_study_considers_what_it_was_told_to() -> None:
+    data = measurements(2.0, seed=3)
+    study = ph.Study(spring(), data, effects=["coulomb friction", "quadratic drag"])
+    assert _considered(study) == {"coulomb friction on p", "quadratic drag on p"}
+    study.auto(without=["coulomb friction"])
+    assert "coulomb friction on p" not in [str(effect) for effect in study.added]
+    fit = study.steps[0].fit
+    found = ph.diagnose(fit, data, effects=["gap", "cubic drag"], without=["gap on p"])
+    assert {c.effect.name for c in found.ranking} <= {"cubic drag"}
+
+
+def _considered(study: ph.Study) -> set[str]:
+    return {str(candidate.effect) for candidate in study.diagnose().ranking}
+
+
+@pytest.mark.parametrize("argument", ["effects", "without"])
+def test_an_unknown_effect_is_refused_wherever_one_can_be_chosen(
+    complete: ph.Study, argument: str
+) -> None:
+    unknown: dict[str, Any] = {argument: ["coulom friction"]}
+    said = f"in {argument} is not in .* Did you mean 'coulomb friction'"
+    with pytest.raises(ph.ModelError, match=said):
+        ph.Study(spring(), complete.train, **unknown)
+    with pytest.raises(ph.ModelError, match=said):
+        complete.auto(**unknown)
+    with pytest.raises(ph.ModelError, match=said):
+        ph.diagnose(complete.fit, complete.train, **unknown)

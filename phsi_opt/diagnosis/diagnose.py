@@ -27,6 +27,7 @@ from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.known_model import fit_of
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import catalogue
+from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.score_test import ScoreTest
@@ -40,7 +41,8 @@ def diagnose(
     data: Measurements,
     held_out: Measurements | None = None,
     *,
-    effects: list[Effect] | None = None,
+    effects: Given | None = None,
+    without: Given = (),
     loss: MaximumLikelihood | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -52,7 +54,10 @@ def diagnose(
         data: the measurements of the fit.
         held_out: measurements not used for fitting; without them the verdict rests on
             the training record alone.
-        effects: candidates; default: `catalogue` of the model.
+        effects: candidates, each an `Effect`, a name such as ``"coulomb friction"``
+            (in every equation that can have it) or ``"coulomb friction on p"``;
+            default: `catalogue` of the model.
+        without: those of them that are never considered, in the same words.
         loss: how candidates are re-fitted; default `MaximumLikelihood`. A random force
             in the equations (``model_error=True``) would hide what is missing; it is
             left out, and a fit with one is made again without.
@@ -63,17 +68,20 @@ def diagnose(
 
     Raises:
         DataError: a state or input of the model is not in the measurements.
-        ModelError: one of the ``effects`` does not fit the model, or has no free
-            number; or a model with free parameters was given instead of a fit.
+        ModelError: one of the ``effects`` or of those to leave out is unknown, does not
+            fit the model, or has no free number; or a model with free parameters was
+            given instead of a fit.
         SolveError: the missing force could not be estimated.
     """
     say = progress or _silent
     say("estimating the missing force")
     fit = fit_of(fit, data, "diagnose")
+    choice = EffectChoice(effects, without).checked(fit.model)
     trained = compare(fit, data)
     judged = None if held_out is None else compare(fit, held_out)
+    candidates = choice.candidates(fit.model)
     return diagnose_comparison(
-        trained, judged, effects=effects, loss=loss, progress=say
+        trained, judged, effects=candidates, loss=loss, progress=say
     )
 
 
@@ -93,7 +101,8 @@ def diagnose_comparison(
     Args:
         trained: the fit on the training record.
         judged: the fit on data held out.
-        effects, loss, progress: as in `diagnose`.
+        effects: candidates; default: `catalogue` of the model.
+        loss, progress: as in `diagnose`.
 
     Returns:
         As `diagnose`.

@@ -27,12 +27,12 @@ NOTHING_LEFT = 1e-8
 
 def is_redundant(model: BaseModel, effect: Effect) -> bool:
     """Whether the model can do already what the effect does."""
-    if _stands_in(model, effect):
+    if stands_in(model, effect):
         return True
     return bool(model.free) and not is_scanned(effect) and _is_spanned(model, effect)
 
 
-def _stands_in(model: BaseModel, effect: Effect) -> bool:
+def stands_in(model: BaseModel, effect: Effect) -> bool:
     """Whether a term, a coefficient or a memory of the effect is in the model."""
     bodies = {term.body for term in model.terms_at(effect.slot, effect.equation)}
     for term in effect.term:

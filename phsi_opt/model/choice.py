@@ -1,0 +1,151 @@
+"""Which effects are considered: the whole catalogue, a part of it, or one's own.
+
+A choice holds names and effects as a user gave them. It is checked once, on the model
+to which it was given; the candidates are then read from the model as it has become, so
+that an effect that was added since is neither offered again nor called unknown.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.model.base import BaseModel
+from phsi_opt.model.catalogue import catalogue
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.redundancy import stands_in
+
+Given = Sequence[Effect | str]
+
+
+@dataclass(frozen=True)
+class EffectChoice:
+    """The effects that a diagnosis considers.
+
+    Args:
+        effects: those to consider, each an `Effect`, a name, or a name with its place
+            such as ``"coulomb friction on p"``; None: all of the catalogue. A name
+            without a place means every equation in which the catalogue has it.
+        without: those never considered, in the same words.
+
+    Raises:
+        ModelError: something else than a list of effects and names.
+    """
+
+    effects: Given | None = None
+    without: Given = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "without", _listed("without", self.without))
+        if self.effects is not None:
+            object.__setattr__(self, "effects", _listed("effects", self.effects))
+
+    def narrowed(self, effects: Given | None, without: Given) -> "EffectChoice":
+        """Of other effects, where there are any, and without more of them."""
+        chosen = self.effects if effects is None else effects
+        added = EffectChoice(None, without).without
+        return EffectChoice(chosen, (*self.without, *added))
+
+    def checked(self, model: BaseModel) -> "EffectChoice":
+        """The choice itself, if all that it names could be candidates.
+
+        Effects of the catalogue become names: what they add may change with what the
+        model has already.
+
+        Raises:
+            ModelError: a name that the catalogue of the model does not have, or an
+                effect to leave out that is no candidate.
+        """
+        offered = catalogue(model)
+        considered = offered
+        effects = self.effects
+        if effects is not None:
+            effects = tuple(_name_of(one, offered) for one in effects)
+            considered = []
+            for one in effects:
+                considered += _known(one, offered, "effects")
+            _check_new(considered, model)
+        for one in self.without:
+            _known(_name_of(one, considered), [*considered, *offered], "without")
+        return EffectChoice(effects, self.without)
+
+    def candidates(self, model: BaseModel) -> list[Effect]:
+        """The effects that are considered, but for those that the model has."""
+        offered = catalogue(model)
+        considered = offered
+        if self.effects is not None:
+            considered = []
+            for one in self.effects:
+                considered += _meant(one, offered)
+        kept: list[Effect] = []
+        for effect in considered:
+            is_out = any(_is_called(effect, one) for one in self.without)
+            if not is_out and not stands_in(model, effect) and effect not in kept:
+                kept.append(effect)
+        return kept
+
+
+def _listed(what: str, given: Any) -> tuple[Effect | str, ...]:
+    """The effects and names as a tuple, if they are a list of such."""
+    if isinstance(given, str | Effect) or not isinstance(given, Iterable):
+        raise ModelError(
+            f"{what}={given!r} must be a list of effects or of their names, "
+            "such as ['coulomb friction', 'gap on p']."
+        )
+    listed = tuple(given)
+    for one in listed:
+        if not isinstance(one, str | Effect):
+            raise ModelError(
+                f"{one!r} in {what} is neither an Effect nor the name of one."
+            )
+    return listed
+
+
+def _is_called(effect: Effect, one: Effect | str) -> bool:
+    """Whether a name, or an effect of that name and place, means the effect."""
+    if isinstance(one, str):
+        return one in (effect.name, str(effect))
+    return (one.name, one.equation) == (effect.name, effect.equation)
+
+
+def _meant(one: Effect | str, offered: list[Effect]) -> list[Effect]:
+    """What a user's effect, or a name among those offered, stands for."""
+    if isinstance(one, Effect):
+        return [one]
+    return [effect for effect in offered if _is_called(effect, one)]
+
+
+def _name_of(one: Effect | str, offered: list[Effect]) -> Effect | str:
+    """The name with its place in place of an effect of the catalogue."""
+    return str(one) if one in offered else one
+
+
+def _known(one: Effect | str, offered: list[Effect], what: str) -> list[Effect]:
+    """What a user's effect or name stands for; it must be something."""
+    found = _meant(one, offered)
+    if what == "without":
+        found = [effect for effect in offered if _is_called(effect, one)]
+    if found:
+        return found
+    names = sorted({effect.name for effect in offered})
+    raise ModelError(
+        f"effect {str(one)!r} in {what} is not in the catalogue of this model "
+        "(or the model has it already); "
+        f"available are {', '.join(names)}.{_hint(str(one), offered)}"
+    )
+
+
+def _check_new(effects: list[Effect], model: BaseModel) -> None:
+    for effect in effects:
+        if stands_in(model, effect):
+            raise ModelError(
+                f"effect {str(effect)!r} in effects stands in the model already; "
+                "leave it out."
+            )
+
+
+def _hint(name: str, offered: list[Effect]) -> str:
+    """The closest name, with a place where one was given."""
+    if " on " in name:
+        return did_you_mean(name, [str(effect) for effect in offered])
+    return did_you_mean(name, [effect.name for effect in offered])
