@@ -1,0 +1,156 @@
+"""The page results/field_machines.md, from the tables of all kinds that have been run."""
+
+import pandas as pd
+
+from problems.field_machines import store
+from problems.field_machines.examination import (
+    CLASS,
+    FALSE,
+    MOST_STEPS,
+    NAME,
+    SILENT,
+)
+from problems.field_machines.kinds import KINDS, NOISE_LEVELS
+from problems.field_machines.preparation import PREPARED
+from problems.field_machines.sizes import (
+    ABOVE_MODEL_ERROR,
+    LOUDEST,
+    MODEL_ERROR,
+    QUIETEST,
+)
+from problems.tools import markdown
+from problems.tools.intervals import share
+from problems.tools.provenance import write
+
+ANSWERS = (NAME, CLASS, FALSE, SILENT)
+LEVELS = markdown.enumerated(f"{100 * noise:g}" for noise in NOISE_LEVELS)
+INTRODUCTION = markdown.paragraph(f"""
+    Machines that an engineer meets are simulated by SciPy
+    (`problems/field_machines`, without phsi_opt), an effect hidden, and given to a study
+    with a model that lacks it. Every case has {MODEL_ERROR:.0%} of model error: a random
+    force, or a smooth random function of the states, whose root mean square is that
+    share of the motion's own force. Noise is {LEVELS} % of a channel's root mean square.
+    The effect's size is such that the best re-fit of the model has a free-run error of
+    {QUIETEST:g} to {LOUDEST:g} times the noise, and {ABOVE_MODEL_ERROR:g} times what the
+    model error does to the runs, which at little noise asks for more; under control and
+    over the top it is drawn.
+    """)
+TERMS = markdown.paragraph(f"""
+    A study goes on by itself for up to {MOST_STEPS} steps; all that its diagnoses find is
+    counted. Right name: every finding is one effect, and a true one. Class: every
+    finding holds a true effect, and one of them several effects. False: a finding
+    without a true effect. Silent: nothing is found; where nothing is to be named, that
+    is right. Intervals in brackets: 95 %, Wilson.
+    """)
+
+
+def write_page() -> None:
+    """Write the page from the tables of all kinds that have been run."""
+    write("field_machines.md", page())
+
+
+def page() -> str:
+    """The page as Markdown."""
+    found = {}
+    for name in KINDS:
+        rows = store.table(name)
+        if len(rows):
+            found[name] = rows
+    lines = ["# Machines of the field", "", INTRODUCTION, "", TERMS, ""]
+    if not found:
+        return "\n".join(lines)
+    everything = pd.concat(found.values(), ignore_index=True)
+    lines += ["## What was said", "", markdown.table(summary(found)), ""]
+    lines += ["By noise, where something is to be named:", ""]
+    lines += [markdown.table(by_noise(everything)), ""]
+    lines += ["## What came instead", "", _instead(everything), ""]
+    lines += _preparation()
+    lines += _failures(everything)
+    counts = everything["commit"].value_counts()
+    lines += ["## Examined on", ""]
+    lines += [f"- commit {commit}: {count} cases" for commit, count in counts.items()]
+    return "\n".join(lines)
+
+
+def summary(found: dict[str, pd.DataFrame]) -> list[dict[str, object]]:
+    """A line for each kind; two where in some of its cases nothing is to be named."""
+    records = []
+    for name, rows in found.items():
+        named = rows["listed"].astype(bool)
+        title = KINDS[name].title
+        if named.any():
+            records.append(line(title, rows[named]))
+        if not named.all():
+            other = title if not named.any() else f"{title}, no name is right"
+            records.append(line(other, rows[~named]))
+    everything = pd.concat(found.values(), ignore_index=True)
+    listed = everything["listed"].astype(bool)
+    records.append(line("all with a name", everything[listed]))
+    records.append(line("all without", everything[~listed]))
+    return records
+
+
+def line(title: str, rows: pd.DataFrame) -> dict[str, object]:
+    """Shares of each answer, and the median of the seconds."""
+    record: dict[str, object] = {"kind": title, "n": len(rows)}
+    for answer in ANSWERS:
+        record[answer] = share(int(rows["answer"].eq(answer).sum()), len(rows))
+    record["median seconds"] = f"{rows['seconds'].median():.1f}"
+    return record
+
+
+def by_noise(rows: pd.DataFrame) -> list[dict[str, object]]:
+    """A line for each noise level."""
+    listed = rows[rows["listed"].astype(bool)]
+    records = []
+    for noise, part in listed.groupby("noise"):
+        records.append(line(f"noise {100 * float(str(noise)):g} %", part))
+    return records
+
+
+def _instead(rows: pd.DataFrame) -> str:
+    """What was said in the cases whose answer is neither right nor rightly silent."""
+    is_silent = rows["answer"].eq(SILENT)
+    wrong = rows[rows["answer"].eq(FALSE) | (is_silent & rows["listed"].astype(bool))]
+    if wrong.empty:
+        return "Nothing."
+    said = wrong["findings"].where(wrong["findings"].ne(""), wrong["verdicts"])
+    wrong = wrong.assign(said=said)
+    counts = wrong.groupby(["kind", "hidden", "answer", "said"]).size()
+    table = counts.reset_index(name="cases")
+    table = table.sort_values(
+        ["answer", "kind", "cases"], ascending=[True, True, False]
+    )
+    return markdown.table(table)
+
+
+def _preparation() -> list[str]:
+    records = []
+    for name, kind in KINDS.items():
+        rows = store.table(name, is_prepared=True)
+        rows = rows[rows["outcome"].eq("examined")]
+        if rows.empty:
+            continue
+        record: dict[str, object] = {"kind": kind.title, "n": len(rows)}
+        for other in PREPARED[1:]:
+            count = int(rows[other].eq(rows[PREPARED[0]]).sum())
+            record[f"same {other}"] = share(count, len(rows))
+        same = rows["same"].astype(str).eq("True")
+        record["same in all"] = share(int(same.sum()), len(rows))
+        records.append(record)
+    if not records:
+        return []
+    text = markdown.paragraph("""
+        Whether the findings are the same where clocks begin at other times (shifted),
+        with every other sample (thinned), and with another run held out (exchanged).
+        """)
+    return ["## Ways to prepare a record", "", text, "", markdown.table(records), ""]
+
+
+def _failures(rows: pd.DataFrame) -> list[str]:
+    failed = rows[rows["outcome"].ne("examined")]
+    counts = (failed["kind"] + ": " + failed["outcome"]).value_counts()
+    if counts.empty:
+        return []
+    lines = [f"- {count} x {what}" for what, count in counts.items()]
+    return ["## Cases that failed", "", *lines, ""]

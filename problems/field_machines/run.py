@@ -1,0 +1,70 @@
+"""Does the diagnosis name what an engineer would believe, on machines of the field?
+
+    python -m problems.field_machines.run [--first=SEED] [--seeds=N] [--kinds=a,b]
+        [--prepared] [--page]
+
+What came out of each case is kept in results/field_machines/<kind>.csv as it is
+computed: a run that was interrupted goes on where it stopped. --prepared examines the
+same cases from records that were prepared in three other ways; --page writes the page
+anew and nothing else. Seeds 0 to 99 are for developing, those from 8000 on are
+reported.
+"""
+
+import os
+
+# Before NumPy is loaded: a study is small.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from problems.field_machines import store
+from problems.field_machines.examination import examine
+from problems.field_machines.kinds import KINDS
+from problems.field_machines.page import write_page
+from problems.field_machines.preparation import examine_prepared
+from problems.tools.command_line import flag, option
+
+FIRST = 8000  # of the seeds that are reported
+N_SEEDS = 20
+
+
+def main(names: list[str], seeds: range, is_prepared: bool) -> None:
+    """Examine what is not yet in the tables, the first seeds of all kinds first."""
+    done = {}
+    for name in names:
+        done[name] = set(store.table(name, is_prepared)["seed"])
+    for seed in seeds:
+        for name in names:
+            if seed in done[name]:
+                continue
+            examined = examine_prepared if is_prepared else examine
+            record = examined(KINDS[name], seed)
+            store.append(record, is_prepared)
+            print(_line(record), flush=True)
+
+
+def _line(record: dict[str, object]) -> str:
+    """What a user sees while it runs."""
+    shown = ("kind", "seed", "hidden", "answer", "findings", "same", "outcome")
+    return ", ".join(str(record[name]) for name in shown if record.get(name))
+
+
+def chosen_kinds(given: str) -> list[str]:
+    """The kinds of a list with commas; all where none is given.
+
+    Raises:
+        SystemExit: there is no such kind.
+    """
+    names = [name for name in given.split(",") if name]
+    for name in names:
+        if name not in KINDS:
+            raise SystemExit(f"no kind {name!r}; there are {', '.join(KINDS)}.")
+    return names or list(KINDS)
+
+
+if __name__ == "__main__":
+    if not flag("page"):
+        first = int(option("first", str(FIRST)))
+        n_seeds = int(option("seeds", str(N_SEEDS)))
+        chosen = chosen_kinds(option("kinds", ""))
+        main(chosen, range(first, first + n_seeds), flag("prepared"))
+    write_page()

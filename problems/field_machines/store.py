@@ -1,0 +1,74 @@
+"""The tables in which examined cases are kept: results/field_machines/<kind>.csv, and
+<kind>_prepared.csv for the preparations.
+
+A case is appended as it is examined, so that an interrupted run goes on where it
+stopped.
+"""
+
+from pathlib import Path
+
+import pandas as pd
+
+from problems.field_machines.preparation import PREPARED
+from problems.tools import provenance
+
+COLUMNS = [
+    "kind",
+    "seed",
+    "noise",
+    "hidden",
+    "truth",
+    "coefficient",
+    "listed",
+    "disturbance",
+    "ratio",
+    "disturbed",
+    "measured",
+    "inputs",
+    "free",
+    "n_train",
+    "sensor",
+    "answer",
+    "findings",
+    "verdicts",
+    "added",
+    "after",
+    "seconds",
+    "drawing",
+    "outcome",
+    "commit",
+]
+PREPARED_COLUMNS = ["kind", "seed", *PREPARED, "same", "outcome", "commit"]
+FORMAT = "%.6g"
+TEXTS = ("truth", "findings", "verdicts", "added", "inputs", "free", "answer")
+
+
+def path_of(kind: str, is_prepared: bool = False) -> Path:
+    """The table of a kind; it may not exist."""
+    end = "_prepared" if is_prepared else ""
+    return provenance.RESULTS / "field_machines" / f"{kind}{end}.csv"
+
+
+def table(kind: str, is_prepared: bool = False) -> pd.DataFrame:
+    """The kept cases of a kind, in the order of their seeds; none where none was run."""
+    path = path_of(kind, is_prepared)
+    if not path.exists():
+        return pd.DataFrame(columns=_columns(is_prepared))
+    rows = pd.read_csv(path)
+    texts = PREPARED if is_prepared else TEXTS
+    for name in texts:
+        rows[name] = rows[name].astype(object).where(rows[name].notna(), "")
+    return rows.sort_values("seed", kind="stable", ignore_index=True)
+
+
+def append(record: dict[str, object], is_prepared: bool = False) -> None:
+    """Keep one more case."""
+    path = path_of(str(record["kind"]), is_prepared)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    line = pd.DataFrame([record], columns=_columns(is_prepared))
+    is_new = not path.exists()
+    line.to_csv(path, mode="a", header=is_new, index=False, float_format=FORMAT)
+
+
+def _columns(is_prepared: bool) -> list[str]:
+    return PREPARED_COLUMNS if is_prepared else COLUMNS
