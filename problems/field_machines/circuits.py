@@ -1,7 +1,7 @@
 """A series circuit of resistor, coil and capacitor at a measured voltage.
 
-States are the capacitor's charge q and the coil's flux; current = dH/dflux. A saturating
-coil adds b flux^4/4 to the energy: current = flux/L + b flux^3.
+States are the capacitor's charge q and the coil's flux; current = dH/dflux. A coil that
+saturates adds b flux^4/4 to the energy: current = flux/L + b flux^3.
 """
 
 from collections.abc import Mapping

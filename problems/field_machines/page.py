@@ -1,4 +1,7 @@
-"""The page results/field_machines.md, from the tables of all kinds that have been run."""
+"""The page results/field_machines.md, from the tables of all kinds that have been run.
+
+Where seeds that are reported were run, those of developing are left out.
+"""
 
 import pandas as pd
 
@@ -10,7 +13,7 @@ from problems.field_machines.examination import (
     NAME,
     SILENT,
 )
-from problems.field_machines.kinds import KINDS, NOISE_LEVELS
+from problems.field_machines.kinds import FIRST_REPORTED, KINDS, NOISE_LEVELS
 from problems.field_machines.preparation import PREPARED
 from problems.field_machines.sizes import (
     ABOVE_MODEL_ERROR,
@@ -26,18 +29,19 @@ ANSWERS = (NAME, CLASS, FALSE, SILENT)
 LEVELS = markdown.enumerated(f"{100 * noise:g}" for noise in NOISE_LEVELS)
 INTRODUCTION = markdown.paragraph(f"""
     Machines that an engineer meets are simulated by SciPy
-    (`problems/field_machines`, without phsi_opt), an effect hidden, and given to a study
-    with a model that lacks it. Every case has {MODEL_ERROR:.0%} of model error: a random
-    force, or a smooth random function of the states, whose root mean square is that
-    share of the motion's own force. Noise is {LEVELS} % of a channel's root mean square.
+    (`problems/field_machines`, without phsi_opt), an effect hidden, and given to a
+    study with a model that lacks it. Every case has {MODEL_ERROR:.0%} of model error: a
+    random force, or a smooth random function of the states, whose root mean square is
+    that share of the motion's own force (of those where nothing is missing, a third
+    have noise that lasts instead). Noise is {LEVELS} % of a channel's root mean square.
     The effect's size is such that the best re-fit of the model has a free-run error of
-    {QUIETEST:g} to {LOUDEST:g} times the noise, and {ABOVE_MODEL_ERROR:g} times what the
-    model error does to the runs, which at little noise asks for more; under control and
-    over the top it is drawn.
+    {QUIETEST:g} to {LOUDEST:g} times the noise, and {ABOVE_MODEL_ERROR:g} times what
+    the model error does to the runs, which at little noise asks for more; under control
+    and over the top it is drawn.
     """)
 TERMS = markdown.paragraph(f"""
-    A study goes on by itself for up to {MOST_STEPS} steps; all that its diagnoses find is
-    counted. Right name: every finding is one effect, and a true one. Class: every
+    A study goes on by itself for up to {MOST_STEPS} steps; all that its diagnoses find
+    is counted. Right name: every finding is one effect, and a true one. Class: every
     finding holds a true effect, and one of them several effects. False: a finding
     without a true effect. Silent: nothing is found; where nothing is to be named, that
     is right. Intervals in brackets: 95 %, Wilson.
@@ -53,13 +57,15 @@ def page() -> str:
     """The page as Markdown."""
     found = {}
     for name in KINDS:
-        rows = store.table(name)
+        rows = _of_interest(store.table(name))
         if len(rows):
             found[name] = rows
     lines = ["# Machines of the field", "", INTRODUCTION, "", TERMS, ""]
     if not found:
         return "\n".join(lines)
     everything = pd.concat(found.values(), ignore_index=True)
+    seeds = everything["seed"]
+    lines += [f"Seeds {seeds.min()} to {seeds.max()}.", ""]
     lines += ["## What was said", "", markdown.table(summary(found)), ""]
     lines += ["By noise, where something is to be named:", ""]
     lines += [markdown.table(by_noise(everything)), ""]
@@ -70,6 +76,12 @@ def page() -> str:
     lines += ["## Examined on", ""]
     lines += [f"- commit {commit}: {count} cases" for commit, count in counts.items()]
     return "\n".join(lines)
+
+
+def _of_interest(rows: pd.DataFrame) -> pd.DataFrame:
+    """Seeds that are reported, where there are any."""
+    is_reported = rows["seed"].ge(FIRST_REPORTED)
+    return rows[is_reported] if is_reported.any() else rows
 
 
 def summary(found: dict[str, pd.DataFrame]) -> list[dict[str, object]]:
@@ -127,7 +139,7 @@ def _instead(rows: pd.DataFrame) -> str:
 def _preparation() -> list[str]:
     records = []
     for name, kind in KINDS.items():
-        rows = store.table(name, is_prepared=True)
+        rows = _of_interest(store.table(name, is_prepared=True))
         rows = rows[rows["outcome"].eq("examined")]
         if rows.empty:
             continue

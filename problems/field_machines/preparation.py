@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import phsi_opt as ph
-from phsi_opt.data.measurements import Trajectory
+from phsi_opt.data.trajectory import Trajectory
 from problems.field_machines.cases import draw
 from problems.field_machines.examination import REASON_LENGTH, Found, asked
 from problems.field_machines.findings import as_text
@@ -46,7 +46,7 @@ class Run:
 
 
 def examine_prepared(kind: Kind, seed: int) -> Found:
-    """What a study finds in each preparation of a case, and whether that is the same."""
+    """What a study finds in each preparation of a case, and whether it is the same."""
     record: Found = {
         "kind": kind.name,
         "seed": seed,

@@ -18,12 +18,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from problems.field_machines import store
 from problems.field_machines.examination import examine
-from problems.field_machines.kinds import KINDS
+from problems.field_machines.kinds import FIRST_REPORTED, KINDS
 from problems.field_machines.page import write_page
 from problems.field_machines.preparation import examine_prepared
 from problems.tools.command_line import flag, option
 
-FIRST = 8000  # of the seeds that are reported
 N_SEEDS = 20
 
 
@@ -63,7 +62,7 @@ def chosen_kinds(given: str) -> list[str]:
 
 if __name__ == "__main__":
     if not flag("page"):
-        first = int(option("first", str(FIRST)))
+        first = int(option("first", str(FIRST_REPORTED)))
         n_seeds = int(option("seeds", str(N_SEEDS)))
         chosen = chosen_kinds(option("kinds", ""))
         main(chosen, range(first, first + n_seeds), flag("prepared"))

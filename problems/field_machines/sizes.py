@@ -28,7 +28,7 @@ FAINT = (0.1, 0.4)  # shares of the noise, of an effect that should not be seen
 
 @dataclass(frozen=True, eq=False)
 class Sized:
-    """An effect's size with the motion that it makes, what disturbs it and how it shows.
+    """An effect's size, the motion that it makes, what disturbs it and how it shows.
 
     ``ratio``, ``disturbed``: errors over the noise, see `Case`.
     """
@@ -61,8 +61,8 @@ class Sizing:
         if self.e.hidden.is_drawn:
             hidden = self.e.hidden
             size = float(log_uniform(self.rng, hidden.least, hidden.largest))
-            found = self._disturbed(size, self._base_error(size))
-            return found if self._shows(found) else None
+            drawn = self._disturbed(size, self._base_error(size))
+            return drawn if self._shows(drawn) else None
         fit = BaseFit(self.e)
         target = float(log_uniform(self.rng, QUIETEST, LOUDEST))
         found = self._aimed(fit, target)

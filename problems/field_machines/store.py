@@ -50,7 +50,7 @@ def path_of(kind: str, is_prepared: bool = False) -> Path:
 
 
 def table(kind: str, is_prepared: bool = False) -> pd.DataFrame:
-    """The kept cases of a kind, in the order of their seeds; none where none was run."""
+    """The kept cases of a kind, in the order of their seeds."""
     path = path_of(kind, is_prepared)
     if not path.exists():
         return pd.DataFrame(columns=_columns(is_prepared))
