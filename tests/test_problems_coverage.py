@@ -19,6 +19,8 @@ from problems.benchmarks.coverage_fits import (
 from problems.benchmarks.coverage_page import page
 from problems.benchmarks.coverage_summary import PLAIN, measures, summary
 from problems.benchmarks.disturbed_oscillator import (
+    MOTION_RUNS,
+    MOTION_SEED,
     SUBSTEPS,
     TRUTH,
     Disturbance,
@@ -26,15 +28,18 @@ from problems.benchmarks.disturbed_oscillator import (
     Layout,
     cubic_coefficient,
     model,
+    motion,
     positions,
-    records,
 )
+from problems.benchmarks.drawn_nonlinearity import KINDS, Nonlinearities
 from problems.benchmarks.estimate_limits import (
     estimate_limits,
     least_squares_estimate,
 )
+from problems.benchmarks.oscillator_records import records
 
 SHORT = Layout(2, 100)
+SHARES = (0.01, 0.05)
 
 
 def test_a_seed_gives_the_same_record_alone_and_among_others() -> None:
@@ -68,6 +73,47 @@ def test_the_cubic_spring_has_its_share_of_the_force() -> None:
     assert share == pytest.approx(0.05, rel=0.1)
 
 
+def test_a_drawn_nonlinearity_has_its_share_and_no_linear_part() -> None:
+    layout = Layout(1, 100)
+    drawn = Nonlinearities.of(range(8), SHARES, layout)
+    assert len(set(drawn.kind)) == len(KINDS)
+    assert drawn.share.min() >= SHARES[0]
+    assert drawn.share.max() <= SHARES[1]
+    ensemble = Draw.of(MOTION_SEED, Disturbance(), Layout(MOTION_RUNS, 100))
+    moved = motion(Draw.joined([ensemble] * 8), drawn.repeated(MOTION_RUNS).pull)
+    of_samples = drawn.repeated(MOTION_RUNS * layout.samples)
+    force = of_samples.pull(moved.position.ravel(), moved.velocity.ravel())
+    force = force.reshape(8, -1)
+    q = moved.position.reshape(8, -1)
+    v = moved.velocity.reshape(8, -1)
+    size = np.sqrt(np.mean(force**2, axis=1))
+    spring = TRUTH["k"] * np.sqrt(np.mean(q**2, axis=1))
+    # The motions of the last pass are not quite those from which it was told.
+    assert size / spring == pytest.approx(drawn.share, rel=0.01)
+    for linear in (q, v, np.ones_like(q)):
+        alike = np.mean(force * linear, axis=1)
+        of_linear = np.sqrt(np.mean(linear**2, axis=1))
+        assert abs(alike / of_linear / size).max() < 0.01
+
+
+def test_a_seed_draws_the_same_nonlinearity_alone_and_among_others() -> None:
+    disturbance = SCENARIOS["nonlinearity 1 to 5 %"]
+    alone = records([2], disturbance, SHORT)[0]
+    among = records([1, 2, 3], disturbance, SHORT)[1]
+    undisturbed = records([2], Disturbance(), SHORT)[0]
+    assert alone.digest == among.digest
+    assert alone.digest != undisturbed.digest
+
+
+def test_losses_that_are_drawn_stay_losses() -> None:
+    drawn = Nonlinearities.of(range(8), SHARES, Layout(1, 100))
+    is_loss = drawn.kind >= KINDS.index("quadratic drag")
+    assert is_loss.any()
+    velocity = np.full(len(drawn.kind), 2.0)  # twice its root mean square
+    pull = drawn.pull(np.zeros_like(velocity), velocity) + TRUTH["R_v"] * velocity
+    assert (pull[is_loss] > 0).all()
+
+
 def test_an_estimate_of_a_linear_machine_tends_to_the_truth() -> None:
     draw = Draw.of(1, Disturbance(), Layout(20, 100))
     found = least_squares_estimate(positions(draw, 0.0), draw.voltage)
@@ -93,8 +139,7 @@ def test_coverage_is_counted_and_a_failed_fit_holds_nothing() -> None:
         {
             "estimate": [1.0, 1.2, 2.0, np.nan],
             "std_error": [0.1, 0.1, 0.5, np.nan],
-            "ci_lower": [0.8, 1.0, 1.0, np.nan],
-            "ci_upper": [1.2, 1.4, 3.0, np.nan],
+            "half": [0.2, 0.2, 1.0, np.nan],
             "white": [0.1, 0.05, 0.1, np.nan],
             "white_half": [0.2, 0.1, 0.2, np.nan],
             "source": ["white noise", "model error", "model error", "SolveError"],
@@ -123,7 +168,7 @@ def test_fits_are_kept_taken_up_and_told(tmp_path: Path) -> None:
     rows = kept(path)
     assert list(rows.columns) == COLUMNS
     assert rows["seed"].tolist() == [1] * 3 + [2] * 3 + [3] * 3
-    half = (rows["ci_upper"] - rows["ci_lower"]) / 2
+    half = rows["half"]
     is_white = rows["source"] == "white noise"
     assert is_white.any()
     pd.testing.assert_series_equal(

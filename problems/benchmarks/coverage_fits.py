@@ -13,8 +13,8 @@ from problems.benchmarks.disturbed_oscillator import (
     Disturbance,
     Layout,
     model,
-    records,
 )
+from problems.benchmarks.oscillator_records import records
 from problems.tools import provenance
 
 SCENARIOS = {
@@ -22,6 +22,7 @@ SCENARIOS = {
     "OU 0.2 m/s^2, 1 s": Disturbance(force_size=0.2, force_time=1.0),
     "OU 0.05 m/s^2, 0.3 s": Disturbance(force_size=0.05, force_time=0.3),
     "OU 0.1 m/s^2, 5 s": Disturbance(force_size=0.1, force_time=5.0),
+    "nonlinearity 1 to 5 %": Disturbance(drawn_shares=(0.01, 0.05)),
     "cubic spring 1 %": Disturbance(cubic_share=0.01),
     "cubic spring 3 %": Disturbance(cubic_share=0.03),
     "cubic spring 5 %": Disturbance(cubic_share=0.05),
@@ -35,6 +36,7 @@ DEFAULT = "default"
 WITH_FORCE = "model_error=True"
 WHITE = "white noise"  # the source of standard errors that no model error widens
 BATCH = 20  # seeds that are simulated at once
+DIGITS = "%.6g"  # of what is kept: an estimate to a three-hundredth of its error
 LEVEL = 0.95
 
 
@@ -60,8 +62,7 @@ class FitRow:
         parameter: its name.
         estimate: its value.
         std_error: the one that the fit gives.
-        ci_lower: limit of the fit's 95 % interval.
-        ci_upper: the other one.
+        half: half width of the fit's 95 % interval.
         white: the standard error if residuals were white noise.
         white_half: half width of the interval from it.
         source: where the fit's standard errors come from, or why there is no fit.
@@ -76,8 +77,7 @@ class FitRow:
     parameter: str
     estimate: float
     std_error: float
-    ci_lower: float
-    ci_upper: float
+    half: float
     white: float
     white_half: float
     source: str
@@ -88,19 +88,31 @@ COLUMNS = [field.name for field in fields(FitRow)]
 KEY = ["scenario", "runs", "samples", "method", "seed"]
 
 
+WAYS = (
+    (ONE, DEFAULT),
+    (SEVERAL, DEFAULT),
+    (ONE, WITH_FORCE),
+    (MANY, DEFAULT),
+    (SEVERAL, WITH_FORCE),
+)
+
+
 def jobs() -> list[Job]:
     """All jobs; what says most comes first, for a run may be cut short."""
     found = []
-    for layout, method in (
-        (ONE, DEFAULT),
-        (SEVERAL, DEFAULT),
-        (ONE, WITH_FORCE),
-        (MANY, DEFAULT),
-        (SEVERAL, WITH_FORCE),
-    ):
+    for layout, method in WAYS:
         for scenario in SCENARIOS:
             found.append(Job(scenario, layout, method))
     return found
+
+
+def make_all(seeds: Sequence[int], path: Path) -> None:
+    """All fits that are missing; a run that is cut short has all scenarios alike."""
+    for layout, method in WAYS:
+        for first in range(0, len(seeds), BATCH):
+            for scenario in SCENARIOS:
+                job = Job(scenario, layout, method)
+                make(job, seeds[first : first + BATCH], path)
 
 
 def fit_rows(job: Job, seed: int, data: ph.Measurements) -> list[FitRow]:
@@ -128,8 +140,7 @@ def fit_rows(job: Job, seed: int, data: ph.Measurements) -> list[FitRow]:
             parameter=parameter,
             estimate=float(fit.estimates[parameter]),
             std_error=float(std_errors[parameter]),
-            ci_lower=float(lower[parameter]),
-            ci_upper=float(upper[parameter]),
+            half=float(upper[parameter] - lower[parameter]) / 2,
             white=white,
             white_half=quantile * white,
             source=str(fit.std_error_source),
@@ -152,8 +163,7 @@ def _failed(job: Job, seed: int, reason: str) -> list[FitRow]:
             parameter=parameter,
             estimate=nothing,
             std_error=nothing,
-            ci_lower=nothing,
-            ci_upper=nothing,
+            half=nothing,
             white=nothing,
             white_half=nothing,
             source=reason,
@@ -197,6 +207,6 @@ def _missing(job: Job, seeds: Sequence[int], rows: pd.DataFrame) -> list[int]:
 def _append(path: Path, rows: Sequence[FitRow]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     frame = pd.DataFrame([vars(row) for row in rows], columns=COLUMNS)
-    text = frame.to_csv(index=False, header=not path.exists(), float_format="%.8g")
+    text = frame.to_csv(index=False, header=not path.exists(), float_format=DIGITS)
     with path.open("a", encoding="utf-8") as file:
         file.write(text)

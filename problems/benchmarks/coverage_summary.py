@@ -91,7 +91,7 @@ def measures(fits: pd.DataFrame, truth: float, is_plain: bool) -> dict[str, obje
     half = fits["white_half"]
     std_error = fits["white"]
     if not is_plain:
-        half = (fits["ci_upper"] - fits["ci_lower"]) / 2
+        half = fits["half"]
         std_error = fits["std_error"]
     distance = estimate - truth
     n = len(fits)

@@ -1,11 +1,12 @@
 """A simulated oscillator on which something acts that its model does not have.
 
 A mass of 1 kg on a spring with a damper, driven by a known voltage; its position alone
-is measured, every 0.1 s. Beside noise there may be a random force, a cubic spring,
-noise that lasts, or a coarse sensor. Forces stand per mass, in m/s^2.
+is measured, every 0.1 s. Beside noise there may be a random force, a cubic spring, a
+static nonlinearity that is drawn, noise that lasts, or a coarse sensor. Forces stand
+per mass, in m/s^2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -32,6 +33,9 @@ MOTION_SAMPLES = 400
 MOST_ITERATIONS = 20  # 4 are needed
 SETTLED = 1e-4  # relative change of the coefficient
 
+# A force of position and velocity, (n_runs,) each, m/s^2.
+StaticForce = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
 
 @dataclass(frozen=True)
 class Disturbance:
@@ -45,6 +49,8 @@ class Disturbance:
         noise: standard deviation of the sensor's noise, m.
         noise_correlation: of its neighbouring samples.
         step: of a sensor that rounds, m; 0: it does not.
+        drawn_shares: least and largest share of a static nonlinearity that every seed
+            draws anew (`drawn_nonlinearity`); None: there is none.
     """
 
     force_size: float = 0.0
@@ -53,6 +59,7 @@ class Disturbance:
     noise: float = 0.02
     noise_correlation: float = 0.0
     step: float = 0.0
+    drawn_shares: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -127,41 +134,73 @@ def _lasting(
     return lasting
 
 
-def positions(draw: Draw, cubic: float) -> np.ndarray:
-    """Positions without noise, (n_runs, n_samples).
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How some runs move, without noise.
+
+    Attributes:
+        position: (n_runs, n_samples), m.
+        velocity: (n_runs, n_samples), m/s.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+
+
+def motion(draw: Draw, pull: StaticForce) -> Motion:
+    """Motion of every run, by Runge and Kutta's method.
 
     Args:
         draw: what drives the runs.
-        cubic: coefficient of the cubic spring, N/m^3.
+        pull: what acts beside spring and damper, against the motion as they do, m/s^2.
     """
     h = INTERVAL / SUBSTEPS
     q = draw.state[:, 0]
     v = draw.state[:, 1]
     n_samples = draw.voltage.shape[1]
-    shown = np.zeros(draw.voltage.shape)
-    shown[:, 0] = q
+    shown = Motion(np.zeros(draw.voltage.shape), np.zeros(draw.voltage.shape))
+    shown.position[:, 0] = q
+    shown.velocity[:, 0] = v
     for i in range(n_samples - 1):
         rise = (draw.voltage[:, i + 1] - draw.voltage[:, i]) / SUBSTEPS
         for sub in range(SUBSTEPS):
             voltage = draw.voltage[:, i] + sub * rise
             push = TRUTH["g"] * voltage + draw.force[:, i * SUBSTEPS + sub]
             more = TRUTH["g"] * rise
-            a1 = push - _pull(q, v, cubic)
+            a1 = push - _linear(q, v) - pull(q, v)
+            q2 = q + h / 2 * v
             v2 = v + h / 2 * a1
-            a2 = push + more / 2 - _pull(q + h / 2 * v, v2, cubic)
+            a2 = push + more / 2 - _linear(q2, v2) - pull(q2, v2)
+            q3 = q + h / 2 * v2
             v3 = v + h / 2 * a2
-            a3 = push + more / 2 - _pull(q + h / 2 * v2, v3, cubic)
+            a3 = push + more / 2 - _linear(q3, v3) - pull(q3, v3)
+            q4 = q + h * v3
             v4 = v + h * a3
-            a4 = push + more - _pull(q + h * v3, v4, cubic)
+            a4 = push + more - _linear(q4, v4) - pull(q4, v4)
             q = q + h / 6 * (v + 2 * v2 + 2 * v3 + v4)
             v = v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-        shown[:, i + 1] = q
+        shown.position[:, i + 1] = q
+        shown.velocity[:, i + 1] = v
     return shown
 
 
-def _pull(q: np.ndarray, v: np.ndarray, cubic: float) -> np.ndarray:
-    """Acceleration by springs and damper, m/s^2."""
-    return (TRUTH["k"] + cubic * q**2) * q + TRUTH["R_v"] * v
+def _linear(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Acceleration by spring and damper, m/s^2."""
+    return TRUTH["k"] * q + TRUTH["R_v"] * v
+
+
+def positions(draw: Draw, cubic: float) -> np.ndarray:
+    """Positions beside a cubic spring, without noise, (n_runs, n_samples).
+
+    Args:
+        draw: what drives the runs.
+        cubic: coefficient of the cubic spring, N/m^3.
+    """
+
+    def pull(q: np.ndarray, _: np.ndarray) -> np.ndarray:
+        return cubic * q**3
+
+    return motion(draw, pull).position
 
 
 @cache
@@ -179,38 +218,6 @@ def cubic_coefficient(share: float) -> float:
         if change <= SETTLED * cubic:
             break
     return cubic
-
-
-def records(
-    seeds: Sequence[int], disturbance: Disturbance, layout: Layout
-) -> list[ph.Measurements]:
-    """The measurements of every seed; all are simulated at once."""
-    draw = Draw.joined([Draw.of(seed, disturbance, layout) for seed in seeds])
-    shown = positions(draw, cubic_coefficient(disturbance.cubic_share)) + draw.noise
-    if disturbance.step:
-        shown = np.round(shown / disturbance.step) * disturbance.step
-    found = []
-    for first in range(0, len(shown), layout.runs):
-        own = slice(first, first + layout.runs)
-        found.append(_measurements(shown[own], draw.voltage[own]))
-    return found
-
-
-def _measurements(shown: np.ndarray, voltage: np.ndarray) -> ph.Measurements:
-    """Of one record, (n_runs, n_samples) each."""
-    n_runs, n_samples = shown.shape
-    t = np.arange(n_samples) * INTERVAL
-    states = []
-    for position in shown:
-        states.append(np.column_stack([position, np.full(n_samples, np.nan)]))
-    return ph.Measurements.from_arrays(
-        [t] * n_runs,
-        states,
-        list(voltage[:, :, None]),
-        states=["q", "v"],
-        inputs=["u"],
-        hold="linear",
-    )
 
 
 def model() -> ph.PseudoHamiltonian:

@@ -21,7 +21,8 @@ from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.problem import Task
 from phsi_opt.transcription.alignment import AlignedData
 from problems.benchmarks.coverage_fits import SCENARIOS
-from problems.benchmarks.disturbed_oscillator import Layout, model, records
+from problems.benchmarks.disturbed_oscillator import Layout, model
+from problems.benchmarks.oscillator_records import records
 from problems.tools import markdown
 from problems.tools.command_line import option
 from problems.tools.provenance import write
