@@ -32,6 +32,7 @@ def model_content(model: Model) -> Content:
         "states": list(model.states),
         "inputs": list(model.inputs),
         "memory": list(model.memory),
+        "kinds": dict(model.kind),
         "S": [list(row) for row in model.S],
         "H": _dictionary_content(model.H),
     }
@@ -87,6 +88,7 @@ def model_from(content: Content) -> Model:
         "states": content["states"],
         "inputs": content["inputs"],
         "memory": content.get("memory", []),
+        "kind": content.get("kinds", {}),
     }
     for slot in BY_EQUATION:
         parts[slot] = _slot_from(content.get(slot, {}))

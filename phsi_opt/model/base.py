@@ -17,6 +17,7 @@ import numpy as np
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.checks import checked_dictionary, checked_names, checked_structure
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.kinds import checked_kinds
 from phsi_opt.model.parameters import Parameter, with_value
 from phsi_opt.model.slots import (
     BY_EQUATION,
@@ -28,10 +29,14 @@ from phsi_opt.model.slots import (
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.model.variables import Variables
 
+MAPPINGS = (*BY_EQUATION, "kind")  # the fields that are read-only mappings
+
 
 @dataclass(frozen=True, kw_only=True)
 class BaseModel:
     """States, inputs, and the terms of the slots H, R, F and sensor; see ``Model``.
+
+    ``kind`` says of some states what they are, see `kinds`.
 
     Raises:
         ModelError: names that are no names or stand twice, terms that are not of their
@@ -46,6 +51,7 @@ class BaseModel:
     S: Any = None  # a tuple of rows once checked
     H: Dictionary = field(default_factory=Dictionary)
     memory: Sequence[str] = ()
+    kind: Any = field(default_factory=dict)  # a mapping from states once checked
 
     # ---- what is allowed -------------------------------------------------------------
 
@@ -64,6 +70,7 @@ class BaseModel:
         self._set("memory", checked_names(self.memory, "memory", may_be_empty=True))
         for name in self.memory:
             self.index(name, "memory")
+        self._set("kind", checked_kinds(self.kind, self.states, self.memory))
         self.variables.check_parameters(self.entries)
         for placed in self.placed():
             self.variables.check_term(placed)
@@ -73,13 +80,13 @@ class BaseModel:
 
     def __getstate__(self) -> dict[str, Any]:  # a mappingproxy cannot be pickled
         parts = {part.name: getattr(self, part.name) for part in fields(self)}
-        for slot in BY_EQUATION:
-            parts[slot] = dict(parts[slot])
+        for name in MAPPINGS:
+            parts[name] = dict(parts[name])
         return parts
 
     def __setstate__(self, parts: dict[str, Any]) -> None:
         for name, value in parts.items():
-            frozen = MappingProxyType(value) if name in BY_EQUATION else value
+            frozen = MappingProxyType(value) if name in MAPPINGS else value
             self._set(name, frozen)
 
     def _checked_equations(

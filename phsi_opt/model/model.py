@@ -134,10 +134,14 @@ class PseudoHamiltonian(Model):
         sensor: per measured state, what its sensor adds to it, such as an offset; terms
             as in F.
         memory: the states that are the memory of an effect.
+        kind: what the states are: ``"mechanical"``, ``"hydraulic"``, ``"electrical"``
+            or ``"thermal"``; or by state, such as ``{"T1": "thermal"}``. It decides
+            which effects `catalogue` offers and what they are called. Positions and
+            momenta are mechanical unless told.
 
     Raises:
-        ModelError: unknown names, a matrix that is not skew-symmetric, or a term that
-            occurs twice.
+        ModelError: unknown names, a matrix that is not skew-symmetric, a term that
+            occurs twice, or a kind that there is not.
     """
 
     def __post_init__(self) -> None:
@@ -171,11 +175,13 @@ class FirstOrder(Model):
         R: per equation, the terms of R_ii(x) >= 0.
         sensor: per measured state, what its sensor adds to it.
         memory: the states that are the memory of an effect.
+        kind: what the states are, as in `PseudoHamiltonian`.
         S: none; here for `dataclasses.replace`, which passes all fields on.
         H: none; as S.
 
     Raises:
-        ModelError: unknown names, a term that occurs twice, an S or an H.
+        ModelError: unknown names, a term that occurs twice, an S or an H, or a kind
+            that there is not.
     """
 
     def __init__(
@@ -187,6 +193,7 @@ class FirstOrder(Model):
         sensor: Mapping[str, Dictionary] | None = None,
         *,
         memory: Sequence[str] = (),
+        kind: str | Mapping[str, str] | None = None,
         S: Any = None,
         H: Dictionary | None = None,
     ) -> None:
@@ -202,6 +209,7 @@ class FirstOrder(Model):
             R=R or {},
             sensor=sensor or {},
             memory=memory,
+            kind={} if kind is None else kind,
         )
 
     @property

@@ -1,0 +1,108 @@
+"""The kind of a state: mechanical, hydraulic, electrical or thermal.
+
+It decides which effects the catalogue offers and what they are called. A model says it;
+where it does not, the unit of the measured state may tell. Volts tell nothing by
+themselves: the sensors of tanks, speeds and positions give them too.
+"""
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from phsi_opt.errors import ModelError, did_you_mean
+
+MECHANICAL = "mechanical"
+HYDRAULIC = "hydraulic"
+ELECTRICAL = "electrical"
+THERMAL = "thermal"
+KINDS = (MECHANICAL, HYDRAULIC, ELECTRICAL, THERMAL)
+
+PREFIXES = ("", "n", "u", "µ", "m", "c", "d", "k", "M", "G")
+LENGTHS = frozenset(f"{prefix}m" for prefix in PREFIXES)
+VOLTS = frozenset(f"{prefix}V" for prefix in PREFIXES)
+# Units that take a prefix, and those that do not; spaces and signs of products are left
+# out, and powers written m3.
+WITH_PREFIX = {
+    MECHANICAL: ("rad", "m/s", "rad/s", "N", "Nm", "Ns", "Nms"),
+    HYDRAULIC: ("Pa", "bar", "L", "l", "L/s", "l/s", "L/min", "l/min"),
+    ELECTRICAL: ("A", "C", "Wb", "Ah"),
+    THERMAL: ("K", "J"),
+}
+WITHOUT_PREFIX = {
+    MECHANICAL: (
+        *("deg", "°", "rev", "deg/s", "°/s", "rev/s", "rpm", "m/min", "km/h"),
+        *("kgm/s", "kgm2/s", "gm/s"),
+    ),
+    HYDRAULIC: ("m3", "m3/s", "m3/h", "cm3", "dm3", "mm3", "cm3/s", "psi", "mH2O"),
+    ELECTRICAL: ("Vs",),
+    THERMAL: ("degC", "°C", "degF", "°F", "kWh", "Wh"),
+}
+# Temperatures that count from elsewhere than absolute zero.
+RELATIVE_TEMPERATURES = frozenset({"degC", "°C", "degF", "°F"})
+SPELLINGS = (("**", ""), ("^", ""), ("*", ""), ("·", ""), (" ", ""))
+SMALL_DIGITS = (("²", "2"), ("³", "3"))
+
+
+def checked_kinds(
+    kind: Any, states: Sequence[str], memory: Sequence[str]
+) -> Mapping[str, str]:
+    """The kind of each state of which it is told, in the order of the states.
+
+    Args:
+        kind: one for all states, or by state.
+        states: of the model.
+        memory: those that are an effect's memory; they are of no kind.
+
+    Raises:
+        ModelError: a kind that there is not, or a state that the model does not have.
+    """
+    told = kind
+    if isinstance(kind, str):
+        told = {name: kind for name in states if name not in memory}
+        _check_kind(kind, "kind")
+    if not isinstance(told, Mapping):
+        raise ModelError(
+            f"kind={kind!r} must be one of {', '.join(KINDS)}, "
+            "or map states to these, such as {'T1': 'thermal'}."
+        )
+    for name, one in told.items():
+        if name not in states:
+            raise ModelError(
+                f"kind of {name!r}, which is not a state of the model; its states are "
+                f"{', '.join(states)}.{did_you_mean(name, states)}"
+            )
+        _check_kind(one, f"kind of {name!r}:")
+    ordered = {name: told[name] for name in states if name in told}
+    return MappingProxyType(ordered)
+
+
+def _check_kind(kind: Any, what: str) -> None:
+    if kind not in KINDS:
+        raise ModelError(
+            f"{what} {kind!r} is unknown; expected one of {', '.join(KINDS)}."
+            f"{did_you_mean(kind, KINDS)}"
+        )
+
+
+def kind_of_unit(unit: str) -> str:
+    """The kind of what has the unit; "" where it does not tell.
+
+    A length is a body's position; that of a tank's level is for the model to say.
+    """
+    written = plain_unit(unit)
+    if written in LENGTHS:
+        return MECHANICAL
+    for kind, units in WITHOUT_PREFIX.items():
+        if written in units:
+            return kind
+    for kind, units in WITH_PREFIX.items():
+        if any(f"{prefix}{one}" == written for one in units for prefix in PREFIXES):
+            return kind
+    return ""
+
+
+def plain_unit(unit: str) -> str:
+    """The unit without spaces, signs of products and raised digits: m³ is m3."""
+    for written, plain in (*SPELLINGS, *SMALL_DIGITS):
+        unit = unit.replace(written, plain)
+    return unit
