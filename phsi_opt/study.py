@@ -109,7 +109,7 @@ class Study:
         progress: Callable[[str], None] | None = None,
     ) -> None:
         self.base = model
-        self._choice = EffectChoice(effects, without).checked(model)
+        self._choice = EffectChoice(effects, without).checked(model, train.units)
         self._train = AlignedData.of(model, train)
         self._held_out = None
         if held_out is not None:
@@ -185,7 +185,7 @@ class Study:
             self._diagnoses[key] = diagnose_comparison(
                 step.train,
                 step.held_out,
-                effects=choice.candidates(self.model),
+                effects=choice.candidates(self.model, self.train.units),
                 loss=self._loss,
                 progress=self._say,
             )
@@ -285,7 +285,7 @@ class Study:
         Raises:
             ModelError: one of the ``effects``, or of those to leave out, is unknown.
         """
-        further = EffectChoice(effects, without).checked(self.base)
+        further = EffectChoice(effects, without).checked(self.base, self.train.units)
         choice = self._choice.narrowed(further.effects, further.without)
         for _ in range(max_steps):
             diagnosis = self._diagnosed(choice)

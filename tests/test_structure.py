@@ -1,19 +1,21 @@
-"""Which state is what: read from the structure matrix and from where energy is lost."""
+"""Which state is what: read from the structure matrix, told kinds and units."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.structure import (
     canonical,
-    flow_states,
     forced_rows,
+    kind_of,
     position_of_momentum,
     position_rows,
     storage_states,
+    with_kinds_of_units,
 )
 from phsi_opt.model.terms import damping, formula, polynomials
 
@@ -68,23 +70,88 @@ def test_a_pair_is_a_position_and_its_momentum_whatever_their_order() -> None:
     assert position_of_momentum(two_tanks()) == {}
 
 
+def motor(kind: Any = None) -> PseudoHamiltonian:
+    """The flux of a motor and the momentum of its rotor: a gyrator between the two."""
+    return PseudoHamiltonian(
+        states=["turn", "flux"],
+        S=[[0.0, 2.0], [-2.0, 0.0]],
+        H=formula("turn**2/2 + flux**2/2"),
+        kind=kind or {},
+    )
+
+
+def test_a_pair_is_of_one_kind_and_a_gyrator_is_none() -> None:
+    assert position_of_momentum(motor()) == {"flux": "turn"}
+    assert position_of_momentum(motor("electrical")) == {"flux": "turn"}
+    assert position_of_momentum(motor("thermal")) == {}
+    two_fields = motor({"turn": "mechanical", "flux": "electrical"})
+    assert position_of_momentum(two_fields) == {}
+    assert forced_rows(two_fields) == (0, 1)
+
+
+def test_a_capacitor_may_leak_and_the_position_of_a_body_may_not() -> None:
+    assert forced_rows(motor("electrical")) == (0, 1) == forced_rows(motor("hydraulic"))
+    assert forced_rows(motor("mechanical")) == (1,) == forced_rows(motor())
+
+
+def test_a_state_of_a_pair_is_mechanical_or_of_the_kind_of_the_other_one() -> None:
+    assert kind_of(motor(), "turn") == kind_of(motor(), "flux") == "mechanical"
+    told = motor({"flux": "electrical"})
+    assert kind_of(told, "turn") == kind_of(told, "flux") == "electrical"
+    assert kind_of(two_tanks(), "left") == ""
+
+
 @pytest.mark.parametrize(
-    ("model", "flows", "storages"),
+    ("kind", "storages"),
     [
-        (spring(), (), ()),
-        (two_tanks(), ("flow",), ("left", "right")),
-        (first_order(), ("a", "b"), ("a", "b")),  # it does not tell which
+        ({}, ("left", "right", "flow")),  # nobody says which
+        ("hydraulic", ("left", "right", "flow")),
+        ({"flow": "mechanical"}, ("left", "right")),
+        ("mechanical", ()),
+        ("thermal", ()),
     ],
-    ids=["spring", "two tanks", "first order"],
 )
-def test_outside_the_pairs_are_flows_that_lose_energy_and_storages_that_do_not(
-    model: Model, flows: tuple[str, ...], storages: tuple[str, ...]
+def test_storages_are_tanks_or_of_an_unknown_kind(
+    kind: Any, storages: tuple[str, ...]
 ) -> None:
-    assert flow_states(model) == flows
-    assert storage_states(model) == storages
+    assert storage_states(replace(two_tanks(), kind=kind)) == storages
+
+
+@pytest.mark.parametrize(
+    ("units", "kinds"),
+    [
+        ({}, {}),
+        ({"flow": "m^3/s"}, {"flow": "hydraulic"}),
+        (
+            {"left": "m", "right": "cm", "flow": "m^3/s"},
+            dict.fromkeys(["left", "right", "flow"], "hydraulic"),
+        ),
+        ({"left": "m", "right": "m"}, {}),  # the third may be a speed
+        (
+            {"left": "m", "right": "m", "flow": "m/s"},
+            dict.fromkeys(["left", "right", "flow"], "mechanical"),
+        ),
+        ({"left": "V", "right": "V", "flow": "V"}, {}),  # of any sensor
+        (
+            {"left": "V", "right": "V", "flow": "A"},
+            dict.fromkeys(["left", "right", "flow"], "electrical"),
+        ),
+        ({"left": "degC", "t": "s"}, {"left": "thermal"}),
+    ],
+)
+def test_units_tell_kinds_outside_the_pairs(
+    units: dict[str, str], kinds: dict[str, str]
+) -> None:
+    assert with_kinds_of_units(two_tanks(), units).kind == kinds
+
+
+def test_what_the_model_tells_goes_before_units_and_pairs_stay_as_they_are() -> None:
+    told = replace(two_tanks(), kind={"flow": "mechanical"})
+    assert with_kinds_of_units(told, {"flow": "A"}).kind == {"flow": "mechanical"}
+    assert with_kinds_of_units(spring(), {"q": "C", "p": "Wb"}).kind == {}
 
 
 def test_the_memory_of_an_effect_is_neither_forced_nor_a_storage() -> None:
     model = two_tanks().add("sensor delay", "left")
     assert forced_rows(model) == (0, 1, 2)
-    assert storage_states(model) == ("left", "right")
+    assert storage_states(model) == ("left", "right", "flow")

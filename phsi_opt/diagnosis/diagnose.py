@@ -76,10 +76,10 @@ def diagnose(
     say = progress or _silent
     say("estimating the missing force")
     fit = fit_of(fit, data, "diagnose")
-    choice = EffectChoice(effects, without).checked(fit.model)
+    choice = EffectChoice(effects, without).checked(fit.model, data.units)
     trained = compare(fit, data)
     judged = None if held_out is None else compare(fit, held_out)
-    candidates = choice.candidates(fit.model)
+    candidates = choice.candidates(fit.model, data.units)
     return diagnose_comparison(
         trained, judged, effects=candidates, loss=loss, progress=say
     )
@@ -122,7 +122,7 @@ def diagnose_comparison(
     )
     listed = effects
     if listed is None:
-        listed = catalogue(base.fit.model)
+        listed = catalogue(base.fit.model, base.record.data.units)
     else:
         _check_effects(listed, base.fit.model)
     base.say(f"screening {len(listed)} candidate effects")

@@ -6,6 +6,8 @@ An effect is a term in a slot of an equation; the files ``catalogue_losses``,
 speed, a play or a delay is optimised. What a model can do already is left out.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
 from itertools import combinations, permutations
 
 from phsi_opt.errors import ModelError, did_you_mean
@@ -13,29 +15,70 @@ from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue_actuators import actuators
 from phsi_opt.model.catalogue_energies import coupling, energies
 from phsi_opt.model.catalogue_forces import forces, hysteresis, parametric_stiffness
-from phsi_opt.model.catalogue_losses import losses, overflow_into
+from phsi_opt.model.catalogue_losses import (
+    RADIATION,
+    heat_from,
+    losses,
+    overflow_into,
+)
 from phsi_opt.model.catalogue_sensors import sensors
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.kinds import KINDS, RELATIVE_TEMPERATURES, plain_unit
 from phsi_opt.model.redundancy import is_redundant
-from phsi_opt.model.structure import forced_rows, position_of_momentum, storage_states
+from phsi_opt.model.roles import Role, role_of
+from phsi_opt.model.structure import (
+    forced_rows,
+    kind_of,
+    position_of_momentum,
+    storage_states,
+    with_kinds_of_units,
+)
 
 
-def catalogue(model: BaseModel) -> list[Effect]:
+def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> list[Effect]:
     """The effects that apply to the model, each with the slot and equation it acts in.
 
-    Those that the model has, or can do already, are left out.
+    Those that the model has, or can do already, are left out. What is offered for a
+    state, and its name, follows from the state's kind; where that is unknown, losses
+    are offered under the names of bodies and of tanks, each law once.
+
+    Args:
+        model: the model.
+        units: of its states, as `Measurements.units`; they tell the kinds that the
+            model does not tell.
     """
+    units = units or {}
+    known = with_kinds_of_units(model, units)
     effects = [
-        *_in_equations(model),
-        *_between_storages(model),
-        *_between_positions(model),
-        *_in_sensors(model),
+        *_in_equations(known, units),
+        *_between_storages(known),
+        *_between_positions(known),
+        *_in_sensors(known),
     ]
-    return [effect for effect in effects if not is_redundant(model, effect)]
+    return [effect for effect in effects if not is_redundant(known, effect)]
+
+
+def every_name(model: BaseModel) -> list[Effect]:
+    """The effects of the catalogue under the names of all kinds, the model's first.
+
+    One term may stand there under several names.
+    """
+    found = catalogue(model)
+    known = {str(effect) for effect in found}
+    untold = replace(model, kind={})
+    for other in (untold, *(replace(model, kind=kind) for kind in KINDS)):
+        for effect in catalogue(other):
+            if str(effect) not in known:
+                known.add(str(effect))
+                found.append(effect)
+    return found
 
 
 def effect_named(model: BaseModel, name: str, equation: str | None = None) -> Effect:
     """The catalogue's effect of that name.
+
+    The names of all kinds are known: what a model of tanks calls a linear leak may be
+    added as viscous damping.
 
     Args:
         model: the model to which it could be added.
@@ -51,6 +94,9 @@ def effect_named(model: BaseModel, name: str, equation: str | None = None) -> Ef
         model.index(equation, f"equation of effect {name!r}:")
     there = [e for e in catalogue(model) if equation in (None, e.equation)]
     found = [effect for effect in there if effect.name == name]
+    if not found:
+        there = [e for e in every_name(model) if equation in (None, e.equation)]
+        found = [effect for effect in there if effect.name == name]
     if not found:
         raise ModelError(_not_in_catalogue(name, equation, there))
     if len(found) > 1 and equation is None:
@@ -72,31 +118,45 @@ def _not_in_catalogue(name: str, equation: str | None, there: list[Effect]) -> s
     )
 
 
-def _in_equations(model: BaseModel) -> list[Effect]:
-    """Losses, forces and actuators of each equation, energies of each momentum."""
+def _in_equations(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
+    """Losses, forces, actuators and energies of each equation."""
     positions = position_of_momentum(model)
     effects = []
     for row in forced_rows(model):
         state = model.states[row]
         position = positions.get(state)
-        effects += losses(model, state, position)
+        for loss in losses(model, state, position):
+            # Radiation has the fourth power of an absolute temperature.
+            is_relative = plain_unit(units.get(state, "")) in RELATIVE_TEMPERATURES
+            if loss.name != RADIATION or not is_relative:
+                effects.append(loss)
         effects += forces(model, state)
         effects += actuators(model, state)
+        effects += energies(model, state, position)
         if position is not None:
-            effects += energies(position, state)
             effects.append(parametric_stiffness(model, position, state))
             effects.append(hysteresis(position, state))
     return effects
 
 
 def _between_storages(model: BaseModel) -> list[Effect]:
-    pairs = permutations(storage_states(model), 2)
-    return [overflow_into(model, state, source) for source, state in pairs]
+    """What runs from one tank into another, and heat between two storages."""
+    tanks = permutations(storage_states(model), 2)
+    overflows = [overflow_into(model, state, source) for source, state in tanks]
+    heat = []
+    for source, state in permutations(model.states, 2):
+        if Role.HEAT == role_of(model, source) == role_of(model, state):
+            heat.append(heat_from(model, state, source))
+    return [*overflows, *heat]
 
 
 def _between_positions(model: BaseModel) -> list[Effect]:
-    pairs = combinations(position_of_momentum(model).items(), 2)
-    return [coupling(q1, q2, p1) for (p1, q1), (_, q2) in pairs]
+    """Springs between two positions of one kind."""
+    found = []
+    for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
+        if kind_of(model, p1) == kind_of(model, p2):
+            found.append(coupling(model, q1, q2, p1))
+    return found
 
 
 def _in_sensors(model: BaseModel) -> list[Effect]:

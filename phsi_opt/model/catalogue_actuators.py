@@ -17,9 +17,11 @@ from phsi_opt.model.catalogue_parts import (
 )
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.expressions import names_of
+from phsi_opt.model.roles import WORDS, role_of
 from phsi_opt.model.terms import Dictionary, formula
 
-INPUT_SIZE = "an error in the size of the input's force"
+INPUT_SIZE = "an error in the size of the input"
+INPUT_FORCE_SIZE = "an error in the size of the input's force"
 INPUT_DELAY = "a delay of the input"
 
 # Half widths of a dead zone to try, as shares of the largest input.
@@ -33,10 +35,11 @@ def actuators(model: BaseModel, equation: str) -> list[Effect]:
     used: set[str] = set()
     for term in model.terms_at("F", equation):
         used |= names_of(term.body)
+    is_force = WORDS[role_of(model, equation)].source == "force"
     effects = []
     for u in model.inputs:
         suffix = "" if len(model.inputs) == 1 else f" of {u}"
-        path = _Path(u, equation, suffix)
+        path = _Path(u, equation, suffix, is_force)
         effects += [path.quadratic(), *(path.changes() if u in used else [path.new()])]
     return effects
 
@@ -48,6 +51,7 @@ class _Path:
     u: str
     equation: str
     suffix: str  # of the effects' names, where there are several inputs
+    is_force: bool  # or a flow, a voltage, heat
 
     @property
     def slope(self) -> str:
@@ -78,7 +82,9 @@ class _Path:
         memory: Mapping[str, Dictionary] | None = None,
     ) -> Effect:
         name = f"{kind}{self.suffix}"
-        family = INPUT_DELAY if memory else INPUT_SIZE
+        family = INPUT_FORCE_SIZE if self.is_force else INPUT_SIZE
+        if memory:
+            family = INPUT_DELAY
         return Effect(name, "F", self.equation, term, memory or {}, family)
 
     def _parameter(self, kind: str) -> str:

@@ -4,14 +4,18 @@ The frequency of a wave is free and scanned. Hysteresis needs a state that remem
 """
 
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.catalogue_parts import one_term, tried
+from phsi_opt.model.catalogue_parts import one_term, tried, underscored
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.parameters import Parameter, Scan, Share
+from phsi_opt.model.roles import WORDS, Role, role_of
 from phsi_opt.model.terms import Dictionary, Term, formula
 
-CONSTANT_FORCE = "a constant force"
-CHANGING_FORCE = "a force that changes with the time"
-CHANGING_STIFFNESS = "a stiffness that changes with the time"
+# Stiffness that changes with the time, by the role of the momentum.
+PARAMETRIC = {
+    Role.BODY: ("parametric stiffness", "a stiffness that changes with the time"),
+    Role.PIPE: ("parametric stiffness", "a stiffness that changes with the time"),
+    Role.COIL: ("parametric elastance", "a capacitance that changes with the time"),
+}
 HYSTERESIS = "hysteresis"
 
 # Displacements over which a hysteresis yields, to try, as shares of the largest
@@ -25,22 +29,35 @@ SQUARED_ROUNDING_OF_STATE = 0.0025
 
 
 def forces(model: BaseModel, equation: str) -> list[Effect]:
-    """The forces in time that an equation may lack."""
-    constant = one_term("1", f"constant_force_{equation}")
-    drifting = one_term("t", f"drifting_force_{equation}")
+    """The forces in time that an equation may lack, in the words of its field.
+
+    ::
+
+        constant    c
+        drifting    c t
+        harmonic    a sin(omega t) + b cos(omega t)
+
+    """
+    role = role_of(model, equation)
+    source = WORDS[role].source
+    underlined = underscored(source)
+    constant = one_term("1", f"constant_{underlined}_{equation}")
+    drifting = one_term("t", f"drifting_{underlined}_{equation}")
     harmonic = _wave(_free_frequency(model, "harmonic", equation))
+    lasting = f"a constant {source}"
+    changing = f"{WORDS[role].a_source} that changes with the time"
     return [
-        Effect("constant force", "F", equation, constant, family=CONSTANT_FORCE),
-        Effect("drifting force", "F", equation, drifting, family=CHANGING_FORCE),
-        Effect("harmonic force", "F", equation, harmonic, family=CHANGING_FORCE),
+        Effect(f"constant {source}", "F", equation, constant, family=lasting),
+        Effect(f"drifting {source}", "F", equation, drifting, family=changing),
+        Effect(f"harmonic {source}", "F", equation, harmonic, family=changing),
     ]
 
 
 def parametric_stiffness(model: BaseModel, q: str, p: str) -> Effect:
     """A stiffness that changes with the time: -q (a sin(omega t) + b cos(omega t))."""
+    name, family = PARAMETRIC[role_of(model, p)]
     omega = _free_frequency(model, "parametric", p)
-    wave = _wave(omega, factor=f"-{q}*")
-    return Effect("parametric stiffness", "F", p, wave, family=CHANGING_STIFFNESS)
+    return Effect(name, "F", p, _wave(omega, factor=f"-{q}*"), family=family)
 
 
 def _wave(omega: str, factor: str = "") -> Dictionary:

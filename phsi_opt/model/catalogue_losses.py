@@ -1,11 +1,12 @@
-"""Effects that take energy: damping, dry friction and drag, leaks and overflow.
+"""Effects that take energy: damping, friction and drag, leaks, resistances, heat loss.
 
 They are terms of R_ii(x) >= 0. The loss is R_ii dH/dx_i, so that a force c f(v) against
 the velocity v has R_ii = c f(v)/v. Velocities are the efforts of momenta and flows,
-levels those of storages.
+levels those of storages. What passes from one storage to another is a term of F.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue_parts import (
@@ -17,24 +18,70 @@ from phsi_opt.model.catalogue_parts import (
 )
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.parameters import Parameter, Share
-from phsi_opt.model.structure import effort_of, flow_states
+from phsi_opt.model.roles import WORDS, Role, role_of
+from phsi_opt.model.structure import effort_of
 
-SPEED_LOSS = "a loss that grows with speed"
-POSITION_DAMPING = "damping that depends on the position"
 DRY_FRICTION = "dry friction"
-LEVEL_LOSS = "a loss that grows with the level"
+VOLTAGE_DROP = "a constant voltage drop"
 OVERFLOW = "an overflow"
-FAMILIES = {
-    "viscous damping": SPEED_LOSS,
-    "quadratic drag": SPEED_LOSS,
-    "cubic drag": SPEED_LOSS,
-    "position-dependent damping": POSITION_DAMPING,
-    "coulomb friction": DRY_FRICTION,
-    "stribeck friction": DRY_FRICTION,
-    "linear leak": LEVEL_LOSS,
-    "turbulent leak": LEVEL_LOSS,
-    "saturating leak": LEVEL_LOSS,
-    "overflow": OVERFLOW,
+HEAT_EXCHANGE = "an exchange of heat"
+RADIATION = "radiation"
+# What a role's losses are called, and their laws: the loss is c e for the linear one of
+# the effort e, c |e| e for the quadratic, c e^3 for the cubic and c |e|^3 e for the
+# quartic one; the others see `losses`. Of one equation no law has two names.
+LAWS: Mapping[Role, Mapping[str, str]] = {
+    Role.BODY: {
+        "viscous damping": "linear",
+        "coulomb friction": "dry",
+        "quadratic drag": "quadratic",
+        "cubic drag": "cubic",
+        "stribeck friction": "stribeck",
+    },
+    Role.PIPE: {
+        "laminar pipe friction": "linear",
+        "turbulent pipe friction": "quadratic",
+    },
+    Role.TANK: {
+        "linear leak": "linear",
+        "quadratic leak": "quadratic",
+        "turbulent leak": "square root",
+        "saturating leak": "saturating",
+        "overflow": "overflow",
+    },
+    Role.COIL: {
+        "linear resistance": "linear",
+        "contact voltage drop": "dry",
+        "quadratic resistance": "quadratic",
+    },
+    Role.CAPACITOR: {
+        "leakage conductance": "linear",
+        "quadratic conductance": "quadratic",
+    },
+    Role.CIRCUIT: {
+        "linear resistance": "linear",
+        "contact voltage drop": "dry",
+        "quadratic resistance": "quadratic",
+    },
+    Role.HEAT: {
+        "heat loss": "linear",
+        "quadratic heat loss": "quadratic",
+        RADIATION: "quartic",
+    },
+    Role.UNKNOWN: {
+        "linear leak": "linear",
+        "coulomb friction": "dry",
+        "quadratic drag": "quadratic",
+        "cubic drag": "cubic",
+        "stribeck friction": "stribeck",
+        "turbulent leak": "square root",
+        "saturating leak": "saturating",
+        "overflow": "overflow",
+    },
+}
+# Damping that depends on the position of a pair, by the role of the momentum.
+POSITION_DAMPING = {
+    Role.BODY: ("position-dependent damping", "damping that depends on the position"),
+    Role.COIL: ("charge-dependent resistance", "a resistance that depends on a charge"),
 }
 
 # Dry friction turns over within this share of the typical (root mean square) velocity:
@@ -57,19 +104,33 @@ HALF_LEVELS = (0.03, 0.1, 0.3, 1.0)
 
 
 def losses(model: BaseModel, state: str, position: str | None) -> list[Effect]:
-    """The losses that the equation of a state may lack.
+    """The losses that the equation of a state may lack, in the words of its field.
+
+    ::
+
+        dry            c sign(e), rounded
+        stribeck       (c + s exp(-(e/v_s)^2)) sign(e), rounded
+        square root    c sign(e) sqrt(|e|), linear below a small level
+        saturating     c e/(1 + |e|/half)
+        overflow       c sign(e) max(|e| - limit, 0)
 
     Args:
         model: the model.
-        state: a momentum, a flow or a storage.
+        state: in whose equation they act.
         position: the position of a momentum.
     """
-    if position is not None:
-        damping = _loss("position-dependent damping", state, f"{position}**2")
-        return [*_frictions(model, state), damping]
-    if state in flow_states(model):
-        return [*_frictions(model, state), *_leaks(model, state)]
-    return [_loss("linear leak", state, "1"), *_leaks(model, state)]
+    role = role_of(model, state)
+    found = []
+    for name, law in LAWS[role].items():
+        if law == "stribeck":
+            found.append(_stribeck_friction(model, state, name))
+        else:
+            body = _body(law, effort_of(model, state))
+            found.append(_loss(name, state, body, _family(role, law)))
+    if position is not None and role in POSITION_DAMPING:
+        name, family = POSITION_DAMPING[role]
+        found.append(_loss(name, state, _Body(f"{position}**2"), family))
+    return found
 
 
 def overflow_into(model: BaseModel, state: str, source: str) -> Effect:
@@ -81,23 +142,61 @@ def overflow_into(model: BaseModel, state: str, source: str) -> Effect:
     return Effect(f"overflow from {source}", "F", state, term, family=OVERFLOW)
 
 
-def _loss(
-    kind: str, state: str, body: str, inner: Mapping[str, Parameter] | None = None
-) -> Effect:
-    name = f"{underscored(kind)}_{state}"
-    term = one_term(body, name, inner, lower=0.0)
-    return Effect(kind, "R", state, term, family=FAMILIES[kind])
+def heat_from(model: BaseModel, state: str, source: str) -> Effect:
+    """The heat that one storage takes from another one, the source: c (T_s - T).
+
+    What the source loses by it is an effect of its own in the source's equation.
+    """
+    difference = f"{effort_of(model, source)} - {effort_of(model, state)}"
+    term = one_term(difference, f"heat_exchange_{source}_{state}", lower=0.0)
+    name = f"heat exchange with {source}"
+    return Effect(name, "F", state, term, family=HEAT_EXCHANGE)
 
 
-def _frictions(model: BaseModel, state: str) -> list[Effect]:
-    v = effort_of(model, state)
-    return [
-        _loss("viscous damping", state, "1"),
-        _loss("coulomb friction", state, _dry_friction(v), {"v0": _turnover(v)}),
-        _loss("quadratic drag", state, f"abs({v})"),
-        _loss("cubic drag", state, f"{v}**2"),
-        _stribeck_friction(model, state),
-    ]
+@dataclass(frozen=True)
+class _Body:
+    """R_ii = loss/effort as text, with its inner parameters."""
+
+    text: str
+    inner: Mapping[str, Parameter] = field(default_factory=dict)
+
+
+def _loss(name: str, state: str, body: _Body, family: str) -> Effect:
+    coefficient = f"{underscored(name)}_{state}"
+    term = one_term(body.text, coefficient, body.inner, lower=0.0)
+    return Effect(name, "R", state, term, family=family)
+
+
+def _family(role: Role, law: str) -> str:
+    if law == "overflow":
+        return OVERFLOW
+    if law == "dry":
+        is_electrical = role in (Role.COIL, Role.CIRCUIT)
+        return VOLTAGE_DROP if is_electrical else DRY_FRICTION
+    return f"a loss that grows with {WORDS[role].grows_with}"
+
+
+def _body(law: str, e: str) -> _Body:
+    """The body of a law in the effort e."""
+    if law == "dry":
+        return _Body(_dry_friction(e), {"v0": _turnover(e)})
+    if law == "square root":
+        laminar = Parameter(lower=0.0, fixed=True, guess=Share(e, LAMINAR_LEVEL))
+        return _Body(f"({e}**2 + e0**2)**(-0.25)", {"e0": laminar})
+    if law == "saturating":
+        half = tried(e, HALF_LEVELS)
+        return _Body(f"1/(1 + abs({e})/half)", {"half": half})
+    if law == "overflow":
+        limit = tried(e, LIMITS, LARGEST_SHARE)
+        beyond = f"max(abs({e}) - limit, 0)/max(abs({e}), limit)"
+        return _Body(beyond, {"limit": limit})
+    powers = {
+        "linear": "1",
+        "quadratic": f"abs({e})",
+        "cubic": f"{e}**2",
+        "quartic": f"abs({e})**3",
+    }
+    return _Body(powers[law])
 
 
 def _dry_friction(v: str) -> str:
@@ -110,7 +209,7 @@ def _turnover(v: str) -> Parameter:
     return Parameter(lower=0.0, fixed=True, guess=guess)
 
 
-def _stribeck_friction(model: BaseModel, state: str) -> Effect:
+def _stribeck_friction(model: BaseModel, state: str, name: str) -> Effect:
     """Dry friction that is larger at low speed: f_c + f_s exp(-(v/v_s)^2).
 
     Where the model has the level f_c already, only the rest is added.
@@ -128,19 +227,4 @@ def _stribeck_friction(model: BaseModel, state: str) -> Effect:
     level = one_term(dry, f"coulomb_friction_{state}", {"v0": turnover}, lower=0.0)
     known = {term.body for term in model.terms_at("R", state)}
     term = rise if dry in known else level + rise
-    return Effect("stribeck friction", "R", state, term, family=DRY_FRICTION)
-
-
-def _leaks(model: BaseModel, state: str) -> list[Effect]:
-    level = effort_of(model, state)
-    laminar = Parameter(lower=0.0, fixed=True, guess=Share(level, LAMINAR_LEVEL))
-    half = tried(level, HALF_LEVELS)
-    limit = tried(level, LIMITS, LARGEST_SHARE)
-    square_root = f"({level}**2 + e0**2)**(-0.25)"
-    saturation = f"1/(1 + abs({level})/half)"
-    beyond = f"max(abs({level}) - limit, 0)/max(abs({level}), limit)"
-    return [
-        _loss("turbulent leak", state, square_root, {"e0": laminar}),
-        _loss("saturating leak", state, saturation, {"half": half}),
-        _loss("overflow", state, beyond, {"limit": limit}),
-    ]
+    return Effect(name, "R", state, term, family=DRY_FRICTION)

@@ -5,13 +5,13 @@ to which it was given; the candidates are then read from the model as it has bec
 that an effect that was added since is neither offered again nor called unknown.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.base import BaseModel
-from phsi_opt.model.catalogue import catalogue
+from phsi_opt.model.catalogue import catalogue, every_name
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.redundancy import stands_in
 
@@ -46,37 +46,41 @@ class EffectChoice:
         added = EffectChoice(None, without).without
         return EffectChoice(chosen, (*self.without, *added))
 
-    def checked(self, model: BaseModel) -> "EffectChoice":
+    def checked(
+        self, model: BaseModel, units: Mapping[str, str] | None = None
+    ) -> "EffectChoice":
         """The choice itself, if all that it names could be candidates.
 
-        Effects of the catalogue become names: what they add may change with what the
-        model has already.
+        Effects of the catalogue become names, for what they add may change with what
+        the model has already. Names of another kind become those that the catalogue of
+        the model uses.
 
         Raises:
-            ModelError: a name that the catalogue of the model does not have, or an
-                effect to leave out that is no candidate.
+            ModelError: a name that the catalogue of the model does not have, an effect
+                to leave out that is no candidate, or one that the model has.
         """
-        offered = catalogue(model)
+        offered = catalogue(model, units)
         considered = offered
-        effects = self.effects
-        if effects is not None:
-            effects = tuple(_name_of(one, offered) for one in effects)
-            considered = []
-            for one in effects:
-                considered += _known(one, offered, "effects")
-            _check_new(considered, model)
-        for one in self.without:
-            _known(_name_of(one, considered), [*considered, *offered], "without")
-        return EffectChoice(effects, self.without)
-
-    def candidates(self, model: BaseModel) -> list[Effect]:
-        """The effects that are considered, but for those that the model has."""
-        offered = catalogue(model)
-        considered = offered
+        effects = None
         if self.effects is not None:
-            considered = []
+            effects = []
             for one in self.effects:
-                considered += _meant(one, offered)
+                effects += _as_offered(one, offered, model, "effects")
+            considered = _all_meant(effects, offered)
+            _check_new(considered, model)
+        without = []
+        for one in self.without:
+            every = [*considered, *offered]
+            without += _as_offered(one, every, model, "without")
+        return EffectChoice(effects, without)
+
+    def candidates(
+        self, model: BaseModel, units: Mapping[str, str] | None = None
+    ) -> list[Effect]:
+        """The effects that are considered, but for those that the model has."""
+        considered = catalogue(model, units)
+        if self.effects is not None:
+            considered = _all_meant(self.effects, considered)
         kept: list[Effect] = []
         for effect in considered:
             is_out = any(_is_called(effect, one) for one in self.without)
@@ -108,23 +112,32 @@ def _is_called(effect: Effect, one: Effect | str) -> bool:
     return (one.name, one.equation) == (effect.name, effect.equation)
 
 
-def _meant(one: Effect | str, offered: list[Effect]) -> list[Effect]:
-    """What a user's effect, or a name among those offered, stands for."""
-    if isinstance(one, Effect):
+def _all_meant(given: Given, offered: list[Effect]) -> list[Effect]:
+    """The effects themselves, and those of the catalogue that names stand for."""
+    found = []
+    for one in given:
+        if isinstance(one, Effect):
+            found.append(one)
+        else:
+            found += [effect for effect in offered if _is_called(effect, one)]
+    return found
+
+
+def _as_offered(
+    one: Effect | str, offered: list[Effect], model: BaseModel, what: str
+) -> list[Effect | str]:
+    """What a user gave, as the catalogue calls it; an effect of one's own as it is."""
+    if one in offered:
+        return [str(one)]
+    if isinstance(one, Effect) and what == "effects":
         return [one]
-    return [effect for effect in offered if _is_called(effect, one)]
-
-
-def _name_of(one: Effect | str, offered: list[Effect]) -> Effect | str:
-    """The name with its place in place of an effect of the catalogue."""
-    return str(one) if one in offered else one
-
-
-def _known(one: Effect | str, offered: list[Effect], what: str) -> list[Effect]:
-    """What a user's effect or name stands for; it must be something."""
-    found = _meant(one, offered)
-    if what == "without":
-        found = [effect for effect in offered if _is_called(effect, one)]
+    if any(_is_called(effect, one) for effect in offered):
+        return [one]
+    found: list[Effect | str] = []
+    if isinstance(one, str):
+        for alias in every_name(model):
+            if _is_called(alias, one):
+                found += [str(e) for e in offered if _is_same_term(e, alias)]
     if found:
         return found
     names = sorted({effect.name for effect in offered})
@@ -133,6 +146,14 @@ def _known(one: Effect | str, offered: list[Effect], what: str) -> list[Effect]:
         "(or the model has it already); "
         f"available are {', '.join(names)}.{_hint(str(one), offered)}"
     )
+
+
+def _is_same_term(effect: Effect, other: Effect) -> bool:
+    """Whether two effects add the same to the same equation, by whatever name."""
+    bodies = [term.body for term in effect.term]
+    other_bodies = [term.body for term in other.term]
+    place = (effect.slot, effect.equation)
+    return place == (other.slot, other.equation) and bodies == other_bodies
 
 
 def _check_new(effects: list[Effect], model: BaseModel) -> None:

@@ -1,15 +1,30 @@
-"""Which state is what: positions and momenta of canonical pairs, storages, flows.
+"""Which state is what: positions and momenta of canonical pairs, and what is in none.
 
-The physics is read from the structure matrix S and from where the model loses energy.
-A row of S with one entry, dq/dt = dH/dp, makes q the position of the momentum p. What
-lies outside such pairs is a storage (a tank, a capacitor) or a flow (a pipe, a coil);
-where the model does not tell which, a state counts as both.
+The physics is read from the structure matrix S and from the kinds that the model tells.
+A row of S with one entry, dq/dt = dH/dp, makes q the position of the momentum p, if the
+two are of one kind: a gyrator, such as that of a motor, looks the same in S, and so
+does a pair without inertia. What lies outside such pairs is a storage (a tank, a
+capacitor) or a flow (a pipe, a coil); where neither the model nor a unit tells which, a
+state counts as both. Where the model loses energy already says nothing about that.
 """
+
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.kinds import (
+    ELECTRICAL,
+    HYDRAULIC,
+    LENGTHS,
+    MECHANICAL,
+    THERMAL,
+    VOLTS,
+    kind_of_unit,
+    plain_unit,
+)
 
 
 def canonical(n: int) -> np.ndarray:
@@ -37,40 +52,106 @@ def canonical(n: int) -> np.ndarray:
 def position_rows(model: BaseModel) -> tuple[int, ...]:
     """Indices of the states that are positions of a canonical pair.
 
-    Their equation dq/dt = dH/dp is kinematics and lacks no force.
+    The charge of a circuit and the volume of a chamber count as positions too.
     """
-    S = np.array(model.S)
-    rows = range(len(S))
-    return tuple(row for row in rows if _is_position(S, row))
-
-
-def _is_position(S: np.ndarray, row: int) -> bool:
-    """Whether the row is dq/dt = dH/dp of a p that is coupled to no other state."""
-    (partners,) = np.nonzero(S[row])
-    if len(partners) != 1:
-        return False
-    (momentum,) = partners
-    return bool(S[row, momentum] > 0 and np.count_nonzero(S[momentum]) == 1)
+    positions = position_of_momentum(model).values()
+    return tuple(i for i, name in enumerate(model.states) if name in positions)
 
 
 def position_of_momentum(model: BaseModel) -> dict[str, str]:
     """Name of the position q of each momentum p of a canonical pair."""
     pairs = {}
-    for row in position_rows(model):
-        (momentum,) = np.flatnonzero(model.S[row]).tolist()
-        pairs[model.states[momentum]] = model.states[row]
+    S = np.array(model.S)
+    for row, position in enumerate(model.states):
+        column = _momentum_column(S, row)
+        if column is not None:
+            momentum = model.states[column]
+            if _are_of_one_kind(model, position, momentum):
+                pairs[momentum] = position
     return pairs
+
+
+def _momentum_column(S: np.ndarray, row: int) -> int | None:
+    """Column of the p of a row dq/dt = dH/dp, if p is coupled to no other state."""
+    (partners,) = np.nonzero(S[row])
+    if len(partners) != 1:
+        return None
+    momentum = int(partners[0])
+    if S[row, momentum] > 0 and np.count_nonzero(S[momentum]) == 1:
+        return momentum
+    return None
+
+
+def _are_of_one_kind(model: BaseModel, position: str, momentum: str) -> bool:
+    """Whether two states may be a pair: of one kind, and not heat, which has none."""
+    told = {model.kind[name] for name in (position, momentum) if name in model.kind}
+    return len(told) <= 1 and THERMAL not in told
+
+
+def kind_of(model: BaseModel, state: str) -> str:
+    """What a state is, see `kinds`; "" where that is unknown.
+
+    A state of a canonical pair is of the kind of the other one, and mechanical where
+    the model tells neither.
+    """
+    if state in model.kind:
+        return str(model.kind[state])
+    for pair in position_of_momentum(model).items():
+        if state in pair:
+            told = [model.kind[name] for name in pair if name in model.kind]
+            return told[0] if told else MECHANICAL
+    return ""
+
+
+def with_kinds_of_units(model: BaseModel, units: Mapping[str, str]) -> BaseModel:
+    """The model with kinds by the units of the states of which it tells none.
+
+    Canonical pairs stay as the model has them. A length is a tank's level where all
+    that lies outside of pairs has the unit of a length, a volume, a flow or a pressure.
+    Volts are electrical only beside a state or an input in amperes, coulombs or webers.
+
+    Args:
+        model: the model.
+        units: by state, input and time, as in the measurements.
+    """
+    unpaired = unpaired_states(model)
+    is_circuit = ELECTRICAL in map(kind_of_unit, units.values())
+    found = {}
+    for name in unpaired:
+        unit = units.get(name, "")
+        kind = kind_of_unit(unit)
+        if plain_unit(unit) in LENGTHS:
+            kind = _kind_of_length(unpaired, units)
+        elif plain_unit(unit) in VOLTS and is_circuit:
+            kind = ELECTRICAL
+        if kind:
+            found[name] = kind
+    return replace(model, kind={**found, **model.kind})
+
+
+def _kind_of_length(unpaired: tuple[str, ...], units: Mapping[str, str]) -> str:
+    """Whether lengths are levels or positions, by the other states' units."""
+    others = set()
+    for name in unpaired:
+        unit = units.get(name, "")
+        if plain_unit(unit) not in LENGTHS:
+            others.add(kind_of_unit(unit))
+    if others <= {HYDRAULIC}:
+        return HYDRAULIC
+    return MECHANICAL if MECHANICAL in others else ""
 
 
 def forced_rows(model: BaseModel) -> tuple[int, ...]:
     """Indices of the equations in which a force may be missing.
 
-    These are all but the equations of positions and of an effect's memory.
+    These are all but those of an effect's memory and of a body's positions, for which
+    dq/dt = dH/dp is kinematics. A capacitor may leak, and so may a chamber.
     """
-    kinematic = position_rows(model)
+    positions = position_of_momentum(model).values()
     rows = []
     for row, name in enumerate(model.states):
-        if row not in kinematic and name not in model.memory:
+        is_kinematic = name in positions and kind_of(model, name) == MECHANICAL
+        if not is_kinematic and name not in model.memory:
             rows.append(row)
     return tuple(rows)
 
@@ -80,29 +161,16 @@ def effort_of(model: BaseModel, state: str) -> str:
     return f"dH_d{state}" if model.has_energy else state
 
 
-def flow_states(model: BaseModel) -> tuple[str, ...]:
-    """States outside the canonical pairs that may be flows or speeds.
-
-    They lose energy already; in a model without energy any state may be one.
-    """
-    unpaired = _unpaired_states(model)
-    if not model.has_energy:
-        return unpaired
-    return tuple(name for name in unpaired if name in model.R)
-
-
 def storage_states(model: BaseModel) -> tuple[str, ...]:
     """States outside the canonical pairs that may be storages, such as tanks.
 
-    They do not lose energy yet; in a model without energy any state may be one.
+    They are hydraulic, or of a kind that is unknown.
     """
-    unpaired = _unpaired_states(model)
-    if not model.has_energy:
-        return unpaired
-    return tuple(name for name in unpaired if name not in model.R)
+    unpaired = unpaired_states(model)
+    return tuple(s for s in unpaired if kind_of(model, s) in ("", HYDRAULIC))
 
 
-def _unpaired_states(model: BaseModel) -> tuple[str, ...]:
+def unpaired_states(model: BaseModel) -> tuple[str, ...]:
     """States that are neither position nor momentum nor an effect's memory."""
     pairs = position_of_momentum(model)
     paired = {*pairs.keys(), *pairs.values(), *model.memory}

@@ -73,6 +73,7 @@ def tanks_model(known_pipes: bool) -> ph.PseudoHamiltonian:
         S=tank_structure(),
         H=ph.formula(" + ".join([*kinetic, *potential]), g=gravity),
         R=losses,
+        kind=dict.fromkeys(FLOWS, "mechanical") | dict.fromkeys(LEVELS, "hydraulic"),
     )
 
 
