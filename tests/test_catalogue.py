@@ -1,10 +1,21 @@
 """What the catalogue offers a model: names, families, and what they need."""
 
 import pickle
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.model.catalogue import effect_named, every_name
+from phsi_opt.model.choice import EffectChoice
+from phsi_opt.model.kinds import KINDS
+
+ROOT = Path(__file__).resolve().parents[1]
+EVERY_KIND: tuple[Any, ...] = ({}, *KINDS)
 
 
 def driven_spring() -> ph.PseudoHamiltonian:
@@ -94,3 +105,321 @@ def test_only_effects_that_change_with_the_time_need_the_clock() -> None:
     rate = {"z": ph.formula("cos(w*t)", w=1.0)}
     turning = ph.Effect("own", "F", "p", ph.formula("c*z", c=ph.Parameter()), rate)
     assert turning.needs_clock
+
+
+# --- by kind
+
+
+def storage(kind: Any, loses: bool = False) -> ph.PseudoHamiltonian:
+    """One state outside of pairs; its own loss, if any, is of no law of the catalogue."""
+    own = {"x": ph.formula("r*x**4", r=ph.Parameter(0.1, lower=0))}
+    return ph.PseudoHamiltonian(
+        states=["x"],
+        S=[[0.0]],
+        H=ph.formula("x**2/2"),
+        R=own if loses else {},
+        kind=kind,
+    )
+
+
+def names_on(model: ph.Model, equation: str, slots: str = "RH") -> set[str]:
+    effects = [e for e in ph.catalogue(model) if e.slot in slots]
+    return {e.name for e in effects if e.equation == equation}
+
+
+def first_order(kind: Any) -> ph.FirstOrder:
+    return ph.FirstOrder(["a", "b"], {"a": ph.formula("sin(b)")}, kind=kind)
+
+
+MODELS = [driven_spring(), two_masses(), two_tanks(), first_order({}), storage({})]
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_what_is_offered_does_not_depend_on_whether_energy_is_lost(kind: Any) -> None:
+    with_loss, without = storage(kind, loses=True), storage(kind)
+    assert ph.catalogue(with_loss) == ph.catalogue(without)
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("kind", EVERY_KIND)
+def test_no_term_has_two_names_and_each_has_a_family(model: Any, kind: Any) -> None:
+    effects = ph.catalogue(replace(model, kind=kind))
+    for one, other in combinations(effects, 2):
+        is_same_place = (one.slot, one.equation) == (other.slot, other.equation)
+        bodies = {term.body for term in one.term} & {term.body for term in other.term}
+        if is_same_place and not one.memory:
+            # Stribeck friction holds Coulomb's, and two waves their free frequency.
+            assert not bodies or "stribeck friction" in (one.name, other.name)
+        assert str(one) != str(other)
+    assert all(effect.family for effect in effects)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        (
+            {},
+            {
+                *("linear leak", "quadratic drag", "cubic drag", "coulomb friction"),
+                *("stribeck friction", "turbulent leak", "saturating leak", "overflow"),
+            },
+        ),
+        (
+            "mechanical",
+            {
+                *("viscous damping", "quadratic drag", "cubic drag"),
+                *("coulomb friction", "stribeck friction"),
+            },
+        ),
+        (
+            "hydraulic",
+            {
+                *("linear leak", "quadratic leak", "turbulent leak"),
+                *("saturating leak", "overflow"),
+            },
+        ),
+        (
+            "electrical",
+            {
+                *("linear resistance", "quadratic resistance"),
+                *("contact voltage drop", "coil or capacitor saturation"),
+            },
+        ),
+        ("thermal", {"heat loss", "quadratic heat loss", "radiation"}),
+    ],
+)
+def test_losses_and_energies_outside_of_pairs_are_those_of_the_field(
+    kind: Any, names: set[str]
+) -> None:
+    assert names_on(storage(kind), "x") == names
+
+
+def test_a_circuit_of_charge_and_flux_has_resistances_and_a_coil_that_saturates() -> (
+    None
+):
+    model = replace(driven_spring(), kind="electrical")
+    assert names_on(model, "p") == {
+        *("linear resistance", "quadratic resistance", "contact voltage drop"),
+        *("charge-dependent resistance", "coil saturation"),
+        *("linear elastance", "quadratic elastance", "cubic elastance"),
+    }
+    assert names_on(model, "q") == {"leakage conductance", "quadratic conductance"}
+
+
+def test_a_volume_and_the_flow_of_its_pipe_have_leaks_and_pipe_friction() -> None:
+    model = replace(driven_spring(), kind="hydraulic")
+    assert names_on(model, "p", "R") == {
+        "laminar pipe friction",
+        "turbulent pipe friction",
+    }
+    assert names_on(model, "q") == names_on(storage("hydraulic"), "x")
+
+
+@pytest.mark.parametrize(
+    ("kind", "noun"),
+    [
+        ({}, "force"),
+        ("mechanical", "force"),
+        ("hydraulic", "inflow"),
+        ("electrical", "source"),
+        ("thermal", "heat input"),
+    ],
+)
+def test_what_comes_from_outside_has_the_word_of_the_field(
+    kind: Any, noun: str
+) -> None:
+    names = names_on(storage(kind), "x", "F")
+    assert names == {f"{how} {noun}" for how in ("constant", "drifting", "harmonic")}
+
+
+def test_what_runs_between_two_storages_is_water_or_heat() -> None:
+    def between(kind: Any) -> set[str]:
+        found = ph.catalogue(replace(two_tanks(), kind=kind))
+        return {str(e) for e in found if " from " in e.name or " with " in e.name}
+
+    overflows = {"overflow from a on b", "overflow from b on a"}
+    assert between({}) == overflows == between("hydraulic")
+    assert between("thermal") == {
+        "heat exchange with a on b",
+        "heat exchange with b on a",
+    }
+    assert between("mechanical") == set() == between("electrical")
+    assert between({"a": "hydraulic", "b": "thermal"}) == set()
+
+
+def test_positions_of_two_fields_are_not_coupled() -> None:
+    def couplings(kind: Any) -> set[str]:
+        found = ph.catalogue(replace(two_masses(), kind=kind))
+        return {e.name for e in found if e.name.startswith("coupling")}
+
+    assert couplings({}) == {"coupling stiffness"}
+    assert couplings("electrical") == {"coupling capacitance"}
+    assert couplings({"p1": "electrical"}) == set()
+
+
+def test_units_tell_the_kind_where_the_model_does_not() -> None:
+    def losses(model: ph.Model, unit: str) -> set[str]:
+        found = ph.catalogue(model, {"x": unit})
+        return {e.name for e in found if e.slot == "R"}
+
+    assert "radiation" in losses(storage({}), "K")
+    # Its fourth power is that of an absolute temperature.
+    assert losses(storage({}), "degC") == {"heat loss", "quadratic heat loss"}
+    assert losses(storage("thermal"), "°C") == {"heat loss", "quadratic heat loss"}
+    assert "viscous damping" in losses(storage({}), "m/s")
+    assert losses(storage("hydraulic"), "m/s") == losses(storage("hydraulic"), "")
+
+
+X = 0.7  # the state; the effort dH/dx is the same
+LAWS = [
+    ("mechanical", "viscous damping", {}, -0.3 * X),
+    ("mechanical", "quadratic drag", {}, -0.3 * X**2),
+    ("mechanical", "cubic drag", {}, -0.3 * X**3),
+    ("hydraulic", "quadratic leak", {}, -0.3 * X**2),
+    ("electrical", "linear resistance", {}, -0.3 * X),
+    ("electrical", "quadratic resistance", {}, -0.3 * X**2),
+    ("electrical", "contact voltage drop", {"v0": 1e-6}, -0.3),
+    ("thermal", "heat loss", {}, -0.3 * X),
+    ("thermal", "quadratic heat loss", {}, -0.3 * X**2),
+    ("thermal", "radiation", {}, -0.3 * X**4),
+    ("hydraulic", "constant inflow", {}, 0.3),
+    ("thermal", "drifting heat input", {}, 0.3 * 0.4),
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "inner", "rate"), LAWS)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_law_takes_from_its_state_what_its_name_says(
+    kind: str, name: str, inner: dict[str, float], rate: float, sign: int
+) -> None:
+    larger = storage(kind).add(name, "x")
+    coefficient = f"{name.replace(' ', '_')}_x"
+    values = {f"{coefficient}.{key}": value for key, value in inner.items()}
+    larger = larger.with_values({coefficient: 0.3, **values})
+    is_loss = larger.entries[coefficient].slot == "R"
+    found = float(larger.rhs()([sign * X], [], 0.4, larger.theta))
+    assert found == pytest.approx(sign * rate if is_loss else rate, abs=1e-9)
+
+
+def test_energies_of_a_circuit_act_on_the_other_state() -> None:
+    model = replace(driven_spring(), kind="electrical")  # H = flux^2/2, the input is 1
+    coil = model.add("coil saturation", "p").with_values({"coil_saturation_p": 0.3})
+    current_and_voltage = np.array(coil.rhs()([0.2, X], [1.0], 0.0, coil.theta))
+    np.testing.assert_allclose(current_and_voltage.ravel(), [X + 0.3 * X**3, 1.0])
+    charged = model.add("cubic elastance", "p").with_values({"cubic_elastance_q": 0.3})
+    voltage = np.array(charged.rhs()([X, 0.2], [1.0], 0.0, charged.theta)).ravel()[1]
+    assert voltage == pytest.approx(1.0 - 0.3 * X**3)
+
+
+def test_heat_is_taken_from_the_hotter_storage() -> None:
+    model = replace(two_tanks(), kind="thermal")
+    larger = model.add("heat exchange with b", "a")
+    larger = larger.with_values({"heat_exchange_b_a": 0.3})
+    rates = np.array(larger.rhs()([0.2, 1.2], [], 0.0, larger.theta)).ravel()
+    np.testing.assert_allclose(rates, [0.3, 0.0])
+
+
+# --- names of all kinds
+
+
+@pytest.mark.parametrize("kind", EVERY_KIND)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("linear leak", "viscous damping", "coulomb friction", "quadratic drag"),
+        *("cubic drag", "stribeck friction", "turbulent leak", "saturating leak"),
+        *("overflow", "constant force", "drifting force", "harmonic force"),
+        *("linear resistance", "heat loss"),
+    ],
+)
+def test_an_effect_may_be_added_by_the_name_of_any_kind(name: str, kind: Any) -> None:
+    assert effect_named(storage(kind), name, "x").name == name
+    assert effect_named(first_order(kind), name, "a").name == name
+
+
+def test_what_the_model_has_by_another_name_cannot_be_added_again() -> None:
+    tank = storage("hydraulic").add("viscous damping", "x")
+    with pytest.raises(ph.ModelError, match="the model has it already"):
+        tank.add("linear leak", "x")
+
+
+@pytest.mark.parametrize("name", ["viscous damping", "linear resistance on x"])
+def test_what_is_chosen_by_a_name_of_another_kind_is_found(name: str) -> None:
+    model = storage("hydraulic")
+    chosen = EffectChoice([name]).checked(model).candidates(model)
+    assert [str(effect) for effect in chosen] == ["linear leak on x"]
+    left = EffectChoice(without=[name]).checked(model).candidates(model)
+    expected = [e for e in ph.catalogue(model) if e.name != "linear leak"]
+    assert left == expected
+
+
+def test_the_page_of_effects_has_every_name() -> None:
+    text = (ROOT / "docs" / "api" / "effects.rst").read_text(encoding="utf-8")
+    page = " ".join(text.split())
+    for model in MODELS:
+        for effect in every_name(model):
+            name, _, _ = effect.name.partition(" with ")
+            name, _, _ = name.partition(" from ")
+            assert name in page, name
+
+
+# --- found in records
+
+
+def circuit() -> ph.PseudoHamiltonian:
+    """A coil and a capacitor at a measured voltage."""
+    return ph.PseudoHamiltonian(
+        states=["q", "phi"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + phi**2/2", k=ph.Parameter(1.0, lower=0)),
+        R={"phi": ph.formula("r", r=ph.Parameter(0.1, lower=0))},
+        F={"phi": ph.formula("u")},
+        kind="electrical",
+    )
+
+
+def heated() -> ph.FirstOrder:
+    rates = {
+        "T1": ph.formula("-a*T1 + u", a=ph.Parameter(0.3, lower=0)),
+        "T2": ph.formula("-b*T2", b=ph.Parameter(0.2, lower=0)),
+    }
+    return ph.FirstOrder(["T1", "T2"], rates, inputs=["u"], kind="thermal")
+
+
+@pytest.mark.parametrize(
+    ("model", "name", "equation", "coefficient", "size"),
+    [
+        (circuit(), "leakage conductance", "q", "leakage_conductance_q", 0.15),
+        (circuit(), "coil saturation", "phi", "coil_saturation_phi", 0.1),
+        (heated(), "heat exchange with T1", "T2", "heat_exchange_T1_T2", 0.3),
+        (heated(), "quadratic heat loss", "T1", "quadratic_heat_loss_T1", 0.2),
+    ],
+)
+def test_an_effect_of_the_field_is_named_and_measured(
+    model: ph.Model, name: str, equation: str, coefficient: str, size: float
+) -> None:
+    truth = model.add(name, equation).with_values({coefficient: size})
+    train, test = simulated(truth).split(0.6)
+    found = ph.diagnose(ph.identify(model, train), train, test)
+    assert found.verdict == ph.Verdict.NAMED
+    assert str(found.effects[0]) == f"{name} on {equation}"
+    row = found.candidates.iloc[0]
+    assert abs(row["coefficient"] - size) < 4 * row["std_error"]
+
+
+def simulated(truth: ph.Model) -> ph.Measurements:
+    """Three runs of both states with 2 % of noise, at inputs of three frequencies."""
+    rng = np.random.default_rng(11)
+    t = np.linspace(0.0, 30.0, 601)
+    runs = []
+    for _ in range(3):
+        phases = np.outer(t, rng.uniform(0.5, 1.6, 3)) + rng.uniform(0, 6, 3)
+        u = np.sin(phases) @ rng.uniform(0.4, 0.8, 3)
+        x = ph.simulate(truth, t, [1.0, 0.5], u[:, None])
+        noise = 0.02 * x.std(axis=0) * rng.normal(size=x.shape)
+        runs.append((t, x + noise, u[:, None]))
+    times, states, inputs = zip(*runs, strict=True)
+    return ph.Measurements.from_arrays(
+        list(times), list(states), list(inputs), states=list(truth.states), inputs=["u"]
+    )
