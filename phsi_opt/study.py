@@ -180,7 +180,8 @@ class Study:
     def _diagnosed(self, choice: EffectChoice) -> Diagnosis:
         """What the present model lacks, of the effects that are considered."""
         key = len(self.steps)
-        if key not in self._diagnoses or self._considered[key] != choice:
+        considered = self._considered.get(key, self._choice)
+        if key not in self._diagnoses or considered != choice:
             step = self.steps[-1]
             self._diagnoses[key] = diagnose_comparison(
                 step.train,
@@ -256,6 +257,7 @@ class Study:
                 "there is nothing to undo: the study is at its base model."
             )
         self._diagnoses.pop(len(self.steps), None)
+        self._considered.pop(len(self.steps), None)
         self.steps.pop()
         self.stopped = ""
         return self.fit
