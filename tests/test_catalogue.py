@@ -319,6 +319,25 @@ def test_heat_is_taken_from_the_hotter_storage() -> None:
     np.testing.assert_allclose(rates, [0.3, 0.0])
 
 
+def test_heat_is_exchanged_with_an_input_that_may_be_a_temperature() -> None:
+    model = replace(heated(), inputs=("u", "Ta"))
+
+    def exchanged(units: dict[str, str]) -> set[str]:
+        found = ph.catalogue(model, units)
+        return {str(e) for e in found if e.name.endswith((" u", " Ta"))}
+
+    with_u = {"heat exchange with u on T1", "heat exchange with u on T2"}
+    with_ambient = {"heat exchange with Ta on T1", "heat exchange with Ta on T2"}
+    only_heat = {name for name in exchanged({}) if name.startswith("heat")}
+    assert only_heat == with_u | with_ambient
+    told = {name for name in exchanged({"u": "W", "Ta": "degC"}) if "heat" in name}
+    assert told == with_ambient
+    larger = model.add("heat exchange with Ta", "T2")
+    larger = larger.with_values({"heat_exchange_Ta_T2": 0.3, "b": 0.0, "a": 0.0})
+    rates = np.array(larger.rhs()([0.0, 1.0], [0.0, 3.0], 0.0, larger.theta)).ravel()
+    np.testing.assert_allclose(rates, [0.0, 0.6])
+
+
 # --- names of all kinds
 
 

@@ -36,7 +36,7 @@ MAPPINGS = (*BY_EQUATION, "kind")  # the fields that are read-only mappings
 class BaseModel:
     """States, inputs, and the terms of the slots H, R, F and sensor; see ``Model``.
 
-    ``kind`` says of some states what they are, see `kinds`.
+    ``kind`` says of some states what they are, see ``kinds``.
 
     Raises:
         ModelError: names that are no names or stand twice, terms that are not of their

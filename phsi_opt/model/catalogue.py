@@ -23,7 +23,7 @@ from phsi_opt.model.catalogue_losses import (
 )
 from phsi_opt.model.catalogue_sensors import sensors
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.kinds import KINDS, RELATIVE_TEMPERATURES, plain_unit
+from phsi_opt.model.kinds import KINDS, RELATIVE_TEMPERATURES, TEMPERATURES, plain_unit
 from phsi_opt.model.redundancy import is_redundant
 from phsi_opt.model.roles import Role, role_of
 from phsi_opt.model.structure import (
@@ -52,6 +52,7 @@ def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> list[
     effects = [
         *_in_equations(known, units),
         *_between_storages(known),
+        *_from_surroundings(known, units),
         *_between_positions(known),
         *_in_sensors(known),
     ]
@@ -148,6 +149,19 @@ def _between_storages(model: BaseModel) -> list[Effect]:
         if Role.HEAT == role_of(model, source) == role_of(model, state):
             heat.append(heat_from(model, state, source))
     return [*overflows, *heat]
+
+
+def _from_surroundings(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
+    """Heat from inputs that are, or may be, temperatures."""
+    found = []
+    for u in model.inputs:
+        unit = plain_unit(units.get(u, ""))
+        if unit and unit not in TEMPERATURES:
+            continue
+        for state in model.states:
+            if role_of(model, state) is Role.HEAT:
+                found.append(heat_from(model, state, u))
+    return found
 
 
 def _between_positions(model: BaseModel) -> list[Effect]:

@@ -143,11 +143,13 @@ def overflow_into(model: BaseModel, state: str, source: str) -> Effect:
 
 
 def heat_from(model: BaseModel, state: str, source: str) -> Effect:
-    """The heat that one storage takes from another one, the source: c (T_s - T).
+    """The heat that a storage takes from a source of the temperature T_s: c (T_s - T).
 
-    What the source loses by it is an effect of its own in the source's equation.
+    The source is another storage, or an input such as the surroundings. What a storage
+    loses by it is an effect of its own in the source's equation.
     """
-    difference = f"{effort_of(model, source)} - {effort_of(model, state)}"
+    T_s = source if source in model.inputs else effort_of(model, source)
+    difference = f"{T_s} - {effort_of(model, state)}"
     term = one_term(difference, f"heat_exchange_{source}_{state}", lower=0.0)
     name = f"heat exchange with {source}"
     return Effect(name, "F", state, term, family=HEAT_EXCHANGE)

@@ -39,6 +39,7 @@ WITHOUT_PREFIX = {
 }
 # Temperatures that count from elsewhere than absolute zero.
 RELATIVE_TEMPERATURES = frozenset({"degC", "°C", "degF", "°F"})
+TEMPERATURES = RELATIVE_TEMPERATURES | {"K"}
 SPELLINGS = (("**", ""), ("^", ""), ("*", ""), ("·", ""), (" ", ""))
 SMALL_DIGITS = (("²", "2"), ("³", "3"))
 

@@ -89,7 +89,7 @@ def _are_of_one_kind(model: BaseModel, position: str, momentum: str) -> bool:
 
 
 def kind_of(model: BaseModel, state: str) -> str:
-    """What a state is, see `kinds`; "" where that is unknown.
+    """What a state is, see ``kinds``; "" where that is unknown.
 
     A state of a canonical pair is of the kind of the other one, and mechanical where
     the model tells neither.
