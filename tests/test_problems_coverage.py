@@ -18,6 +18,7 @@ from problems.benchmarks.coverage_fits import (
 )
 from problems.benchmarks.coverage_page import page
 from problems.benchmarks.coverage_summary import PLAIN, measures, summary
+from problems.benchmarks.detectability import detectability
 from problems.benchmarks.disturbed_oscillator import (
     MOTION_RUNS,
     MOTION_SEED,
@@ -134,6 +135,29 @@ def test_a_stiffening_spring_is_estimated_stiffer() -> None:
     assert 4.05 < limit["k"] < 4.4
 
 
+def test_what_a_spring_is_imitated_by_is_the_bias_of_least_squares() -> None:
+    disturbance = Disturbance(cubic_share=0.01)
+    layout = Layout(1, 200)
+    seen = detectability([1, 2], disturbance, layout)
+    cubic = cubic_coefficient(disturbance.cubic_share)
+    for i, seed in enumerate((1, 2)):
+        draw = Draw.of(seed, disturbance, layout)
+        found = least_squares_estimate(positions(draw, cubic), draw.voltage)
+        # Linearised, so to a share of itself that is a few times that of the spring.
+        assert seen.bias[i] == pytest.approx(found["k"] - TRUTH["k"], rel=0.05)
+
+
+def test_more_runs_and_stiffer_springs_are_seen_better() -> None:
+    one = detectability([1], Disturbance(cubic_share=0.01), Layout(1, 100))
+    two = detectability([1], Disturbance(cubic_share=0.01), Layout(2, 100))
+    stiffer = detectability([1], Disturbance(cubic_share=0.03), Layout(1, 100))
+    assert one.noncentrality[0] < two.noncentrality[0]
+    # By the square of the coefficient, but for what the motion changes.
+    times = stiffer.noncentrality[0] / one.noncentrality[0]
+    assert times == pytest.approx(9, rel=0.3)
+    assert 0.05 < one.power[0] < stiffer.power[0] <= 1
+
+
 def test_coverage_is_counted_and_a_failed_fit_holds_nothing() -> None:
     rows = pd.DataFrame(
         {
@@ -187,7 +211,9 @@ def test_the_page_tells_every_method(
     for module in ("coverage_summary", "coverage_page"):
         monkeypatch.setattr(f"problems.benchmarks.{module}.jobs", lambda: jobs)
     layouts = {"two runs": SHORT}
-    monkeypatch.setattr("problems.benchmarks.coverage_page.LAYOUTS", layouts)
+    for module in ("tables", "verdict", "stress"):
+        place = f"problems.benchmarks.coverage_{module}.LAYOUTS"
+        monkeypatch.setattr(place, layouts)
     for job in jobs:
         make(job, [1, 2], tmp_path / "fits.csv")
     fits = kept(tmp_path / "fits.csv")
@@ -197,5 +223,8 @@ def test_the_page_tells_every_method(
     assert (rows["n"] == 2).all()
     text = page(rows, fits)
     assert "Not measured: nothing." in text
-    assert "default, two runs:" in text
+    assert "| default | 2 x 100 | 2 |" in text
     assert "| cubic spring 5 % | 2 x 100 | limit of the estimate |" in text
+    asked, stressed = text.split("## Stress test")
+    assert "cubic spring 5 %" not in asked
+    assert "| cubic spring 5 % | 2 x 100 | 2 |" in stressed

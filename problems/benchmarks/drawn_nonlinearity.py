@@ -148,9 +148,18 @@ class Nonlinearities:
         )
 
 
+def kind_of(seed: int, layout: Layout) -> str:
+    """The kind of nonlinearity that a seed draws, one of `KINDS`."""
+    return KINDS[int(_rng(seed, layout).integers(len(KINDS)))]
+
+
+def _rng(seed: int, layout: Layout) -> np.random.Generator:
+    return np.random.default_rng([seed, layout.runs, layout.samples, STREAM])
+
+
 def _drawn(seed: int, shares: tuple[float, float], layout: Layout) -> tuple[float, ...]:
     """The fields of one nonlinearity, its linear part still unknown."""
-    rng = np.random.default_rng([seed, layout.runs, layout.samples, STREAM])
+    rng = _rng(seed, layout)
     still = _without_disturbance(layout.samples)
     kind = int(rng.integers(len(KINDS)))
     motion_range = float(np.mean(np.ptp(still.position, axis=1)))
