@@ -32,7 +32,7 @@ from problems.benchmarks.disturbed_oscillator import (
     motion,
     positions,
 )
-from problems.benchmarks.drawn_nonlinearity import KINDS, Nonlinearities
+from problems.benchmarks.drawn_nonlinearity import KINDS, Nonlinearities, kind_of
 from problems.benchmarks.estimate_limits import (
     estimate_limits,
     least_squares_estimate,
@@ -205,6 +205,7 @@ def test_the_page_tells_every_method(
 ) -> None:
     jobs = [
         Job("none", SHORT, DEFAULT),
+        Job("nonlinearity 1 to 5 %", SHORT, DEFAULT),
         Job("cubic spring 5 %", SHORT, DEFAULT),
         Job("cubic spring 5 %", SHORT, WITH_FORCE),
     ]
@@ -218,12 +219,14 @@ def test_the_page_tells_every_method(
         make(job, [1, 2], tmp_path / "fits.csv")
     fits = kept(tmp_path / "fits.csv")
     rows = summary(fits)
-    assert len(rows) == 3 * (2 + 2 * 2 + 2)
+    assert len(rows) == 3 * (2 + 2 + 2 * 2 + 2)
     assert set(rows["method"]) == {PLAIN, DEFAULT, WITH_FORCE}
     assert (rows["n"] == 2).all()
     text = page(rows, fits)
     assert "Not measured: nothing." in text
     assert "| default | 2 x 100 | 2 |" in text
+    drawn = kind_of(1, SHORT)
+    assert f"| 2 x 100 | {drawn} |" in text
     assert "| cubic spring 5 % | 2 x 100 | limit of the estimate |" in text
     asked, stressed = text.split("## Stress test")
     assert "cubic spring 5 %" not in asked

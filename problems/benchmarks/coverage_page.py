@@ -3,7 +3,7 @@
 import pandas as pd
 
 from problems.benchmarks.coverage_fits import SCENARIOS, jobs
-from problems.benchmarks.coverage_stress import DRAWN, by_kind, stress_test
+from problems.benchmarks.coverage_stress import DRAWN, by_kind, stress_test, why_wide
 from problems.benchmarks.coverage_summary import PHYSICAL, PLAIN, SOURCES
 from problems.benchmarks.coverage_tables import (
     ASKED_FOR,
@@ -60,7 +60,8 @@ def page(rows: pd.DataFrame, fits: pd.DataFrame) -> str:
     parts += [_missing(rows), "", "## Coverage in %", "", chance(rows), ""]
     parts += [coverage_table(asked), ""]
     if DRAWN in set(rows["scenario"]):
-        parts += ["## By kind of nonlinearity", "", by_kind(fits), ""]
+        parts += ["## By kind of nonlinearity", "", why_wide(rows), ""]
+        parts += [by_kind(fits), ""]
     if set(FIXED) & set(rows["scenario"]):
         parts += [stress_test(rows, fits), ""]
     parts += ["## Root mean square of z", ""]

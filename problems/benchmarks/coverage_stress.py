@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from problems.benchmarks.coverage_fits import DEFAULT, ONE, SCENARIOS, WHITE
-from problems.benchmarks.coverage_summary import LIMIT, PHYSICAL
+from problems.benchmarks.coverage_summary import LIMIT, PHYSICAL, PLAIN
 from problems.benchmarks.coverage_tables import FIXED, LAYOUTS, coverage_table
 from problems.benchmarks.coverage_verdict import LOWEST, verdict_table
 from problems.benchmarks.detectability import Detectability, detectability
@@ -47,6 +47,25 @@ def by_kind(fits: pd.DataFrame) -> str:
             lines.append([runs, kind, n, shares, more])
     text = "Coverage of the default in %; few seeds each, so differences may be chance."
     return "\n".join([text, "", markdown.lines(header, lines)])
+
+
+def why_wide(rows: pd.DataFrame) -> str:
+    """What the widths of k ask for beside a drawn nonlinearity, and what they are."""
+    of_k = rows[(rows["scenario"] == DRAWN) & (rows["parameter"] == "k")]
+    said = []
+    for name, layout in LAYOUTS.items():
+        of_layout = of_k[of_k["runs"] == layout.runs].set_index("method")
+        if DEFAULT in of_layout.index:
+            wide = of_layout.loc[DEFAULT, "median_width_ratio"]
+            asked = of_layout.loc[PLAIN, "rms_z"]
+            said.append(f"{wide:.0f} times in {name}, where {asked:.0f} are needed")
+    return markdown.paragraph(f"""
+        The default lets an unknown function of a state have a linear part too, which no
+        record tells from k or R_v, and its intervals cover it. The nonlinearities that
+        are drawn have none, and the intervals are wider than they need: the median half
+        width of k is that of the plain likelihood {markdown.enumerated(said)} (root
+        mean square of the distances).
+        """)
 
 
 def _held(fits: pd.DataFrame, parameter: str) -> float:
