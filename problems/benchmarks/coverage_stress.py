@@ -56,8 +56,8 @@ def why_wide(rows: pd.DataFrame) -> str:
     for name, layout in LAYOUTS.items():
         of_layout = of_k[of_k["runs"] == layout.runs].set_index("method")
         if DEFAULT in of_layout.index:
-            wide = of_layout.loc[DEFAULT, "median_width_ratio"]
-            asked = of_layout.loc[PLAIN, "rms_z"]
+            wide = float(of_layout["median_width_ratio"][DEFAULT])
+            asked = float(of_layout["rms_z"][PLAIN])
             said.append(f"{wide:.0f} times in {name}, where {asked:.0f} are needed")
     return markdown.paragraph(f"""
         The default lets an unknown function of a state have a linear part too, which no
