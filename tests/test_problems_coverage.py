@@ -18,6 +18,7 @@ from problems.benchmarks.coverage_fits import (
 )
 from problems.benchmarks.coverage_page import page
 from problems.benchmarks.coverage_summary import PLAIN, measures, summary
+from problems.benchmarks.coverage_verdict import HIGHEST, LOWEST, chance_within
 from problems.benchmarks.detectability import detectability
 from problems.benchmarks.disturbed_oscillator import (
     MOTION_RUNS,
@@ -180,6 +181,13 @@ def test_coverage_is_counted_and_a_failed_fit_holds_nothing() -> None:
     assert of_fit["coverage_if_white"] == 100.0
     assert of_fit["coverage_if_more"] == pytest.approx(200 / 3)
     assert of_fit["rms_z"] == pytest.approx(np.sqrt((0 + 4 + 4) / 3))
+
+
+def test_exact_intervals_are_counted_within_the_limits_as_often_as_drawn() -> None:
+    held = np.random.default_rng(1).random((20_000, 40)) < 0.95
+    share = 100 * held.mean(axis=1)
+    counted = np.mean((share >= LOWEST) & (share <= HIGHEST))
+    assert chance_within(40) == pytest.approx(counted, abs=0.015)  # four errors
 
 
 def test_fits_are_kept_taken_up_and_told(tmp_path: Path) -> None:

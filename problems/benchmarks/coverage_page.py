@@ -36,6 +36,8 @@ NONLINEARITY = markdown.paragraph("""
     spring's force, root mean square, is that of what remains.
     """)
 CELLS = markdown.paragraph("""
+    Of exact intervals: how many coverages would lie within on average if all intervals
+    held with 95 % exactly; of few records they are counted outside by chance.
     Three numbers in a cell belong to k, R_v and g. n: seeds. Plain likelihood: the
     default's estimates with standard errors that count residuals as white noise.
     Default: `identify` and `Fit.intervals()`. model_error=True: parameters, states and

@@ -42,6 +42,11 @@ class Group:
         return int(self.rows["coverage"].between(LOWEST, HIGHEST).sum())
 
     @property
+    def n_by_chance(self) -> float:
+        """How many would on average if all intervals held with 95 % exactly."""
+        return len(self.rows) * chance_within(int(self.rows["n"].max()))
+
+    @property
     def below(self) -> str:
         """Scenarios with a coverage below the limits."""
         return self._named(self.rows["coverage"] < LOWEST)
@@ -91,7 +96,8 @@ def verdict_table(
     rows: pd.DataFrame, scenarios: Sequence[str], truths: Sequence[str] = (PHYSICAL,)
 ) -> str:
     """How many coverages lie within, by method, runs and truth, and which do not."""
-    header = ["method", "runs", "n", "within", "lowest, %", "highest, %"]
+    header = ["method", "runs", "n", "within", "of exact intervals"]
+    header += ["lowest, %", "highest, %"]
     header += ["too low in", "too high in"]
     header += ["truth"] if len(truths) > 1 else []
     lines = []
@@ -100,7 +106,7 @@ def verdict_table(
             coverage = group.rows["coverage"]
             line = [group.method, f"{group.layout.runs} x {group.layout.samples}"]
             line += [str(group.rows["n"].iloc[0])]
-            line += [f"{group.n_kept} of {len(group.rows)}"]
+            line += [f"{group.n_kept} of {len(group.rows)}", f"{group.n_by_chance:.0f}"]
             line += [f"{coverage.min():.1f}", f"{coverage.max():.1f}"]
             line += [group.below, group.above]
             line += [truth] if len(truths) > 1 else []
@@ -125,14 +131,18 @@ def _nothing_lost(rows: pd.DataFrame) -> str:
     )
 
 
+def chance_within(n: int) -> float:
+    """Chance that intervals of 95 % are counted within the limits on n records."""
+    lowest = int(np.ceil(LOWEST / 100 * n))
+    highest = int(np.floor(HIGHEST / 100 * n))
+    return float(binom.cdf(highest, n, LEVEL) - binom.cdf(lowest - 1, n, LEVEL))
+
+
 def chance(rows: pd.DataFrame) -> str:
     """How often intervals that hold with 95 % would be found outside the limits."""
     said = []
     for n in sorted(set(rows["n"]), reverse=True):
-        lowest = int(np.ceil(LOWEST / 100 * n))
-        highest = int(np.floor(HIGHEST / 100 * n))
-        within = binom.cdf(highest, n, LEVEL) - binom.cdf(lowest - 1, n, LEVEL)
-        said.append(f"{100 * within:.0f} % of the cases with n {n}")
+        said.append(f"{100 * chance_within(n):.0f} % of the cases with n {n}")
     return markdown.paragraph(f"""
         Intervals that hold with {100 * LEVEL:g} % exactly are counted within
         {LOWEST:g} to {HIGHEST:g} % in {markdown.enumerated(said)}: single coverages
