@@ -1,6 +1,7 @@
 """A mass that a controller moves: its force is measured, its friction is hidden.
 
-The controller answers the motion, so force, speed and input go together.
+The controller answers the motion at every sample, so force, speed and input go
+together.
 """
 
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ N_TRAIN = 3
 N_MOVES = (2.0, 3.0)  # periods of the reference in a run
 DAMPING = 0.7  # of the closed loop
 # Friction over the largest inertial force of the reference.
-FRICTION = (0.3, 1.5)
+FRICTION = (0.2, 0.8)
 
 
 def closed_loop(rng: np.random.Generator) -> Experiment:
@@ -28,7 +29,7 @@ def closed_loop(rng: np.random.Generator) -> Experiment:
     """
     mass = float(log_uniform(rng, 0.5, 5.0))
     slow = float(log_uniform(rng, 1.0, 4.0))  # frequency of the reference
-    stiff = slow * rng.uniform(4.0, 8.0)  # of the closed loop
+    stiff = slow * rng.uniform(3.0, 5.0)  # of the closed loop
     gain = mass * stiff**2
     rate_gain = 2 * DAMPING * mass * stiff
     sizes = rng.uniform(0.5, 1.0, (N_RUNS, 2)) * np.array([1.0, 0.3])
@@ -80,5 +81,7 @@ def closed_loop(rng: np.random.Generator) -> Experiment:
         time=2 * np.pi / slow,
         inputs=("u",),
         input_at=control,
+        hold="zero",
+        is_sampled=True,
         loudest=np.inf,
     )

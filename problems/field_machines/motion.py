@@ -4,6 +4,7 @@ variations at once, of the model without the hidden effect.
 
 import warnings
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -26,37 +27,53 @@ def simulate(
     shape = e.starts.shape
     nothing = np.zeros((shape[0], 0))
 
-    def rates(t: float, flat: Array) -> Array:
+    def rates(t: float, flat: Array, held: Array | None = None) -> Array:
         x = flat.reshape(shape)
-        u = nothing if e.input_at is None else e.input_at(t, x)
+        u = nothing if held is None else held
+        if held is None and e.input_at is not None:
+            u = e.input_at(t, x)
         dx = e.rates(x, u, e.values) + size * e.hidden.law(x, u)
         if disturbance is not None:
             dx[:, e.row] += disturbance.at(t, x)
         return dx.ravel()
 
-    x = _integrated(rates, e)
+    x = _sampled(rates, e) if e.is_sampled else _integrated(rates, e.t, e.starts)
     if e.input_at is None:
         return Motion(x, np.zeros((*x.shape[:2], 0)))
     u = [e.input_at(t, now) for t, now in zip(e.t, x, strict=True)]
     return Motion(x, np.array(u))
 
 
-def _integrated(rates: object, e: Experiment) -> Array:
+def _sampled(rates: object, e: Experiment) -> Array:
+    """From sample to sample, the input held in between."""
+    assert e.input_at is not None
+    found = [e.starts]
+    for begin, end in pairwise(e.t):
+        held = e.input_at(begin, found[-1])
+        both = np.array([begin, end])
+        found.append(_integrated(rates, both, found[-1], (held,))[-1])
+    return np.array(found)
+
+
+def _integrated(
+    rates: object, t: Array, starts: Array, arguments: tuple[Array, ...] = ()
+) -> Array:
     """By LSODA; no kink and no step of the input is passed over."""
     options = {
         "method": "LSODA",
-        "t_eval": e.t,
+        "t_eval": t,
         "rtol": RTOL,
-        "atol": RTOL * np.abs(e.starts).max(),
-        "max_step": float(e.t[1] - e.t[0]),
+        "atol": RTOL * np.abs(starts).max(),
+        "max_step": float(t[1] - t[0]),
+        "args": arguments or None,
     }
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
         # LSODA's own words about a machine that runs away.
         warnings.simplefilter("ignore", UserWarning)
-        solved = solve_ivp(rates, (e.t[0], e.t[-1]), e.starts.ravel(), **options)
+        solved = solve_ivp(rates, (t[0], t[-1]), starts.ravel(), **options)
     if not solved.success or not np.isfinite(solved.y).all():
-        raise RunawayError(f"no simulation to t = {e.t[-1]:.6g}: {solved.message}")
-    return solved.y.T.reshape(len(e.t), *e.starts.shape)
+        raise RunawayError(f"no simulation to t = {t[-1]:.6g}: {solved.message}")
+    return solved.y.T.reshape(len(t), *starts.shape)
 
 
 def recorded(e: Experiment, u: Array) -> InputAt:

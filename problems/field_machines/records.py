@@ -65,7 +65,7 @@ class Experiment:
     ``values``: true values of the model's free parameters; ``model`` makes the model
     from its starting values. ``row``: the equation in which the machine is not quite
     the model. ``time``: a period, or a time constant. ``n_kept``: samples of each run;
-    empty: all. ``loudest``: largest free-run error of the model, as a share of the
+    empty: all. ``is_sampled``: inputs are made at the samples, and held. ``loudest``: largest free-run error of the model, as a share of the
     signal.
     """
 
@@ -83,6 +83,7 @@ class Experiment:
     inputs: tuple[str, ...] = ()
     input_at: InputAt | None = None
     hold: str = "linear"
+    is_sampled: bool = False
     n_kept: tuple[int, ...] = ()
     loudest: float = 0.9
     is_faint: bool = False
