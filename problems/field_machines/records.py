@@ -65,8 +65,9 @@ class Experiment:
     ``values``: true values of the model's free parameters; ``model`` makes the model
     from its starting values. ``row``: the equation in which the machine is not quite
     the model. ``time``: a period, or a time constant. ``n_kept``: samples of each run;
-    empty: all. ``is_sampled``: inputs are made at the samples, and held. ``loudest``: largest free-run error of the model, as a share of the
-    signal.
+    empty: all. ``is_sampled``: inputs are made at the samples, and held. ``loudest``:
+    largest free-run error of the model, as a share of the signal. ``is_faint``: the
+    effect is there, and below the noise.
     """
 
     states: tuple[str, ...]
