@@ -15,7 +15,7 @@ from problems.tools.provenance import commit
 
 MOST_STEPS = 3  # of a study
 REASON_LENGTH = 200  # characters kept of an error's message
-NAME, CLASS, FALSE, SILENT = "right name", "class", "false", "silent"
+NAME, CLASS, FALSE, SILENT = "right name", "class", "false name", "silent"
 
 Found = dict[str, object]  # columns of the kept tables
 

@@ -42,7 +42,7 @@ INTRODUCTION = markdown.paragraph(f"""
 TERMS = markdown.paragraph(f"""
     A study goes on by itself for up to {MOST_STEPS} steps; all that its diagnoses find
     is counted. Right name: every finding is one effect, and a true one. Class: every
-    finding holds a true effect, and one of them several effects. False: a finding
+    finding holds a true effect, and one of them several effects. False name: a finding
     without a true effect. Silent: nothing is found; where nothing is to be named, that
     is right. Intervals in brackets: 95 %, Wilson.
     """)

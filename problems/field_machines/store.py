@@ -54,10 +54,10 @@ def table(kind: str, is_prepared: bool = False) -> pd.DataFrame:
     path = path_of(kind, is_prepared)
     if not path.exists():
         return pd.DataFrame(columns=_columns(is_prepared))
-    rows = pd.read_csv(path)
     texts = PREPARED if is_prepared else TEXTS
-    for name in texts:
-        rows[name] = rows[name].astype(object).where(rows[name].notna(), "")
+    # As written: a column of "false" alone would be read as a truth value.
+    rows = pd.read_csv(path, dtype=dict.fromkeys(texts, str))
+    rows[list(texts)] = rows[list(texts)].fillna("")
     return rows.sort_values("seed", kind="stable", ignore_index=True)
 
 
