@@ -6,6 +6,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnose import diagnose
+from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
@@ -29,6 +30,7 @@ __all__ = [
     "DataError",
     "Diagnosis",
     "Effect",
+    "Finding",
     "FirstOrder",
     "Fit",
     "MaximumLikelihood",

@@ -99,6 +99,15 @@ COMPARED_P_VALUE = 0.01
 
 # --- Which candidates are re-fitted
 
+# Pairs that the joint regression proposes for a second look, and that are told after
+# it.
+N_LOOKED_PAIRS = 6
+# Re-fits of effects whose second look did not settle, at most: on six measured sets
+# half of the time went to such.
+N_UNSETTLED_REFITS = 2
+# Misfit on data held out, over that of the base model, from which an effect is not
+# re-fitted: one that is right lowers it.
+HELD_OUT_RISE = 1.1
 N_REFITS = 5  # effects that are re-fitted alone, at most
 N_PAIR_REFITS = 4  # pairs of effects that are re-fitted, at most
 # Screened p-value, times the number of candidates, up to which one is re-fitted for a
@@ -119,6 +128,41 @@ FALSE_DISCOVERY_RATE = 0.01
 # Difference in BIC up to which two re-fitted candidates are a tie: "strong" evidence
 # begins at 6 (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
 BIC_TIE = 6.0
+
+# Standard errors by which the size of an effect must differ from zero to be proposed:
+# one that is uncertain by half of itself explains what something else did.
+PROPOSED_Z = 2.0
+# The same to be named, and on the data held out alone, with the same sign.
+ESTABLISHED_Z = 3.0
+CONFIRMED_Z = 1.0
+# Standard error of a size on the data held out alone, over the size, beyond which these
+# data hardly show it: then the fall of their error counts alone.
+TELLING_ERROR = 0.5
+# Misfit of a second look on the data held out over that of the free run there, beyond
+# which the look went astray: beside a corner that is sharp its steps are too long.
+BELIEVED_MISFIT = 1.05
+# Distance of a wave on the data held out from that of the training data, over its
+# amplitude, from which the two are out of phase: a random force has any phase.
+OUT_OF_PHASE = 0.5
+# Periods that a record must hold of a wave that is named.
+LEAST_PERIODS = 1.5
+# Difference in BIC by which an effect that needs the clock must beat those that do not,
+# in a model without inputs: runs that start in phase are a clock of their own. On a
+# fall, a stiffness that changes with the time beat viscous drag by 12.
+CLOCK_MARGIN = 30.0
+# Families of effects, at most, that a class may join.
+MOST_FAMILIES = 2
+# Share of the squared error above the noise floor that an effect must explain to be
+# named although more than noise is left.
+EXPLAINED_IF_PARTLY = 0.3
+
+# Ratio of the forces that two laws of one family leave up to which they are a tie: the
+# difference between the laws is then no larger than what is missing beside both.
+REMAINDER_TIE = 1.5
+# Share of the missing force's mean square that must be gone besides: what imitates an
+# effect moves the motion as that does, and leaves the force. A spring q|v| named
+# gravity: 98 % of the squared error, and nothing of the force.
+FORCE_GONE_IF_PARTLY = 0.5
 
 # --- Dry friction, whose corner is sharpened step by step
 
@@ -185,6 +229,9 @@ TIED_CAUSES = 0.05  # difference up to which two causes are alike
 # values of the model's parameters would give: more than everything else together.
 MOSTLY_CONSTANT = 0.5
 MOSTLY_PARAMETERS = 0.5
+# Share of an effort's variance that functions of the inputs give from which the two go
+# together, as they do under a controller.
+GOING_TOGETHER = 0.5
 # Mean power over rms force times rms effort (-1: linear damping) below which a force
 # takes energy out; nearer to zero its direction is not clear.
 OPPOSING_POWER = -CLEAR_PATTERN

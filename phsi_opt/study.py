@@ -191,7 +191,16 @@ class Study:
                 progress=self._say,
             )
             self._considered[key] = choice
+            self._keep_better(self._diagnoses[key].fit)
         return self._diagnoses[key]
+
+    def _keep_better(self, fit: Fit) -> None:
+        """The present model from the better optimum that its diagnosis found."""
+        step = self.steps[-1]
+        if fit is step.fit:
+            return
+        label = f"{step.label}, re-fitted"
+        self.steps[-1] = self._step(label, step.added, fit)
 
     def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
         """Add an effect, re-fit, and return the fit.
@@ -379,7 +388,7 @@ class Study:
         known = self._diagnoses.get(len(self.steps))
         if known is not None:
             for candidate in known.ranking:
-                if candidate.effect == effect:
+                if candidate.effects == (effect,):
                     return candidate
         return None
 

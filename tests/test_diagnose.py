@@ -21,6 +21,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.screening.pair_search import best_pairs
+from phsi_opt.screening.prospects import Prospects
 from phsi_opt.screening.regression import regression
 from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.sensitivities import Sensitivities
@@ -258,7 +259,8 @@ def test_pairs_have_the_simplest_dry_friction_and_the_best_one_is_tried_with_its
         "constant force",
         "cubic stiffness",
     ]
-    found = screen.screened([effect_named(fit.model, name, "p") for name in names])
+    effects = [effect_named(fit.model, name, "p") for name in names]
+    found = Prospects.of(screen, effects, ph.compare(fit, drag[1])).singles
     named = {one.effect.name: one for one in found}
     simple = dry_friction.simplest_dry(found)
     assert simple == [one for one in found if one.effect.name != "stribeck friction"]
@@ -311,10 +313,8 @@ def test_what_no_known_effect_explains_is_called_so_and_the_nearest_is_told() ->
     train, test = data.split(0.7)
     found = ph.diagnose(ph.identify(base(), train), train, test)
     assert found.verdict == "missing: unexplained"
-    assert (
-        "no known effect explains it all" in found.reason
-        or "no effect of the catalogue" in found.reason
-    )
+    assert found.findings == ()
+    assert "It is not named" in found.reason or "is established" in found.reason
 
 
 @pytest.mark.parametrize("n", [2, 3, 5])
@@ -331,14 +331,8 @@ def test_steps_are_finer_beside_a_corner_and_in_the_gaps_next_to_it(n: int) -> N
     assert steps.tolist() == [8, 8, 1, 1][: n - 1]
 
 
-@pytest.mark.parametrize(
-    ("leaves_noise", "first"),
-    [(True, "stribeck friction"), (False, "coulomb friction")],
-)
-def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
+def test_a_tie_goes_to_the_simplest(
     drag: tuple[ph.Fit, ph.Measurements, ScoreTest],
-    leaves_noise: bool,
-    first: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     fit, data, _ = drag
@@ -351,7 +345,7 @@ def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
         assert found is not None
         refitted.append(
             Candidate(
-                effect, 0.0, 0.0, 0.0, p_value=0.0, fit=found.fit, trained=found.trained
+                effect, 0.0, 0.0, p_value=0.0, fit=found.fit, trained=found.trained
             )
         )
     n_base = len(fit.names)
@@ -361,9 +355,9 @@ def test_where_none_leaves_noise_a_tie_goes_to_the_simplest(
         "delta_bic",
         lambda old, new, share: -100.0 - 2 * (len(new.names) - n_base),
     )
-    monkeypatch.setattr(ranking, "is_like_noise", lambda trained: leaves_noise)
-    ranked = ranking._ranked(work, refitted)
-    assert ranked[0].effect.name == first
+    nothing = Prospects.of(ScoreTest(compared.record), (), compared)
+    ranked = ranking._ranked(work, nothing, refitted)
+    assert ranked[0].effect.name == "coulomb friction"
     assert all(c.confusable_with for c in ranked)
 
 

@@ -134,7 +134,6 @@ def names(findings: set[Finding]) -> set[str]:
     return {name.split(" on ")[0] for one in findings for name in one}
 
 
-@pytest.mark.xfail(reason="a drifting force is named: all clocks begin at zero")
 def test_no_force_in_time_is_named_where_all_clocks_begin_at_zero() -> None:
     diagnosis = diagnosed_drops(is_late=False)
     in_time = {"drifting force", "harmonic force", "parametric stiffness"}
@@ -142,14 +141,12 @@ def test_no_force_in_time_is_named_where_all_clocks_begin_at_zero() -> None:
     assert not in_time & names(findings_of(diagnosis))
 
 
-@pytest.mark.xfail(reason="what is named depends on when the clocks began")
 def test_the_same_is_found_whenever_the_clocks_began() -> None:
     at_zero = diagnosed_drops(is_late=False)
     late = diagnosed_drops(is_late=True)
     assert findings_of(at_zero) == findings_of(late)
 
 
-@pytest.mark.xfail(reason="hysteresis of unknown size is named")
 def test_nothing_is_named_alone_whose_size_the_record_does_not_tell() -> None:
     diagnosis = diagnosed_free_gravity()
     for candidate in diagnosis.ranking:
@@ -159,14 +156,12 @@ def test_nothing_is_named_alone_whose_size_the_record_does_not_tell() -> None:
     assert "hysteresis" not in names(findings_of(diagnosis))
 
 
-@pytest.mark.xfail(reason="the first candidate has no standard error")
 def test_the_first_row_has_all_its_numbers() -> None:
     first = diagnosed_free_gravity().candidates.iloc[0]
     numbers = ["coefficient", "std_error", "p_value", "delta_bic", "held_out_rmse"]
     assert np.isfinite(first[numbers].astype(float)).all()
 
 
-@pytest.mark.xfail(reason="a period of 1.7 is told of runs that last 1.4")
 def test_no_period_is_told_that_is_longer_than_the_record() -> None:
     diagnosis = diagnosed_drops(is_late=False)
     longest = max(np.ptp(run.t) for run in diagnosis.data.trajectories)
@@ -180,7 +175,6 @@ def test_no_period_is_told_that_is_longer_than_the_record() -> None:
 # --- two effects
 
 
-@pytest.mark.xfail(reason="the pair that is named is no row of the candidates")
 def test_a_pair_that_is_named_is_the_first_row_of_the_candidates() -> None:
     def force(q: float, v: float) -> float:
         return -2.0 * q - 0.1 * v - 0.8 * q**3 - 0.3
@@ -202,7 +196,6 @@ def test_a_pair_that_is_named_is_the_first_row_of_the_candidates() -> None:
 # --- parameters that are at a bound, or far off
 
 
-@pytest.mark.xfail(reason="the damping ranks tenth and is not re-fitted")
 def test_strong_damping_is_found_beside_a_spring_at_its_bound() -> None:
     """Critically damped; without the damping, all springs are best at zero."""
     train, test = swings(critical, 0.03, 2, np.linspace(0.0, 3.0, 31))
@@ -250,19 +243,16 @@ def diagnosed_far_off(hidden: Force, factor: float) -> ph.Diagnosis:
     return ph.diagnose(fit, train, held_out=test)
 
 
-@pytest.mark.xfail(reason="a drifting force of size zero is named, by the re-fit alone")
 def test_what_other_values_of_the_parameters_give_is_not_missing() -> None:
     diagnosis = diagnosed_far_off(lambda q, v: 0.0, 0.5)
     assert diagnosis.verdict == ph.Verdict.NOTHING_MISSING
 
 
-@pytest.mark.xfail(reason="unexplained: all re-fits are judged beside values far off")
 def test_an_effect_is_named_from_parameters_that_are_far_off() -> None:
     diagnosis = diagnosed_far_off(lambda q, v: -0.6 * q**3, 1.5)
     assert any("cubic stiffness on p" in one for one in findings_of(diagnosis))
 
 
-@pytest.mark.xfail(reason="no effect is significant, it says, and has one at 1e-20")
 def test_words_do_not_say_that_no_effect_is_significant_where_one_is() -> None:
     diagnosis = diagnosed_far_off(lambda q, v: -0.6 * q**3, 1.5)
     if "no effect of the catalogue lowers it significantly" in diagnosis.reason:
@@ -335,14 +325,12 @@ def dry(v: float) -> float:
     return 0.6 * float(np.tanh(v / 0.005))
 
 
-@pytest.mark.xfail(reason="Stribeck friction, whose rise is zero or so, is named")
 def test_stribeck_friction_is_not_named_alone_where_it_is_coulombs() -> None:
     train, test = controlled(dry, (0.8, 1.4), 1, has_momentum=True)
     diagnosis = ph.diagnose(pushed_mass(1.0), train, held_out=test)
     assert frozenset({"stribeck friction on p"}) not in findings_of(diagnosis)
 
 
-@pytest.mark.xfail(reason="the force follows the input, it says, which the speed does")
 def test_in_a_closed_loop_it_says_that_speed_and_input_go_together() -> None:
     train, test = controlled(dry, (0.3, 0.6), 2)
     model = pushed_mass(ph.Parameter(1.2, lower=0))

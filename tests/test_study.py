@@ -105,7 +105,8 @@ def test_the_diagnosis_tells_where_and_ranks_candidates(hidden: ph.Study) -> Non
     found = base.diagnose()
     assert found.verdict == "missing: named"
     assert found.effects[0].name == "coulomb friction"
-    assert list(found.candidates.columns) == [*CANDIDATES, "confusable_with"]
+    further = ["confusable_with", "train_rmse", "share", "lost"]
+    assert list(found.candidates.columns) == [*CANDIDATES, *further]
     assert list(found.where["equation"]) == ["p"]
     assert set(found.missing_force.columns) == {"trajectory", "t", "p", "std_p"}
     assert (found.missing_force["std_p"] > 0).all()
@@ -336,9 +337,12 @@ def test_a_diagnosis_and_a_step_go_on_from_the_record_that_was_made(
     assert sorted(counted) == sorted(once_for_each_of_two_records)
     study.compare()
     study.diagnose()
-    assert len(counted) == 4
+    # Larger models with states of their own are laid out once each; what remains of the
+    # missing force is asked of what is proposed.
+    assert counted[4:].count("missing_force_of") <= 1
+    n_before = len(counted)
     study.add("coulomb friction", "p")
-    assert counted[4:] == ["missing_force_of"] * 2
+    assert counted[n_before:] == ["missing_force_of"] * 2
 
 
 def test_the_data_that_a_comparison_is_on_can_be_named(complete: ph.Study) -> None:

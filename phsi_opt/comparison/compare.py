@@ -201,6 +201,31 @@ class Comparison:
             parts.append(squared[np.isfinite(run.x)])
         return np.concatenate(parts)
 
+    @cached_property
+    def misfit(self) -> float:
+        """Squared residuals of all measured values, in units of the noise variance."""
+        return float(np.sum(self._squares_by_state))
+
+    @cached_property
+    def deviance(self) -> float:
+        """-2 log likelihood, up to a constant, with the noise that each channel leaves.
+
+        ::
+
+            sum over channels of n log(sum of squared residuals / n)
+        """
+        measured = np.concatenate([run.x for run in self.data.trajectories])
+        n = np.isfinite(measured).sum(axis=0)
+        is_measured = n > 0
+        variances = self._squares_by_state[is_measured] / n[is_measured]
+        return float(np.sum(n[is_measured] * np.log(np.maximum(variances, TINY))))
+
+    @property
+    def _squares_by_state(self) -> np.ndarray:
+        """Sums of squared residuals in noise variances, (n_states,)."""
+        residuals = np.concatenate(self.residuals) / self.sigma
+        return np.asarray(np.nansum(residuals**2, axis=0))
+
     @property
     def rmse(self) -> float:
         """Root mean square of the free-run residual over the measured channels.

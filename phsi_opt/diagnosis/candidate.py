@@ -1,4 +1,4 @@
-"""One effect that a model may lack, with all that a diagnosis knows of it."""
+"""What a model may lack, with all that a diagnosis knows of it."""
 
 from dataclasses import dataclass, field
 
@@ -11,18 +11,23 @@ from phsi_opt.model.effect import Effect
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect with what screening expects of it, and what came out of its re-fit.
+    """One effect, or two together, with what is expected and what a re-fit gave.
 
     Attributes:
         effect: what may be missing.
         coefficient: its size, expected or re-fitted, in the unit of its parameter.
         std_error: of the coefficient.
-        drop: expected fall of the misfit, in units of the noise variance.
         values: of its parameters, from which a re-fit starts.
+        partner: a second effect beside it.
         confusable_with: names of the effects that the data cannot tell from it.
         p_value: adjusted for all candidates (Benjamini and Hochberg 1995) and for the
             values that were scanned.
-        delta_bic: change of BIC by the effect; NaN where it was not re-fitted.
+        delta_bic: change of BIC by the effect; without a re-fit the expected one.
+        train_rmse: free-run error on the training data, expected or re-fitted.
+        held_out_rmse: the same on the data held out; NaN where neither is known.
+        share: of the squared error above the noise floor that it explains, on the data
+            that judge.
+        lost: why it is not named; empty for what is.
         was_tried: whether a re-fit was attempted.
         fit: the re-fit; ``trained`` and ``comparison``: its free runs on the training
             record and on the one that judges. None where it was not re-fitted.
@@ -31,20 +36,26 @@ class Candidate:
     effect: Effect
     coefficient: float
     std_error: float
-    drop: float
     values: dict[str, float] = field(default_factory=dict)
+    partner: Effect | None = None
     confusable_with: tuple[str, ...] = ()
     p_value: float = np.nan
     delta_bic: float = np.nan
+    train_rmse: float = np.nan
+    held_out_rmse: float = np.nan
+    share: float = np.nan
+    lost: str = ""
     was_tried: bool = False
     fit: Fit | None = field(repr=False, default=None)
     trained: Comparison | None = field(repr=False, default=None)
     comparison: Comparison | None = field(repr=False, default=None)
 
     @property
-    def held_out_rmse(self) -> float:
-        """Free-run error of the re-fit on the data held out; NaN without a re-fit.
+    def effects(self) -> tuple[Effect, ...]:
+        """What is added: one effect, or two."""
+        return (self.effect,) if self.partner is None else (self.effect, self.partner)
 
-        On the training data where none were held out.
-        """
-        return np.nan if self.comparison is None else self.comparison.rmse
+    @property
+    def name(self) -> str:
+        """The same in words."""
+        return " and ".join(str(effect) for effect in self.effects)

@@ -1,5 +1,6 @@
 """The verdict of a diagnosis with its reason in words."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from phsi_opt.comparison.model_selection import (
@@ -8,10 +9,20 @@ from phsi_opt.comparison.model_selection import (
     is_failing,
     is_like_noise,
 )
-from phsi_opt.criteria import EXPLAINED_IF_PROPOSED
+from phsi_opt.criteria import (
+    EXPLAINED_IF_PARTLY,
+    EXPLAINED_IF_PROPOSED,
+    FORCE_GONE_IF_PARTLY,
+    MOST_FAMILIES,
+)
 from phsi_opt.data.resolution import unresolved_channels
+from phsi_opt.diagnosis.alike import alike
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.doubts import fitted_size, unconfirmed
+from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.proposal import Proposal
+from phsi_opt.diagnosis.remainder import Remainder
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
@@ -23,70 +34,127 @@ class Conclusion:
 
     Attributes:
         verdict: in one phrase.
-        reason: a sentence with the errors before and after.
-        effects: what the verdict names or, where more than noise is left, proposes.
+        reason: a sentence or more with the errors before and after.
+        findings: what is established.
+        effects: what is added next: the findings, or the nearest to one.
         fit: the brief re-fit with them; None without effects.
     """
 
     verdict: Verdict
     reason: str
+    findings: tuple[Finding, ...] = ()
     effects: tuple[Effect, ...] = ()
     fit: Fit | None = None
 
 
-def conclusion(base: DiagnosedModel, proposed: Proposal | None) -> Conclusion:
-    """The verdict on a model from what is proposed to be added to it."""
-    where = "held-out" if base.is_held_out else "training"
-    before = base.judged
+def conclusion(
+    base: DiagnosedModel, proposed: Proposal | None, ranked: Sequence[Candidate]
+) -> Conclusion:
+    """The verdict on a model from what is proposed to be added to it.
+
+    Args:
+        base: the model that is diagnosed.
+        proposed: the best effect or pair; None where none is significant.
+        ranked: all candidates.
+    """
     if proposed is None:
-        return _without_effect(base, where)
-    after = proposed.judged
-    names = " and ".join(str(effect) for effect in proposed.effects)
-    if len(proposed.effects) > 1:
-        names += " together"
-    change = (
+        return _without_effect(base, ranked)
+    done = proposed.done
+    effects = proposed.candidate.effects
+    is_all = is_explained(base.judged, done.trained, done.judged)
+    others: list[Effect] = []
+    if len(effects) == 1:
+        others = alike(base, proposed.candidate, ranked, is_all)
+    findings = _findings(base, proposed, others)
+    change = _change(base, proposed)
+    said = " and ".join(str(finding) for finding in findings)
+    against = _against(base, proposed, findings)
+    unresolved = unresolved_channels(base.record.data)
+    if is_all and unresolved:
+        return Conclusion(
+            Verdict.UNEXPLAINED,
+            f"{said} would explain it, but so may the steps of "
+            f"{', '.join(unresolved)}, which moves by less than one of them (standard "
+            f"deviation): {change}",
+        )
+    if is_all and not against:
+        return Conclusion(
+            Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
+        )
+    share = explained_share(base.judged, done.judged)
+    percent = f"{100 * share:.0f} % of the squared error above the noise floor"
+    remainder = Remainder.of(base, proposed.fit)
+    if not against and remainder.gone < FORCE_GONE_IF_PARTLY:
+        against = f"of the missing force {remainder}"
+    if share > EXPLAINED_IF_PARTLY and not against:
+        reason = (
+            f"{said}: that accounts for {percent}; {change}. Of the missing force "
+            f"{remainder}, which no effect of the catalogue explains with it"
+        )
+        return Conclusion(Verdict.PARTLY_NAMED, reason, findings, effects, proposed.fit)
+    reason = f"the nearest is {said}, with {percent}: {change}"
+    if against:
+        reason += f". It is not named: {against}"
+    if share <= EXPLAINED_IF_PROPOSED:
+        return Conclusion(Verdict.UNEXPLAINED, reason)
+    return Conclusion(Verdict.UNEXPLAINED, reason, (), effects, proposed.fit)
+
+
+def _change(base: DiagnosedModel, proposed: Proposal) -> str:
+    """The errors before and after."""
+    before = base.judged
+    after = proposed.done.judged
+    where = "held-out" if base.is_held_out else "training"
+    return (
         f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g} "
         f"(noise floor {after.noise_floor:.4g})"
     )
-    if is_explained(before, proposed.trained, after):
-        unresolved = unresolved_channels(base.record.data)
-        if unresolved:
-            explained = f"{names}{proposed.size} would explain it"
-            return _behind_steps(explained, unresolved, change)
-        reason = f"{names}{proposed.size}; {change}"
-        return Conclusion(Verdict.NAMED, reason, proposed.effects, proposed.fit)
-    share = explained_share(before, after)
-    is_one = len(proposed.effects) == 1
-    explains = "explains" if is_one else "explain"
-    leaves = "leaves" if is_one else "leave"
-    reason = (
-        f"no known effect explains it all. The nearest, {names}{proposed.size}, "
-        f"{explains} {100 * share:.0f} % of the squared error above the noise floor, "
-        f"and {leaves} more than noise: {change}"
-    )
-    if share <= EXPLAINED_IF_PROPOSED:
-        return Conclusion(Verdict.UNEXPLAINED, reason)
-    return Conclusion(Verdict.UNEXPLAINED, reason, proposed.effects, proposed.fit)
 
 
-def _behind_steps(
-    explained: str, unresolved: tuple[str, ...], change: str
-) -> Conclusion:
-    """Nothing is named from channels whose steps may look like an effect."""
-    reason = (
-        f"{explained}, but so may the steps of {', '.join(unresolved)}, which moves by "
-        f"less than one of them (standard deviation): {change}"
-    )
-    return Conclusion(Verdict.UNEXPLAINED, reason)
+def _findings(
+    base: DiagnosedModel, proposed: Proposal, others: Sequence[Effect]
+) -> tuple[Finding, ...]:
+    """A finding per effect; the others are in the class of a single one."""
+    share = explained_share(base.judged, proposed.done.judged)
+    findings = []
+    for effect in proposed.candidate.effects:
+        size = fitted_size(base.fit, proposed.fit, effect)
+        members = (effect, *others)
+        family = " or ".join(families(members))
+        findings.append(Finding(members, family, size.value, size.std_error, share))
+    return tuple(findings)
 
 
-def _without_effect(base: DiagnosedModel, where: str) -> Conclusion:
+def families(effects: Sequence[Effect]) -> list[str]:
+    """The families of effects, each once, in their order."""
+    return list(dict.fromkeys(effect.family for effect in effects))
+
+
+def _against(
+    base: DiagnosedModel, proposed: Proposal, findings: Sequence[Finding]
+) -> str:
+    """Why what is proposed is not established; empty where it is."""
+    for finding in findings:
+        joined = families(finding.effects)
+        if len(joined) > MOST_FAMILIES:
+            return f"the data do not tell apart {', '.join(joined)}"
+    effects = proposed.candidate.effects
+    return unconfirmed(base, proposed.fit, proposed.done.judged, effects)
+
+
+def _without_effect(base: DiagnosedModel, ranked: Sequence[Candidate]) -> Conclusion:
     """Nothing is missing, or nothing known explains it."""
+    where = "held-out" if base.is_held_out else "training"
     errors = (
         f"{where} error {base.judged.rmse:.4g}, "
         f"noise floor {base.judged.noise_floor:.4g}"
     )
-    none = "no effect of the catalogue lowers it significantly"
-    if not is_like_noise(base.trained) or is_failing(base.judged):
-        return Conclusion(Verdict.UNEXPLAINED, f"{errors}, but {none}")
-    return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}")
+    if is_like_noise(base.trained) and not is_failing(base.judged):
+        none = "no effect of the catalogue lowers it significantly"
+        return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}")
+    reason = f"{errors}, and no effect of the catalogue is established"
+    refitted = [one for one in ranked if one.fit is not None and one.lost]
+    if refitted:
+        nearest = min(refitted, key=lambda one: one.delta_bic)
+        reason += f"; the nearest, {nearest.name}, is not, because {nearest.lost}"
+    return Conclusion(Verdict.UNEXPLAINED, reason)

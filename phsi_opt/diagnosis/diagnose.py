@@ -16,10 +16,12 @@ from dataclasses import replace
 
 from phsi_opt.comparison.compare import Comparison, compare, compare_record
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.better_base import from_missing_force
 from phsi_opt.diagnosis.conclusion import conclusion
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.proposal import proposal
 from phsi_opt.diagnosis.ranking import ranking
+from phsi_opt.diagnosis.reasons import in_order
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
@@ -30,6 +32,7 @@ from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.screening.prospects import Prospects
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -120,26 +123,25 @@ def diagnose_comparison(
         loss=loss,
         say=progress or _silent,
     )
+    base = from_missing_force(base)
     listed = effects
     if listed is None:
         listed = catalogue(base.fit.model, base.record.data.units)
     else:
         _check_effects(listed, base.fit.model)
     base.say(f"screening {len(listed)} candidate effects")
-    test = ScoreTest(base.record, trained.simulated)
-    found = test.screened(listed)
-    ranked = ranking(base, test, found)
-    proposed = proposal(base, test, found, ranked)
-    if proposed is not None:
-        named = proposed.effects
-        ranked = tuple(sorted(ranked, key=lambda c: c.effect not in named))
-    concluded = conclusion(base, proposed)
+    test = ScoreTest(base.record, base.trained.simulated)
+    prospects = Prospects.of(test, listed, base.trained, base.judging_record)
+    ranked = ranking(base, prospects)
+    proposed, pairs = proposal(base, prospects, ranked)
+    concluded = conclusion(base, proposed, ranked)
     return Diagnosis(
         record=base.record,
         base=base.judged,
-        ranking=ranked,
+        ranking=in_order(base, [*ranked, *pairs], proposed),
         verdict=concluded.verdict,
         reason=concluded.reason,
+        findings=concluded.findings,
         proposed=concluded.effects,
         proposed_fit=concluded.fit,
     )

@@ -1,12 +1,16 @@
 """The model that is diagnosed: its free runs, and how larger models are fitted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import ONE_ATTEMPT_INTERVALS
+from phsi_opt.criteria import CLOCK_MARGIN, ONE_ATTEMPT_INTERVALS
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
+from phsi_opt.model.effect import Effect
+from phsi_opt.statistics import TINY
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
@@ -40,6 +44,46 @@ class DiagnosedModel:
     def is_held_out(self) -> bool:
         """Whether data that were not fitted judge."""
         return self.judged is not self.trained
+
+    @property
+    def judging_record(self) -> Record | None:
+        """The base model along the data held out; None where there are none."""
+        return self.judged.record if self.is_held_out else None
+
+    @property
+    def judged_misfit(self) -> float:
+        """Squared residuals of the judging free run, in units of the noise variance."""
+        return self.judged.misfit
+
+    def rmse_of(self, misfit: float, comparison: Comparison) -> float:
+        """Free-run error that goes with a misfit, on the scale of a comparison's.
+
+        Exact where one channel is measured; else channels keep their shares.
+        """
+        own = max(comparison.misfit, TINY)
+        return comparison.rmse * float(np.sqrt(misfit / own))
+
+    def share_explained(self, rmse: float) -> float:
+        """Share of the judging squared error above the noise floor that is gone.
+
+        With an error ``rmse`` that is left. NaN where the model leaves noise alone.
+        """
+        before = self.judged
+        above_floor = before.rmse**2 - before.noise_floor**2
+        if not above_floor > 0:
+            return np.nan
+        return (before.rmse**2 - rmse**2) / above_floor
+
+    def handicap(self, effects: Sequence[Effect]) -> float:
+        """By how much effects must beat others in BIC.
+
+        `CLOCK_MARGIN` for one that needs the clock in a model without inputs: runs that
+        start in phase are a clock of their own.
+        """
+        is_autonomous = not self.fit.model.inputs
+        if is_autonomous and any(effect.needs_clock for effect in effects):
+            return CLOCK_MARGIN
+        return 0.0
 
     @property
     def is_long(self) -> bool:

@@ -7,14 +7,11 @@ would be each pair twice. The best pair is then tried with the other kinds.
 
 from collections.abc import Sequence
 
-from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
-from phsi_opt.screening.score_test import Screened
-
-Row = tuple[Candidate, Screened]
+from phsi_opt.screening.prospects import Prospect
 
 
 def is_dry(effect: Effect) -> bool:
@@ -36,22 +33,21 @@ def new_corners(model: Model, base: Model) -> dict[str, Share]:
     return found
 
 
-def simple_first(rows: Sequence[Row]) -> list[Row]:
+def simple_first(rows: Sequence[Prospect]) -> list[Prospect]:
     """The same order, but the simplest dry friction on an equation comes first."""
     ordered = list(rows)
-    for equation in {candidate.effect.equation for candidate, _ in rows}:
+    for equation in {one.effect.equation for one in rows}:
         places = []
-        for place, (candidate, _) in enumerate(rows):
-            effect = candidate.effect
-            if effect.equation == equation and is_dry(effect):
+        for place, one in enumerate(rows):
+            if one.effect.equation == equation and is_dry(one.effect):
                 places.append(place)
-        by_size = sorted((rows[i] for i in places), key=lambda row: row[1].n_free)
-        for place, row in zip(places, by_size, strict=True):
-            ordered[place] = row
+        by_size = sorted((rows[i] for i in places), key=lambda one: one.n_free)
+        for place, one in zip(places, by_size, strict=True):
+            ordered[place] = one
     return ordered
 
 
-def simplest_dry(found: Sequence[Screened]) -> list[Screened]:
+def simplest_dry(found: Sequence[Prospect]) -> list[Prospect]:
     """All, but of dry frictions on an equation the one with fewest parameters."""
     dry = [one for one in found if is_dry(one.effect)]
     dry.sort(key=lambda one: -one.n_free)
@@ -64,8 +60,8 @@ def simplest_dry(found: Sequence[Screened]) -> list[Screened]:
 
 
 def other_kinds(
-    pair: tuple[Effect, Effect], found: Sequence[Screened]
-) -> list[list[Screened]]:
+    pair: tuple[Effect, Effect], found: Sequence[Prospect]
+) -> list[list[Prospect]]:
     """The pair with another kind of dry friction on the same equation."""
     variants = []
     for effect, partner in (pair, pair[::-1]):

@@ -1,4 +1,4 @@
-"""The candidates in order: screened, the best few re-fitted, by BIC and held-out data.
+"""The candidates in order: looked at, the best few re-fitted, by BIC and held-out data.
 
 All p-values are adjusted for the number of candidates, so that the share of false names
 is controlled (Benjamini and Hochberg, J. R. Stat. Soc. B 57, 1995).
@@ -21,95 +21,135 @@ from phsi_opt.comparison.model_selection import (
 from phsi_opt.criteria import (
     BIC_TIE,
     COMPARED_P_VALUE,
+    HELD_OUT_RISE,
     HOPELESS_VARIANCE,
     N_REFITS,
+    N_UNSETTLED_REFITS,
     REFIT_P_VALUE,
     RIVAL_SCORE,
 )
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.doubts import doubt, fitted_size
 from phsi_opt.diagnosis.dry_friction import simple_first
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.model.effect import is_wave
-from phsi_opt.screening.score_test import ScoreTest, Screened
-from phsi_opt.statistics import TINY, false_discovery_adjusted
+from phsi_opt.screening.prospects import Prospect, Prospects
+from phsi_opt.statistics import false_discovery_adjusted
 
 
-def ranking(
-    base: DiagnosedModel, test: ScoreTest, found: Sequence[Screened]
-) -> tuple[Candidate, ...]:
-    """All candidates, best first: those that were re-fitted before those that were not.
+def ranking(base: DiagnosedModel, prospects: Prospects) -> tuple[Candidate, ...]:
+    """All single candidates, best first: those that were re-fitted before the others.
 
     Args:
         base: the model that is diagnosed.
-        test: of the training record.
-        found: what screening expects of each effect, most convincing first.
+        prospects: what second looks expect of each effect.
     """
-    screened = [_as_screened(one, found, test) for one in found]
-    refitted = _ranked(base, _best_refitted(base, test, screened, found))
-    tried = [candidate.effect for candidate in refitted]
-    others = [candidate for candidate in screened if candidate.effect not in tried]
-    return _adjusted([*refitted, *others])
+    refitted = _best_refitted(base, prospects)
+    ranked = _ranked(base, prospects, refitted)
+    tried = [candidate.effect for candidate in ranked]
+    others = []
+    for one in prospects.singles:
+        if one.effect not in tried:
+            others.append(expected(base, prospects, one))
+    return _adjusted([*ranked, *others])
 
 
-def _as_screened(
-    one: Screened, found: Sequence[Screened], test: ScoreTest
-) -> Candidate:
-    """The candidate before its re-fit, with those that leave the same trace."""
-    alike = []
-    if one.p_value < COMPARED_P_VALUE:
-        for other in found:
-            if other is not one and test.stands_in(one, other):
-                alike.append(str(other.effect))
+def expected(base: DiagnosedModel, prospects: Prospects, one: Prospect) -> Candidate:
+    """A candidate before its re-fit, with what would do as well as it."""
+    trained = base.rmse_of(one.misfit, base.trained)
+    judged = trained
+    if base.is_held_out:
+        judged = base.rmse_of(one.held_out, base.judged)
     return Candidate(
         effect=one.effect,
+        partner=one.effects[1] if len(one.effects) > 1 else None,
         coefficient=one.coefficient,
         std_error=one.std_error,
-        drop=one.drop,
         values=one.values,
-        confusable_with=tuple(alike),
+        confusable_with=_alike(prospects, one),
         p_value=one.p_value,
+        delta_bic=prospects.delta_bic(one, one.share),
+        train_rmse=trained,
+        held_out_rmse=judged if base.is_held_out else np.nan,
+        share=base.share_explained(judged),
     )
 
 
-def _best_refitted(
-    base: DiagnosedModel,
-    test: ScoreTest,
-    screened: Sequence[Candidate],
-    found: Sequence[Screened],
-) -> list[Candidate]:
+def _alike(prospects: Prospects, one: Prospect) -> tuple[str, ...]:
+    """Names of the single effects whose trace stands in for that of another."""
+    if len(one.effects) > 1 or not one.p_value < COMPARED_P_VALUE:
+        return ()
+    alike = []
+    for other in prospects.singles:
+        if other is not one and prospects.test.stands_in(
+            one.screened[0], other.screened[0]
+        ):
+            alike.append(other.name)
+    return tuple(alike)
+
+
+def _best_refitted(base: DiagnosedModel, prospects: Prospects) -> list[Candidate]:
     """The best few, re-fitted; after one that leaves noise only its rivals."""
-    pairs = zip(screened, found, strict=True)
-    # What chance explains as well, among so many values scanned, comes last.
-    rows = sorted(pairs, key=lambda row: row[1].p_value >= 1.0)
+    rows = _worth_refitting(base, prospects)
     if not rows:
         return []
-    likeliest = rows[0][0]
+    likeliest = rows[0]
     rival = _Rival()
     is_failing = not is_like_noise(base.trained)
     result: list[Candidate] = []
-    for candidate, one in simple_first(rows[:N_REFITS]):
-        expected = max(test.misfit - one.drop, test.n_values)
-        is_worth = is_failing or one.p_value * len(found) < REFIT_P_VALUE
-        if not is_worth or rival.is_out_of_reach(test.score(one), expected):
+    for one in simple_first(rows):
+        n_found = len(prospects.singles)
+        left = max(one.misfit, prospects.n_values)
+        is_worth = is_failing or one.p_value * n_found < REFIT_P_VALUE
+        if not is_worth or rival.is_out_of_reach(prospects.score(one), left):
             break
-        base.say(f"re-fitting with {candidate.effect}")
-        request = RefitRequest(
-            effects=[candidate.effect],
-            values=candidate.values,
-            base_values=one.base_values,
-            rival=rival.fit,
-            known=[done.fit for done in result if done.fit is not None],
-            is_likely=candidate is likeliest,
-        )
-        found_fit = refit(base, request)
-        if found_fit is None:
+        base.say(f"re-fitting with {one.name}")
+        known = [done.fit for done in result if done.fit is not None]
+        candidate = expected(base, prospects, one)
+        done = refit(base, request_of(one, rival.fit, known, one is likeliest))
+        if done is None:
             result.append(replace(candidate, was_tried=True))
             continue
-        result.append(_as_refitted(base, candidate, one, found_fit))
-        rival = rival.after(found_fit, test.score(one), expected)
+        result.append(as_refitted(base, candidate, done, one.n_tried))
+        rival = rival.after(done, prospects.score(one), left)
     return result
+
+
+def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospect]:
+    """The effects that are re-fitted, best first.
+
+    What chance explains as well, among so many values scanned, comes last. What raises
+    the error on data held out is left out, and all but the best of those whose second
+    look did not settle.
+    """
+    rows = sorted(prospects.singles, key=lambda one: one.p_value >= 1.0)
+    chosen = []
+    n_unsettled = 0
+    for one in rows:
+        if base.is_held_out and one.held_out > HELD_OUT_RISE * base.judged_misfit:
+            continue
+        if one.look is None:
+            n_unsettled += 1
+            if n_unsettled > N_UNSETTLED_REFITS:
+                continue
+        chosen.append(one)
+    return chosen[:N_REFITS]
+
+
+def request_of(
+    one: Prospect, rival: Fit | None, known: Sequence[Fit], is_likely: bool = False
+) -> RefitRequest:
+    """A re-fit that begins where a second look ended."""
+    return RefitRequest(
+        effects=one.effects,
+        values=one.values,
+        base_values=one.base_values,
+        states=None if one.look is None else one.look.states,
+        rival=rival,
+        known=known,
+        is_likely=is_likely,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +187,20 @@ class _Rival:
         return rival
 
 
-def _as_refitted(
-    base: DiagnosedModel, candidate: Candidate, one: Screened, done: Refit
+def as_refitted(
+    base: DiagnosedModel, candidate: Candidate, done: Refit, n_tried: int
 ) -> Candidate:
-    """The candidate with what came out of its re-fit."""
-    size = _size(base.fit, done.fit, candidate)
+    """The candidate with what came out of its re-fit.
+
+    Args:
+        base: the model that is diagnosed.
+        candidate: before the re-fit.
+        done: the re-fit.
+        n_tried: how many values or effects were tried before.
+    """
+    size = fitted_size(base.fit, done.fit, candidate.effect)
     share = share_of_change(base.trained, done.trained)
-    p_value = one.n_tried * p_value_of_larger_model(base.fit, done.fit, share)
+    p_value = n_tried * p_value_of_larger_model(base.fit, done.fit, share)
     return replace(
         candidate,
         coefficient=size.value,
@@ -162,41 +209,13 @@ def _as_refitted(
         trained=done.trained,
         comparison=done.judged,
         p_value=p_value,
+        delta_bic=delta_bic(base.fit, done.fit, share),
+        train_rmse=done.trained.rmse,
+        held_out_rmse=done.judged.rmse,
+        share=base.share_explained(done.judged.rmse),
+        lost=doubt(base, done.fit, candidate.effects),
         was_tried=True,
     )
-
-
-@dataclass(frozen=True)
-class _Size:
-    """Size of an effect, in the unit of its coefficient, and its standard error."""
-
-    value: float
-    std_error: float
-
-
-def _size(old: Fit, new: Fit, candidate: Candidate) -> _Size:
-    """Coefficient and standard error; the amplitude of a wave, the last of several."""
-    names = _new_names(old, new)
-    linear = [name for name in names if new.model.entries[name].prunable]
-    linear = linear or names[:1]
-    places = [new.names.index(name) for name in linear if name in new.names]
-    values = np.array([new.estimates[new.names[place]] for place in places])
-    covariance = new.covariance[np.ix_(places, places)]
-    if not (is_wave(candidate.effect) and len(linear) == 2):
-        return _Size(float(values[-1]), float(np.sqrt(covariance[-1, -1])))
-    amplitude = float(np.linalg.norm(values))
-    direction = values / max(amplitude, TINY)
-    variance = direction @ covariance @ direction
-    return _Size(amplitude, float(np.sqrt(variance)))
-
-
-def _new_names(old: Fit, new: Fit) -> list[str]:
-    """Names of the estimated parameters that only the larger model has."""
-    names = []
-    for name, entry in new.model.entries.items():
-        if name not in old.model.entries and not entry.parameter.fixed:
-            names.append(name)
-    return names
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,13 +228,14 @@ class _Row:
     bic: float = np.nan
 
 
-def _ranked(base: DiagnosedModel, refitted: list[Candidate]) -> list[Candidate]:
+def _ranked(
+    base: DiagnosedModel, prospects: Prospects, refitted: list[Candidate]
+) -> list[Candidate]:
     """By BIC; those that were not re-fitted last.
 
-    The share of independent residuals of the best one is taken for all. Those that BIC
-    hardly tells apart and that have as many parameters exchange places by what they
-    leave on the data held out; a larger one is not preferred for what it bends to fit
-    there. Where none leaves noise, all are wrong, and the simplest comes first.
+    The share of independent residuals of the best one is taken for all. Of those that
+    BIC hardly tells apart the simplest comes first, and those of one size exchange
+    places by what they leave on the data held out. What is not to be believed is last.
     """
     rows = []
     for candidate in refitted:
@@ -226,21 +246,33 @@ def _ranked(base: DiagnosedModel, refitted: list[Candidate]) -> list[Candidate]:
     best = min(rows, key=lambda row: deviance(row.fit))
     share = share_of_change(base.trained, best.trained)
     rows = [replace(row, bic=delta_bic(base.fit, row.fit, share)) for row in rows]
-    rows.sort(key=lambda row: row.bic)
-    n_close = sum(row.bic < rows[0].bic + BIC_TIE for row in rows)
-    close = rows[:n_close]
-    if any(is_like_noise(row.trained) for row in rows):
-        close = _by_held_out(base, close, share)
-    else:
-        close.sort(key=lambda row: len(row.fit.names))
+    handicap = [base.handicap(row.candidate.effects) for row in rows]
+    rows = [
+        replace(row, bic=row.bic + h) for row, h in zip(rows, handicap, strict=True)
+    ]
+    rows.sort(key=lambda row: (bool(row.candidate.lost), row.bic))
+    best_bic = rows[0].bic
+    n_close = sum(_is_close(row, best_bic) for row in rows)
+    close = _by_held_out(base, rows[:n_close], share)
+    close.sort(key=lambda row: row.candidate.effect.n_unknowns)
     ordered = []
     for row in [*close, *rows[n_close:]]:
-        ordered.append(replace(row.candidate, delta_bic=row.bic))
+        bic = row.bic - base.handicap(row.candidate.effects)
+        ordered.append(replace(row.candidate, delta_bic=bic))
+    rivals = _rivals(base, prospects, ordered, share)
     result = []
     for candidate in ordered:
-        tied = _tied(candidate, ordered)
+        tied = _tied(base, candidate, rivals)
         result.append(replace(candidate, confusable_with=tied))
     return result + [candidate for candidate in refitted if candidate.fit is None]
+
+
+def _handicapped(base: DiagnosedModel, row: _Row) -> _Row:
+    return replace(row, bic=row.bic + base.handicap(row.candidate.effects))
+
+
+def _is_close(row: _Row, best_bic: float) -> bool:
+    return not row.candidate.lost and row.bic < best_bic + BIC_TIE
 
 
 def _by_held_out(base: DiagnosedModel, close: list[_Row], share: float) -> list[_Row]:
@@ -262,15 +294,44 @@ def _held_out_deviance(base: DiagnosedModel, candidate: Candidate) -> float:
     return free_run_deviance(candidate.comparison)
 
 
-def _tied(one: Candidate, refitted: list[Candidate]) -> tuple[str, ...]:
-    """What the data cannot tell from it: by BIC after the re-fits, or by its trace."""
+@dataclass(frozen=True)
+class _Known:
+    """Change of BIC by an effect, and by how much it must beat others."""
+
+    bic: float
+    handicap: float
+
+
+def _rivals(
+    base: DiagnosedModel,
+    prospects: Prospects,
+    refitted: Sequence[Candidate],
+    share: float,
+) -> dict[str, _Known]:
+    """What is known of effects by name: re-fitted, or expected by a second look."""
+    found = {}
+    for one in prospects.singles:
+        if one.look is not None:
+            bic = prospects.delta_bic(one, share)
+            found[one.name] = _Known(bic, base.handicap(one.effects))
+    for candidate in refitted:
+        handicap = base.handicap(candidate.effects)
+        found[candidate.name] = _Known(candidate.delta_bic, handicap)
+    return found
+
+
+def _tied(
+    base: DiagnosedModel, one: Candidate, rivals: dict[str, _Known]
+) -> tuple[str, ...]:
+    """What the data cannot tell from it: by BIC, or by its trace where that is all."""
+    own = base.handicap(one.effects)
     close = []
-    for other in refitted:
-        is_close = abs(other.delta_bic - one.delta_bic) < BIC_TIE
-        if other is not one and is_close:
-            close.append(str(other.effect))
-    far = {str(other.effect) for other in refitted} - set(close)
-    by_trace = [name for name in one.confusable_with if name not in far]
+    for name, rival in rivals.items():
+        behind = rival.bic - one.delta_bic
+        ahead_by = BIC_TIE + max(rival.handicap - own, 0.0)
+        if name != one.name and -ahead_by < behind < BIC_TIE:
+            close.append(name)
+    by_trace = [name for name in one.confusable_with if name not in rivals]
     return tuple(dict.fromkeys([*close, *by_trace]))
 
 

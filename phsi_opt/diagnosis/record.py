@@ -11,6 +11,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.experiment_design import Separation, separating
+from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
@@ -35,6 +36,9 @@ CANDIDATE_COLUMNS = (
     "delta_bic",
     "held_out_rmse",
     "confusable_with",
+    "train_rmse",
+    "share",
+    "lost",
 )
 N_PRINTED = 6  # candidates that are printed
 
@@ -48,8 +52,10 @@ class Diagnosis:
         base: the fit's free run on the record that judges.
         ranking: the candidates with all that is known of them, best first.
         verdict: in one phrase; ``reason``: in a sentence.
-        proposed: what the verdict names, or the nearest to it: one effect, or two
-            together; empty where nothing explains enough.
+        findings: what is established to be missing, an effect or a class each; empty
+            where nothing is.
+        proposed: what a study adds next: the findings, or the nearest to one; one
+            effect, or two together; empty where nothing explains enough.
         proposed_fit: the brief re-fit with them.
     """
 
@@ -58,6 +64,7 @@ class Diagnosis:
     ranking: tuple[Candidate, ...] = field(repr=False)
     verdict: Verdict
     reason: str
+    findings: tuple[Finding, ...] = ()
     proposed: tuple[Effect, ...] = ()
     proposed_fit: Fit | None = field(repr=False, default=None)
 
@@ -78,31 +85,38 @@ class Diagnosis:
 
     @property
     def effects(self) -> list[Effect]:
-        """The candidate effects, best first."""
-        return [candidate.effect for candidate in self.ranking]
+        """The candidate effects, best first, without the pairs."""
+        singles = [one for one in self.ranking if one.partner is None]
+        return [one.effect for one in singles]
 
     @property
     def candidates(self) -> pd.DataFrame:
         """The candidates, best first.
 
-        Columns: effect, slot, equation, coefficient, std_error, p_value, delta_bic,
-        held_out_rmse, confusable_with. delta_bic and held_out_rmse are those of the
-        re-fit, NaN for candidates that screening ruled out.
+        A row per effect, and per pair of effects that was looked at. Columns: effect,
+        slot, equation, coefficient, std_error, p_value, delta_bic, held_out_rmse,
+        confusable_with, train_rmse, share (of the squared error above the noise floor
+        that it explains, on the data that judge), lost (why it is not named). Numbers
+        are those of the re-fit; of candidates that were not re-fitted they are
+        expected, from Gauss-Newton steps along the larger model.
         """
         rows = []
         for candidate in self.ranking:
-            effect = candidate.effect
+            effects = candidate.effects
             rows.append(
                 (
-                    effect.name,
-                    effect.slot,
-                    effect.equation,
+                    " and ".join(effect.name for effect in effects),
+                    " and ".join(effect.slot for effect in effects),
+                    " and ".join(effect.equation for effect in effects),
                     candidate.coefficient,
                     candidate.std_error,
                     candidate.p_value,
                     candidate.delta_bic,
                     candidate.held_out_rmse,
                     ", ".join(candidate.confusable_with),
+                    candidate.train_rmse,
+                    candidate.share,
+                    candidate.lost,
                 )
             )
         return pd.DataFrame(rows, columns=list(CANDIDATE_COLUMNS))

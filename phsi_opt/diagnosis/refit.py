@@ -38,6 +38,7 @@ class RefitRequest:
         effects: added to the base model.
         values: of their parameters, from which to start.
         base_values: of the base's own parameters, from which to start.
+        states: (n_nodes, n_states) where to start; default: those of the missing force.
         rival: a fit that dry friction must clearly beat before it is sharpened.
         known: fits that have part of these effects, to begin at beside a sharp corner.
         is_likely: solve in every way there is.
@@ -46,9 +47,19 @@ class RefitRequest:
     effects: Sequence[Effect]
     values: Mapping[str, float]
     base_values: Mapping[str, float] = field(default_factory=dict)
+    states: np.ndarray | None = None
     rival: Fit | None = None
     known: Sequence[Fit] = ()
     is_likely: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """Where a re-fit begins: the base model's values, the loss, (n_nodes, n_states)."""
+
+    model: Model
+    loss: MaximumLikelihood
+    states: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,29 +180,37 @@ class _Refitting:
     def begun(self) -> Fit:
         """The brief re-fit from the states of the missing force.
 
-        From the base's values that screening expects, else from its own, else through
-        windows; of a long record there is one attempt.
+        From where a second look ended, else from the base's own values, else, where
+        there was no second look, through windows; of a long record, and with an effect
+        that has a memory, there is one attempt.
         """
         own = self.base.fit.model
         loss = self.base.loss
-        attempts = [(own, loss)]
+        estimate = self.base.record.estimate
+        attempts = [_Attempt(own, loss, estimate.x)]
         if self.request.base_values:
             expected = {}
             for name, value in self.request.base_values.items():
                 if name in own.entries:
                     expected[name] = value
-            attempts.insert(0, (own.with_values(expected), loss))
-        if self.base.is_long:
+            states = self.request.states
+            if states is None:
+                states = estimate.x
+            first = _Attempt(own.with_values(expected), loss, states)
+            attempts.insert(0, first)
+        has_memory = any(effect.memory for effect in self.request.effects)
+        if self.base.is_long or has_memory:
             attempts = attempts[:1]
-        else:
+        elif self.request.states is None:
             window = _longest_duration(self.aligned) / N_RESTART_WINDOWS
-            attempts.append((own, replace(loss, window=window)))
-        for start_model, attempted_loss in attempts[:-1]:
+            in_windows = replace(loss, window=window)
+            attempts.append(_Attempt(own, in_windows, estimate.x))
+        for attempt in attempts[:-1]:
             with suppress(PhsiOptError):
-                return self._identified(start_model, attempted_loss)
-        return self._identified(*attempts[-1])
+                return self._identified(attempt)
+        return self._identified(attempts[-1])
 
-    def _identified(self, start_model: Model, loss: MaximumLikelihood) -> Fit:
+    def _identified(self, attempt: "_Attempt") -> Fit:
         base = self.base
         estimate = base.record.estimate
         noise = {}
@@ -200,8 +219,8 @@ class _Refitting:
                 noise[name] = float(sigma)
         start = replace(
             base.fit,
-            model=start_model,
-            states=estimate.grid.split(estimate.x),
+            model=attempt.model,
+            states=estimate.grid.split(attempt.states[:, : estimate.x.shape[1]]),
             noise=noise,
             steps=tuple(self.refinement * steps for steps in base.fit.steps),
         )
@@ -211,7 +230,7 @@ class _Refitting:
         return identify_aligned(
             self.model,
             self.aligned,
-            loss,
+            attempt.loss,
             start=start,
             settings=IN_EVERY_WAY if in_every_way else BRIEF,
         )

@@ -8,4 +8,5 @@ class Verdict(StrEnum):
 
     NOTHING_MISSING = "nothing missing"
     NAMED = "missing: named"
+    PARTLY_NAMED = "missing: partly named"
     UNEXPLAINED = "missing: unexplained"

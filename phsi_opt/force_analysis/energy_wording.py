@@ -9,13 +9,18 @@ import numpy as np
 
 from phsi_opt.criteria import (
     CLEAR_PATTERN,
+    GOING_TOGETHER,
     MOSTLY_PARAMETERS,
     NAMED_CAUSE,
     OPPOSING_POWER,
     TIED_CAUSES,
 )
 from phsi_opt.force_analysis.causes import CAUSES, Causes, exchange_partners
-from phsi_opt.force_analysis.piecewise_linear import odd_basis
+from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.force_analysis.piecewise_linear import (
+    odd_basis,
+    piecewise_linear_basis,
+)
 from phsi_opt.force_analysis.time_basis import period_of
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.model import FirstOrder
@@ -49,9 +54,32 @@ def _tie(causes: Causes) -> str:
     for kind, gain in causes.gains.items():
         if kind not in contributions and gain > least_gain:
             alike.append(_words(causes, kind))
-    if not alike:
+    said = ""
+    if alike:
+        said = f"; not told apart from one that {' or '.join(alike)}"
+    if first == "inputs" and "dissipated" not in contributions:
+        said += _closed_loop(causes)
+    return said
+
+
+def _closed_loop(causes: Causes) -> str:
+    """That input and effort go together, as they do where a controller is at work."""
+    force = causes.force
+    if isinstance(force.fit.model, FirstOrder):
         return ""
-    return f"; not told apart from one that {' or '.join(alike)}"
+    effort = force.effort_of(causes.equation)
+    inputs = [force.variable(name) for name in force.fit.model.inputs]
+    bases = [piecewise_linear_basis(u) for u in inputs if np.ptp(u) > 0]
+    if not bases or not np.var(effort) > 0:
+        return ""
+    functions = np.hstack(bases)
+    fitted = functions @ np.linalg.lstsq(functions, effort, rcond=None)[0]
+    together = 1 - np.var(effort - fitted) / np.var(effort)
+    if together < GOING_TOGETHER:
+        return ""
+    is_momentum = causes.equation in position_of_momentum(force.fit.model)
+    name = f"{'velocity' if is_momentum else 'effort'} dH_d{causes.equation}"
+    return f"; not told apart from one of the {name}: that and the input go together"
 
 
 def _words(causes: Causes, kind: str) -> str:
@@ -118,9 +146,15 @@ def _relative_power(force: np.ndarray, effort: np.ndarray) -> float:
 def _time_words(causes: Causes) -> str:
     force = causes.force
     period = period_of(force, causes.equation)
-    if period is None:
+    if period is None or period > _longest_run(force):
         return "depends on time: it changes slowly"
     return f"depends on time: period {period:.3g}{spaced(force.units.get('t', ''))}"
+
+
+def _longest_run(force: ForceRecord) -> float:
+    """Duration of the longest trajectory."""
+    runs = np.unique(force.run)
+    return max(float(np.ptp(force.t[force.run == run])) for run in runs)
 
 
 def _listed(names: Sequence[str], noun: str) -> str:

@@ -67,6 +67,19 @@ class Effect:
                 return True
         return False
 
+    @property
+    def n_unknowns(self) -> int:
+        """How large the effect is: its free parameters, and its memory's states."""
+        names = set()
+        for place, terms in enumerate((self.term, *self.memory.values())):
+            for number, term in enumerate(terms):
+                if term.coefficient is not None and not term.coefficient.fixed:
+                    names.add(term.name or f"{place}.{number}")
+                for name, parameter in term.inner.items():
+                    if not parameter.fixed:
+                        names.add(name)
+        return len(names) + len(self.memory)
+
 
 def is_scanned(effect: Effect) -> bool:
     """Whether the effect has an inner parameter that is scanned."""

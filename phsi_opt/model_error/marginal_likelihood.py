@@ -436,7 +436,7 @@ class MarginalLikelihood:
         eliminated = self.eliminated(disturbances)
         border = self.border_of(eliminated)
         sizes = np.array([function.size for function in disturbances.functions])
-        inverse = np.linalg.inv(border.with_priors(sizes))[: border.n_theta]
+        inverse = _inverse(border.with_priors(sizes))[: border.n_theta]
         answers = eliminated.solved[:, :-1]
         shown = self.border_in_shown - self.shown @ answers[: self.n_unknowns]
         of_dynamics = answers[self.n_unknowns :]
@@ -586,3 +586,11 @@ def whitener_of_sensor(problem: Linearization, sensor: Process) -> Whitener:
     nodes = problem.node[problem.values_of(sensor.place)]
     grid = problem.grid
     return Whitener.of(grid.t[nodes], grid.trajectory[nodes], sensor.time)
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a symmetric matrix; where a parameter does nothing it does not answer."""
+    try:
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(matrix, hermitian=True)

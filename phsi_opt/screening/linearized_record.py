@@ -17,14 +17,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.sparse import csc_matrix, diags, hstack
 
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.defects import defects
-from phsi_opt.transcription.elimination import ReducedSystem, Step, regularized_inverse
+from phsi_opt.statistics import TINY
+from phsi_opt.transcription.defect_derivatives import DefectLinearization
+from phsi_opt.transcription.elimination import (
+    RIDGE,
+    ReducedSystem,
+    Step,
+    regularized_inverse,
+)
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.sensors import SensorOutputs, output_slopes_in_theta
@@ -43,12 +49,32 @@ MOST_KEPT_ROWS = 20_000
 
 
 @dataclass(frozen=True, eq=False)
+class BoundedStep:
+    """A step, and what is left after it.
+
+    Attributes:
+        step: of scaled parameters and states.
+        residual: (n_nodes * n_states,) weighted residuals after it.
+    """
+
+    step: Step
+    residual: np.ndarray = field(repr=False)
+
+    @property
+    def misfit(self) -> float:
+        """Squared residuals that are left, in units of the noise variance."""
+        return float(self.residual @ self.residual)
+
+
+@dataclass(frozen=True, eq=False)
 class LinearizedRecord:
     """The likelihood of a record, linearised (see the module's text).
 
     Attributes:
         record: the fit along the measurements.
-        model: the fitted model, corners of dry friction rounded as in the estimate.
+        model: the fitted model, corners of dry friction rounded as in the estimate, or
+            a larger one.
+        grid: nodes and intervals.
         states: where it was linearised, (n_nodes, n_states).
         parameters: values of the free parameters, (n_free, n_trajectories).
         unknown: the layout of the vector of parameters.
@@ -63,6 +89,7 @@ class LinearizedRecord:
 
     record: Record
     model: Model
+    grid: Grid
     states: np.ndarray
     parameters: np.ndarray
     unknown: Theta
@@ -86,15 +113,45 @@ class LinearizedRecord:
         """
         estimate = record.estimate
         model = record.model.with_values(estimate.rounded)
-        grid = estimate.grid
         x = estimate.x if states is None else states
+        return cls.at(record, model, x, record.theta)
+
+    @classmethod
+    def at(
+        cls,
+        record: Record,
+        model: Model,
+        states: np.ndarray,
+        parameters: np.ndarray,
+        grid: Grid | None = None,
+        is_held: bool = False,
+        linearization: DefectLinearization | None = None,
+    ) -> "LinearizedRecord":
+        """Linearise the likelihood of a model along a record of a smaller one.
+
+        Args:
+            record: of the fit that is diagnosed.
+            model: its model, or a larger one whose further states are its last.
+            states: where, (n_nodes, n_states).
+            parameters: of the model's free parameters, (n_free, n_trajectories).
+            grid: in the order of the model; default: that of the record.
+            is_held: whether parameters are known, and only states follow.
+            linearization: of the model's defects, where it was made before.
+        """
+        estimate = record.estimate
+        grid = grid or estimate.grid
+        x = states
+        n_further = model.n_states - len(estimate.sigma)
+        sigma = np.r_[estimate.sigma, np.ones(n_further)]
         unknown = Theta.of(model, record.trajectories)
         n_theta = len(unknown)
         theta = np.zeros(n_theta)
-        theta[unknown.table] = record.theta
+        theta[unknown.table] = parameters
         point = _Point(model, grid, unknown, x, theta)
-        linear_defects = _linear_defects(point)
-        linear_outputs = _linear_outputs(point, estimate.sigma)
+        linear_defects = _linear_defects(
+            point, linearization or DefectLinearization(model, DEFECT_SCHEME)
+        )
+        linear_outputs = _linear_outputs(point, sigma)
         scale = _column_scale(
             csc_matrix(linear_defects.in_theta), linear_outputs.in_theta
         )
@@ -112,7 +169,8 @@ class LinearizedRecord:
             slice(0, n_theta),
             slice(n_theta, n_theta + x.size),
         )
-        covariance = regularized_inverse(reduced.information)
+        held = range(n_theta) if is_held else ()
+        covariance = regularized_inverse(reduced.information, held)
         gradient = from_unknowns.T @ linear_outputs.residual
         step = reduced.solve(
             gradient[n_theta:], -linear_defects.values, covariance, gradient[:n_theta]
@@ -121,8 +179,9 @@ class LinearizedRecord:
         return cls(
             record=record,
             model=model,
+            grid=grid,
             states=x,
-            parameters=record.theta,
+            parameters=parameters,
             unknown=unknown,
             theta=theta,
             scale=scale,
@@ -134,11 +193,6 @@ class LinearizedRecord:
             step=step,
             residual=residual,
         )
-
-    @property
-    def grid(self) -> Grid:
-        """Nodes and intervals of the record."""
-        return self.record.estimate.grid
 
     @property
     def n_theta(self) -> int:
@@ -154,6 +208,46 @@ class LinearizedRecord:
     def misfit(self) -> float:
         """Squared residuals that the model leaves, in units of the noise variance."""
         return float(self.residual @ self.residual)
+
+    @cached_property
+    def within_bounds(self) -> "BoundedStep":
+        """The step to states that obey the model, its parameters within their bounds.
+
+        With s the step without bounds and I the information of the scaled parameters,
+        it minimises ``(z - s)' I (z - s)`` over z within them.
+
+        Raises:
+            LinAlgError: the step is not finite.
+        """
+        if not np.all(np.isfinite(self.residual)):
+            raise np.linalg.LinAlgError("the step leads nowhere")
+        lower = (self.unknown.lower - self.theta) / self.scale
+        upper = (self.unknown.upper - self.theta) / self.scale
+        free = self.step.theta
+        if np.all(free >= lower) and np.all(free <= upper):
+            return BoundedStep(self.step, self.residual)
+        information = self.reduced.information + RIDGE * np.eye(len(free))
+        values, vectors = np.linalg.eigh(information)
+        root = np.sqrt(np.maximum(values, RIDGE))[:, None] * vectors.T
+        box = (lower, np.maximum(upper, lower + TINY))
+        bounded = lsq_linear(root, root @ free, box).x
+        moved = bounded - free
+        by_theta = (self.reduced.following @ moved).ravel()
+        residual = self.residual - self.from_unknowns @ np.r_[moved, by_theta]
+        return BoundedStep(Step(bounded, self.step.x + by_theta), residual)
+
+    @cached_property
+    def states_within_bounds(self) -> np.ndarray:
+        """States after the step within bounds, (n_nodes, n_states)."""
+        moved = np.asarray(self.within_bounds.step.x)
+        return self.states + moved.reshape(self.states.shape)
+
+    @cached_property
+    def parameters_within_bounds(self) -> np.ndarray:
+        """Parameters after that step, (n_free, n_trajectories)."""
+        moved = self.theta + self.scale * self.within_bounds.step.theta
+        theta = np.clip(moved, self.unknown.lower, self.unknown.upper)
+        return theta[self.unknown.table].reshape(self.parameters.shape)
 
     @cached_property
     def obeying_states(self) -> np.ndarray:
@@ -322,20 +416,17 @@ class _LinearOutputs:
     in_theta: csc_matrix
 
 
-def _linear_defects(point: _Point) -> _LinearDefects:
-    model = point.model
-    grid = point.grid
-    x = ca.MX.sym("x", point.x.size)
-    theta = ca.MX.sym("theta", len(point.unknown))
-    columns = ca.reshape(x, model.n_states, grid.n_nodes)
-    by_trajectory = point.unknown.by_trajectory(theta)
-    d = ca.vec(defects(model, grid, DEFECT_SCHEME, columns, by_trajectory))
-    slopes = [d, ca.jacobian(d, x), ca.jacobian(d, theta)]
-    linear = ca.Function("linear", [x, theta], slopes)
-    values, in_states, in_theta = linear(point.x.ravel(), point.theta)
-    return _LinearDefects(
-        np.array(values).ravel(), in_states.sparse(), in_theta.sparse()
-    )
+def _linear_defects(
+    point: _Point, linearization: DefectLinearization
+) -> _LinearDefects:
+    unknown = point.unknown
+    by_trajectory = point.theta[unknown.table]
+    values, in_states, of_all = linearization.at(point.grid, point.x, by_trajectory)
+    # A parameter that trajectories share gets the slopes of all of them.
+    owners = unknown.table.T.ravel()
+    chosen = (np.ones(len(owners)), (np.arange(len(owners)), owners))
+    together = csc_matrix(chosen, shape=(len(owners), len(unknown)))
+    return _LinearDefects(values, in_states, csc_matrix(of_all @ together))
 
 
 def _linear_outputs(point: _Point, sigma: np.ndarray) -> _LinearOutputs:

@@ -10,6 +10,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix
 
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.defects import defect
@@ -84,6 +85,65 @@ def interval_slopes(
     entries = ca.Function("steps", arguments, [_entries(slopes)])
     values = map_intervals(entries, grid, interval_arguments(grid, x), theta)
     return IntervalEntries(values, _places(slopes))
+
+
+class DefectLinearization:
+    """Defects of a model with their sparse slopes, made once for many points.
+
+    Args:
+        model: the model.
+        scheme: name of the integrator.
+    """
+
+    def __init__(self, model: Model, scheme: str) -> None:
+        self.model = model
+        function = defect(model, scheme)
+        arguments = argument_symbols(function)
+        x0, x1, *_, parameters = arguments
+        value = function(*arguments)
+        slopes = ca.jacobian(value, ca.vertcat(x0, x1, parameters))
+        self._places = _places(slopes)
+        entries = _entries(slopes)
+        self._function = ca.Function("linear", arguments, [value, entries])
+
+    def at(
+        self, grid: Grid, x: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, csc_matrix, csc_matrix]:
+        """Linearise at a point.
+
+        Args:
+            grid: nodes and intervals.
+            x: (n_nodes, n_states) states.
+            parameters: (n_free, n_trajectories).
+
+        Returns:
+            The defects, (n_intervals * n_states,), and sparse matrices: their slopes in
+            the states, node by node, and in the parameters of every trajectory, of
+            which the first n_free columns belong to the first trajectory.
+        """
+        columns = interval_arguments(grid, ca.DM(x.T))
+        found = map_intervals(self._function, grid, columns, ca.DM(parameters))
+        values, entries = (np.array(part) for part in found)
+        n = self.model.n_states
+        n_free, n_trajectories = parameters.shape
+        rows, inner = self._places.T
+        at_row = np.arange(grid.n_intervals) * n + rows[:, None]
+        in_state = inner < 2 * n
+        at_node = grid.begin * n + inner[in_state, None]
+        in_states = coo_matrix(
+            (entries[in_state].ravel(), (at_row[in_state].ravel(), at_node.ravel())),
+            shape=(values.size, x.size),
+        )
+        first = grid.trajectory[grid.begin] * n_free
+        at_parameter = first + inner[~in_state, None] - 2 * n
+        of_parameters = coo_matrix(
+            (
+                entries[~in_state].ravel(),
+                (at_row[~in_state].ravel(), at_parameter.ravel()),
+            ),
+            shape=(values.size, n_free * n_trajectories),
+        )
+        return values.T.ravel(), in_states.tocsc(), of_parameters.tocsc()
 
 
 def interval_curvatures(

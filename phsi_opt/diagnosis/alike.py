@@ -1,0 +1,79 @@
+"""What does as well as an effect that is proposed: the members of its class.
+
+Noise alone leaves a sharp choice between laws. Where more than noise is left, what is
+left may be the difference between them, and the choice is as blunt as that.
+"""
+
+from collections.abc import Sequence
+
+from phsi_opt.comparison.model_selection import falls_significantly
+from phsi_opt.criteria import BIC_TIE, REMAINDER_TIE
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.remainder import Remainder
+from phsi_opt.model.effect import Effect
+
+
+def alike(
+    base: DiagnosedModel,
+    best: Candidate,
+    ranked: Sequence[Candidate],
+    is_all: bool,
+) -> list[Effect]:
+    """The effects that do as well as the best and are no larger.
+
+    Args:
+        base: the model that is diagnosed.
+        best: a single effect, re-fitted.
+        ranked: all candidates.
+        is_all: whether it leaves noise.
+    """
+    found = []
+    for other in ranked:
+        is_single = other.partner is None and other.effect != best.effect
+        if not is_single or other.effect.n_unknowns > best.effect.n_unknowns:
+            continue
+        if base.handicap(other.effects) > base.handicap(best.effects):
+            continue  # it needs the clock, and what does as well needs none
+        if _is_preferred_in_training(best, other):
+            is_tied = True
+        elif other.name in best.confusable_with:
+            is_tied = not _is_worse_held_out(base, best, other)
+        else:
+            is_tied = not is_all and _is_within_what_is_left(base, best, other)
+        if is_tied:
+            found.append(other.effect)
+    return found
+
+
+def _is_preferred_in_training(best: Candidate, other: Candidate) -> bool:
+    """Whether the training data clearly prefer another one than the data held out."""
+    is_known = other.fit is not None and not other.lost
+    return is_known and other.delta_bic < best.delta_bic - BIC_TIE
+
+
+def _is_worse_held_out(base: DiagnosedModel, best: Candidate, other: Candidate) -> bool:
+    """Whether data held out clearly prefer the best, where the training data do not."""
+    if not base.is_held_out or best.comparison is None or other.comparison is None:
+        return False
+    return falls_significantly(other.comparison, best.comparison)
+
+
+def _is_within_what_is_left(
+    base: DiagnosedModel, best: Candidate, other: Candidate
+) -> bool:
+    """Whether data held out do not prefer the best, or the rest hides the difference.
+
+    That is asked of laws of one family: their forces differ by less than the force that
+    is missing still.
+    """
+    if other.fit is None or best.fit is None or other.lost:
+        return False
+    if other.comparison is None or best.comparison is None:
+        return False
+    if base.is_held_out and not falls_significantly(other.comparison, best.comparison):
+        return True
+    if other.effect.family != best.effect.family:
+        return False
+    after = Remainder.of(base, best.fit).after
+    return Remainder.of(base, other.fit).after < REMAINDER_TIE * after

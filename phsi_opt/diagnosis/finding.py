@@ -1,0 +1,42 @@
+"""What is established to be missing: an effect by its name, or a class of them."""
+
+from dataclasses import dataclass
+
+from phsi_opt.model.effect import Effect
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """An effect that is established, or a class whose members do as well.
+
+    Attributes:
+        effects: one is a name; several are those that the data cannot tell apart, the
+            one that was re-fitted first.
+        family: the class in words, such as "a loss that grows with speed".
+        coefficient: of the first one, in the unit of its parameter.
+        std_error: of the coefficient, under what acts beside the model.
+        share: of the squared error above the noise floor that is gone with all that is
+            found.
+    """
+
+    effects: tuple[Effect, ...]
+    family: str
+    coefficient: float
+    std_error: float
+    share: float
+
+    @property
+    def is_name(self) -> bool:
+        """Whether it is one effect, and no class."""
+        return len(self.effects) == 1
+
+    def __str__(self) -> str:
+        size = f"{self.coefficient:.4g} +- {self.std_error:.2g}"
+        first = self.effects[0]
+        if self.is_name:
+            return f"{first} ({size})"
+        others = ", ".join(str(effect) for effect in self.effects[1:])
+        return (
+            f"{self.family} in the equation of {first.equation}: {first.name} "
+            f"({size}), which the data do not tell from {others}"
+        )

@@ -1,0 +1,72 @@
+"""What remains of a missing force when effects were added."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from phsi_opt.criteria import NAMED_CAUSE
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.errors import PhsiOptError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.missing_force import ForceEstimate
+from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.statistics import TINY
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """The force of an equation before and after effects were added.
+
+    Attributes:
+        equation: the one whose force is strongest, over its uncertainty, before.
+        before: root mean square of its force; ``after``: with the effects.
+        unit: of both.
+    """
+
+    equation: str
+    before: float
+    after: float
+    unit: str
+
+    @classmethod
+    def of(cls, base: DiagnosedModel, fit: Fit) -> "Remainder":
+        """Of a base model and the fit of a larger one, on the training record."""
+        record = base.record
+        before = record.estimate
+        place = int(np.argmax(_root_mean_squares(before) / _typical(before)))
+        equation = base.fit.model.states[before.prior.rows[place]]
+        unit = force_unit(equation, record.data.units)
+        strong = float(_root_mean_squares(before)[place])
+        try:
+            after = Record.of_aligned(fit, record.aligned).estimate
+        except PhsiOptError:
+            return cls(equation, strong, strong, unit)
+        rows = list(after.prior.rows)
+        place = rows.index(fit.model.states.index(equation))
+        return cls(equation, strong, float(_root_mean_squares(after)[place]), unit)
+
+    @property
+    def gone(self) -> float:
+        """Share of the force's mean square that is gone."""
+        return 1 - (self.after / max(self.before, TINY)) ** 2
+
+    def __str__(self) -> str:
+        unit = spaced(self.unit)
+        if self.gone < NAMED_CAUSE:
+            return f"(rms {self.before:.3g}{unit}) nothing is gone"
+        return (
+            f"{100 * self.gone:.0f} % is gone (rms {self.before:.3g} before, "
+            f"{self.after:.3g}{unit} after)"
+        )
+
+
+def _root_mean_squares(estimate: ForceEstimate) -> np.ndarray:
+    """Of each force, (n_forced,)."""
+    return np.asarray(np.sqrt(np.mean(estimate.w**2, axis=0)))
+
+
+def _typical(estimate: ForceEstimate) -> np.ndarray:
+    """Sizes of the rates that the forces add to, (n_forced,)."""
+    rates = estimate.grid.rates(estimate.x)[:, list(estimate.prior.rows)]
+    return np.sqrt(np.mean(rates**2, axis=0)) + TINY

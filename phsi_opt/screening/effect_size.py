@@ -1,0 +1,71 @@
+"""Size of an effect: its coefficient, or the amplitude of a wave, and how certain."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from phsi_opt.model.effect import Effect, is_wave
+from phsi_opt.model.model import Model
+from phsi_opt.statistics import TINY
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of an effect, in the unit of its coefficient, and its standard error."""
+
+    value: float
+    std_error: float
+
+    @property
+    def z(self) -> float:
+        """Standard errors from zero; NaN where the standard error is not known."""
+        return abs(self.value) / max(self.std_error, TINY)
+
+    def __str__(self) -> str:
+        return f"{self.value:.3g} +- {self.std_error:.2g}"
+
+
+def new_names(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
+    """Names of the free parameters that an effect adds to a model.
+
+    Args:
+        base: the model without the effect.
+        effect: what is added.
+        known: names among which they are looked for.
+    """
+    estimated = set(known)
+    names = []
+    for name in base.add(effect).entries:
+        if name not in base.entries and name in estimated:
+            names.append(name)
+    return names
+
+
+def size_of(
+    effect: Effect,
+    model: Model,
+    names: Sequence[str],
+    values: Mapping[str, float],
+    covariance: np.ndarray,
+) -> Size:
+    """Size of an effect; the last of several coefficients, else an inner parameter.
+
+    Args:
+        effect: of which.
+        model: that has it.
+        names: of the parameters that it added, (k,).
+        values: of the parameters, by name.
+        covariance: of these parameters, (k, k).
+    """
+    linear = [k for k, name in enumerate(names) if model.entries[name].prunable]
+    linear = linear or [0]
+    if not names:
+        return Size(np.nan, np.nan)
+    found = np.array([values[names[k]] for k in linear])
+    within = covariance[np.ix_(linear, linear)]
+    if not (is_wave(effect) and len(found) == 2):
+        return Size(float(found[-1]), float(np.sqrt(within[-1, -1])))
+    amplitude = float(np.linalg.norm(found))
+    direction = found / max(amplitude, TINY)
+    return Size(amplitude, float(np.sqrt(direction @ within @ direction)))
