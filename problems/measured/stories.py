@@ -1,0 +1,281 @@
+"""Ten measured sets told in short: what is found without hints, its size beside the
+published one, what share it explains, what remains, and how long a step takes.
+
+Each study gets a base model that lacks what the set is known for, two records, nothing
+else. It is `Study.auto`: what a verdict names, or proposes, is added.
+
+    python -m problems.measured.stories [NAME ...]
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+import phsi_opt as ph
+from problems.measured import (
+    ball_and_hoop,
+    battery_cell,
+    cascaded_tanks,
+    coupled_drives,
+    emps,
+    heaters,
+    houses,
+    quarter_drone,
+    silverbox,
+    torque_pendulum,
+)
+from problems.tools import markdown
+from problems.tools.data_paths import folder, is_present
+from problems.tools.provenance import write
+
+MOST_STEPS = 3
+SECONDS_ASKED = 20.0  # for one step
+
+Records = tuple[ph.Measurements, ph.Measurements]
+Model = ph.PseudoHamiltonian | ph.FirstOrder
+
+
+@dataclass(frozen=True)
+class Set:
+    """A measured set with its base model.
+
+    Attributes:
+        machine: What it is, and what the base model has.
+        model: Makes the base model.
+        records: Reads the records to fit and to judge by.
+        known: What is published or known of what the base lacks.
+    """
+
+    machine: str
+    model: Callable[[], Model]
+    records: Callable[[], Records]
+    known: str
+
+
+@dataclass(eq=False)
+class Told:
+    """A study with its diagnoses, and the seconds that each took."""
+
+    study: ph.Study
+    diagnoses: list[ph.Diagnosis] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    stopped: str = ""
+
+
+def pendulum_base() -> ph.PseudoHamiltonian:
+    """The motor pendulum with viscous friction alone."""
+    inertia = ph.Parameter(0.2, lower=1e-3, unit="kg m^2")
+    gravity = ph.Parameter(3.0, lower=0, unit="N m")
+    viscous = ph.Parameter(0.05, lower=0, unit="N m s/rad")
+    return ph.PseudoHamiltonian(
+        states=["q", "v"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("v**2/2 - G/J*cos(q)", G=gravity, J=inertia),
+        R={"v": ph.formula("viscous/J", viscous=viscous, J=inertia)},
+        F={"v": ph.formula("u/J", J=inertia)},
+    )
+
+
+def _emps() -> Records:
+    path = folder("emps")
+    return (
+        emps.load(path / emps.FIT_FILE, emps.WINDOW),
+        emps.load(path / emps.TEST_FILE, emps.WINDOW),
+    )
+
+
+def _drone() -> Records:
+    path = folder("quarter_drone")
+    return quarter_drone.load(path, "steps"), quarter_drone.load(path, "multisine")
+
+
+def _box() -> Records:
+    path = folder("silverbox") / "SNLS80mV.csv"
+    first = silverbox.FIT[0]
+    second = silverbox.HELD_OUT[0]
+    return (
+        silverbox.load(path, first, first + silverbox.N_STORY),
+        silverbox.load(path, second, second + silverbox.N_STORY),
+    )
+
+
+def _hoop() -> Records:
+    data = ball_and_hoop.load(folder("ball_and_hoop") / "randomStepSequence.mat")
+    return data.split(ball_and_hoop.FITTED_SHARE)
+
+
+def _tanks() -> Records:
+    path = folder("cascaded_tanks") / "dataBenchmark.csv"
+    data = cascaded_tanks.load(path, "Est")
+    return data.split(cascaded_tanks.FITTED_SHARE)
+
+
+SETS = {
+    "EMPS": Set(
+        "a linear drive; mass and viscous friction",
+        emps.base_model,
+        _emps,
+        "dry friction 20.4 N, offset 3.2 N (to the other side)",
+    ),
+    "cascaded tanks": Set(
+        "two tanks, the lower level measured; outflows by Torricelli",
+        cascaded_tanks.textbook,
+        _tanks,
+        "both tanks overflow in the record",
+    ),
+    "ball and hoop": Set(
+        "a hoop's speed; one linear lag",
+        ball_and_hoop.model,
+        _hoop,
+        "not published; the response falls at large speeds",
+    ),
+    "quarter drone": Set(
+        "an arm with a propeller; gravity, viscous damping, linear thrust",
+        quarter_drone.model,
+        _drone,
+        "not published; the arm is not balanced, its bearing is dry",
+    ),
+    "Silverbox": Set(
+        "an electronic oscillator; linear spring and damper",
+        silverbox.model,
+        _box,
+        "a cubic spring, and an offset",
+    ),
+    "motor pendulum": Set(
+        "a pendulum with a motor, both states measured; viscous friction",
+        pendulum_base,
+        lambda: torque_pendulum.load(torque_pendulum.FILE).split(0.5),
+        "dry friction 0.29 N m, offset 0.076 N m, over the inertia 0.15 kg m^2",
+    ),
+    "house 1": Set(
+        "a heated house; one heat capacity",
+        houses.one_storage,
+        lambda: houses.load(folder("building"), 1, 1).split(0.5),
+        "a second storage (the envelope), which no effect of the catalogue is",
+    ),
+    "two heaters": Set(
+        "two heaters on a board with lagging sensors",
+        heaters.model,
+        lambda: heaters.load(heaters.FILE).split(0.5),
+        "radiation is some percent of the loss; little else",
+    ),
+    "battery cell": Set(
+        "a cell with one resistor and capacitor",
+        lambda: battery_cell.model(1),
+        lambda: battery_cell.load(battery_cell.FILE, 1).split(0.5),
+        "a second pair, which no effect of the catalogue is",
+    ),
+    "coupled drives": Set(
+        "two drums and a belt; viscous friction",
+        coupled_drives.model,
+        lambda: coupled_drives.load(coupled_drives.FILE).split(0.67),
+        "not published; the drums have dry friction",
+    ),
+}
+
+
+def told(chosen: Set) -> Told:
+    """Diagnose and add, at most `MOST_STEPS` times."""
+    study = ph.Study(chosen.model(), *chosen.records())
+    story = Told(study)
+    for _ in range(MOST_STEPS + 1):
+        began = time.perf_counter()
+        diagnosis = study.diagnose()
+        story.diagnoses.append(diagnosis)
+        story.seconds.append(time.perf_counter() - began)
+        print(f"{story.seconds[-1]:.1f} s", diagnosis, sep="\n", flush=True)
+        if not diagnosis.proposed or len(story.diagnoses) > MOST_STEPS:
+            break
+        try:
+            study.auto(max_steps=1)
+        except ph.PhsiOptError as error:
+            story.stopped = f"adding it failed: {error}"
+            break
+        if study.stopped and "limit" not in study.stopped:
+            break
+    return story
+
+
+def chapter(name: str, chosen: Set, story: Told) -> list[str]:
+    """What the page says of a set."""
+    errors = story.study.history
+    unit = f" ({story.study.unit})" if story.study.unit else ""
+    shown = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor"]
+    lines = [f"## {name}", "", f"Base model: {chosen.machine}. Known: {chosen.known}."]
+    lines += [""]
+    pairs = zip(story.diagnoses, story.seconds, strict=True)
+    for number, (diagnosis, seconds) in enumerate(pairs, start=1):
+        reason = diagnosis.reason
+        said = f"{number}. **{diagnosis.verdict}** ({seconds:.0f} s): {reason}."
+        lines.append(said)
+    if story.stopped:
+        lines.append(f"   {story.stopped}")
+    last = story.diagnoses[-1]
+    remains = [text for text in last.sentences if "no missing force" not in text]
+    if remains and last.verdict != ph.Verdict.NOTHING_MISSING:
+        lines += ["", f"What remains: {remains[0]}"]
+    lines += ["", f"Errors of the free run{unit}:", ""]
+    rows = []
+    for row in errors[shown].itertuples(index=False):
+        rows.append([row[0], row[1], *(f"{value:.4g}" for value in row[2:])])
+    header = ["step", "model", "training", "held out", "noise floor"]
+    return [*lines, markdown.lines(header, rows), ""]
+
+
+def summary(stories: dict[str, Told]) -> str:
+    """A line per set: verdicts, findings, error, seconds."""
+    rows = []
+    for name, story in stories.items():
+        found = []
+        for diagnosis in story.diagnoses:
+            found += [str(finding) for finding in diagnosis.findings]
+        steps = story.study.steps
+        before = steps[0].judged.rmse
+        after = steps[-1].judged.rmse
+        verdict = story.diagnoses[0].verdict
+        rows.append(
+            [
+                name,
+                verdict,
+                "; ".join(found) or "-",
+                f"{before:.3g} to {after:.3g}",
+                f"{max(story.seconds):.0f}",
+            ]
+        )
+    header = ["set", "first verdict", "found", "held-out error", "slowest step (s)"]
+    return markdown.lines(header, rows)
+
+
+def page(stories: dict[str, Told]) -> str:
+    """The page of all sets that were told."""
+    seconds = [max(story.seconds) for story in stories.values()]
+    n_quick = int(np.sum(np.array(seconds) < SECONDS_ASKED))
+    introduction = (
+        f"{len(stories)} sets, a study each with a base model that lacks what the set "
+        f"is known for. A step was asked for in {SECONDS_ASKED:.0f} s: {n_quick} of "
+        f"{len(stories)} sets keep to it in every step."
+    )
+    parts = ["# Measured machines, told in short", "", introduction, ""]
+    parts += [summary(stories), ""]
+    for name, story in stories.items():
+        parts += chapter(name, SETS[name], story)
+    return "\n".join(parts)
+
+
+def main(names: list[str]) -> None:
+    """Tell the sets of these names, all where none is given, and write the page."""
+    stories = {}
+    for name in names or SETS:
+        print(f"=== {name}", flush=True)
+        if not is_present(folder("emps")):
+            return
+        stories[name] = told(SETS[name])
+    write("measured_stories.md", page(stories))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
