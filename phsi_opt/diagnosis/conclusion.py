@@ -38,6 +38,8 @@ class Conclusion:
         findings: what is established.
         effects: what is added next: the findings, or the nearest to one.
         fit: the brief re-fit with them; None without effects.
+        against: why the best candidate is not named; empty where it is, or where there
+            is none.
     """
 
     verdict: Verdict
@@ -45,6 +47,7 @@ class Conclusion:
     findings: tuple[Finding, ...] = ()
     effects: tuple[Effect, ...] = ()
     fit: Fit | None = None
+    against: str = ""
 
 
 def conclusion(
@@ -71,12 +74,13 @@ def conclusion(
     against = _against(base, proposed, findings)
     unresolved = unresolved_channels(base.record.data)
     if is_all and unresolved:
-        return Conclusion(
-            Verdict.UNEXPLAINED,
-            f"{said} would explain it, but so may the steps of "
-            f"{', '.join(unresolved)}, which moves by less than one of them (standard "
-            f"deviation): {change}",
+        steps = f"the steps of {', '.join(unresolved)}"
+        reason = (
+            f"{said} would explain it, but so may {steps}, which moves by less than "
+            f"one of them (standard deviation): {change}"
         )
+        against = f"{steps} may look like it"
+        return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
     if is_all and not against:
         return Conclusion(
             Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
@@ -95,9 +99,10 @@ def conclusion(
     reason = f"the nearest is {said}, with {percent}: {change}"
     if against:
         reason += f". It is not named: {against}"
+    against = against or "it explains too little"
     if share <= EXPLAINED_IF_PROPOSED:
-        return Conclusion(Verdict.UNEXPLAINED, reason)
-    return Conclusion(Verdict.UNEXPLAINED, reason, (), effects, proposed.fit)
+        return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
+    return Conclusion(Verdict.UNEXPLAINED, reason, (), effects, proposed.fit, against)
 
 
 def _change(base: DiagnosedModel, proposed: Proposal) -> str:

@@ -138,7 +138,7 @@ def diagnose_comparison(
     return Diagnosis(
         record=base.record,
         base=base.judged,
-        ranking=in_order(base, [*ranked, *pairs], proposed),
+        ranking=in_order(base, [*ranked, *pairs], proposed, concluded.against),
         verdict=concluded.verdict,
         reason=concluded.reason,
         findings=concluded.findings,

@@ -12,7 +12,10 @@ from phsi_opt.diagnosis.proposal import Proposal
 
 
 def in_order(
-    base: DiagnosedModel, candidates: Sequence[Candidate], proposed: Proposal | None
+    base: DiagnosedModel,
+    candidates: Sequence[Candidate],
+    proposed: Proposal | None,
+    against: str,
 ) -> tuple[Candidate, ...]:
     """Candidates with their reasons: what is proposed, what was re-fitted, the others.
 
@@ -22,10 +25,11 @@ def in_order(
         base: the model that is diagnosed.
         candidates: single effects, best first, then pairs.
         proposed: the best of them; None where none is significant.
+        against: why that is not named; empty where it is.
     """
     best = None if proposed is None else proposed.candidate
     rows = [one for one in candidates if best is None or one.name != best.name]
-    ordered = [] if best is None else [best]
+    ordered = [] if best is None else [replace(best, lost=against)]
     for one in sorted(rows, key=_place):
         ordered.append(replace(one, lost=one.lost or _reason(base, one, best)))
     return tuple(ordered)

@@ -40,6 +40,16 @@ CANDIDATE_COLUMNS = (
     "share",
     "lost",
 )
+# Those that are printed; the others would make lines too long to read.
+PRINTED_COLUMNS = (
+    "effect",
+    "equation",
+    "coefficient",
+    "std_error",
+    "delta_bic",
+    "held_out_rmse",
+    "lost",
+)
 N_PRINTED = 6  # candidates that are printed
 
 
@@ -270,7 +280,7 @@ class Diagnosis:
         return plot_where(self.analysis, equation)
 
     def __str__(self) -> str:
-        table = _printed(self.candidates.head(N_PRINTED))
+        table = _printed(self.candidates[list(PRINTED_COLUMNS)].head(N_PRINTED))
         warning = f"{self.base.warning}\n" if self.base.warning else ""
         return (
             f"{self.verdict}: {self.reason}\n{warning}"
