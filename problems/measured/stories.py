@@ -1,6 +1,6 @@
 """Ten measured sets told in short: what is found without hints, its size beside the
-published one, what share it explains, what remains, and how long a step takes (in processor
-seconds).
+published one, what share it explains, what remains, and how many processor seconds a
+step takes.
 
 Each study gets a base model that lacks what the set is known for, two records, nothing
 else. It is `Study.auto`: what a verdict names, or proposes, is added.
