@@ -29,6 +29,7 @@ def test_verdicts_are_texts_and_a_missing_force_is_no_loss_of_identify() -> None
     assert [str(verdict) for verdict in phsi_opt.Verdict] == [
         "nothing missing",
         "missing: named",
+        "missing: partly named",
         "missing: unexplained",
     ]
     named: str = phsi_opt.Verdict.NAMED
