@@ -1,7 +1,9 @@
 """Directions that the data leave open: those that are, and none by chance."""
 
 import numpy as np
+import pytest
 
+import phsi_opt as ph
 from phsi_opt.estimation.identifiability import silent_directions
 from phsi_opt.transcription.elimination import regularized_inverse
 
@@ -56,3 +58,9 @@ def test_a_parameter_without_a_trace_is_named_alone() -> None:
     assert silent.sentences == (
         "the data say nothing about c1: fix it to a known value or remove it",
     )
+
+
+def test_information_that_is_not_finite_is_a_solve_error() -> None:
+    information = np.array([[1.0, np.nan], [np.nan, 1.0]])
+    with pytest.raises(ph.SolveError, match="beyond all numbers"):
+        regularized_inverse(information)

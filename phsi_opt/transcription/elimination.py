@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse import bmat, csc_matrix, diags, vstack
 
+from phsi_opt.errors import SolveError
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
@@ -33,7 +34,16 @@ def regularized_inverse(
         information: (n_theta, n_theta), symmetric. A direction without information may
             round below zero and counts as zero; the ridge holds it.
         held: places of parameters that do not move, such as those at a bound.
+
+    Raises:
+        SolveError: the information is not finite.
     """
+    if not np.all(np.isfinite(information)):
+        raise SolveError(
+            "the model's slopes along its states are beyond all numbers, so that no "
+            "parameter has a standard error; give parameters bounds, or values to start "
+            "from that are nearer to the truth."
+        )
     ridge = np.full(len(information), RIDGE)
     ridge[list(held)] = HELD
     values, vectors = np.linalg.eigh(information)
