@@ -41,8 +41,8 @@ def regularized_inverse(
     if not np.all(np.isfinite(information)):
         raise SolveError(
             "the model's slopes along its states are beyond all numbers, so that no "
-            "parameter has a standard error; give parameters bounds, or starting values "
-            "that are nearer to the truth."
+            "parameter has a standard error; give parameters bounds, or start them "
+            "nearer to the truth."
         )
     ridge = np.full(len(information), RIDGE)
     ridge[list(held)] = HELD
