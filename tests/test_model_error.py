@@ -41,7 +41,11 @@ from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
 from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.model_error.standard_errors import Source
-from phsi_opt.model_error.state_functions import LENGTH, smooth_functions
+from phsi_opt.model_error.state_functions import (
+    LENGTH,
+    LINEAR_SHARE,
+    smooth_functions,
+)
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -753,11 +757,29 @@ def test_smooth_functions_have_the_correlation_of_their_length() -> None:
     centred = (
         kernel - kernel.mean(axis=0) - kernel.mean(axis=1)[:, None] + kernel.mean()
     )
+    straight = np.outer(standard, standard) / len(values)
+    less = np.eye(len(values)) - (1 - LINEAR_SHARE) * straight
     # Ten points, and directions with more than a ten thousandth of the variance.
-    np.testing.assert_allclose(functions @ functions.T, centred, atol=2e-3)
+    np.testing.assert_allclose(
+        functions @ functions.T, less @ centred @ less.T, atol=2e-3
+    )
     assert functions.shape[1] < 10
     np.testing.assert_allclose(functions.mean(axis=0), 0.0, atol=1e-12)
     assert smooth_functions(np.full(5, 2.0)).shape == (5, 0)
+
+
+def test_a_function_of_a_state_keeps_a_share_of_its_linear_part_alone() -> None:
+    rng = np.random.default_rng(2)
+    values = rng.normal(size=300)
+    standard = (values - values.mean()) / values.std()
+    functions = smooth_functions(values)
+    slopes = standard @ functions / len(values)
+    rest = functions - np.outer(standard, slopes)
+    # A whole process of this length is about as straight as it is curved.
+    distance = (standard[:, None] - standard) / LENGTH
+    whole = standard @ np.exp(-(distance**2) / 2) @ standard / len(values) ** 2
+    assert slopes @ slopes == pytest.approx(LINEAR_SHARE**2 * whole, rel=1e-2)
+    assert 0.2 < whole / (rest**2).sum(axis=1).mean() < 5
 
 
 def regressions(

@@ -95,6 +95,7 @@ WAYS = (
     (MANY, DEFAULT),
     (SEVERAL, WITH_FORCE),
 )
+N_DEFAULT = 2  # of these ways, those that are asked of the default and come first
 
 
 def jobs() -> list[Job]:
@@ -107,12 +108,20 @@ def jobs() -> list[Job]:
 
 
 def make_all(seeds: Sequence[int], path: Path) -> None:
-    """All fits that are missing; a run that is cut short has all scenarios alike."""
-    for layout, method in WAYS:
-        for first in range(0, len(seeds), BATCH):
-            for scenario in SCENARIOS:
-                job = Job(scenario, layout, method)
-                make(job, seeds[first : first + BATCH], path)
+    """All fits that are missing; a run that is cut short has its scenarios alike.
+
+    The default comes first, in one run and several, springs of fixed size after all
+    that is drawn.
+    """
+    fixed = [name for name, found in SCENARIOS.items() if found.cubic_share]
+    drawn = [name for name in SCENARIOS if name not in fixed]
+    for ways in (WAYS[:N_DEFAULT], WAYS[N_DEFAULT:]):
+        for scenarios in (drawn, fixed):
+            for first in range(0, len(seeds), BATCH):
+                batch = seeds[first : first + BATCH]
+                for layout, method in ways:
+                    for scenario in scenarios:
+                        make(Job(scenario, layout, method), batch, path)
 
 
 def fit_rows(job: Job, seed: int, data: ph.Measurements) -> list[FitRow]:

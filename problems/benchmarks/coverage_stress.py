@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 
+from phsi_opt.model_error.state_functions import LINEAR_SHARE
 from problems.benchmarks.coverage_fits import DEFAULT, ONE, SCENARIOS, WHITE
 from problems.benchmarks.coverage_summary import LIMIT, PHYSICAL, PLAIN
 from problems.benchmarks.coverage_tables import FIXED, LAYOUTS, coverage_table
@@ -60,11 +61,10 @@ def why_wide(rows: pd.DataFrame) -> str:
             asked = float(of_layout["rms_z"][PLAIN])
             said.append(f"{wide:.0f} times in {name}, where {asked:.0f} are needed")
     return markdown.paragraph(f"""
-        The default lets an unknown function of a state have a linear part too, which no
-        record tells from k or R_v, and its intervals cover it. The nonlinearities that
-        are drawn have none, and the intervals are wider than they need: the median half
-        width of k is that of the plain likelihood {markdown.enumerated(said)} (root
-        mean square of the distances).
+        No record tells the linear part of an unknown function of a state from k or R_v.
+        The default lets such a function keep {LINEAR_SHARE:g} of its linear part: the
+        rest is the model's. The median half width of k is that of the plain likelihood
+        {markdown.enumerated(said)} (root mean square of the distances).
         """)
 
 
