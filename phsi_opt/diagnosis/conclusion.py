@@ -93,7 +93,7 @@ def conclusion(
     if share > EXPLAINED_IF_PARTLY and not against:
         reason = (
             f"{said}: that accounts for {percent}; {change}. Of the missing force "
-            f"{remainder}, which no effect of the catalogue explains with it"
+            f"{remainder}; what remains, no effect of the catalogue explains with it"
         )
         return Conclusion(Verdict.PARTLY_NAMED, reason, findings, effects, proposed.fit)
     reason = f"the nearest is {said}, with {percent}: {change}"

@@ -74,14 +74,12 @@ class Prospects:
 
     Attributes:
         test: the screening of the record.
-        found: what it expects of every effect alone.
         run: the base model's free run on that record.
         base: the look at the base model itself; None where its steps do not settle.
         singles: the effects, the most convincing first.
     """
 
     test: ScoreTest
-    found: tuple[Screened, ...]
     run: Comparison
     base: Look | None = field(repr=False)
     singles: tuple[Prospect, ...]
@@ -102,17 +100,16 @@ class Prospects:
             run: the base model's free run there.
             judging: the base model along the data held out.
         """
-        found = tuple(test.screened(effects))
         base = second_look(test.linearized.record, (), {})
-        prospects = cls(test, found, run, base, ())
+        prospects = cls(test, run, base, ())
         singles = []
-        for one in found:
+        for one in test.screened(effects):
             looked = prospects.looked_at((one,))
             if prospects.score(looked) > 0:
                 looked = prospects.held_out_of(looked, judging)
             singles.append(looked)
         ordered = sorted(singles, key=lambda one: -prospects.score(one))
-        return cls(test, found, run, base, tuple(ordered))
+        return cls(test, run, base, tuple(ordered))
 
     @property
     def misfit(self) -> float:
