@@ -52,7 +52,7 @@ class Candidate:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """What is added: one effect, or two."""
+        """The effects that are added, one or two."""
         return (self.effect,) if self.partner is None else (self.effect, self.partner)
 
     @property

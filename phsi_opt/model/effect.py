@@ -69,7 +69,7 @@ class Effect:
 
     @property
     def n_unknowns(self) -> int:
-        """How large the effect is: its free parameters, and its memory's states."""
+        """Number of its free parameters and of its memory's states."""
         names = set()
         for place, terms in enumerate((self.term, *self.memory.values())):
             for number, term in enumerate(terms):

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 from scipy.sparse import csc_matrix, diags, hstack
 
+from phsi_opt.errors import SolveError
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
@@ -217,10 +218,10 @@ class LinearizedRecord:
         it minimises ``(z - s)' I (z - s)`` over z within them.
 
         Raises:
-            LinAlgError: the step is not finite.
+            SolveError: the step is not finite.
         """
         if not np.all(np.isfinite(self.residual)):
-            raise np.linalg.LinAlgError("the step leads nowhere")
+            raise SolveError("a step along the linearised record is not finite")
         lower = (self.unknown.lower - self.theta) / self.scale
         upper = (self.unknown.upper - self.theta) / self.scale
         free = self.step.theta
