@@ -159,3 +159,20 @@ def false_discovery_adjusted(p_values: Sequence[float]) -> np.ndarray:
     """
     known = np.nan_to_num(np.array(p_values), nan=1.0)
     return np.asarray(false_discovery_control(np.clip(known, 0.0, 1.0)))
+
+
+def profiled_deviance(squares: np.ndarray, n_values: np.ndarray) -> float:
+    """-2 log likelihood, up to a constant, with the noise that each channel leaves.
+
+    ::
+
+        sum over channels of n log(sum of squared residuals / n)
+
+    Args:
+        squares: sums of squared residuals, (n_channels,).
+        n_values: numbers of them, (n_channels,); channels without any do not count.
+    """
+    is_measured = n_values > 0
+    n = n_values[is_measured]
+    variances = np.maximum(squares[is_measured] / n, TINY)
+    return float(np.sum(n * np.log(variances)))

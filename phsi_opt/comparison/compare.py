@@ -27,7 +27,7 @@ from phsi_opt.estimation.smoothing import smoothed_states
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.model.model import Model
 from phsi_opt.simulation.free_run import free_run
-from phsi_opt.statistics import TINY, ljung_box
+from phsi_opt.statistics import TINY, ljung_box, profiled_deviance
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
@@ -208,17 +208,10 @@ class Comparison:
 
     @cached_property
     def deviance(self) -> float:
-        """-2 log likelihood, up to a constant, with the noise that each channel leaves.
-
-        ::
-
-            sum over channels of n log(sum of squared residuals / n)
-        """
+        """Of the free run, up to a constant (see `profiled_deviance`)."""
         measured = np.concatenate([run.x for run in self.data.trajectories])
-        n = np.isfinite(measured).sum(axis=0)
-        is_measured = n > 0
-        variances = self._squares_by_state[is_measured] / n[is_measured]
-        return float(np.sum(n[is_measured] * np.log(np.maximum(variances, TINY))))
+        n_values = np.isfinite(measured).sum(axis=0)
+        return profiled_deviance(self._squares_by_state, n_values)
 
     @property
     def _squares_by_state(self) -> np.ndarray:

@@ -18,7 +18,7 @@ def alike(
     base: DiagnosedModel,
     best: Candidate,
     ranked: Sequence[Candidate],
-    is_all: bool,
+    remainder: Remainder | None,
 ) -> list[Effect]:
     """The effects that do as well as the best and are no larger.
 
@@ -26,7 +26,7 @@ def alike(
         base: the model that is diagnosed.
         best: a single effect, re-fitted.
         ranked: all candidates.
-        is_all: whether it leaves noise.
+        remainder: what it leaves of the missing force; None where it leaves noise.
     """
     found = []
     for other in ranked:
@@ -40,7 +40,7 @@ def alike(
         elif other.name in best.confusable_with:
             is_tied = not _is_worse_held_out(base, best, other)
         else:
-            is_tied = not is_all and _is_within_what_is_left(base, best, other)
+            is_tied = remainder is not None and _is_within(remainder, base, best, other)
         if is_tied:
             found.append(other.effect)
     return found
@@ -59,15 +59,15 @@ def _is_worse_held_out(base: DiagnosedModel, best: Candidate, other: Candidate) 
     return falls_significantly(other.comparison, best.comparison)
 
 
-def _is_within_what_is_left(
-    base: DiagnosedModel, best: Candidate, other: Candidate
+def _is_within(
+    remainder: Remainder, base: DiagnosedModel, best: Candidate, other: Candidate
 ) -> bool:
     """Whether data held out do not prefer the best, or the rest hides the difference.
 
     That is asked of laws of one family: their forces differ by less than the force that
     is missing still.
     """
-    if other.fit is None or best.fit is None or other.lost:
+    if other.fit is None or other.lost:
         return False
     if other.comparison is None or best.comparison is None:
         return False
@@ -75,5 +75,4 @@ def _is_within_what_is_left(
         return True
     if other.effect.family != best.effect.family:
         return False
-    after = Remainder.of(base, best.fit).after
-    return Remainder.of(base, other.fit).after < REMAINDER_TIE * after
+    return Remainder.of(base, other.fit).after < REMAINDER_TIE * remainder.after

@@ -65,9 +65,10 @@ def conclusion(
     done = proposed.done
     effects = proposed.candidate.effects
     is_all = is_explained(base.judged, done.trained, done.judged)
+    left = None if is_all else Remainder.of(base, proposed.fit)
     others: list[Effect] = []
     if len(effects) == 1:
-        others = alike(base, proposed.candidate, ranked, is_all)
+        others = alike(base, proposed.candidate, ranked, left)
     findings = _findings(base, proposed, others)
     change = _change(base, proposed)
     said = " and ".join(str(finding) for finding in findings)
@@ -87,7 +88,7 @@ def conclusion(
         )
     share = explained_share(base.judged, done.judged)
     percent = f"{100 * share:.0f} % of the squared error above the noise floor"
-    remainder = Remainder.of(base, proposed.fit)
+    remainder = left or Remainder.of(base, proposed.fit)
     if not against and remainder.gone < FORCE_GONE_IF_PARTLY:
         against = f"of the missing force {remainder}"
     if share > EXPLAINED_IF_PARTLY and not against:

@@ -19,7 +19,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.effect_size import Size, new_names, size_of
 from phsi_opt.screening.linearized_record import DEFECT_SCHEME, LinearizedRecord
-from phsi_opt.statistics import TINY, effective_sample_share
+from phsi_opt.statistics import TINY, effective_sample_share, profiled_deviance
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.defect_derivatives import DefectLinearization
 
@@ -53,18 +53,10 @@ class Look:
 
     @property
     def deviance(self) -> float:
-        """-2 log likelihood, up to a constant, with the noise that each channel leaves.
-
-        ::
-
-            sum over channels of n log(sum of squared residuals / n)
-        """
+        """Of the last step, up to a constant (see `profiled_deviance`)."""
         grid = self.linearized.grid
         squares = np.sum(self.residual.reshape(grid.y.shape) ** 2, axis=0)
-        n = grid.measured.sum(axis=0)
-        is_measured = n > 0
-        variances = np.maximum(squares[is_measured] / n[is_measured], TINY)
-        return float(np.sum(n[is_measured] * np.log(variances)))
+        return profiled_deviance(squares, grid.measured.sum(axis=0))
 
     @property
     def states(self) -> np.ndarray:
