@@ -208,7 +208,7 @@ class Comparison:
 
     @cached_property
     def deviance(self) -> float:
-        """Of the free run, up to a constant (see `profiled_deviance`)."""
+        """Of the free run, up to a constant (see ``profiled_deviance``)."""
         measured = np.concatenate([run.x for run in self.data.trajectories])
         n_values = np.isfinite(measured).sum(axis=0)
         return profiled_deviance(self._squares_by_state, n_values)

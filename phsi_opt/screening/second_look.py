@@ -53,7 +53,7 @@ class Look:
 
     @property
     def deviance(self) -> float:
-        """Of the last step, up to a constant (see `profiled_deviance`)."""
+        """Of the last step, up to a constant (see ``profiled_deviance``)."""
         grid = self.linearized.grid
         squares = np.sum(self.residual.reshape(grid.y.shape) ** 2, axis=0)
         return profiled_deviance(squares, grid.measured.sum(axis=0))
