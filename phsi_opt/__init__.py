@@ -9,7 +9,14 @@ from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
+from phsi_opt.errors import (
+    Complaint,
+    DataError,
+    ModelError,
+    PhsiOptError,
+    SolveError,
+    StudyFileError,
+)
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.pruning import Pruning
@@ -22,17 +29,23 @@ from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.study import Study
+from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 __all__ = [
     "Candidate",
+    "Channel",
     "Comparison",
+    "Complaint",
     "DataError",
+    "DataSection",
     "Diagnosis",
     "Effect",
     "Finding",
     "FirstOrder",
     "Fit",
+    "HeldOut",
     "MaximumLikelihood",
     "Measurements",
     "Model",
@@ -46,6 +59,8 @@ __all__ = [
     "SolveError",
     "SolverSettings",
     "Study",
+    "StudyFile",
+    "StudyFileError",
     "Trajectory",
     "Verdict",
     "canonical",

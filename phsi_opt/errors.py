@@ -7,7 +7,8 @@ catch it too. This file raises nothing itself.
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 
 class PhsiOptError(Exception):
@@ -24,6 +25,53 @@ class ModelError(PhsiOptError, ValueError):
 
 class SolveError(PhsiOptError, RuntimeError):
     """An optimisation or a simulation did not reach a result."""
+
+
+@dataclass(frozen=True)
+class Complaint:
+    """One thing in a study file that cannot be used.
+
+    Attributes:
+        key: where it stands, as in the file, such as ``"data.states.q.column"``; ""
+            for the file as a whole.
+        value: what stands there, as in the file; "" where nothing does.
+        said: what was expected and what to do.
+    """
+
+    key: str
+    value: str
+    said: str
+
+    def __str__(self) -> str:
+        if not self.key:
+            return self.said
+        written = f" = {self.value}" if self.value else ""
+        return f"{self.key}{written}: {self.said}"
+
+
+class StudyFileError(DataError):
+    """A study file cannot be used; all that is wrong is told at once.
+
+    Args:
+        path: of the file, as messages name it.
+        complaints: what is wrong, in the order of the file.
+
+    Attributes:
+        complaints: the same.
+    """
+
+    def __init__(self, path: object, complaints: Sequence[Complaint]) -> None:
+        self.path = str(path)
+        self.complaints = tuple(complaints)
+        lines = [f"  {complaint}" for complaint in complaints]
+        n = len(lines)
+        what = "one thing" if n == 1 else f"{n} things"
+        super().__init__("\n".join([f"{path}: {what} to correct", *lines]))
+
+    def __reduce__(
+        self,
+    ) -> tuple[object, ...]:  # two arguments, where Exception has one
+        return StudyFileError, (self.path, self.complaints)
 
 
 def did_you_mean(name: object, options: Iterable[object]) -> str:

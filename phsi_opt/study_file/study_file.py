@@ -1,0 +1,275 @@
+"""The study file: measurements, model and study of one text that a person can read.
+
+A study file is TOML; docs/command_line.md lists its keys. Reading one never runs code:
+formulas go through the parser of the package.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Self
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import DataError
+from phsi_opt.model.catalogue import catalogue
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
+from phsi_opt.study import Study
+from phsi_opt.study_file.effect_reading import StudySection, grown, meant_effect
+from phsi_opt.study_file.reading import read_contents
+from phsi_opt.study_file.sections import DataSection, HeldOut
+from phsi_opt.study_file.study_script import study_script
+from phsi_opt.study_file.study_text import study_text
+from phsi_opt.study_file.written_data import joined, section_of, write_table
+from phsi_opt.transcription.losses import MaximumLikelihood
+
+UNWRITTEN = "measurements.csv"  # called so until it is known beside which file it lies
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyFile:
+    """A study as a file: `read` makes it from TOML, `write` writes it with comments.
+
+    Attributes:
+        base: the model before any effect was added.
+        data: the files, their columns, units and noise.
+        held_out: what is kept from fitting; None: nothing.
+        steps: effects added, to consider and to leave out.
+        own_effects: effects that are not in the catalogue.
+        loss: how to fit.
+        folder: of the file; the data's paths are relative to it.
+        unwritten: measurements that are in no file yet; `write` writes them.
+    """
+
+    base: Model
+    data: DataSection
+    held_out: HeldOut | None = None
+    steps: StudySection = field(default_factory=StudySection)
+    own_effects: tuple[Effect, ...] = ()
+    loss: MaximumLikelihood = field(default_factory=MaximumLikelihood)
+    folder: Path = Path()
+    unwritten: Measurements | None = None
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a study file and its data, and check everything in them.
+
+        Raises:
+            StudyFileError: something cannot be used; with all that is wrong.
+        """
+        path = Path(path)
+        contents = read_contents(path)
+        file = cls(
+            base=contents.model,
+            data=contents.data,
+            held_out=contents.held_out,
+            steps=contents.study,
+            own_effects=contents.own_effects,
+            loss=contents.loss,
+            folder=path.parent,
+        )
+        file.__dict__["_measured"] = contents.measurements  # they have been read
+        return file
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        data: DataSection | Measurements,
+        held_out: HeldOut | Measurements | None = None,
+        *,
+        added: tuple[str, ...] = (),
+        effects: tuple[str, ...] | None = None,
+        without: tuple[str, ...] = (),
+        own_effects: tuple[Effect, ...] = (),
+        loss: MaximumLikelihood | None = None,
+        folder: str | Path = ".",
+    ) -> Self:
+        """The study file of a model and of data.
+
+        Measurements, which do not know their files, are written as a table beside the
+        study file by `write`.
+
+        Args:
+            model: the base model.
+            data: the files and which column is what; or the measurements to fit.
+            held_out: what is kept from fitting; beside measurements, those to judge by.
+            added: names of the effects added, such as ``"coulomb friction on p"``.
+            effects: names of those to consider; None: the catalogue.
+            without: names of those never to consider.
+            own_effects: effects that are not in the catalogue.
+            loss: how to fit; its noise belongs to the channels of ``data``.
+            folder: to which the data's paths are relative.
+
+        Raises:
+            DataError: training data and data held out cannot be told apart in a table.
+            ModelError: the model has something that a study file cannot hold.
+        """
+        unwritten = None
+        if isinstance(data, Measurements):
+            if isinstance(held_out, HeldOut):
+                unwritten = data
+            else:
+                unwritten, held_out = joined(data, held_out)
+            data = section_of(unwritten, UNWRITTEN)
+        elif isinstance(held_out, Measurements):
+            raise DataError(
+                "held_out is Measurements, but data is a DataSection; give a HeldOut "
+                "that says which part of the files is held out."
+            )
+        file = cls(
+            base=model,
+            data=data,
+            held_out=held_out,
+            steps=StudySection(added, effects, without),
+            own_effects=own_effects,
+            loss=loss or MaximumLikelihood(),
+            folder=Path(folder),
+            unwritten=unwritten,
+        )
+        file.text()  # refuses what cannot be written
+        return file
+
+    def with_added(self, *names: str) -> Self:
+        """The same with further effects, such as ``"coulomb friction on p"``.
+
+        Raises:
+            ModelError: there is no such effect, or the model has it.
+        """
+        larger = self.model()
+        for name in names:
+            larger = larger.add(meant_effect(larger, name, self.own_effects))
+        added = (*self.steps.added, *names)
+        return replace(self, steps=replace(self.steps, added=added))
+
+    def write(self, path: str | Path) -> Path:
+        """Write the file, with comments; return its path.
+
+        The paths of the data are rewritten where the folder is another one. A study
+        file that is there is overwritten. Measurements that are in no file yet are
+        written beside it.
+
+        Raises:
+            DataError: the table of the measurements would overwrite another file.
+            ModelError: the model has something that a study file cannot hold.
+        """
+        path = Path(path)
+        file = self.moved(path.parent)
+        if self.unwritten is not None:
+            table = path.with_name(f"{path.stem}_measurements.csv")
+            write_table(self.unwritten, table)
+            file = replace(file, data=replace(self.data, files=(table.name,)))
+        path.write_text(file.text(), encoding="utf-8")
+        return path
+
+    def moved(self, folder: str | Path) -> Self:
+        """The same study as a file of another folder."""
+        folder = Path(folder)
+        if folder.resolve() == self.folder.resolve():
+            return replace(self, folder=folder)
+        data = self.data.moved(self.folder, folder)
+        return replace(self, data=data, folder=folder)
+
+    def text(self) -> str:
+        """The text of the file, TOML with comments.
+
+        Raises:
+            ModelError: the model has something that a study file cannot hold.
+        """
+        return study_text(
+            self.data,
+            self.held_out,
+            self.base,
+            self.own_effects,
+            self.steps,
+            self.loss,
+        )
+
+    def script(self) -> str:
+        """The Python script that does the same; it looks for the data beside itself."""
+        return study_script(
+            self.data,
+            self.held_out,
+            self.base,
+            self.own_effects,
+            self.steps,
+            self.loss,
+        )
+
+    @cached_property
+    def _measured(self) -> Measurements:
+        if self.unwritten is not None:
+            return self.unwritten
+        return self.data.measurements(self.folder)
+
+    def measurements(self) -> Measurements:
+        """All measurements, for training and held out.
+
+        Raises:
+            DataError: something in the files cannot be used.
+        """
+        return self._measured
+
+    def split(self) -> tuple[Measurements, Measurements | None]:
+        """The measurements to fit, and those to judge by; None where none are held out.
+
+        Raises:
+            DataError: something in the files cannot be used, or nothing is left.
+        """
+        data = self.measurements()
+        if self.held_out is None:
+            return data, None
+        return self.held_out.split(data)
+
+    def model(self) -> Model:
+        """The model with all effects added so far.
+
+        Raises:
+            ModelError: one of the effects is unknown, or the model has it already.
+        """
+        return grown(self.base, self.steps.added, self.own_effects)
+
+    def effects(self) -> list[Effect | str] | None:
+        """The effects to consider, as `Study` takes them; None: the catalogue."""
+        names = self.steps.effects
+        if names is None:
+            if not self.own_effects:
+                return None
+            offered = catalogue(self.base, self.data.units)
+            return [*map(str, offered), *self.own_effects]
+        found: list[Effect | str] = []
+        for name in names:
+            found.append(self._own(name) or name)
+        return found
+
+    def _own(self, name: str) -> Effect | None:
+        for effect in self.own_effects:
+            if name in (effect.name, str(effect)):
+                return effect
+        return None
+
+    def study(self, progress: Callable[[str], None] | None = None) -> Study:
+        """The study: the base model fitted, then each effect added.
+
+        Args:
+            progress: called with a line of text as the work goes on, such as ``print``.
+
+        Raises:
+            DataError: something in the files cannot be used.
+            ModelError: one of the effects is unknown.
+            SolveError: a model could not be fitted.
+        """
+        train, held_out = self.split()
+        study = Study(
+            self.base,
+            train,
+            held_out,
+            effects=self.effects(),
+            without=self.steps.without,
+            loss=self.loss,
+            progress=progress,
+        )
+        for name in self.steps.added:
+            study.add(meant_effect(study.model, name, self.own_effects))
+        return study

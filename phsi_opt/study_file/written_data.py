@@ -1,0 +1,107 @@
+"""Measurements that lie in no file yet: the table, and the section that reads it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.errors import DataError
+from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+
+RUN_COLUMN = "trajectory"  # as in `Measurements.to_dataframe`
+TIME_COLUMN = "t"
+
+
+def section_of(data: Measurements, file: str) -> DataSection:
+    """The section [data] of measurements that are written by `write_table`."""
+    noise = data.noise or {}
+    states = {}
+    for name in data.states:
+        column = name if name in data.measured else None
+        states[name] = Channel(column, data.units[name], noise.get(name))
+    return DataSection(
+        files=(file,),
+        time=Channel(TIME_COLUMN, data.units["t"]),
+        states=states,
+        inputs={name: Channel(name, data.units[name]) for name in data.inputs},
+        trajectory=RUN_COLUMN,
+        hold=data.hold,
+    )
+
+
+def table_text(data: Measurements) -> str:
+    """The measurements as CSV, every number with all its digits."""
+    unmeasured = [name for name in data.states if name not in data.measured]
+    frame = data.to_dataframe().drop(columns=unmeasured)
+    return str(frame.to_csv(index=False, lineterminator="\n"))
+
+
+def write_table(data: Measurements, path: Path) -> None:
+    """Write the measurements as CSV.
+
+    Raises:
+        DataError: another file is there.
+    """
+    text = table_text(data)
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise DataError(
+            f"{path} is there already and holds something else; move it, or write the "
+            "study file under another name."
+        )
+    path.write_text(text, encoding="utf-8")
+
+
+def joined(
+    train: Measurements, held_out: Measurements | None
+) -> tuple[Measurements, HeldOut | None]:
+    """Training data and data held out as one, and what tells them apart again.
+
+    Raises:
+        DataError: they have other channels, or runs of one name that are not parts of
+            one record, cut at one time.
+    """
+    if held_out is None:
+        return train, None
+    _check_channels(train, held_out)
+    names = [run.name for run in train.trajectories]
+    judging = [run.name for run in held_out.trajectories]
+    if not set(names) & set(judging):
+        both = (*train.trajectories, *held_out.trajectories)
+        return _with(train, both), HeldOut(runs=tuple(judging))
+    cut = min(float(run.t[0]) for run in held_out.trajectories)
+    ends = max(float(run.t[-1]) for run in train.trajectories)
+    if names != judging or ends >= cut:
+        raise DataError(
+            f"the runs {names} and those held out, {judging}, have names in common and "
+            "are not cut at one time; give the runs names of their own."
+        )
+    pairs = zip(train.trajectories, held_out.trajectories, strict=True)
+    whole = tuple(_continued(first, then) for first, then in pairs)
+    return _with(train, whole), HeldOut(after=cut)
+
+
+def _check_channels(train: Measurements, held_out: Measurements) -> None:
+    for what in ("states", "inputs", "units", "hold", "noise"):
+        one = getattr(train, what)
+        other = getattr(held_out, what)
+        if one != other:
+            raise DataError(
+                f"{what} of the data held out, {other}, differ from {one} of the "
+                "training data; a study file has one description for both."
+            )
+
+
+def _with(data: Measurements, runs: tuple[Trajectory, ...]) -> Measurements:
+    return Measurements(
+        runs, data.states, data.inputs, data.units, data.hold, data.noise
+    )
+
+
+def _continued(first: Trajectory, then: Trajectory) -> Trajectory:
+    return Trajectory(
+        first.name,
+        np.concatenate([first.t, then.t]),
+        np.concatenate([first.x, then.x]),
+        np.concatenate([first.u, then.u]),
+    )

@@ -1,0 +1,545 @@
+"""The study file: what it says becomes data, model and study, and goes back into text."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.model.parameters import Scan, Share, Tried
+from phsi_opt.study_file.adding import add_effects, text_with_added
+from phsi_opt.study_file.effect_reading import grown
+from phsi_opt.study_file.keys import KEYS, known_keys
+from phsi_opt.study_file.toml_text import toml_value
+from problems.examples.friction_spring import CSV
+
+SPRING = """
+# my notes: the spring of the bench
+[data]
+files = ["spring.csv"]
+trajectory = "run"
+time = { column = "t_s", unit = "s" }
+
+[data.states]
+q = { column = "position_m", unit = "m" }
+p = { measured = false, unit = "kg m/s" }
+
+[held_out]
+share = 0.4
+
+[model]
+states = ["q", "p"]
+pairs = [["q", "p"]]
+H = "k*q**2/2 + p**2/(2*m)"
+R = { p = "c" }
+
+[parameters]
+m = 2.5  # weighed
+k = { start = 10.0, lower = 0, unit = "N/m" }
+c = { lower = 0 }
+
+[study]
+added = []  # none yet
+"""
+
+
+@pytest.fixture
+def spring(tmp_path: Path) -> Path:
+    (tmp_path / "spring.csv").write_bytes(CSV.read_bytes())
+    path = tmp_path / "study.toml"
+    path.write_text(SPRING)
+    return path
+
+
+def changed(path: Path, *changes: tuple[str, str]) -> Path:
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
+def few_runs(table: Path) -> None:
+    """Leave three of the eight runs: enough to see the friction, and sooner solved."""
+    lines = table.read_text().splitlines()
+    kept = [line for line in lines if line[:5] not in {f"run {n}" for n in range(4, 9)}]
+    table.write_text("\n".join(kept))
+
+
+def complaints(path: Path) -> dict[str, str]:
+    """What is wrong with a file, by key."""
+    with pytest.raises(ph.StudyFileError) as caught:
+        ph.StudyFile.read(path)
+    assert str(path) in str(caught.value)
+    return {one.key: str(one) for one in caught.value.complaints}
+
+
+# ---- reading -------------------------------------------------------------------------
+
+
+def test_a_study_file_is_the_data_and_the_model_that_a_user_would_write(
+    spring: Path,
+) -> None:
+    file = ph.StudyFile.read(spring)
+    by_hand = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula(
+            "k*q**2/2 + p**2/(2*m)",
+            m=2.5,
+            k=ph.Parameter(10.0, lower=0, unit="N/m"),
+        ),
+        R={"p": ph.formula("c", c=ph.Parameter(lower=0))},
+    )
+    assert file.model() == by_hand
+    assert list(file.model().entries) == ["m", "k", "c"]
+    data = ph.Measurements.from_csv(
+        CSV,
+        time="t_s",
+        trajectory="run",
+        states={"q": "position_m", "p": None},
+        units={"t": "s", "q": "m", "p": "kg m/s"},
+    )
+    assert file.measurements().digest == data.digest
+    assert dict(file.measurements().units) == dict(data.units)
+    train, held_out = file.split()
+    assert held_out is not None
+    assert [train.digest, held_out.digest] == [part.digest for part in data.split(0.6)]
+
+
+def test_noise_inputs_and_files_are_read(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text("t;y;u\n0;1;0\n1;2;0\n2;1.5;1\n")
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """
+[data]
+files = ["a.csv", "b.csv"]
+hold = "zero"
+time = { column = "t" }
+states = { x = { column = "y", unit = "V", noise = 0.1 } }
+inputs = { u = { column = "u", unit = "A" } }
+[held_out]
+runs = ["b"]
+[model]
+type = "FirstOrder"
+states = ["x"]
+inputs = ["u"]
+kind = "electrical"
+F = { x = ["-a*x", { body = "u", coefficient = { start = 1 }, name = "gain" }] }
+[parameters]
+a = { start = 1.0 }
+"""
+    )
+    file = ph.StudyFile.read(path)
+    train, held_out = file.split()
+    assert held_out is not None
+    assert [run.name for run in train] == ["a"]
+    assert [run.name for run in held_out] == ["b"]
+    assert train.noise == {"x": 0.1}
+    assert train.hold == "zero"
+    assert file.model().free == ("a", "gain")
+    assert file.model().kind == {"x": "electrical"}
+
+
+def test_a_part_of_the_time_can_be_held_out(spring: Path) -> None:
+    file = ph.StudyFile.read(changed(spring, ("share = 0.4", "after = 3.0")))
+    train, held_out = file.split()
+    assert held_out is not None
+    assert train.n_trajectories == held_out.n_trajectories == 8
+    assert max(run.t[-1] for run in train) < 3.0
+    assert min(run.t[0] for run in held_out) == 3.0
+    assert train.n_samples + held_out.n_samples == file.measurements().n_samples
+
+
+def test_terms_may_be_polynomials_and_waves(spring: Path) -> None:
+    changed(
+        spring,
+        ('R = { p = "c" }', 'F = { p = [{ trigonometric = "t" }, { body = "1" }] }'),
+        ('"k*q**2/2 + p**2/(2*m)"', '{ polynomials = ["q", "p"], degree = 2 }'),
+        ("m = 2.5  # weighed", ""),
+        ('k = { start = 10.0, lower = 0, unit = "N/m" }', ""),
+        ("c = { lower = 0 }", ""),
+    )
+    model = ph.StudyFile.read(spring).model()
+    assert ph.polynomials(["q", "p"], degree=2) == model.H
+    constant = ph.polynomials(["q"], degree=1, constant=True).terms[0]
+    assert model.F["p"].terms == (*ph.trigonometric("t").terms, constant)
+
+
+def test_nothing_of_a_study_file_runs(spring: Path, tmp_path: Path) -> None:
+    canary = tmp_path / "ran"
+    attack = f"__import__('pathlib').Path('{canary}').touch()"
+    path = changed(spring, ('R = { p = "c" }', f'R = {{ p = "c + {attack}" }}'))
+    assert "is not known" in complaints(path)["model.R.p"]
+    assert not canary.exists()
+
+
+# ---- refusals ------------------------------------------------------------------------
+
+
+def test_everything_that_is_wrong_is_told_at_once(spring: Path) -> None:
+    path = changed(
+        spring,
+        ("trajectory =", "trajectry ="),
+        ('column = "t_s"', 'column = "t_x"'),
+        ('unit = "m" }', "unit = 3 }"),
+        ("share = 0.4", 'share = 0.4\nruns = ["run 1"]'),
+        ("k*q**2/2", "kk*q**2/2"),
+        ('p = "c"', 'z = "c"'),
+        ("lower = 0, unit", "lower = 20, unit"),
+        ("added = []", 'added = "coulom friction on p"\n[loss]\nhuber = -1'),
+    )
+    found = complaints(path)
+    assert set(found) == {
+        "data.trajectry",
+        "data.states.q.unit",
+        "held_out",
+        "model.H",
+        "model.R.z",
+        "parameters.k",
+        "loss.huber",
+    }
+    assert "Did you mean 'trajectory'?" in found["data.trajectry"]
+    assert 'kk*q**2/2 + p**2/(2*m)"' in found["model.H"]
+    assert "Did you mean 'k'?" in found["model.H"]
+    assert "its states are q, p" in found["model.R.z"]
+    assert "outside its bounds" in found["parameters.k"]
+
+
+def test_the_columns_of_the_data_are_checked_beside_the_effects(spring: Path) -> None:
+    path = changed(
+        spring,
+        ('"t_s"', '"time"'),
+        ('"position_m"', '"position"'),
+        ("added = []", 'added = ["coulom friction on p"]\nwithout = ["gapp"]'),
+    )
+    found = complaints(path)
+    assert set(found) == {
+        "data.time.column",
+        "data.states.q.column",
+        "study.added",
+        "study.without",
+    }
+    assert "Did you mean 'position_m'?" in found["data.states.q.column"]
+    assert "Did you mean 'coulomb friction'?" in found["study.added"]
+    assert "Did you mean 'gap'?" in found["study.without"]
+
+
+def test_wrong_cells_of_several_columns_are_told_with_their_lines(
+    spring: Path,
+) -> None:
+    table = spring.with_name("spring.csv")
+    lines = table.read_text().splitlines()
+    lines[4] = "run 1,zero,0.1"
+    lines[9] = "run 1,0.2,fast"
+    table.write_text("\n".join(lines))
+    found = complaints(spring)
+    assert "line 5" in found["data.time.column"]
+    assert "line 10" in found["data.states.q.column"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "said"),
+    [
+        ("[data]", "[date]", "date", "Did you mean 'data'?"),
+        ("[data]", "[data", "", "this is not TOML"),
+        ('"spring.csv"', '"sprung.csv"', "data.files", "there is no such file"),
+        ('files = ["spring.csv"]', "", "data.files", "expected the data file"),
+        ("q = { column", "Q = { column", "data.states.q", "Did you mean 'Q'?"),
+        ("measured = false, ", "", "data.states.p.column", "or measured = false"),
+        ("measured = false", "measured = 1", "data.states.p.measured", "true or false"),
+        ("share = 0.4", "share = 40", "held_out.share", "between 0 and 1"),
+        ("share = 0.4", 'runs = ["run 11"]', "held_out.runs", "Did you mean 'run 1'?"),
+        ("share = 0.4", "after = 99", "held_out", "expected at least 2 of each"),
+        ("share = 0.4", "", "held_out", "found none"),
+        ('H = "k', 'H = ""  #', "model.H", "expected the energy as a formula"),
+        ('"k*q**2/2', '"k*q^2/2', "model.H", "Write a power as **"),
+        ('p**2/(2*m)"', 'p**2/(2*m) + t"', "model.H", "an energy depends on the states"),
+        ('[["q", "p"]]', '[["q", "v"]]', "model.pairs", "not a state"),
+        ('[["q", "p"]]', '["q", "p"]', "model.pairs", "no pair of states"),
+        ("pairs =", "S = [[0, 1], [1, 0]]  #", "model", "not skew-symmetric"),
+        ("pairs =", "#", "model", "exactly one of pairs or S"),
+        ('["q", "p"]\npairs', '["q", "q", "p"]\npairs', "model.states", "twice"),
+        ('["q", "p"]\npairs', '["q", "p-1"]\npairs', "model.states", "cannot be a name"),
+        ("c = {", "d = {", "model.R.p", "c = { start = 1.0 }"),
+        ("c = {", "x = 1\nc = {", "parameters.x", "no formula has this name"),
+        ("start = 10.0", "start = 1.0, value = 2", "parameters.k.value", "start too"),
+        ("start = 10.0", 'start = "10"', "parameters.k.start", "expected a number"),
+        ("start = 10.0", "start = nan", "parameters.k", "not finite"),
+        ("{ lower = 0 }", "{ guess = { kind = 'Sha' } }", "parameters.c.guess.kind", "'Share'"),
+        ("{ lower = 0 }", "{ guess = { kind = 'Share' } }", "parameters.c.guess.of", "needs it"),
+        ("added = []", "max_steps = 0", "study.max_steps", "at least 1"),
+        ("[study]", "[loss]\nstart = 2\n[study]", "loss.start", "Did you mean 'starts'?"),
+        ("[study]", "[loss]\nhorizon = 2.0\n[study]", "loss", "model_error"),
+        ("[study]", "[[effects]]\nname = 'a'\n[study]", "effects[0].slot", "needs it"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_is_refused_by_its_key(
+    spring: Path, old: str, new: str, key: str, said: str
+) -> None:
+    found = complaints(changed(spring, (old, new)))
+    assert said in found[key]
+
+
+def test_every_key_that_is_read_stands_in_the_list_of_keys() -> None:
+    paths = [key.path for key in KEYS]
+    assert len(set(paths)) == len(paths)
+    assert "measured" in known_keys("data.states.*")
+
+
+# ---- writing -------------------------------------------------------------------------
+
+
+def test_a_file_that_was_written_reads_as_what_it_was_written_from(
+    spring: Path,
+) -> None:
+    file = ph.StudyFile.read(changed(spring, ("[]", '["coulomb friction on p"]')))
+    other = spring.parent / "deeper"
+    other.mkdir()
+    again = ph.StudyFile.read(file.write(other / "copy.toml"))
+    assert again.data.files == ("../spring.csv",)
+    assert again.measurements().digest == file.measurements().digest
+    assert replace(again, data=file.data, folder=file.folder) == file
+    assert again.model() == file.model()
+
+
+def everything() -> ph.PseudoHamiltonian:
+    """A model with all that a study file can hold."""
+    return ph.PseudoHamiltonian(
+        states=["x 1".replace(" ", "_"), "v", "T", "lag"],
+        inputs=["u"],
+        S=[[0, 0.5, 0, 0], [-0.5, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]],
+        H=ph.polynomials(["x_1"], degree=2) + ph.formula("T**2/C", C=3.0),
+        R=ph.damping("v"),
+        F={
+            "v": ph.formula("g*lag", g=ph.Parameter(1.0, per_trajectory=True))
+            + ph.trigonometric("t", n=2),
+            "T": ph.formula(
+                "w*u*tanh(v/v0)",
+                w=ph.Parameter(guess=Tried("v", (0.1, 0.5), 2.0), lower=0),
+                v0=ph.Parameter(fixed=True, guess=Share("v", 0.06, (0.25,))),
+            ),
+            "lag": ph.formula("(u - lag)/tau", tau=ph.Parameter(0.3, 0.01, 5, "s")),
+        },
+        sensor={"T": ph.formula("b", b=ph.Parameter(0.0, unit='deg "C"'))},
+        memory=["lag"],
+        kind={"T": "thermal"},
+    )
+
+
+def everything_measured() -> ph.Measurements:
+    rng = np.random.default_rng(1)
+    t = np.arange(12) / 3
+    x = rng.normal(size=(12, 3))
+    x[:, 1] = np.nan
+    x[3, 2] = np.nan
+    runs = [x, x + 1, x + 2]
+    return ph.Measurements.from_arrays(
+        [t] * 3,
+        runs,
+        [t, t, t],
+        states=["x_1", "v", "T"],
+        inputs=["u"],
+        names=["one", 'two, "again"', "three"],
+        units={"T": "degC", "t": "s"},
+        noise={"T": 0.1},
+        hold="zero",
+    )
+
+
+def own_effect() -> ph.Effect:
+    return ph.Effect(
+        "wind", "F", "v", ph.formula("a*v**2", a=ph.Parameter(0.1, unit="1/m"))
+    )
+
+
+def test_a_model_and_measurements_become_a_study_file_and_come_back(
+    tmp_path: Path,
+) -> None:
+    data = everything_measured()
+    loss = ph.MaximumLikelihood(huber=1.5, starts=2)
+    file = ph.StudyFile.of(
+        everything(),
+        data[:2],
+        data[2:],
+        loss=loss,
+        own_effects=(own_effect(),),
+        without=("harmonic force",),
+    )
+    again = ph.StudyFile.read(file.write(tmp_path / "study.toml"))
+    assert again.base == everything()
+    assert list(again.base.entries) == list(everything().entries)
+    assert again.measurements().digest == data.digest
+    train, held_out = again.split()
+    assert held_out is not None
+    assert [train.digest, held_out.digest] == [data[:2].digest, data[2:].digest]
+    assert dict(train.units) == dict(data.units)
+    assert train.noise == data.noise
+    assert again.loss == loss
+    assert again.own_effects == (own_effect(),)
+    assert again.steps.without == ("harmonic force",)
+
+
+def test_a_record_cut_in_time_comes_back_cut_at_the_same_sample(
+    tmp_path: Path,
+) -> None:
+    train, held_out = everything_measured()[:1].split(0.6)
+    file = ph.StudyFile.of(everything(), train, held_out)
+    first, then = ph.StudyFile.read(file.write(tmp_path / "s.toml")).split()
+    assert then is not None
+    assert [first.digest, then.digest] == [train.digest, held_out.digest]
+
+
+def test_what_a_study_file_cannot_hold_is_refused_by_name(tmp_path: Path) -> None:
+    data = everything_measured()
+    with pytest.raises(ph.ModelError, match="noise="):
+        ph.StudyFile.of(everything(), data, loss=ph.MaximumLikelihood(noise={"T": 1.0}))
+    clash = ph.Effect("wind", "F", "v", ph.formula("g*v", g=ph.Parameter(2.0)))
+    with pytest.raises(ph.ModelError, match="'g' of one of the effects"):
+        ph.StudyFile.of(everything(), data, own_effects=(clash,))
+    with pytest.raises(ph.DataError, match="names in common"):
+        ph.StudyFile.of(everything(), data[:2], data[1:])
+    with pytest.raises(ph.DataError, match="units of the data held out"):
+        ph.StudyFile.of(everything(), data[:2], replace(data[2:], units={}))
+    (tmp_path / "s_measurements.csv").write_text("mine")
+    with pytest.raises(ph.DataError, match="is there already"):
+        ph.StudyFile.of(everything(), data).write(tmp_path / "s.toml")
+    assert (tmp_path / "s_measurements.csv").read_text() == "mine"
+
+
+def test_effects_by_name_are_those_that_the_catalogue_adds(spring: Path) -> None:
+    names = ("coulomb friction on p", "cubic stiffness on p")
+    file = ph.StudyFile.read(spring)
+    base = file.model()
+    larger = base.add("coulomb friction", "p").add("cubic stiffness", "p")
+    assert grown(file.base, names, ()) == larger
+    assert file.with_added(*names).model() == larger
+    assert larger.n_states == base.n_states and larger.free != base.free
+    with pytest.raises(ph.ModelError, match="cubic stiffness"):
+        file.with_added("cubic stifness")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        'quote " and \\ backslash\n\t\x7f\x00',
+        "Grüße 🌍",
+        [1, 2.5, -1e-300, 1e300, float("inf")],
+        {"a b": {"c.d": [True, False]}, "": "empty"},
+        [],
+        {},
+    ],
+)
+def test_values_are_written_so_that_toml_reads_them(value: Any) -> None:
+    import tomllib
+
+    assert tomllib.loads(f"x = {toml_value(value)}") == {"x": value}
+
+
+# ---- the script ----------------------------------------------------------------------
+
+
+def test_the_script_builds_the_same_model_data_and_effects(tmp_path: Path) -> None:
+    data = everything_measured()
+    file = ph.StudyFile.of(
+        everything(),
+        data[:2],
+        data[2:],
+        loss=ph.MaximumLikelihood(huber=1.5),
+        own_effects=(own_effect(),),
+        effects=("wind", "harmonic force on v"),
+        added=("wind on v",),
+    )
+    file = ph.StudyFile.read(file.write(tmp_path / "study.toml"))
+    script = file.script()
+    seen: dict[str, Any] = {"__file__": str(tmp_path / "study.py")}
+    before, _, after = script.partition("study = ph.Study(")
+    exec(compile(before, "study.py", "exec"), seen)
+    assert seen["model"] == file.base
+    assert list(seen["model"].entries) == list(file.base.entries)
+    assert seen["data"].digest == data.digest
+    assert seen["data"].noise == data.noise
+    assert seen["train"].digest == data[:2].digest
+    assert seen["held_out"].digest == data[2:].digest
+    assert seen["own"] == {"wind on v": own_effect()}
+    assert 'study.add(own["wind on v"])' in after
+    assert "ph.MaximumLikelihood(huber=1.5)" in after
+
+
+def test_the_script_runs_and_finds_what_the_study_finds(spring: Path) -> None:
+    few_runs(spring.with_name("spring.csv"))
+    file = ph.StudyFile.read(changed(spring, ("[]", '["coulomb friction on p"]')))
+    spring.with_name("study.py").write_text(file.script())
+    run = subprocess.run(
+        [sys.executable, str(spring.with_name("study.py"))],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": str(Path(ph.__file__).parents[1]), "OMP_NUM_THREADS": "1"},
+    )
+    study = file.study()
+    assert str(study.compare()) in run.stdout
+    assert list(study.history["effect"]) == ["base model", "coulomb friction on p"]
+
+
+# ---- adding to the text --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("", "\n# Effects added so far, the oldest first.\n[study]\nadded = [\"x on p\"]\n"),
+        ("[study]\n", '[study]\nadded = ["x on p"]\n'),
+        ("[study]", '[study]\nadded = ["x on p"]\n'),
+        ("[study] # mine\nadded = [] # none\n", '[study] # mine\nadded = ["x on p"] # none\n'),
+        (
+            '[study]\nadded = [\n  "a # ] b", # why\n  # "c"\n]\n[loss]\n',
+            '[study]\nadded = [\n  "a # ] b", "x on p", # why\n  # "c"\n]\n[loss]\n',
+        ),
+        ("[study]\r\nadded = ['a']\r\n", "[study]\r\nadded = ['a', \"x on p\"]\r\n"),
+        ("[study]\nwithout = []\n[loss]\n", '[study]\nadded = ["x on p"]\nwithout = []\n[loss]\n'),
+    ],
+)  # fmt: skip
+def test_an_effect_is_written_into_the_text_and_nothing_else_changes(
+    before: str, after: str
+) -> None:
+    assert text_with_added(before, ["x on p"]) == after
+
+
+def test_a_form_that_cannot_be_changed_safely_is_refused(spring: Path) -> None:
+    path = changed(spring, ("[study]\nadded = []", 'study = { added = ["a"] }'))
+    text = path.read_text().replace("[parameters]", "")
+    path.write_text(f"study = {{ added = ['a'] }}\n{text.split('study =')[0]}")
+    before = path.read_bytes()
+    with pytest.raises(ph.DataError, match="nothing was written"):
+        add_effects(path, ["x on p"])
+    assert path.read_bytes() == before
+    assert sorted(spring.parent.glob("*.bak*")) == []
+
+
+def test_the_file_as_it_was_is_kept_and_no_backup_is_overwritten(spring: Path) -> None:
+    texts = [spring.read_text()]
+    for name in ("coulomb friction on p", "gap on p"):
+        add_effects(spring, [name])
+        texts.append(spring.read_text())
+    assert spring.with_name("study.toml.bak").read_text() == texts[0]
+    assert spring.with_name("study.toml.bak2").read_text() == texts[1]
+    assert "# none yet" in texts[2]
+    assert "# weighed" in texts[2]
+    assert ph.StudyFile.read(spring).steps.added == (
+        "coulomb friction on p",
+        "gap on p",
+    )
+
+
+def test_guesses_are_those_of_the_parameters() -> None:
+    kinds = dict.fromkeys((Scan, Share, Tried))
+    from phsi_opt.estimation.model_content import GUESSES
+
+    assert set(GUESSES.values()) == set(kinds)
