@@ -1,37 +1,75 @@
-"""Identify energy-based models of dynamical systems from measurements."""
+"""Identify energy-based models of dynamical systems from measurements.
 
-from phsi_opt.comparison.compare import Comparison, compare
-from phsi_opt.comparison.profile_likelihood import Profile, profile
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.diagnose import diagnose
-from phsi_opt.diagnosis.finding import Finding
-from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.errors import (
-    Complaint,
-    DataError,
-    ModelError,
-    PhsiOptError,
-    SolveError,
-    StudyFileError,
-)
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify
-from phsi_opt.estimation.pruning import Pruning
-from phsi_opt.model.catalogue import catalogue
-from phsi_opt.model.effect import Effect
-from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
-from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
-from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.simulation.simulate import simulate
-from phsi_opt.study import Study
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
-from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
+A name is imported from its module when it is first asked for, so that a command such as
+``phsi-opt --help`` does not wait for the solver's libraries.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from phsi_opt.comparison.compare import Comparison, compare
+    from phsi_opt.comparison.profile_likelihood import Profile, profile
+    from phsi_opt.data.measurements import Measurements
+    from phsi_opt.data.trajectory import Trajectory
+    from phsi_opt.diagnosis.candidate import Candidate
+    from phsi_opt.diagnosis.diagnose import diagnose
+    from phsi_opt.diagnosis.finding import Finding
+    from phsi_opt.diagnosis.record import Diagnosis
+    from phsi_opt.diagnosis.verdict import Verdict
+    from phsi_opt.errors import (
+        Complaint,
+        DataError,
+        ModelError,
+        PhsiOptError,
+        SolveError,
+        StudyFileError,
+    )
+    from phsi_opt.estimation.fit import Fit
+    from phsi_opt.estimation.identify import identify
+    from phsi_opt.estimation.pruning import Pruning
+    from phsi_opt.model.catalogue import catalogue
+    from phsi_opt.model.effect import Effect
+    from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+    from phsi_opt.model.parameters import Parameter
+    from phsi_opt.model.structure import canonical
+    from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
+    from phsi_opt.optimization.settings import SolverSettings
+    from phsi_opt.simulation.simulate import simulate
+    from phsi_opt.study import Study
+    from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+    from phsi_opt.study_file.study_file import StudyFile
+    from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
+
+# The public names by the module that defines them: the imports above, for run time.
+PLACES = {
+    "comparison.compare": "Comparison compare",
+    "comparison.profile_likelihood": "Profile profile",
+    "data.measurements": "Measurements",
+    "data.trajectory": "Trajectory",
+    "diagnosis.candidate": "Candidate",
+    "diagnosis.diagnose": "diagnose",
+    "diagnosis.finding": "Finding",
+    "diagnosis.record": "Diagnosis",
+    "diagnosis.verdict": "Verdict",
+    "errors": "Complaint DataError ModelError PhsiOptError SolveError StudyFileError",
+    "estimation.fit": "Fit",
+    "estimation.identify": "identify",
+    "estimation.pruning": "Pruning",
+    "model.catalogue": "catalogue",
+    "model.effect": "Effect",
+    "model.model": "FirstOrder Model PseudoHamiltonian",
+    "model.parameters": "Parameter",
+    "model.structure": "canonical",
+    "model.terms": "damping formula polynomials trigonometric",
+    "optimization.settings": "SolverSettings",
+    "simulation.simulate": "simulate",
+    "study": "Study",
+    "study_file.sections": "Channel DataSection HeldOut",
+    "study_file.study_file": "StudyFile",
+    "transcription.losses": "MaximumLikelihood PHSILoss",
+}
+
 
 __all__ = [
     "Candidate",
@@ -75,3 +113,20 @@ __all__ = [
     "simulate",
     "trigonometric",
 ]
+
+
+if not TYPE_CHECKING:  # a type checker sees the imports above
+
+    def __getattr__(name: str) -> Any:
+        """A public name, imported from its module."""
+        for module, names in PLACES.items():
+            if name in names.split():
+                value = getattr(import_module(f"{__name__}.{module}"), name)
+                globals()[name] = value  # the next time it is found at once
+                return value
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return list(__all__)

@@ -2,18 +2,49 @@
 there.
 """
 
+import ast
+import inspect
 import subprocess
 import sys
+
+import pytest
 
 import phsi_opt
 
 
 def test_importing_the_core_imports_no_extra() -> None:
-    code = "import sys, phsi_opt; print(sorted({'torch', 'pysindy', 'nicegui', 'dask'} & set(sys.modules)))"
+    extras = {"torch", "pysindy", "nicegui", "dask"}
+    assert imported_by("from phsi_opt import *") & extras == set()
+
+
+def test_importing_the_package_alone_does_not_wait_for_libraries() -> None:
+    slow = {"casadi", "numpy", "pandas", "scipy", "sympy", "matplotlib"}
+    assert imported_by("import phsi_opt") & slow == set()
+
+
+def imported_by(statement: str) -> set[str]:
+    """The modules that a statement imports, with all below it."""
+    code = f"import sys\n{statement}\nprint(*sys.modules)"
     run = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    assert run.stdout.strip() == "[]"
+    return set(run.stdout.split())
+
+
+def test_every_public_name_has_its_module() -> None:
+    placed = " ".join(phsi_opt.PLACES.values()).split()
+    assert sorted(placed) == sorted(phsi_opt.__all__) == dir(phsi_opt)
+    typed = set()
+    for node in ast.walk(ast.parse(inspect.getsource(phsi_opt))):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("phsi_opt"):
+            for one in node.names:
+                typed.add((str(node.module), one.name))
+    at_run_time = set()
+    for module, names in phsi_opt.PLACES.items():
+        at_run_time |= {(f"phsi_opt.{module}", name) for name in names.split()}
+    assert typed == at_run_time
+    with pytest.raises(AttributeError, match="no attribute 'Fitt'"):
+        getattr(phsi_opt, "Fitt")  # noqa: B009  (as a user's typing error would)
 
 
 def test_every_public_name_is_exported_once_and_documented() -> None:
