@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 # The public names by the module that defines them: the imports above, for run time.
-PLACES = {
+MODULES = {
     "comparison.compare": "Comparison compare",
     "comparison.profile_likelihood": "Profile profile",
     "data.measurements": "Measurements",
@@ -119,7 +119,7 @@ if not TYPE_CHECKING:  # a type checker sees the imports above
 
     def __getattr__(name: str) -> Any:
         """A public name, imported from its module."""
-        for module, names in PLACES.items():
+        for module, names in MODULES.items():
             if name in names.split():
                 value = getattr(import_module(f"{__name__}.{module}"), name)
                 globals()[name] = value  # the next time it is found at once

@@ -32,7 +32,7 @@ def imported_by(statement: str) -> set[str]:
 
 
 def test_every_public_name_has_its_module() -> None:
-    placed = " ".join(phsi_opt.PLACES.values()).split()
+    placed = " ".join(phsi_opt.MODULES.values()).split()
     assert sorted(placed) == sorted(phsi_opt.__all__) == dir(phsi_opt)
     typed = set()
     for node in ast.walk(ast.parse(inspect.getsource(phsi_opt))):
@@ -40,7 +40,7 @@ def test_every_public_name_has_its_module() -> None:
             for one in node.names:
                 typed.add((str(node.module), one.name))
     at_run_time = set()
-    for module, names in phsi_opt.PLACES.items():
+    for module, names in phsi_opt.MODULES.items():
         at_run_time |= {(f"phsi_opt.{module}", name) for name in names.split()}
     assert typed == at_run_time
     with pytest.raises(AttributeError, match="no attribute 'Fitt'"):

@@ -4,7 +4,7 @@ A study file is TOML; docs/command_line.md lists its keys. Reading one never run
 formulas go through the parser of the package.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -260,8 +260,22 @@ class StudyFile:
             ModelError: one of the effects is unknown.
             SolveError: a model could not be fitted.
         """
+        study = self.base_study(progress)
+        self.add_to(study, self.steps.added)
+        return study
+
+    def base_study(self, progress: Callable[[str], None] | None = None) -> Study:
+        """The study with the base model alone.
+
+        Args:
+            progress: called with a line of text as the work goes on.
+
+        Raises:
+            DataError: something in the files cannot be used.
+            SolveError: the base model could not be fitted.
+        """
         train, held_out = self.split()
-        study = Study(
+        return Study(
             self.base,
             train,
             held_out,
@@ -270,6 +284,25 @@ class StudyFile:
             loss=self.loss,
             progress=progress,
         )
-        for name in self.steps.added:
+
+    def add_to(
+        self,
+        study: Study,
+        names: Sequence[str],
+        after_each: Callable[[], None] | None = None,
+    ) -> None:
+        """Add effects to a study, one after the other.
+
+        Args:
+            study: to which they are added.
+            names: of the effects, such as ``"coulomb friction on p"``.
+            after_each: called after each of them.
+
+        Raises:
+            ModelError: one of the effects is unknown.
+            SolveError: a model could not be fitted.
+        """
+        for name in names:
             study.add(meant_effect(study.model, name, self.own_effects))
-        return study
+            if after_each is not None:
+                after_each()

@@ -1,0 +1,234 @@
+"""The commands of ``phsi-opt``.
+
+The libraries of the solver are imported by the commands that need them, so that help
+and completion come at once.
+"""
+
+import signal
+import sys
+from importlib import import_module
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+
+from phsi_opt.command_line import job as kinds
+from phsi_opt.command_line.exit_codes import MEANINGS, ExitCode
+from phsi_opt.command_line.job import Job
+from phsi_opt.command_line.output import do, finish, told_errors
+from phsi_opt.errors import DataError
+
+STUDY_NAME = "study.toml"  # written by init, and read where no other is named
+REPORT_NAME = "report.md"  # written by --report without a name
+LOOPBACK = "127.0.0.1"  # the page is for this machine alone, unless told otherwise
+PORT = 8080
+
+CODES = "\n\n".join(f"{code.value}: {said}" for code, said in MEANINGS.items())
+app = typer.Typer(
+    name="phsi-opt",
+    help="Compare a model with measurements, find what it lacks, add it, and watch the "
+    "error fall.\n\nBegin with `phsi-opt demo`, or with your own table: `phsi-opt init "
+    f"data.csv`.\n\nExit codes:\n\n{CODES}",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+
+StudyPath = Annotated[
+    Path, typer.Argument(help="The study file.", show_default=True, metavar="STUDY")
+]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="Standard output is JSON and nothing else.")
+]
+Save = Annotated[
+    Path | None, typer.Option(help="Save the fit in this file (JSON).", metavar="FILE")
+]
+Saved = Annotated[
+    Path | None,
+    typer.Option("--fit", help="Take this saved fit; no new one.", metavar="FILE"),
+]
+Missing = Annotated[
+    bool, typer.Option("--exit-code", help="End with 1 where something is missing.")
+]
+
+
+@app.command()
+def init(
+    data: Annotated[list[Path], typer.Argument(help="The table(s), as CSV.")],
+    study: Annotated[
+        Path, typer.Option("--study", "-o", help="Where the study file is written.")
+    ] = Path(STUDY_NAME),
+    force: Annotated[
+        bool, typer.Option("--force", help="Overwrite a file that is there.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Look at a table and write a study file for it, to be filled in."""
+    with told_errors(as_json):
+        from phsi_opt.command_line.first_study import first_study
+
+        answer = first_study(data, study, force)
+    finish(answer, as_json)
+
+
+@app.command()
+def check(study: StudyPath = Path(STUDY_NAME), as_json: AsJson = False) -> None:
+    """Check a study file, its data and its model; say everything that is wrong."""
+    with told_errors(as_json):
+        from phsi_opt.command_line.checking import checked
+
+        answer = checked(study)
+    finish(answer, as_json)
+
+
+@app.command()
+def fit(
+    study: StudyPath = Path(STUDY_NAME), save: Save = None, as_json: AsJson = False
+) -> None:
+    """Estimate the parameters, with the effects added so far."""
+    do(Job(kinds.FIT, study, save=save), as_json)
+
+
+@app.command()
+def compare(
+    study: StudyPath = Path(STUDY_NAME), saved: Saved = None, as_json: AsJson = False
+) -> None:
+    """Run the fitted model beside the measurements held out."""
+    do(Job(kinds.COMPARE, study, fit=saved), as_json)
+
+
+@app.command()
+def diagnose(
+    study: StudyPath = Path(STUDY_NAME),
+    saved: Saved = None,
+    exit_code: Missing = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say where the model fails, and which effect would explain it."""
+    do(Job(kinds.DIAGNOSE, study, fit=saved, exit_code=exit_code), as_json)
+
+
+@app.command()
+def add(
+    effect: Annotated[str, typer.Argument(help='Such as "coulomb friction".')],
+    study: StudyPath = Path(STUDY_NAME),
+    equation: Annotated[
+        str | None,
+        typer.Option("--equation", "-e", help="The state in whose equation it acts."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write an effect into the study file; its text and comments stay."""
+    with told_errors(as_json):
+        from phsi_opt.command_line.added_effect import add_effect
+
+        answer = add_effect(study, effect, equation)
+    finish(answer, as_json)
+
+
+@app.command(name="study")
+def study_(
+    study: StudyPath = Path(STUDY_NAME),
+    auto: Annotated[
+        bool, typer.Option("--auto", help="Find what is missing, add it, look again.")
+    ] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            help=f"Write a report; {REPORT_NAME} where no name is given.",
+            metavar="[FILE]",
+        ),
+    ] = None,
+    save: Save = None,
+    max_steps: Annotated[
+        int | None, typer.Option(min=1, help="Effects that --auto adds at most.")
+    ] = None,
+    exit_code: Missing = False,
+    as_json: AsJson = False,
+) -> None:
+    """Go through the steps of a study: the base model, then each effect."""
+    job = Job(
+        kinds.STUDY,
+        study,
+        is_auto=auto,
+        max_steps=max_steps,
+        save=save,
+        report=report,
+        exit_code=exit_code,
+    )
+    do(job, as_json)
+
+
+@app.command()
+def page(
+    study: Annotated[
+        Path | None, typer.Argument(help="The study file to open.", metavar="STUDY")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen at.")] = LOOPBACK,
+    port: Annotated[int, typer.Option(help="Port to listen at.")] = PORT,
+    show: Annotated[bool, typer.Option(help="Open a browser.")] = True,
+) -> None:
+    """The same in a browser."""
+    with told_errors():
+        serve = _page()
+        serve(study, host=host, port=port, show=show)
+
+
+def _page() -> Any:
+    """The function that serves the page.
+
+    Raises:
+        DataError: the extra with the libraries of the page is not installed.
+    """
+    try:
+        serve = import_module("phsi_opt.page.serve").serve
+    except ImportError as error:
+        raise DataError(
+            f"the page needs the extra app ({error}); "
+            'install it: pip install "phsi_opt[app]"'
+        ) from None
+    return serve
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Where its files are written.")] = Path(
+        "phsi_opt_demo"
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """A damped spring with a hidden friction: the whole loop, in a minute."""
+    with told_errors(as_json):
+        from phsi_opt.command_line.demonstration import written_demonstration
+
+        study = written_demonstration(folder)
+    typer.echo(f"the study file: {study}", err=True)
+    report = folder / REPORT_NAME
+    do(Job(kinds.STUDY, study, is_auto=True, report=report), as_json)
+
+
+def with_report_name(arguments: list[str]) -> list[str]:
+    """The arguments with the report's name after a ``--report`` without one."""
+    completed = []
+    for number, argument in enumerate(arguments):
+        completed.append(argument)
+        following = arguments[number + 1 : number + 2]
+        is_alone = not following or following[0].startswith("-")
+        if argument == "--report" and is_alone:
+            completed.append(REPORT_NAME)
+    return completed
+
+
+def main() -> None:
+    """The entry point ``phsi-opt``."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        app(with_report_name(sys.argv[1:]))
+    except KeyboardInterrupt:
+        typer.echo("stopped.", err=True)
+        sys.exit(int(ExitCode.INTERRUPTED))
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,95 @@
+"""How much longer it takes: what is still expected, at the pace so far.
+
+A study says what it is doing, not how long that takes. Each kind of work has a size in
+units of the first fit; the sizes are rough, and the pace is that of this machine and
+these data, so that the forecast becomes better as the work goes on. It decides nothing.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+# How a line begins that tells of the beginning of such a work.
+FITTING = "fitting the base model"
+SCREENING = "screening"
+REFITTING = "re-fitting with"
+ADDING = "adding"
+# Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
+# each unit) and the measured machines, where single ones differ by a factor of three.
+SIZES = {FITTING: 1.0, SCREENING: 1.5, REFITTING: 1.5, ADDING: 2.0}
+EXPECTED_REFITS = 3  # of a diagnosis: 1 to 5 singles, and pairs where one is not enough
+MOST_SAID = 99 * 3600.0  # s; beyond that no forecast is worth saying
+
+
+@dataclass
+class Forecast:
+    """The time that is left, from the lines that were said.
+
+    Attributes:
+        n_diagnoses: how many diagnoses are expected; the last one finds nothing.
+        clock: the time in s.
+    """
+
+    n_diagnoses: int
+    clock: Callable[[], float] = time.monotonic
+    done: float = 0.0
+    current: str = ""
+    n_screened: int = 0
+    n_refitted: int = 0
+    began: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.began = self.clock()
+
+    def said(self, line: str) -> None:
+        """Note a line; most say nothing of the progress."""
+        for kind in SIZES:
+            if line.startswith(kind):
+                self._finish_current()
+                self.current = kind
+                if kind == SCREENING:
+                    self.n_screened += 1
+                    self.n_refitted = 0
+                if kind == REFITTING:
+                    self.n_refitted += 1
+
+    def _finish_current(self) -> None:
+        self.done += SIZES.get(self.current, 0.0)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since it began."""
+        return self.clock() - self.began
+
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left, roughly; None where nothing is known yet."""
+        if self.done == 0.0:
+            return None  # there is no pace before the first fit
+        half_done = self.done + SIZES.get(self.current, 0.0) / 2
+        remaining = SIZES.get(self.current, 0.0) / 2 + self._expected()
+        seconds = remaining * self.elapsed / half_done
+        return seconds if seconds < MOST_SAID else None
+
+    def _expected(self) -> float:
+        """The size of what is expected after the current work."""
+        refit = SIZES[REFITTING]
+        of_diagnosis = SIZES[SCREENING] + EXPECTED_REFITS * refit
+        further = max(self.n_diagnoses - max(self.n_screened, 1), 0)
+        expected = further * (of_diagnosis + SIZES[ADDING])
+        if self.n_diagnoses and self.current in (FITTING, ""):
+            expected += of_diagnosis
+        if self.current in (SCREENING, REFITTING):
+            expected += max(EXPECTED_REFITS - self.n_refitted, 0) * refit
+        if self.current == ADDING and self.n_diagnoses and self.n_screened:
+            expected += 0.0 if further else of_diagnosis
+        return expected
+
+
+def duration(seconds: float) -> str:
+    """A duration as people read it: 0:07, 12:30, 1:02:03."""
+    whole = int(seconds)
+    minutes = whole // 60
+    if minutes < 60:
+        return f"{minutes}:{whole % 60:02d}"
+    return f"{minutes // 60}:{minutes % 60:02d}:{whole % 60:02d}"

@@ -1,0 +1,92 @@
+"""What the working process is asked to do, and what it tells while it works.
+
+Records of texts and numbers alone: the process that waits needs none of the libraries
+of the one that works.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+FIT = "fit"
+COMPARE = "compare"
+DIAGNOSE = "diagnose"
+STUDY = "study"
+
+
+def half_written(path: Path) -> Path:
+    """Where a file is while it is written."""
+    return path.with_name(f".{path.stem}.half{path.suffix}")
+
+
+def kept_aside(path: Path) -> Path:
+    """Where a file of a finished step lies until the work ends."""
+    return path.with_name(f".{path.stem}.kept{path.suffix}")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One piece of work.
+
+    Attributes:
+        kind: `FIT`, `COMPARE`, `DIAGNOSE` or `STUDY`.
+        study: the study file.
+        fit: a saved fit to take in place of a new one; None: fit anew.
+        is_auto: whether effects are looked for and added.
+        max_steps: how many are added at most; None: what the study file says.
+        save: where the fit is saved; None: nowhere.
+        report: where the report is written; None: nowhere.
+        exit_code: whether something missing shows in the exit code.
+    """
+
+    kind: str
+    study: Path
+    fit: Path | None = None
+    is_auto: bool = False
+    max_steps: int | None = None
+    save: Path | None = None
+    report: Path | None = None
+    exit_code: bool = False
+
+
+@dataclass(frozen=True)
+class Progress:
+    """A line about what is being done."""
+
+    line: str
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A step was finished: what would be kept if the work stopped now.
+
+    Attributes:
+        text: the steps as a table.
+        content: the same for ``--json``.
+        files: what was written aside, by the place where it belongs.
+        added: names of the effects added since the study file was read.
+    """
+
+    text: str
+    content: Mapping[str, Any]
+    files: Mapping[Path, Path] = field(default_factory=dict)
+    added: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The end of the work.
+
+    Attributes:
+        text: for a person.
+        content: for ``--json``.
+        code: the exit code.
+    """
+
+    text: str
+    content: Mapping[str, Any]
+    code: int = 0
+
+
+Message = Progress | Finished | Answer

@@ -1,0 +1,230 @@
+"""The work itself: fit, compare, diagnose, study; in the working process alone."""
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from phsi_opt.command_line import job as kinds
+from phsi_opt.command_line.exit_codes import ExitCode
+from phsi_opt.command_line.job import (
+    Answer,
+    Finished,
+    Job,
+    Message,
+    Progress,
+    half_written,
+    kept_aside,
+)
+from phsi_opt.comparison.compare import Comparison, compare
+from phsi_opt.diagnosis.diagnose import diagnose
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.study import Study
+from phsi_opt.study_file.study_file import StudyFile
+
+Tell = Callable[[Message], None]
+SIGNIFICANT_DIGITS = "{:.4g}".format
+
+
+def run(job: Job, tell: Tell) -> Answer:
+    """Do a job.
+
+    Args:
+        job: what to do.
+        tell: called with what is being done, and after every step that is finished.
+
+    Raises:
+        PhsiOptError: something cannot be used, or no solution was found.
+    """
+    tell(Progress("reading the study file and its data"))
+    file = StudyFile.read(job.study)
+    if job.fit is not None:
+        return _of_saved_fit(job, file, tell)
+    keeper = _Keeper(job, tell)
+    study = file.base_study(keeper.progress)
+    keeper.watch(study)
+    file.add_to(study, file.steps.added, keeper.step_finished)
+    if job.kind == kinds.FIT:
+        answer = _fit_answer(study.fit)
+    elif job.kind == kinds.COMPARE:
+        answer = _compare_answer(study.compare())
+    elif job.kind == kinds.DIAGNOSE:
+        answer = _diagnose_answer(study.diagnose(), job)
+    else:
+        answer = _study_answer(study, job, file)
+    keeper.step_finished()
+    return answer
+
+
+def _of_saved_fit(job: Job, file: StudyFile, tell: Tell) -> Answer:
+    """Compare or diagnose a fit that was saved."""
+    fit = Fit.load(str(job.fit))
+    train, held_out = file.split()
+    if job.kind == kinds.COMPARE:
+        return _compare_answer(compare(fit, held_out or train))
+    found = diagnose(
+        fit,
+        train,
+        held_out,
+        effects=file.effects(),
+        without=file.steps.without,
+        loss=file.loss,
+        progress=lambda line: tell(Progress(line)),
+    )
+    return _diagnose_answer(found, job)
+
+
+# ---- what is kept --------------------------------------------------------------------
+
+
+@dataclass
+class _Keeper:
+    """Writes fit and report aside after each step, and tells what there is."""
+
+    job: Job
+    tell: Tell
+    study: Study | None = None
+    n_kept: int = 0
+    seen: list[str] = field(default_factory=list)
+
+    def watch(self, study: Study) -> None:
+        self.study = study
+        self.step_finished()
+
+    def progress(self, line: str) -> None:
+        if self.study is not None and len(self.study.steps) != self.n_kept:
+            self.step_finished()
+        self.tell(Progress(line))
+
+    def step_finished(self) -> None:
+        study = self.study
+        assert study is not None
+        self.n_kept = len(study.steps)
+        files = {}
+        if self.job.save is not None:
+            files[self.job.save] = _written_aside(self.job.save, study.fit.save)
+        if self.job.report is not None:
+            files[self.job.report] = _written_aside(self.job.report, study.report)
+        added = tuple(str(effect) for effect in study.added)
+        history = table_content(study.history)
+        content = {"history": history, "added": list(added)}
+        self.tell(Finished(table_text(study.history), content, files, added))
+
+
+def _written_aside(path: Path, write: Callable[[Path], object]) -> Path:
+    """A file beside its place; the one of the step before stays until it is whole."""
+    half = half_written(path)
+    write(half)
+    os.replace(half, kept_aside(path))
+    return kept_aside(path)
+
+
+# ---- answers -------------------------------------------------------------------------
+
+
+def _fit_answer(fit: Fit) -> Answer:
+    text = "\n".join([str(fit), "", *fit.equations()])
+    content = {
+        "equations": fit.equations(),
+        "parameters": table_content(fit.parameters),
+        "noise": fit.noise,
+        "bic": fit.bic,
+        "success": fit.outcome.success,
+        "outcome": str(fit.outcome),
+        "warnings": list(fit.warnings),
+        "provenance": dict(fit.provenance),
+    }
+    return Answer(text, plain(content))
+
+
+def _compare_answer(comparison: Comparison) -> Answer:
+    content = {
+        "rmse": comparison.rmse,
+        "noise_floor": comparison.noise_floor,
+        "n_samples": comparison.data.n_samples,
+        "states": table_content(comparison.table),
+        "warning": comparison.warning,
+    }
+    return Answer(str(comparison), plain(content))
+
+
+def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
+    sentences = "\n".join(f"- {sentence}" for sentence in found.sentences)
+    content = {
+        "verdict": str(found.verdict),
+        "reason": found.reason,
+        "proposed": [str(effect) for effect in found.proposed],
+        "sentences": list(found.sentences),
+        "candidates": table_content(found.candidates),
+    }
+    text = f"{found}\n\n{sentences}"
+    return Answer(text, plain(content), _code(found, job))
+
+
+def _code(found: Diagnosis, job: Job) -> int:
+    is_missing = found.verdict != Verdict.NOTHING_MISSING
+    return ExitCode.MISSING if job.exit_code and is_missing else ExitCode.DONE
+
+
+def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
+    code = ExitCode.DONE
+    if job.is_auto:
+        study.auto(job.max_steps or file.steps.max_steps)
+        code = ExitCode(_code(study.diagnose(), job))
+    content = {
+        "stopped": study.stopped,
+        "history": table_content(study.history),
+        "added": [str(effect) for effect in study.added],
+        "equations": study.fit.equations(),
+        "unit": study.unit,
+    }
+    unit = f" ({study.unit})" if study.unit else ""
+    text = [
+        f"Errors of the free run{unit}, step by step:",
+        table_text(study.history),
+        "",
+        str(study.fit),
+        "",
+        *study.fit.equations(),
+    ]
+    if study.stopped:
+        text += ["", study.stopped]
+    return Answer("\n".join(text), plain(content), code)
+
+
+# ---- tables and numbers --------------------------------------------------------------
+
+
+def table_text(table: pd.DataFrame) -> str:
+    """A table as text, all of its columns."""
+    return str(table.to_string(index=False, float_format=SIGNIFICANT_DIGITS))
+
+
+def table_content(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """The rows of a table for JSON."""
+    rows: list[dict[str, Any]] = plain(table.to_dict("records"))
+    return rows
+
+
+def plain(value: Any) -> Any:
+    """A value for JSON: what is not finite becomes null, what is unknown its text."""
+    if isinstance(value, Mapping):
+        return {str(name): plain(one) for name, one in value.items()}
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, Sequence):
+        return [plain(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int):
+        return value
+    return str(value)

@@ -1,0 +1,77 @@
+"""What is being done, since when, and how much longer: on standard error.
+
+One line that changes in a terminal, plain lines elsewhere (a file, a log of a server).
+"""
+
+import sys
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from phsi_opt.command_line.forecast import Forecast, duration
+
+if TYPE_CHECKING:
+    from rich.status import Status
+
+SHOWN_CHARACTERS_OF_LINE = 70  # beside the times, on a terminal of 100 columns
+
+
+class ProgressDisplay:
+    """Shows the lines that the work says; a context, which clears the line at its end.
+
+    Args:
+        forecast: of the time that is left.
+    """
+
+    def __init__(self, forecast: Forecast) -> None:
+        self.forecast = forecast
+        self.line = "starting"
+        self._status: Status | None = None
+
+    def __enter__(self) -> Self:
+        if sys.stderr.isatty():
+            from rich.console import Console
+
+            self._status = Console(stderr=True).status(self._text())
+            self._status.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._status is not None:
+            self._status.stop()
+            self._status = None
+
+    def say(self, line: str) -> None:
+        """Show a new line."""
+        self.forecast.said(line)
+        self.line = " ".join(line.split())
+        if self._status is None:
+            print(self._plain_text(), file=sys.stderr, flush=True)
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show the time again."""
+        if self._status is not None:
+            self._status.update(self._text())
+
+    def _times(self) -> str:
+        left = self.forecast.left
+        elapsed = duration(self.forecast.elapsed)
+        if left is None:
+            return elapsed
+        return f"{elapsed}, about {duration(left)} left"
+
+    def _plain_text(self) -> str:
+        return f"[{self._times()}] {self.line}"
+
+    def _text(self) -> str:
+        from rich.markup import escape
+
+        line = self.line
+        if len(line) > SHOWN_CHARACTERS_OF_LINE:
+            line = f"{line[: SHOWN_CHARACTERS_OF_LINE - 3]}..."
+        return escape(f"{line}  [{self._times()}]")

@@ -1,0 +1,148 @@
+"""The waiting process: it starts the work, shows its progress, and ends it on Ctrl-C.
+
+A solver in C++ does not always hear Ctrl-C. So the work is done by a process of its
+own, which is ended at once; what it finished lies aside already and is put into its
+place here.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from phsi_opt.command_line.exit_codes import ExitCode
+from phsi_opt.command_line.forecast import Forecast
+from phsi_opt.command_line.job import (
+    DIAGNOSE,
+    STUDY,
+    Answer,
+    Finished,
+    Job,
+    Progress,
+    half_written,
+    kept_aside,
+)
+from phsi_opt.command_line.progress_display import ProgressDisplay
+from phsi_opt.command_line.worker import work
+
+REFRESH = 0.2  # s between looks at the pipe; the clock on the screen goes by it
+END_WAIT = 0.5  # s for the system to take a process away that was killed
+
+
+@dataclass
+class Supervised:
+    """How the work ended.
+
+    Attributes:
+        answer: what it answered; None: it was interrupted.
+        kept: the last step that was finished; None: none was.
+        files: those that were put into their place.
+        seconds: how long it took.
+    """
+
+    answer: Answer | None = None
+    kept: Finished | None = None
+    files: list[Path] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def supervise(job: Job) -> Supervised:
+    """Have a job done by a process of its own; Ctrl-C ends it at once."""
+    ended = Supervised()
+    forecast = Forecast(_expected_diagnoses(job))
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=work, args=(there, job), daemon=True)
+    with _ignored_interrupts():  # inherited: the work never hears of Ctrl-C
+        process.start()
+    there.close()
+    try:
+        with ProgressDisplay(forecast) as display:
+            ended.answer = _listen(here, process, display, ended)
+    except KeyboardInterrupt:
+        pass
+    with _ignored_interrupts():
+        _end(process)
+        here.close()
+        ended.files = _put_into_place(job, ended.kept)
+    ended.seconds = forecast.elapsed
+    return ended
+
+
+def _expected_diagnoses(job: Job) -> int:
+    """One effect is added as a rule, and a last diagnosis finds nothing."""
+    if job.kind == STUDY:
+        return 2 if job.is_auto else 0
+    return 1 if job.kind == DIAGNOSE else 0
+
+
+def _listen(
+    pipe: Connection,
+    process: BaseProcess,
+    display: ProgressDisplay,
+    ended: Supervised,
+) -> Answer:
+    """The answer; progress is shown, and finished steps are remembered."""
+    while True:
+        try:
+            if not pipe.poll(REFRESH):
+                display.refresh()
+                continue
+            message = pipe.recv()
+        except EOFError:
+            return _died(process)
+        if isinstance(message, Answer):
+            return message
+        if isinstance(message, Finished):
+            ended.kept = message
+        if isinstance(message, Progress):
+            display.say(message.line)
+
+
+def _died(process: BaseProcess) -> Answer:
+    process.join(END_WAIT)
+    text = (
+        f"The working process ended without an answer (exit code {process.exitcode}); "
+        "the memory may have been too small. What was finished before is kept."
+    )
+    return Answer(text, {"error": text}, ExitCode.FAILED)
+
+
+def _end(process: BaseProcess) -> None:
+    if process.is_alive():
+        process.join(END_WAIT if process.exitcode is not None else 0)
+        process.kill()
+    process.join(END_WAIT)
+
+
+def _put_into_place(job: Job, kept: Finished | None) -> list[Path]:
+    """Fit and report of the last finished step; what is half written is removed."""
+    placed = []
+    for path in (job.save, job.report):
+        if path is None:
+            continue
+        written = None if kept is None else kept.files.get(path)
+        if written is not None and written.exists():
+            os.replace(written, path)
+            placed.append(path)
+        kept_aside(path).unlink(missing_ok=True)
+        half_written(path).unlink(missing_ok=True)
+    return placed
+
+
+@contextlib.contextmanager
+def _ignored_interrupts() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
