@@ -15,6 +15,7 @@ from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.study_file.part import Complaints, Part
 from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
 
+TIME_KEY = "data.time.column"
 WAYS_HELD_OUT = ("runs", "share", "after")
 
 
@@ -28,11 +29,11 @@ def read_data(file: Part) -> DataSection:
         _check_files_named(data)
     return DataSection(
         files=data.texts("files", '["bench.csv"]'),
-        time=_time(data),
         states=_channels(data, "states"),
         inputs=_channels(data, "inputs"),
         trajectory=data.text("trajectory") or None,
         hold=data.one_of("hold", HOLDS, "linear"),
+        **_time(data),
     )
 
 
@@ -47,12 +48,26 @@ def _check_files_named(data: Part) -> None:
         data.complaints.add(data.path("states"), said)
 
 
-def _time(data: Part) -> Channel:
-    time = data.part("time")
-    if data.content and not time.text("column"):
-        said = 'expected the column of the times, such as "t_s".'
-        data.complaints.add(time.path("column"), said)
-    return Channel(time.text("column"), time.text("unit"))
+def _time(data: Part) -> dict[str, Any]:
+    """What the section says of the times: a column, dates, or a step."""
+    part = data.part("time")
+    step = part.number("step")
+    if step is not None and not 0 < step < float("inf"):
+        part.complain("step", "expected the time between lines, a number above zero.")
+    column = part.text("column")
+    if column and "step" in part.content:
+        part.complain("step", "there is a column too; keep one of the two.")
+    if data.content and not column and "step" not in part.content:
+        data.complaints.add(
+            part.path("column"),
+            'expected the column of the times, such as "t_s"; where no column has '
+            "them, the time between lines: time = { step = 0.01 }.",
+        )
+    return {
+        "time": Channel(column or None, part.text("unit")),
+        "step": step,
+        "dates": part.flag("dates"),
+    }
 
 
 def _channels(data: Part, what: str) -> dict[str, Channel]:
@@ -155,6 +170,12 @@ def _check_file(
     except DataError as error:
         complaints.add(key, str(error), name)
         return
+    if section.dates:
+        try:
+            table = section.with_times(table)
+        except DataError as error:
+            complaints.add(TIME_KEY, str(error), section.time.column)
+            return
     for where, column in wanted.items():
         _check_column(table, where, column, complaints)
 
@@ -189,7 +210,8 @@ def _check_column(table: Table, key: str, column: str, complaints: Complaints) -
     try:
         numbers_in(table, column, may_be_missing=key.startswith("data.states."))
     except DataError as error:
-        complaints.add(key, str(error), column)
+        hint = " Are these dates? Then: dates = true." if key == TIME_KEY else ""
+        complaints.add(key, f"{error}{hint}", column)
 
 
 def check_held_out(

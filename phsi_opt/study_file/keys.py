@@ -62,7 +62,16 @@ KEYS: tuple[Key, ...] = (
         ("states", "table", "a table for each state"),
         ("inputs", "table", "a table for each measured input; default: none"),
     ),
-    *_keys("data.time", *CHANNEL),
+    *_keys(
+        "data.time",
+        *CHANNEL,
+        ("step", "number", "in place of a column: the time between lines"),
+        (
+            "dates",
+            "true or false",
+            "dates become seconds since the first one",
+        ),
+    ),
     *_keys(
         "data.states",
         ("*", "table", "a state, by the name that it has in the formulas"),

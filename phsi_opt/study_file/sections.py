@@ -4,13 +4,17 @@ Paths stay as they were written, relative to the folder of the study file.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from phsi_opt.data.file_opening import text_files
+from phsi_opt.data.layout import table_layout, trajectories_in
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
+from phsi_opt.study_file.times import COUNTED, counted_times, dates_as_seconds
 
 SHARE_DIGITS = 12  # of 1 - share, so that 1 - 0.4 reads 0.6
 
@@ -36,11 +40,13 @@ class DataSection:
 
     Attributes:
         files: relative to the folder of the study file, or absolute.
-        time: the column of the times.
+        time: the column of the times; without a column where ``step`` is given.
         states: by name.
         inputs: by name.
         trajectory: the column that names each line's run; None: a run per file.
         hold: what inputs do between samples, "linear" or "zero".
+        step: the time between neighbouring lines, where no column has the times.
+        dates: whether the times are dates; they become seconds since the first one.
     """
 
     files: tuple[str, ...]
@@ -49,6 +55,13 @@ class DataSection:
     inputs: Mapping[str, Channel] = field(default_factory=dict)
     trajectory: str | None = None
     hold: str = "linear"
+    step: float | None = None
+    dates: bool = False
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the table holds the times as numbers."""
+        return self.step is None and not self.dates
 
     @property
     def units(self) -> dict[str, str]:
@@ -102,6 +115,8 @@ class DataSection:
             DataError: something in them cannot be used; with file, column and line.
         """
         paths = self.paths(folder)
+        if not self.is_plain:
+            return self._timed_measurements(paths)
         return Measurements.from_csv(
             paths if len(paths) > 1 else paths[0],
             time=str(self.time.column),
@@ -112,6 +127,38 @@ class DataSection:
             units=self.units,
             noise=self.noise,
         )
+
+    def _timed_measurements(self, paths: Sequence[Path]) -> Measurements:
+        """The measurements, where the times are counted or are dates."""
+        column = COUNTED if self.step is not None else str(self.time.column)
+        layout = table_layout(
+            column, self.state_columns, self.input_columns, self.trajectory
+        )
+        tables = []
+        for file in text_files(list(paths)):
+            table = table_of_csv(file, layout.columns())
+            tables.append(self.with_times(table))
+        return Measurements(
+            trajectories_in(tables, layout),
+            states=tuple(self.states),
+            inputs=tuple(self.inputs),
+            units=self.units,
+            hold=self.hold,
+            noise=self.noise,
+        )
+
+    def with_times(self, table: Table) -> Table:
+        """The table with its times as numbers.
+
+        Raises:
+            DataError: a cell is no date.
+        """
+        if self.step is not None:
+            return counted_times(table, self.step, self.trajectory)
+        column = str(self.time.column)
+        if self.dates and list(table.frame.columns).count(column) == 1:
+            return dates_as_seconds(table, column)
+        return table
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def data_sections(data: DataSection) -> list[str]:
         content["trajectory"] = data.trajectory
     if data.inputs:
         content["hold"] = data.hold
-    content["time"] = _channel_content(data.time)
+    content["time"] = _time_content(data)
     states = {name: _channel_content(one) for name, one in data.states.items()}
     inputs = {name: _channel_content(one) for name, one in data.inputs.items()}
     return [
@@ -91,6 +91,17 @@ def data_sections(data: DataSection) -> list[str]:
         section("data.states", states, ABOUT_STATES),
         section("data.inputs", inputs, ABOUT_INPUTS),
     ]
+
+
+def _time_content(data: DataSection) -> dict[str, Any]:
+    content = {} if data.step is not None else _channel_content(data.time)
+    if data.step is not None:
+        content["step"] = data.step
+        if data.time.unit:
+            content["unit"] = data.time.unit
+    if data.dates:
+        content["dates"] = True
+    return content
 
 
 def _channel_content(channel: Channel) -> dict[str, Any]:

@@ -1,0 +1,52 @@
+"""``phsi-opt init``: a first study file from the look of a table."""
+
+from pathlib import Path
+
+from phsi_opt.command_line.job import Answer
+from phsi_opt.errors import Complaint, DataError, StudyFileError
+from phsi_opt.study_file.first_text import first_text
+from phsi_opt.study_file.reading import read_contents
+from phsi_opt.study_file.survey import survey
+
+
+def first_study(files: list[Path], study: Path, force: bool) -> Answer:
+    """Write a study file; nothing that is there is overwritten unless forced.
+
+    Raises:
+        DataError: the table cannot be read, or the study file is there already.
+    """
+    if study.exists() and not force:
+        raise DataError(
+            f"{study} is there already; nothing was written. Give another name with "
+            "--study, or overwrite it with --force."
+        )
+    table = survey(files[0])
+    folder = study.parent
+    text = first_text(table, files, folder)
+    try:
+        study.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"{study} cannot be written ({error}).") from None
+    needs = _needs(study)
+    lines = [f"{study} is written, for {table.n_lines} lines of {files[0]}:"]
+    for column in table.columns:
+        if column.column:
+            unit = f" [{column.unit}]" if column.unit else ""
+            lines.append(f"  {column.column}{unit}: {column.part}; {column.said}")
+    lines += ["", "It needs:", *[f"  {need}" for need in needs]]
+    lines += ["", f"Then: phsi-opt check {study}"]
+    content = {
+        "study_file": str(study),
+        "columns": [vars(column) for column in table.columns],
+        "needs": [vars(need) for need in needs],
+    }
+    return Answer("\n".join(lines), content)
+
+
+def _needs(study: Path) -> tuple[Complaint, ...]:
+    """What is missing in the file that was written."""
+    try:
+        read_contents(study)
+    except StudyFileError as error:
+        return error.complaints
+    return ()
