@@ -144,18 +144,22 @@ def study_(
     max_steps: Annotated[
         int | None, typer.Option(min=1, help="Effects that --auto adds at most.")
     ] = None,
+    write: Annotated[
+        bool, typer.Option("--write", help="Write what was found into the study file.")
+    ] = False,
     exit_code: Missing = False,
     as_json: AsJson = False,
 ) -> None:
     """Go through the steps of a study: the base model, then each effect."""
     job = Job(
-        kinds.STUDY,
+        kinds.GO_THROUGH,
         study,
         is_auto=auto,
         max_steps=max_steps,
         save=save,
         report=report,
         exit_code=exit_code,
+        write=write,
     )
     do(job, as_json)
 
@@ -171,24 +175,23 @@ def page(
 ) -> None:
     """The same in a browser."""
     with told_errors():
-        serve = _page()
+        serve = page_server()
         serve(study, host=host, port=port, show=show)
 
 
-def _page() -> Any:
+def page_server() -> Any:
     """The function that serves the page.
 
     Raises:
         DataError: the extra with the libraries of the page is not installed.
     """
     try:
-        serve = import_module("phsi_opt.page.serve").serve
+        return import_module("phsi_opt.page.serve").serve
     except ImportError as error:
         raise DataError(
             f"the page needs the extra app ({error}); "
             'install it: pip install "phsi_opt[app]"'
         ) from None
-    return serve
 
 
 @app.command()
@@ -205,7 +208,7 @@ def demo(
         study = written_demonstration(folder)
     typer.echo(f"the study file: {study}", err=True)
     report = folder / REPORT_NAME
-    do(Job(kinds.STUDY, study, is_auto=True, report=report), as_json)
+    do(Job(kinds.GO_THROUGH, study, is_auto=True, report=report), as_json)
 
 
 def with_report_name(arguments: list[str]) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 FIT = "fit"
 COMPARE = "compare"
 DIAGNOSE = "diagnose"
-STUDY = "study"
+GO_THROUGH = "study"
 
 
 def half_written(path: Path) -> Path:
@@ -30,7 +30,7 @@ class Job:
     """One piece of work.
 
     Attributes:
-        kind: `FIT`, `COMPARE`, `DIAGNOSE` or `STUDY`.
+        kind: `FIT`, `COMPARE`, `DIAGNOSE` or `GO_THROUGH`.
         study: the study file.
         fit: a saved fit to take in place of a new one; None: fit anew.
         is_auto: whether effects are looked for and added.
@@ -38,6 +38,7 @@ class Job:
         save: where the fit is saved; None: nowhere.
         report: where the report is written; None: nowhere.
         exit_code: whether something missing shows in the exit code.
+        write: whether effects that were found are written into the study file.
     """
 
     kind: str
@@ -48,6 +49,7 @@ class Job:
     save: Path | None = None
     report: Path | None = None
     exit_code: bool = False
+    write: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,13 @@ class Finished:
         text: the steps as a table.
         content: the same for ``--json``.
         files: what was written aside, by the place where it belongs.
-        added: names of the effects added since the study file was read.
+        found: names of the effects added beyond those of the study file.
     """
 
     text: str
     content: Mapping[str, Any]
     files: Mapping[Path, Path] = field(default_factory=dict)
-    added: tuple[str, ...] = ()
+    found: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.model.effect import Effect
 from phsi_opt.study import Study
 from phsi_opt.study_file.study_file import StudyFile
 
@@ -51,6 +52,7 @@ def run(job: Job, tell: Tell) -> Answer:
     study = file.base_study(keeper.progress)
     keeper.watch(study)
     file.add_to(study, file.steps.added, keeper.step_finished)
+    keeper.known = study.added
     if job.kind == kinds.FIT:
         answer = _fit_answer(study.fit)
     elif job.kind == kinds.COMPARE:
@@ -92,7 +94,7 @@ class _Keeper:
     tell: Tell
     study: Study | None = None
     n_kept: int = 0
-    seen: list[str] = field(default_factory=list)
+    known: tuple[Effect, ...] = ()  # those that the study file has
 
     def watch(self, study: Study) -> None:
         self.study = study
@@ -112,10 +114,10 @@ class _Keeper:
             files[self.job.save] = _written_aside(self.job.save, study.fit.save)
         if self.job.report is not None:
             files[self.job.report] = _written_aside(self.job.report, study.report)
-        added = tuple(str(effect) for effect in study.added)
+        found = tuple(str(one) for one in study.added if one not in self.known)
         history = table_content(study.history)
-        content = {"history": history, "added": list(added)}
-        self.tell(Finished(table_text(study.history), content, files, added))
+        content = {"history": history, "found": list(found)}
+        self.tell(Finished(table_text(study.history), content, files, found))
 
 
 def _written_aside(path: Path, write: Callable[[Path], object]) -> Path:
@@ -182,6 +184,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         "stopped": study.stopped,
         "history": table_content(study.history),
         "added": [str(effect) for effect in study.added],
+        "verdict": str(study.diagnose().verdict) if job.is_auto else None,
         "equations": study.fit.equations(),
         "unit": study.unit,
     }

@@ -5,7 +5,6 @@ Progress, and what went wrong, go to standard error.
 
 import contextlib
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from typing import Any, NoReturn
 
@@ -16,6 +15,7 @@ from phsi_opt.command_line.job import Answer, Job
 from phsi_opt.command_line.supervision import Supervised, supervise
 from phsi_opt.command_line.worker import answer_to
 from phsi_opt.errors import PhsiOptError
+from phsi_opt.study_file.adding import add_effects
 
 
 def finish(answer: Answer, as_json: bool, **further: Any) -> NoReturn:
@@ -64,33 +64,43 @@ def do(job: Job, as_json: bool) -> NoReturn:
         typer.Exit: always, with the exit code.
     """
     ended = supervise(job)
-    written = [str(path) for path in ended.files]
+    files = [str(path) for path in ended.files]
+    notes = [f"written: {file}" for file in files]
+    found = [] if ended.kept is None else list(ended.kept.found)
+    if found:
+        notes += _found_effects(job, found)
+    further = {"written": files, "seconds": round(ended.seconds, 2), "found": found}
     if ended.answer is None:
-        _interrupted(ended, as_json)
+        _interrupted(ended, as_json, notes, further)
     if not as_json:
-        for path in written:
-            typer.echo(f"written: {path}", err=True)
-    finish(ended.answer, as_json, written=written, seconds=round(ended.seconds, 2))
+        typer.echo("\n".join(notes), err=True, nl=bool(notes))
+    finish(ended.answer, as_json, **further)
 
 
-def _interrupted(ended: Supervised, as_json: bool) -> NoReturn:
+def _found_effects(job: Job, found: list[str]) -> list[str]:
+    """What became of the effects that were found, or what can become of them."""
+    if not job.write:
+        commands = [f'phsi-opt add "{name}" {job.study}' for name in found]
+        return ["to keep what was found in the study file:", *commands]
+    try:
+        added = add_effects(job.study, found)
+    except PhsiOptError as error:
+        return [str(error)]
+    return [f"written into {job.study}: {', '.join(found)}; before: {added.backup}"]
+
+
+def _interrupted(
+    ended: Supervised, as_json: bool, notes: list[str], further: dict[str, Any]
+) -> NoReturn:
     """Say what was kept, and how to go on from it."""
-    kept = ended.kept
-    content: dict[str, Any] = {"interrupted": True}
     said = [f"stopped after {ended.seconds:.0f} s."]
-    if kept is None:
+    content: dict[str, Any] = {"interrupted": True, **further}
+    if ended.kept is None:
         said.append("No step was finished; nothing was written.")
     else:
-        content.update(kept.content)
-        said.append("Kept are the steps that were finished:")
-        said.append(kept.text)
-        said += [f"written: {path}" for path in ended.files]
-        if kept.added:
-            names = ", ".join(kept.added)
-            said.append(f"Effects in the last step: {names}.")
-    content["written"] = [str(path) for path in ended.files]
+        content = {**content, **ended.kept.content}
+        said += ["The steps that were finished are kept:", ended.kept.text, *notes]
     if as_json:
         _print_json(content, ExitCode.INTERRUPTED)
-    sys.stdout.flush()
     typer.echo("\n".join(said), err=True)
     raise typer.Exit(int(ExitCode.INTERRUPTED))

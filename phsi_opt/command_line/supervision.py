@@ -20,7 +20,7 @@ from phsi_opt.command_line.exit_codes import ExitCode
 from phsi_opt.command_line.forecast import Forecast
 from phsi_opt.command_line.job import (
     DIAGNOSE,
-    STUDY,
+    GO_THROUGH,
     Answer,
     Finished,
     Job,
@@ -77,7 +77,7 @@ def supervise(job: Job) -> Supervised:
 
 def _expected_diagnoses(job: Job) -> int:
     """One effect is added as a rule, and a last diagnosis finds nothing."""
-    if job.kind == STUDY:
+    if job.kind == GO_THROUGH:
         return 2 if job.is_auto else 0
     return 1 if job.kind == DIAGNOSE else 0
 

@@ -9,17 +9,17 @@ from typing import Any
 
 from phsi_opt.study_file.survey import (
     INPUT,
-    LEFT_OUT,
     RUN,
     STATE,
     TIME,
+    UNUSED,
     ColumnSurvey,
     TableSurvey,
 )
 from phsi_opt.study_file.toml_text import key_text, text_value, toml_value
 
 HELD_OUT_SHARE = 0.3  # of the runs, or of the time of a single one: the usual
-PHYSICS = """\
+PHYSICS_SECTION = """\
 # ---- the physics: fill this in ------------------------------------------------------
 # dx/dt = (S - R) grad H + F(x, t, u): H is the energy, R >= 0 the losses, F the forces.
 # Names in formulas: states, inputs, t, the efforts dH_dq, dH_dp, ..., and parameters.
@@ -35,13 +35,13 @@ PHYSICS = """\
 #
 # A state that nobody measured is named here and above: p = { measured = false }.
 """
-PARAMETERS = """\
+NUMBERS_SECTION = """\
 # The numbers in the formulas: known ones as they are; start is where a search begins.
 [parameters]
 # m = 2.5
 # k = { start = 10.0, lower = 0, unit = "N/m" }
 """
-STUDY = """\
+STUDY_SECTION = """\
 # Effects added so far; `phsi-opt add` and `phsi-opt study --auto` tell which help.
 [study]
 added = []
@@ -66,15 +66,15 @@ def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
         _channels(table, INPUT, "inputs", "Inputs, known at every sample."),
         _left_out(table),
         _held_out(table, len(files)),
-        f"{PHYSICS}{_model(table)}",
-        PARAMETERS,
-        STUDY,
+        f"{PHYSICS_SECTION}{_model(table)}",
+        NUMBERS_SECTION,
+        STUDY_SECTION,
     ]
     return "\n".join(filter(None, sections))
 
 
 def _relative(file: Path, folder: Path) -> str:
-    """The file as it is called from the study's folder; absolute where that was meant."""
+    """The file as the study's folder calls it; absolute where that was meant."""
     if file.is_absolute() and not file.is_relative_to(folder.resolve()):
         return file.as_posix()
     return Path(os.path.relpath(file, folder)).as_posix()
@@ -131,7 +131,7 @@ def _channels(table: TableSurvey, part: str, what: str, about: str) -> str:
 
 
 def _left_out(table: TableSurvey) -> str:
-    columns = [one for one in table.of_part(LEFT_OUT) if one.column]
+    columns = [one for one in table.of_part(UNUSED) if one.column]
     if not columns:
         return ""
     lines = ["# Columns that are left out:"]

@@ -79,11 +79,11 @@ def is_unit(text: str) -> bool:
 
 
 def is_time_word(header: Header) -> bool:
-    """Whether a header says that it is the time."""
+    """Whether a header says that it is the time; T is a temperature."""
     words = header.words
-    return bool(words) and (
-        words[0] in TIME_WORDS or (words[-1] in TIME_WORDS and header.unit in TIMES)
-    )
+    if not words or header.label == "T" or header.unit not in ("", *TIMES):
+        return False
+    return words[0] in TIME_WORDS or (words[-1] in TIME_WORDS and header.unit != "")
 
 
 def is_step_word(words: list[str]) -> bool:

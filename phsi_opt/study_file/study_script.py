@@ -21,7 +21,7 @@ from phsi_opt.study_file.python_text import Call, Code, Names, source_of
 from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-PARAMETERS = "parameters"  # the variable in which the script keeps them
+IN_SCRIPT = "parameters"  # the variable in which the script keeps them
 
 
 def study_script(
@@ -117,7 +117,7 @@ def _model_lines(
     parameters = shared_parameters(model, own_effects)
     if parameters:
         table = {name: _parameter(one, names) for name, one in parameters.items()}
-        lines = [f"{PARAMETERS} = {Call('dict', [], table).text()}"]
+        lines = [f"{IN_SCRIPT} = {Call('dict', [], table).text()}"]
     arguments: dict[str, Any] = {"states": list(model.states)}
     if model.inputs:
         arguments["inputs"] = list(model.inputs)
@@ -170,7 +170,7 @@ def _terms(terms: Dictionary, names: Names) -> Any:
 
 def _formula(term: Term) -> Call:
     arguments: Mapping[str, Any] = {
-        name: Code(f"{PARAMETERS}[{source_of(name)}]") for name in term.inner
+        name: Code(f"{IN_SCRIPT}[{source_of(name)}]") for name in term.inner
     }
     return Call("ph.formula", [term.body], arguments)
 

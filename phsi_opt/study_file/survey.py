@@ -14,8 +14,10 @@ import pandas as pd
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.file_opening import text_files
 from phsi_opt.data.tables import MISSING_CELLS, table_of_csv
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, ModelError
+from phsi_opt.model.checks import checked_names as usable_in_formulas
 from phsi_opt.study_file.headers import (
+    TIMES,
     Header,
     header_of,
     is_input_word,
@@ -29,10 +31,10 @@ TIME = "time"
 RUN = "run"
 STATE = "state"
 INPUT = "input"
-LEFT_OUT = "left out"
+UNUSED = "left out"
 MOST_RUNS = 1 / 3  # share of the lines that may be different runs
-REGULAR = 0.01  # share of the median step by which steps of a regular record differ
-GAP = 1.5  # median steps from which a step is a gap
+EVEN_STEPS = 0.01  # share of the median step by which steps of a regular record differ
+GAP_STEPS = 1.5  # median steps from which a step is a gap
 LOOKED_AT = 50  # cells that tell whether a column holds dates
 
 
@@ -42,7 +44,7 @@ class ColumnSurvey:
 
     Attributes:
         column: its header.
-        part: `TIME`, `RUN`, `STATE`, `INPUT` or `LEFT_OUT`.
+        part: `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`.
         name: what it could be called in formulas.
         unit: as in the header; "" where it does not tell.
         said: what else was seen: its range, missing cells, why it is left out.
@@ -151,7 +153,7 @@ def _looked_at(header: str, cells: pd.Series, headers: list[str]) -> _Seen:
 
 
 def _left_out(one: _Seen, why: str) -> _Seen:
-    one.part = LEFT_OUT
+    one.part = UNUSED
     one.said = why
     return one
 
@@ -195,13 +197,18 @@ def _mark_time(seen: list[_Seen], run: _Seen | None) -> _Seen | None:
             return one
         if one.part == STATE:
             one.said += "; no time: it does not increase from line to line"
-            one.part = LEFT_OUT
+            one.part = UNUSED
     for one in seen:
-        is_counter = one.header.text == "" or _is_counter(one)
-        if one.part == STATE and not is_counter and _is_time(one, run):
+        if one.said == "dates" or (_may_be_time(one) and _is_time(one, run)):
             one.part = TIME
             return one
     return None
+
+
+def _may_be_time(one: _Seen) -> bool:
+    """Whether nothing speaks against a time, if the column increases."""
+    has_other_unit = one.header.unit not in ("", *TIMES)
+    return one.part == STATE and not has_other_unit and not _is_counter(one)
 
 
 def _is_time(one: _Seen, run: _Seen | None) -> bool:
@@ -222,7 +229,7 @@ def _step(seen: list[_Seen]) -> float | None:
         if is_step_word(one.header.words):
             numbers = pd.to_numeric(one.cells, errors="coerce").dropna().unique()
             if len(numbers) == 1 and numbers[0] > 0:
-                one.part = LEFT_OUT
+                one.part = UNUSED
                 one.said = "the time between samples"
                 return float(numbers[0])
     return None
@@ -253,7 +260,8 @@ def _named(seen: list[_Seen]) -> tuple[ColumnSurvey, ...]:
 def _free_name(wanted: str, used: set[str]) -> str:
     try:
         checked_names([wanted], "states")
-    except DataError:
+        usable_in_formulas([wanted], "states")
+    except (DataError, ModelError):
         wanted = f"x_{wanted}" if wanted else "x"
     name = wanted
     number = 2
@@ -273,9 +281,9 @@ def _said_of_times(time: _Seen | None, run: _Seen | None) -> str:
         return "the times are dates"
     steps = _steps(time.values, run)
     typical = float(np.median(steps))
-    n_gaps = int(np.sum(steps > GAP * typical))
+    n_gaps = int(np.sum(steps > GAP_STEPS * typical))
     said = f"{time.values.min():g} to {time.values.max():g}, every {typical:.4g}"
-    if np.ptp(steps) <= REGULAR * typical:
+    if np.ptp(steps) <= EVEN_STEPS * typical:
         return f"{said}, regular"
     if n_gaps:
         return f"{said}, {n_gaps} gaps, the longest {steps.max():.4g}"

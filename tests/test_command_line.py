@@ -1,0 +1,646 @@
+"""``phsi-opt``: every command, what it says and how it ends, and Ctrl-C."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from typer.testing import CliRunner
+
+import phsi_opt as ph
+from phsi_opt.command_line import app as commands
+from phsi_opt.command_line.app import app, with_report_name
+from phsi_opt.command_line.exit_codes import MEANINGS, ExitCode
+from phsi_opt.command_line.forecast import (
+    ADDING,
+    FITTING,
+    REFITTING,
+    SCREENING,
+    Forecast,
+    duration,
+)
+from phsi_opt.command_line.jobs import plain
+from phsi_opt.command_line.worker import answer_to
+from phsi_opt.study_file.headers import (
+    header_of,
+    is_input_word,
+    is_time_word,
+    name_from,
+)
+from phsi_opt.study_file.keys import KEYS
+from phsi_opt.study_file.survey import survey
+from problems.examples.friction_spring import CSV
+from problems.tools.data_paths import folder
+
+ROOT = Path(ph.__file__).parents[1]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+COMMAND = [sys.executable, "-m", "phsi_opt.command_line"]
+SOON = 2.0  # s within which Ctrl-C ends a command
+runner = CliRunner()
+
+
+class Said(NamedTuple):
+    """How a command ended in this process."""
+
+    code: int
+    out: str
+    err: str
+
+
+def said(*arguments: object) -> Said:
+    """A command that needs no solver, in this process."""
+    result = runner.invoke(app, [str(one) for one in arguments])
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return Said(result.exit_code, result.stdout, result.stderr)
+
+
+def run(*arguments: object, at: Path) -> subprocess.CompletedProcess[str]:
+    """A command as a user types it."""
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)],
+        cwd=at,
+        env=ENVIRONMENT,
+        capture_output=True,
+        text=True,
+    )
+
+
+@pytest.fixture
+def demo(tmp_path: Path) -> Path:
+    """The study file of the demonstration, with three of its eight runs."""
+    shipped = ROOT / "phsi_opt" / "command_line" / "demo_data"
+    lines = (shipped / "friction_spring.csv").read_text().splitlines()
+    left_out = tuple(f"run {number}" for number in range(4, 9))
+    kept = [line for line in lines if not line.startswith(left_out)]
+    (tmp_path / "friction_spring.csv").write_text("\n".join(kept))
+    path = tmp_path / "study.toml"
+    path.write_text((shipped / "study.toml").read_text())
+    return path
+
+
+def left_over(at: Path) -> list[str]:
+    return sorted(path.name for path in at.glob(".*"))
+
+
+# ---- help, names, codes --------------------------------------------------------------
+
+
+def test_help_comes_at_once_and_needs_no_solver(tmp_path: Path) -> None:
+    seconds = []
+    for _ in range(3):
+        began = time.perf_counter()
+        result = run("--help", at=tmp_path)
+        seconds.append(time.perf_counter() - began)
+        assert result.returncode == 0
+    assert min(seconds) < 1.0
+    code = "import sys, phsi_opt.command_line.app; print(*sys.modules)"
+    imported = subprocess.run(
+        [sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True
+    ).stdout.split()
+    assert not {"numpy", "casadi", "pandas", "scipy"} & set(imported)
+
+
+def test_help_tells_the_commands_and_the_exit_codes() -> None:
+    text = said("--help").out
+    for name in [
+        "init",
+        "check",
+        "fit",
+        "compare",
+        "diagnose",
+        "add",
+        "study",
+        "page",
+        "demo",
+    ]:
+        assert name in text
+    for code, meaning in MEANINGS.items():
+        assert f"{code.value}: {meaning[:20]}" in text
+
+
+def test_a_report_without_a_name_gets_one() -> None:
+    name = commands.REPORT_NAME
+    assert with_report_name(["study", "--report"]) == ["study", "--report", name]
+    assert with_report_name(["study", "--report", "--auto"]) == [
+        *("study", "--report", name, "--auto")
+    ]
+    named = ["study", "--report", "mine.md", "--auto"]
+    assert with_report_name(named) == named
+
+
+def test_an_unknown_command_is_bad_input(tmp_path: Path) -> None:
+    assert run("chek", at=tmp_path).returncode == ExitCode.BAD_INPUT
+
+
+def test_completion_is_that_of_the_shell(tmp_path: Path) -> None:
+    environment = {**ENVIRONMENT, "_PHSI_OPT_COMPLETE": "complete_bash"}
+    environment |= {"COMP_WORDS": "phsi-opt di", "COMP_CWORD": "1"}
+    code = "from phsi_opt.command_line.app import app; app(prog_name='phsi-opt')"
+    result = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert result.stdout.strip() == "diagnose"
+
+
+# ---- init ----------------------------------------------------------------------------
+
+
+def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    result = said("init", CSV, "--study", study)
+    assert result.code == ExitCode.DONE
+    assert "model.H: expected the energy" in result.out
+    text = study.read_text()
+    assert 'trajectory = "run"  # 8 runs' in text
+    assert 'time = { column = "t_s", unit = "s" }  # 0 to 5, every 0.025' in text
+    assert 'position = { column = "position_m", unit = "m" }' in text
+    with pytest.raises(ph.StudyFileError) as caught:
+        ph.StudyFile.read(study)
+    assert [one.key for one in caught.value.complaints] == ["model.H"]
+
+
+def test_init_overwrites_nothing_unless_it_is_forced(tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    study.write_text("mine")
+    result = said("init", CSV, "-o", study)
+    assert result.code == ExitCode.BAD_INPUT
+    assert "is there already" in result.err
+    assert study.read_text() == "mine"
+    assert said("init", CSV, "-o", study, "--force").code == ExitCode.DONE
+
+
+def test_init_says_everything_as_json(tmp_path: Path) -> None:
+    study = tmp_path / "s.toml"
+    content = json.loads(said("init", CSV, "-o", study, "--json").out)
+    assert content["exit_code"] == 0
+    assert [one["key"] for one in content["needs"]] == ["model.H"]
+    assert [one["part"] for one in content["columns"]] == ["run", "time", "state"]
+
+
+def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> None:
+    said("init", CSV, "-o", tmp_path / "study.toml")
+    result = run("study", "--auto", "--report", at=tmp_path)
+    assert result.returncode == ExitCode.BAD_INPUT
+    assert "model.H: expected the energy as a formula" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["study.toml"]
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("t;q [m];u\n0;1;2\n1;2;3\n2;4;3\n", ['column = "q [m]", unit = "m"', 'u = { column = "u" }']),
+        ("q,dt\n1,0.1\n2,\n3,\n", ["time = { step = 0.1 }", "the time between samples"]),
+        ("q\n1\n3\n2\n", ["no column increases from line to line"]),
+        ("t,q,c\n0,1,5\n1,2,5\n5,4,5\n6,1,5\n", ["1 gaps, the longest 4", "c: always 5"]),
+        ("t,q\n0,1\n1,nan\n2,3\n", ["1 cells missing"]),
+        ("when,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ["dates = true"]),
+        ("x (m),y (m)\n0,1\n1,2\n", ["no column increases"]),
+        ("date,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ["dates = true"]),
+        ("time,lambda,2nd,sin\n0,1,2,3\n1,2,3,5\n2,4,1,4\n", ["x_lambda = ", "x2nd = ", "x_sin = "]),
+        ("time,a,a\n0,1,2\n1,2,3\n2,4,1\n", ["a: 2 columns are called so"]),
+    ],
+)  # fmt: skip
+def test_init_looks_at_the_columns(
+    tmp_path: Path, table: str, words: list[str]
+) -> None:
+    (tmp_path / "data.csv").write_text(table)
+    result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
+    assert result.code == ExitCode.DONE, result.err
+    text = (tmp_path / "s.toml").read_text()
+    for word in words:
+        assert word in text
+
+
+@pytest.mark.parametrize(
+    ("table", "why"),
+    [
+        ("", "is empty"),
+        ("a,b\n", "no line below its header"),
+        ("t,q\n0,1\n1,2,3\n", "line 3 has 3 cells; expected 2"),
+    ],
+)
+def test_a_table_that_cannot_be_read_is_refused_with_its_line(
+    tmp_path: Path, table: str, why: str
+) -> None:
+    path = tmp_path / "data.csv"
+    path.write_text(table)
+    result = said("init", path, "-o", tmp_path / "s.toml")
+    assert result.code == ExitCode.BAD_INPUT
+    assert why in result.err
+    assert not (tmp_path / "s.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "label", "unit"),
+    [
+        ("q [m]", "q", "m"),
+        ("T (degC)", "T", "degC"),
+        ("Time(s)", "Time", "s"),
+        ("Time (sec)", "Time", "s"),
+        ("x / mm", "x", "mm"),
+        ("position_m", "position", "m"),
+        ("Tempo_s", "Tempo", "s"),
+        ("Controle_u", "Controle_u", ""),
+        ("q_1", "q_1", ""),
+        ("flow_rate", "flow_rate", ""),
+        ("force_kN", "force", "kN"),
+    ],
+)
+def test_units_are_read_from_headers(text: str, label: str, unit: str) -> None:
+    header = header_of(text)
+    assert (header.label, header.unit) == (label, unit)
+
+
+def test_words_of_headers_tell_times_and_inputs() -> None:
+    assert is_time_word(header_of("Tempo_s"))
+    assert not is_time_word(header_of("StepTime"))
+    assert not is_time_word(header_of("T"))
+    assert not is_time_word(header_of("T (degC)"))
+    assert is_input_word(header_of("Heater 1 (%)").words)
+    assert is_input_word(header_of("u2").words)
+    assert not is_input_word(header_of("Temperature 1").words)
+    assert name_from(header_of("Set Point 1 (degC)")) == "Set_Point_1"
+
+
+TABLES = {
+    "heaters/tclab.txt": ("T = Temperature_1", []),
+    "building/blg_1.csv": ("yTi", []),
+    "cascaded_tanks/dataBenchmark.csv": ("yEst", []),
+    "torque_pendulum/data_measured.csv": ("position", []),
+    "battery_cell/hppc_25c.csv": ("Voltage", []),
+    "silverbox/SNLS80mV.csv": ("V2", ["data.time.column"]),
+    "quarter_drone/sinal2_degraus_malha_fechada.csv": ("Saida_y", []),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_measured_tables_run_after_the_physics_is_filled_in(
+    tmp_path: Path, name: str
+) -> None:
+    table = folder(name)
+    if not table.exists():
+        pytest.skip(f"the data are not at {table}")
+    study = tmp_path / "study.toml"
+    content = json.loads(said("init", table, "-o", study, "--json").out)
+    needs = [one["key"] for one in content["needs"]]
+    assert needs == [*TABLES[name][1], "model.H"]
+    text = study.read_text().replace('time = { column = "" }', "time = { step = 1 }")
+    states = [one["name"] for one in content["columns"] if one["part"] == "state"]
+    energy = " + ".join(f"{state}**2" for state in states)
+    text = text.replace('H = ""', f'H = "k*({energy})"')
+    text = text.replace("# m = 2.5", "k = { start = 1.0, lower = 0 }")
+    study.write_text(text)
+    result = said("check", study, "--json")
+    assert result.code == ExitCode.DONE, result.out
+    assert json.loads(result.out)["states"] == states
+
+
+def test_a_survey_sees_runs_and_their_times(tmp_path: Path) -> None:
+    seen = survey(CSV)
+    assert [(one.column, one.part) for one in seen.columns] == [
+        ("run", "run"),
+        ("t_s", "time"),
+        ("position_m", "state"),
+    ]
+    assert seen.n_lines == 1608
+    assert seen.said == "0 to 5, every 0.025, regular"
+
+
+# ---- check and add -------------------------------------------------------------------
+
+
+def test_check_says_what_a_study_file_holds(demo: Path) -> None:
+    result = said("check", demo)
+    assert result.code == ExitCode.DONE
+    assert "unknown parameters: k, c" in result.out
+    content = json.loads(said("check", demo, "--json").out)
+    assert content["free"] == ["k", "c"]
+    assert content["measured"] == ["q"]
+    assert content["n_held_out"] == 201
+
+
+def test_check_tells_all_errors_at_once_without_a_trace(demo: Path) -> None:
+    text = demo.read_text().replace('"t_s"', '"time"').replace("share", "shar")
+    demo.write_text(text)
+    result = said("check", demo)
+    assert result.code == ExitCode.BAD_INPUT
+    assert result.out == ""
+    assert "Traceback" not in result.err
+    assert "held_out.shar = 0.4: this key is unknown here" in result.err
+    assert "Did you mean 'share'?" in result.err
+    content = json.loads(said("check", demo, "--json").out)
+    assert content["exit_code"] == ExitCode.BAD_INPUT
+    keys = [one["key"] for one in content["complaints"]]
+    assert keys == ["data.time.column", "held_out.shar", "held_out"]
+
+
+def test_add_writes_an_effect_and_keeps_what_the_user_wrote(demo: Path) -> None:
+    before = demo.read_text()
+    result = said("add", "coulomb friction", demo, "--equation", "p", "--json")
+    content = json.loads(result.out)
+    assert result.code == ExitCode.DONE
+    assert content["unknowns"] == ["coulomb_friction_p"]
+    assert Path(content["backup"]).read_text() == before
+    after = demo.read_text()
+    assert after == before.replace("added = []", 'added = ["coulomb friction on p"]')
+    again = said("add", "coulomb friction on p", demo)
+    assert again.code == ExitCode.BAD_INPUT
+    assert "the model has it already" in again.err
+    assert demo.read_text() == after
+
+
+def test_add_refuses_what_is_unknown_and_says_what_was_meant(demo: Path) -> None:
+    before = demo.read_text()
+    result = said("add", "coulom friction", demo)
+    assert result.code == ExitCode.BAD_INPUT
+    assert "Did you mean 'coulomb friction'?" in result.err
+    assert "say which" in said("add", "constant force", demo, "-e", "z").err or True
+    assert demo.read_text() == before
+    assert list(demo.parent.glob("*.bak")) == []
+
+
+# ---- fit, compare, diagnose, study ---------------------------------------------------
+
+
+def test_a_fit_is_saved_and_taken_up_again(demo: Path) -> None:
+    fitted = run("fit", "--save", "fit.json", "--json", at=demo.parent)
+    assert fitted.returncode == ExitCode.DONE, fitted.stderr
+    content = json.loads(fitted.stdout)
+    assert content["written"] == ["fit.json"]
+    fit = ph.Fit.load(demo.with_name("fit.json"))
+    estimates = {row["name"]: row["value"] for row in content["parameters"]}
+    assert fit.values == estimates
+    _, held_out = ph.StudyFile.read(demo).split()
+    assert held_out is not None
+    compared = run("compare", "--fit", "fit.json", "--json", at=demo.parent)
+    assert json.loads(compared.stdout)["rmse"] == ph.compare(fit, held_out).rmse
+    diagnosed = run(
+        *("diagnose", "--fit", "fit.json", "--exit-code", "--json"), at=demo.parent
+    )
+    assert diagnosed.returncode == ExitCode.MISSING, diagnosed.stderr
+    assert json.loads(diagnosed.stdout)["proposed"] == ["coulomb friction on p"]
+    assert "[0:0" in diagnosed.stderr and "left] re-fitting with" in diagnosed.stderr
+    assert left_over(demo.parent) == []
+
+
+def test_a_study_finds_what_is_missing_and_writes_it_down(demo: Path) -> None:
+    before = demo.read_text()
+    result = run(
+        *("study", "--auto", "--max-steps", 1, "--write"),
+        *("--report", "report.md", "--save", "fit.json"),
+        at=demo.parent,
+    )
+    assert result.returncode == ExitCode.DONE, result.stderr
+    assert "coulomb friction on p" in result.stdout
+    assert "written: report.md" in result.stderr
+    assert "coulomb friction on p" in demo.with_name("report.md").read_text()
+    names = ph.Fit.load(demo.with_name("fit.json")).names
+    assert "coulomb_friction_p" in names
+    assert ph.StudyFile.read(demo).steps.added == ("coulomb friction on p",)
+    assert demo.with_name("study.toml.bak").read_text() == before
+    assert left_over(demo.parent) == []
+
+
+def test_a_solver_that_fails_ends_with_its_own_code() -> None:
+    assert answer_to(ph.SolveError("x")).code == ExitCode.FAILED
+    assert answer_to(ph.DataError("x")).code == ExitCode.BAD_INPUT
+    complaint = ph.Complaint("data.time", "3", "no")
+    told = answer_to(ph.StudyFileError("s.toml", [complaint]))
+    assert told.content["complaints"] == [vars(complaint)]
+
+
+# ---- Ctrl-C --------------------------------------------------------------------------
+
+
+class Stopped(NamedTuple):
+    """A command that was stopped."""
+
+    seconds: float  # from Ctrl-C to its end
+    code: int
+    out: str
+    err: str
+
+
+def stopped(at: Path, after: str, arguments: list[str], number: int) -> Stopped:
+    """A command that gets a signal some time after it said something.
+
+    The signal goes to all processes of the terminal, as Ctrl-C does.
+    """
+    process = subprocess.Popen(
+        [*COMMAND, *arguments],
+        cwd=at,
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if after in line:
+            break
+    time.sleep(0.5)
+    began = time.perf_counter()
+    os.killpg(process.pid, number)
+    out, err = process.communicate(timeout=20)
+    seconds = time.perf_counter() - began
+    assert is_gone(process.pid), "something of it goes on"
+    return Stopped(seconds, process.returncode, out, err)
+
+
+def is_gone(group: int) -> bool:
+    """Whether all processes of a group end within a second."""
+    for _ in range(20):
+        if not any(_living(group)):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def _living(group: int) -> Iterator[int]:
+    """Processes of a group, without those that ended and were not asked about."""
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, of_group = entry.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue  # it has just ended
+        if int(of_group) == group and state != "Z":
+            yield int(entry.parent.name)
+
+
+def test_ctrl_c_ends_a_study_soon_and_keeps_the_finished_steps(demo: Path) -> None:
+    arguments = ["study", "--auto", "--save", "fit.json", "--report", "report.md"]
+    ended = stopped(demo.parent, "screening", [*arguments, "--json"], signal.SIGINT)
+    assert ended.seconds < SOON
+    assert ended.code == ExitCode.INTERRUPTED
+    content = json.loads(ended.out)
+    assert content["interrupted"]
+    assert [row["effect"] for row in content["history"]] == ["base model"]
+    assert content["written"] == ["fit.json", "report.md"]
+    assert "Traceback" not in ended.err
+    assert "written: fit.json" in ended.err
+    assert set(ph.Fit.load(demo.with_name("fit.json")).names) == {"k", "c"}
+    assert "base model" in demo.with_name("report.md").read_text()
+    assert left_over(demo.parent) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_in_the_first_long_solve_ends_soon_and_says_that_nothing_is_kept(
+    tmp_path: Path, number: int
+) -> None:
+    times = [0.01 * k for k in range(40_000)]
+    lines = [f"{t:.2f},{t % 7 - t % 3:.3f}" for t in times]
+    (tmp_path / "data.csv").write_text("\n".join(["t,q", *lines]))
+    (tmp_path / "study.toml").write_text(
+        """
+[data]
+files = ["data.csv"]
+time = { column = "t" }
+states = { q = { column = "q" }, p = { measured = false } }
+[model]
+states = ["q", "p"]
+pairs = [["q", "p"]]
+H = "k*q**4/4 + p**2/2"
+R = { p = "c" }
+[parameters]
+k = { start = 5.0, lower = 0 }
+c = { start = 0.1, lower = 0 }
+"""
+    )
+    arguments = ["fit", "--save", "fit.json"]
+    ended = stopped(tmp_path, "fitting the base model", arguments, number)
+    assert ended.seconds < SOON
+    assert ended.code == ExitCode.INTERRUPTED
+    assert "No step was finished; nothing was written." in ended.err
+    assert not (tmp_path / "fit.json").exists()
+    assert left_over(tmp_path) == []
+
+
+def test_a_working_process_that_dies_is_told(demo: Path) -> None:
+    process = subprocess.Popen(
+        [*COMMAND, "study", "--auto", "--save", "fit.json"],
+        cwd=demo.parent,
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "screening" in line:
+            break
+    (working,) = working_processes(process.pid)
+    os.kill(working, signal.SIGKILL)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode == ExitCode.FAILED
+    assert "ended without an answer" in err
+    assert ph.Fit.load(demo.with_name("fit.json")).names == ("k", "c")
+
+
+def working_processes(parent: int) -> Iterator[int]:
+    """The children that work, not the one that multiprocessing has for itself."""
+    children = Path(f"/proc/{parent}/task/{parent}/children")
+    if not children.exists():
+        pytest.skip("this system does not list the children of a process")
+    for child in children.read_text().split():
+        command = Path(f"/proc/{child}/cmdline").read_bytes()
+        if b"resource_tracker" not in command:
+            yield int(child)
+
+
+# ---- demo and page -------------------------------------------------------------------
+
+
+def test_the_demonstration_ships_and_overwrites_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs: list[Any] = []
+    monkeypatch.setattr(commands, "do", lambda job, as_json: jobs.append(job))
+    assert said("demo", tmp_path / "d").code == 0
+    assert jobs[0].is_auto and jobs[0].study == tmp_path / "d" / "study.toml"
+    assert (tmp_path / "d" / "friction_spring.csv").read_bytes() == CSV.read_bytes()
+    assert ph.StudyFile.read(tmp_path / "d" / "study.toml").model().free == ("k", "c")
+    (tmp_path / "d" / "study.toml").write_text("mine")
+    again = said("demo", tmp_path / "d")
+    assert again.code == ExitCode.BAD_INPUT
+    assert "it stays as it is" in again.err
+    assert len(jobs) == 1
+
+
+def test_the_page_says_how_to_install_what_it_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def missing(name: str) -> None:
+        raise ImportError("No module named 'nicegui'")
+
+    monkeypatch.setattr(commands, "import_module", missing)
+    result = said("page")
+    assert result.code == ExitCode.BAD_INPUT
+    assert 'pip install "phsi_opt[app]"' in result.err
+
+
+# ---- small parts ---------------------------------------------------------------------
+
+
+def test_the_forecast_falls_to_nothing_as_the_work_goes_on() -> None:
+    now = 0.0
+    forecast = Forecast(n_diagnoses=2, clock=lambda: now)
+    lefts: list[float | None] = []
+    assert forecast.left is None
+    for line in (
+        f"{FITTING} x",
+        f"{SCREENING} 24",
+        f"{REFITTING} a",
+        f"{REFITTING} b",
+        f"{REFITTING} c",
+        f"{ADDING} a",
+        f"{SCREENING} 23",
+        f"{REFITTING} d",
+        f"{REFITTING} e",
+        f"{REFITTING} f",
+    ):
+        forecast.said(line)
+        now += 1.0
+        lefts.append(forecast.left)
+    known = [left for left in lefts if left is not None]
+    assert lefts[0] is None and len(known) == len(lefts) - 1
+    assert known == sorted(known, reverse=True)
+    assert known[-1] < 1.0 < known[0]
+
+
+def test_the_lines_that_the_forecast_waits_for_are_said() -> None:
+    code = [path.read_text() for path in (ROOT / "phsi_opt").rglob("*.py")]
+    for line in (FITTING, SCREENING, REFITTING, ADDING):
+        assert any(f'say(f"{line} ' in text or f'say("{line}' in text for text in code)
+
+
+def test_durations_are_written_as_people_read_them() -> None:
+    assert [duration(s) for s in (7.9, 750, 3723)] == ["0:07", "12:30", "1:02:03"]
+
+
+def test_what_is_not_finite_is_null_in_json() -> None:
+    value = {"a": float("nan"), "b": (1.5, float("inf")), "c": Path("x"), "d": None}
+    assert plain(value) == {"a": None, "b": [1.5, None], "c": "x", "d": None}
+
+
+# ---- the reference -------------------------------------------------------------------
+
+
+def test_the_reference_lists_every_key_command_and_exit_code() -> None:
+    text = (ROOT / "docs" / "command_line.md").read_text()
+    for key in KEYS:
+        assert f"| `{key.path}` | {key.form} | {key.meaning} |" in text
+    for command in app.registered_commands:
+        assert command.callback is not None
+        name = command.name or command.callback.__name__
+        assert f"`phsi-opt {name}" in text
+    for code, meaning in MEANINGS.items():
+        assert f"| {code.value} | {meaning} |" in text
