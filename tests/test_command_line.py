@@ -20,6 +20,7 @@ from phsi_opt.command_line.exit_codes import MEANINGS, ExitCode
 from phsi_opt.command_line.forecast import (
     ADDING,
     FITTING,
+    NOTHING_MISSING,
     REFITTING,
     SCREENING,
     Forecast,
@@ -409,6 +410,14 @@ def test_a_study_finds_what_is_missing_and_writes_it_down(demo: Path) -> None:
     assert left_over(demo.parent) == []
 
 
+def test_a_place_where_nothing_can_be_written_is_told_before_the_work(
+    demo: Path,
+) -> None:
+    result = said("fit", demo, "--save", demo.parent / "nowhere" / "fit.json")
+    assert result.code == ExitCode.BAD_INPUT
+    assert "cannot be written" in result.err
+
+
 def test_a_solver_that_fails_ends_with_its_own_code() -> None:
     assert answer_to(ph.SolveError("x")).code == ExitCode.FAILED
     assert answer_to(ph.DataError("x")).code == ExitCode.BAD_INPUT
@@ -614,12 +623,15 @@ def test_the_forecast_falls_to_nothing_as_the_work_goes_on() -> None:
     assert lefts[0] is None and len(known) == len(lefts) - 1
     assert known == sorted(known, reverse=True)
     assert known[-1] < 1.0 < known[0]
+    forecast.said(f"{NOTHING_MISSING}: held-out error 0.04")
+    assert forecast.left == 0.0
 
 
 def test_the_lines_that_the_forecast_waits_for_are_said() -> None:
     code = [path.read_text() for path in (ROOT / "phsi_opt").rglob("*.py")]
     for line in (FITTING, SCREENING, REFITTING, ADDING):
         assert any(f'say(f"{line} ' in text or f'say("{line}' in text for text in code)
+    assert ph.Verdict.NOTHING_MISSING == NOTHING_MISSING
 
 
 def test_durations_are_written_as_people_read_them() -> None:

@@ -538,6 +538,16 @@ def test_the_file_as_it_was_is_kept_and_no_backup_is_overwritten(spring: Path) -
     )
 
 
+def test_a_link_to_a_study_file_stays_a_link(spring: Path) -> None:
+    link = spring.with_name("link.toml")
+    link.symlink_to(spring)
+    spring.chmod(0o640)
+    add_effects(link, ["gap on p"])
+    assert link.is_symlink()
+    assert '"gap on p"' in spring.read_text()
+    assert spring.stat().st_mode & 0o777 == 0o640
+
+
 def test_guesses_are_those_of_the_parameters() -> None:
     kinds = dict.fromkeys((Scan, Share, Tried))
     from phsi_opt.estimation.model_content import GUESSES

@@ -14,6 +14,7 @@ FITTING = "fitting the base model"
 SCREENING = "screening"
 REFITTING = "re-fitting with"
 ADDING = "adding"
+NOTHING_MISSING = "nothing missing"  # the last line of a study
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
 # each unit) and the measured machines, where single ones differ by a factor of three.
 SIZES = {FITTING: 1.0, SCREENING: 1.5, REFITTING: 1.5, ADDING: 2.0}
@@ -43,6 +44,10 @@ class Forecast:
 
     def said(self, line: str) -> None:
         """Note a line; most say nothing of the progress."""
+        if line.startswith(NOTHING_MISSING):
+            self._finish_current()
+            self.current = ""
+            self.n_diagnoses = 0
         for kind in SIZES:
             if line.startswith(kind):
                 self._finish_current()

@@ -4,6 +4,7 @@ Records of texts and numbers alone: the process that waits needs none of the lib
 of the one that works.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,16 +14,6 @@ FIT = "fit"
 COMPARE = "compare"
 DIAGNOSE = "diagnose"
 GO_THROUGH = "study"
-
-
-def half_written(path: Path) -> Path:
-    """Where a file is while it is written."""
-    return path.with_name(f".{path.stem}.half{path.suffix}")
-
-
-def kept_aside(path: Path) -> Path:
-    """Where a file of a finished step lies until the work ends."""
-    return path.with_name(f".{path.stem}.kept{path.suffix}")
 
 
 @dataclass(frozen=True)
@@ -39,6 +30,7 @@ class Job:
         report: where the report is written; None: nowhere.
         exit_code: whether something missing shows in the exit code.
         write: whether effects that were found are written into the study file.
+        tag: tells its files from those of another command in the same folder.
     """
 
     kind: str
@@ -50,6 +42,15 @@ class Job:
     report: Path | None = None
     exit_code: bool = False
     write: bool = False
+    tag: str = field(default_factory=lambda: str(os.getpid()))
+
+    def half_written(self, path: Path) -> Path:
+        """Where a file is while it is written."""
+        return path.with_name(f".{path.stem}.{self.tag}.half{path.suffix}")
+
+    def kept_aside(self, path: Path) -> Path:
+        """Where a file of a finished step lies until the work ends."""
+        return path.with_name(f".{path.stem}.{self.tag}.kept{path.suffix}")
 
 
 @dataclass(frozen=True)

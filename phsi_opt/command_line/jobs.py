@@ -18,8 +18,6 @@ from phsi_opt.command_line.job import (
     Job,
     Message,
     Progress,
-    half_written,
-    kept_aside,
 )
 from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.diagnosis.diagnose import diagnose
@@ -111,21 +109,21 @@ class _Keeper:
         self.n_kept = len(study.steps)
         files = {}
         if self.job.save is not None:
-            files[self.job.save] = _written_aside(self.job.save, study.fit.save)
+            files[self.job.save] = self._aside(self.job.save, study.fit.save)
         if self.job.report is not None:
-            files[self.job.report] = _written_aside(self.job.report, study.report)
+            files[self.job.report] = self._aside(self.job.report, study.report)
         found = tuple(str(one) for one in study.added if one not in self.known)
         history = table_content(study.history)
         content = {"history": history, "found": list(found)}
         self.tell(Finished(table_text(study.history), content, files, found))
 
-
-def _written_aside(path: Path, write: Callable[[Path], object]) -> Path:
-    """A file beside its place; the one of the step before stays until it is whole."""
-    half = half_written(path)
-    write(half)
-    os.replace(half, kept_aside(path))
-    return kept_aside(path)
+    def _aside(self, path: Path, write: Callable[[Path], object]) -> Path:
+        """A file beside its place; that of the step before stays until it is whole."""
+        half = self.job.half_written(path)
+        kept = self.job.kept_aside(path)
+        write(half)
+        os.replace(half, kept)
+        return kept
 
 
 # ---- answers -------------------------------------------------------------------------

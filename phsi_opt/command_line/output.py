@@ -14,7 +14,7 @@ from phsi_opt.command_line.exit_codes import ExitCode
 from phsi_opt.command_line.job import Answer, Job
 from phsi_opt.command_line.supervision import Supervised, supervise
 from phsi_opt.command_line.worker import answer_to
-from phsi_opt.errors import PhsiOptError
+from phsi_opt.errors import DataError, PhsiOptError
 from phsi_opt.study_file.adding import add_effects
 
 
@@ -63,6 +63,8 @@ def do(job: Job, as_json: bool) -> NoReturn:
     Raises:
         typer.Exit: always, with the exit code.
     """
+    with told_errors(as_json):
+        _check_places(job)
     ended = supervise(job)
     files = [str(path) for path in ended.files]
     notes = [f"written: {file}" for file in files]
@@ -75,6 +77,20 @@ def do(job: Job, as_json: bool) -> NoReturn:
     if not as_json:
         typer.echo("\n".join(notes), err=True, nl=bool(notes))
     finish(ended.answer, as_json, **further)
+
+
+def _check_places(job: Job) -> None:
+    """Say before the work, not after it, that a file cannot be written.
+
+    Raises:
+        DataError: a folder is not there.
+    """
+    for path in (job.save, job.report):
+        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+            raise DataError(
+                f"{path} cannot be written: {path.parent} is no folder, or {path} is "
+                "one. Give the name of a file in a folder that is there."
+            )
 
 
 def _found_effects(job: Job, found: list[str]) -> list[str]:

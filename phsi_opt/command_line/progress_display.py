@@ -12,7 +12,8 @@ from phsi_opt.command_line.forecast import Forecast, duration
 if TYPE_CHECKING:
     from rich.status import Status
 
-SHOWN_CHARACTERS_OF_LINE = 70  # beside the times, on a terminal of 100 columns
+SPINNER = 3  # columns of the terminal that the turning sign takes
+CUT = "..."  # the end of a line that is too long for the terminal
 
 
 class ProgressDisplay:
@@ -31,8 +32,9 @@ class ProgressDisplay:
         if sys.stderr.isatty():
             from rich.console import Console
 
-            self._status = Console(stderr=True).status(self._text())
+            self._status = Console(stderr=True).status("")
             self._status.start()
+            self.refresh()
         return self
 
     def __exit__(
@@ -71,7 +73,9 @@ class ProgressDisplay:
     def _text(self) -> str:
         from rich.markup import escape
 
-        line = self.line
-        if len(line) > SHOWN_CHARACTERS_OF_LINE:
-            line = f"{line[: SHOWN_CHARACTERS_OF_LINE - 3]}..."
-        return escape(f"{line}  [{self._times()}]")
+        assert self._status is not None
+        text = self._plain_text()
+        width = self._status.console.width - SPINNER
+        if len(text) > width:
+            text = f"{text[: width - len(CUT)]}{CUT}"
+        return escape(text)

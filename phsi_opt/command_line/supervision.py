@@ -25,8 +25,6 @@ from phsi_opt.command_line.job import (
     Finished,
     Job,
     Progress,
-    half_written,
-    kept_aside,
 )
 from phsi_opt.command_line.progress_display import ProgressDisplay
 from phsi_opt.command_line.worker import work
@@ -131,8 +129,8 @@ def _put_into_place(job: Job, kept: Finished | None) -> list[Path]:
         if written is not None and written.exists():
             os.replace(written, path)
             placed.append(path)
-        kept_aside(path).unlink(missing_ok=True)
-        half_written(path).unlink(missing_ok=True)
+        job.kept_aside(path).unlink(missing_ok=True)
+        job.half_written(path).unlink(missing_ok=True)
     return placed
 
 

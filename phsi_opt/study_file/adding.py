@@ -7,6 +7,7 @@ kept beside it.
 
 import os
 import re
+import shutil
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -50,6 +51,7 @@ def add_effects(path: Path, names: Iterable[str]) -> Addition:
         DataError: the file is written in a way that cannot be changed safely; then
             nothing is written.
     """
+    path = path.resolve()  # where the name is a link, the file that it leads to
     bytes_before = path.read_bytes()
     text = bytes_before.decode("utf-8-sig")
     changed = text_with_added(text, list(names), str(path))
@@ -57,6 +59,7 @@ def add_effects(path: Path, names: Iterable[str]) -> Addition:
     backup.write_bytes(bytes_before)
     fresh = path.with_name(f".{path.name}.new")
     fresh.write_text(changed, encoding="utf-8", newline="")
+    shutil.copymode(path, fresh)
     os.replace(fresh, path)
     return Addition(path, backup)
 
