@@ -64,7 +64,7 @@ def do(job: Job, as_json: bool) -> NoReturn:
         typer.Exit: always, with the exit code.
     """
     with told_errors(as_json):
-        _check_places(job)
+        check_places(job)
     ended = supervise(job)
     files = [str(path) for path in ended.files]
     notes = [f"written: {file}" for file in files]
@@ -79,7 +79,7 @@ def do(job: Job, as_json: bool) -> NoReturn:
     finish(ended.answer, as_json, **further)
 
 
-def _check_places(job: Job) -> None:
+def check_places(job: Job) -> None:
     """Say before the work, not after it, that a file cannot be written.
 
     Raises:
