@@ -157,6 +157,30 @@ def test_a_part_of_the_time_can_be_held_out(spring: Path) -> None:
     assert train.n_samples + held_out.n_samples == file.measurements().n_samples
 
 
+def test_times_may_be_cut_counted_or_dates(spring: Path) -> None:
+    whole = ph.StudyFile.read(spring).measurements()
+    cut = changed(spring, ("[data.states]", "between = [1.0, 2.0]\n[data.states]"))
+    data = ph.StudyFile.read(cut).measurements()
+    assert all(run.t[0] == 1.0 and run.t[-1] == 2.0 for run in data)
+    steps = changed(cut, ('column = "t_s"', "step = 0.025"), ("between", "# between"))
+    counted = ph.StudyFile.read(steps).measurements()
+    for run, other in zip(counted, whole, strict=True):
+        np.testing.assert_allclose(run.t, other.t, atol=1e-12)
+    table = spring.with_name("spring.csv")
+    table.write_text(
+        "run,t_s,position_m\na,2020-02-28 23:59:00,1\na,2020-02-29 00:00:30.5,2\n"
+        "a,2020-03-01 00:00:00,3\nb,2020-03-01 00:00:01,3\nb,2020-03-01 00:00:02,4\n"
+    )
+    dates = changed(steps, ("step = 0.025", 'column = "t_s", dates = true'))
+    file = ph.StudyFile.read(dates)
+    times = np.concatenate([run.t for run in file.measurements()])
+    assert times.tolist() == [0, 90.5, 86460, 86461, 86462]
+    again = ph.StudyFile.read(file.write(spring.with_name("again.toml")))
+    assert again.measurements().digest == file.measurements().digest
+    table.write_text(table.read_text().replace("2020-03-01 00:00:02", "monday"))
+    assert "line 6" in complaints(dates)["data.time.column"]
+
+
 def test_terms_may_be_polynomials_and_waves(spring: Path) -> None:
     changed(
         spring,
@@ -274,6 +298,8 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ("start = 10.0", "start = nan", "parameters.k", "not finite"),
         ("{ lower = 0 }", "{ guess = { kind = 'Sha' } }", "parameters.c.guess.kind", "'Share'"),
         ("{ lower = 0 }", "{ guess = { kind = 'Share' } }", "parameters.c.guess.of", "needs it"),
+        ("[data.states]", "between = [5]\n[data.states]", "data.between", "two times"),
+        ("[data.states]", "between = [6, 9]\n[data.states]", "data", "has 0 samples"),
         ("added = []", "max_steps = 0", "study.max_steps", "at least 1"),
         ("[study]", "[loss]\nstart = 2\n[study]", "loss.start", "Did you mean 'starts'?"),
         ("[study]", "[loss]\nhorizon = 2.0\n[study]", "loss", "model_error"),

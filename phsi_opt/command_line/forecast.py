@@ -14,7 +14,8 @@ FITTING = "fitting the base model"
 SCREENING = "screening"
 REFITTING = "re-fitting with"
 ADDING = "adding"
-NOTHING_MISSING = "nothing missing"  # the last line of a study
+MISSING = "missing:"  # the verdict of a diagnosis; "nothing missing" is the last one
+NOTHING_MISSING = "nothing missing"
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
 # each unit) and the measured machines, where single ones differ by a factor of three.
 SIZES = {FITTING: 1.0, SCREENING: 1.5, REFITTING: 1.5, ADDING: 2.0}
@@ -44,9 +45,10 @@ class Forecast:
 
     def said(self, line: str) -> None:
         """Note a line; most say nothing of the progress."""
-        if line.startswith(NOTHING_MISSING):
+        if line.startswith((NOTHING_MISSING, MISSING)):
             self._finish_current()
             self.current = ""
+        if line.startswith(NOTHING_MISSING):
             self.n_diagnoses = 0
         for kind in SIZES:
             if line.startswith(kind):
@@ -82,7 +84,7 @@ class Forecast:
         of_diagnosis = SIZES[SCREENING] + EXPECTED_REFITS * refit
         further = max(self.n_diagnoses - max(self.n_screened, 1), 0)
         expected = further * (of_diagnosis + SIZES[ADDING])
-        if self.n_diagnoses and self.current in (FITTING, ""):
+        if self.n_diagnoses and self.current == FITTING:
             expected += of_diagnosis
         if self.current in (SCREENING, REFITTING):
             expected += max(EXPECTED_REFITS - self.n_refitted, 0) * refit

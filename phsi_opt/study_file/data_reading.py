@@ -33,6 +33,7 @@ def read_data(file: Part) -> DataSection:
         inputs=_channels(data, "inputs"),
         trajectory=data.text("trajectory") or None,
         hold=data.one_of("hold", HOLDS, "linear"),
+        between=_between(data),
         **_time(data),
     )
 
@@ -46,6 +47,16 @@ def _check_files_named(data: Part) -> None:
             'expected a table for each state, such as q = { column = "q", unit = "m" }.'
         )
         data.complaints.add(data.path("states"), said)
+
+
+def _between(data: Part) -> tuple[float, float] | None:
+    if "between" not in data.content:
+        return None
+    times = data.numbers("between")
+    if len(times) == 2 and times[0] < times[1]:
+        return times[0], times[1]
+    data.complain("between", "expected two times, the first and the last: [20, 80].")
+    return None
 
 
 def _time(data: Part) -> dict[str, Any]:

@@ -59,6 +59,7 @@ KEYS: tuple[Key, ...] = (
         ("trajectory", "text", "column that names each line's run; default: no such"),
         ("hold", '"linear" or "zero"', "inputs between samples; default linear"),
         ("time", "table", "the column of the times"),
+        ("between", "list of two numbers", "times that are used; default: all"),
         ("states", "table", "a table for each state"),
         ("inputs", "table", "a table for each measured input; default: none"),
     ),

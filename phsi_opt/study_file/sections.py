@@ -14,7 +14,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
-from phsi_opt.study_file.times import COUNTED, counted_times, dates_as_seconds
+from phsi_opt.study_file.times import COUNTED, counted_times, dates_as_seconds, within
 
 SHARE_DIGITS = 12  # of 1 - share, so that 1 - 0.4 reads 0.6
 
@@ -47,6 +47,7 @@ class DataSection:
         hold: what inputs do between samples, "linear" or "zero".
         step: the time between neighbouring lines, where no column has the times.
         dates: whether the times are dates; they become seconds since the first one.
+        between: first and last time that are used, of every run; None: all.
     """
 
     files: tuple[str, ...]
@@ -57,11 +58,13 @@ class DataSection:
     hold: str = "linear"
     step: float | None = None
     dates: bool = False
+    between: tuple[float, float] | None = None
 
     @property
     def is_plain(self) -> bool:
-        """Whether the table holds the times as numbers."""
-        return self.step is None and not self.dates
+        """Whether `Measurements.from_csv` alone gives the measurements."""
+        is_numbers = self.step is None and not self.dates
+        return is_numbers and self.between is None
 
     @property
     def units(self) -> dict[str, str]:
@@ -114,8 +117,15 @@ class DataSection:
         Raises:
             DataError: something in them cannot be used; with file, column and line.
         """
-        paths = self.paths(folder)
-        if not self.is_plain:
+        data = self._whole_measurements(self.paths(folder))
+        if self.between is None:
+            return data
+        begin, end = self.between
+        runs = [within(run, begin, end) for run in data.trajectories]
+        return replace(data, trajectories=tuple(runs))
+
+    def _whole_measurements(self, paths: Sequence[Path]) -> Measurements:
+        if self.step is not None or self.dates:
             return self._timed_measurements(paths)
         return Measurements.from_csv(
             paths if len(paths) > 1 else paths[0],

@@ -84,6 +84,8 @@ def data_sections(data: DataSection) -> list[str]:
     if data.inputs:
         content["hold"] = data.hold
     content["time"] = _time_content(data)
+    if data.between is not None:
+        content["between"] = list(data.between)
     states = {name: _channel_content(one) for name, one in data.states.items()}
     inputs = {name: _channel_content(one) for name, one in data.inputs.items()}
     return [

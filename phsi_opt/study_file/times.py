@@ -9,8 +9,10 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.tables import Table
+from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
 
+LEAST_SAMPLES = 2  # of a run
 COUNTED = "time from the step"  # called so where a table has no column of times
 NANOSECONDS = 1e9  # in a second
 
@@ -50,3 +52,20 @@ def dates_as_seconds(table: Table, column: str) -> Table:
     since_first = (parsed - parsed.iloc[0]).to_numpy("timedelta64[ns]")
     frame[column] = since_first.astype(np.int64) / NANOSECONDS
     return replace(table, frame=frame)
+
+
+def within(run: Trajectory, begin: float, end: float) -> Trajectory:
+    """The samples of a run from one time to another, both included.
+
+    Raises:
+        DataError: fewer than two samples are left.
+    """
+    first = int(np.searchsorted(run.t, begin, side="left"))
+    last = int(np.searchsorted(run.t, end, side="right"))
+    if last - first < LEAST_SAMPLES:
+        raise DataError(
+            f"run {run.name!r} goes from t = {run.t[0]:g} to {run.t[-1]:g}; between "
+            f"{begin:g} and {end:g} it has {max(last - first, 0)} samples; expected at "
+            f"least {LEAST_SAMPLES}."
+        )
+    return part_of(run, slice(first, last))
