@@ -150,6 +150,11 @@ LEAST_PERIODS = 1.5
 # in a model without inputs: runs that start in phase are a clock of their own. On a
 # fall, a stiffness that changes with the time beat viscous drag by 12.
 CLOCK_MARGIN = 30.0
+# Share of what the best candidate explains that a simpler one must explain to come
+# before it, where more than noise is left: what a larger law explains besides may be
+# the error of the model, to which it bends. Beside 5 % of model error in the force, a
+# missing damper explains 98 % of the squared error, hysteresis with a gap 99.8 %.
+SIMPLE_SHARE = 0.9
 # Families of effects, at most, that a class may join.
 MOST_FAMILIES = 2
 # Share of the squared error above the noise floor that an effect must explain to be

@@ -6,7 +6,11 @@ left may be the difference between them, and the choice is as blunt as that.
 
 from collections.abc import Sequence
 
-from phsi_opt.comparison.model_selection import falls_significantly
+from phsi_opt.comparison.model_selection import (
+    falls_significantly,
+    free_run_deviance,
+    share_of_change,
+)
 from phsi_opt.criteria import BIC_TIE, REMAINDER_TIE
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
@@ -53,10 +57,17 @@ def _is_preferred_in_training(best: Candidate, other: Candidate) -> bool:
 
 
 def _is_worse_held_out(base: DiagnosedModel, best: Candidate, other: Candidate) -> bool:
-    """Whether data held out clearly prefer the best, where the training data do not."""
+    """Whether data held out clearly prefer the best, where the training data do not.
+
+    They must tell the two apart by themselves, and all data together must.
+    """
     if not base.is_held_out or best.comparison is None or other.comparison is None:
         return False
-    return falls_significantly(other.comparison, best.comparison)
+    if not falls_significantly(other.comparison, best.comparison):
+        return False
+    share = share_of_change(other.comparison, best.comparison)
+    fall = free_run_deviance(other.comparison) - free_run_deviance(best.comparison)
+    return share * fall + other.delta_bic - best.delta_bic > BIC_TIE
 
 
 def _is_within(

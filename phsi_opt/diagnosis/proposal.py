@@ -6,6 +6,7 @@ from math import comb
 
 from phsi_opt.comparison.model_selection import (
     delta_bic,
+    explained_share,
     falls_or_explains_most,
     falls_significantly,
     is_explained,
@@ -17,6 +18,7 @@ from phsi_opt.criteria import (
     FALSE_DISCOVERY_RATE,
     HELD_OUT_RISE,
     N_PAIR_REFITS,
+    SIMPLE_SHARE,
 )
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
@@ -190,7 +192,36 @@ def proposal(
     kept = [one for one in prospects.singles if one.effect not in failed]
     search = _Search(base, prospects, kept, fitted)
     found = search.best(best)
-    return found, search.looked
+    return _simplest(base, found, ranked), search.looked
+
+
+def _simplest(
+    base: DiagnosedModel, best: Proposal | None, ranked: Sequence[Candidate]
+) -> Proposal | None:
+    """The simplest effect that explains nearly as much, where noise is not all left.
+
+    What is left is then error of the model, and larger laws bend to it: a gap beside
+    hysteresis leaves less than the damper that is missing.
+    """
+    if best is None:
+        return None
+    done = best.done
+    if is_explained(base.judged, done.trained, done.judged):
+        return best
+    enough = SIMPLE_SHARE * explained_share(base.judged, done.judged)
+    for candidate in ranked:
+        comparison = candidate.comparison
+        if comparison is None or not _is_significant(base, candidate):
+            continue
+        is_simpler = _n_unknowns(candidate) < _n_unknowns(best.candidate)
+        if is_simpler and explained_share(base.judged, comparison) > enough:
+            best = _single(candidate) or best
+    return best
+
+
+def _n_unknowns(candidate: Candidate) -> int:
+    """Of all effects that are added."""
+    return sum(effect.n_unknowns for effect in candidate.effects)
 
 
 def _best_single(base: DiagnosedModel, ranked: Sequence[Candidate]) -> Proposal | None:

@@ -46,6 +46,7 @@ def ranking(base: DiagnosedModel, prospects: Prospects) -> tuple[Candidate, ...]
         prospects: what second looks expect of each effect.
     """
     refitted = _best_refitted(base, prospects)
+    refitted += _simple_losses(base, prospects, refitted)
     ranked = _ranked(base, prospects, refitted)
     tried = [candidate.effect for candidate in ranked]
     others = []
@@ -113,6 +114,38 @@ def _best_refitted(base: DiagnosedModel, prospects: Prospects) -> list[Candidate
             continue
         result.append(as_refitted(base, candidate, done, one.n_tried))
         rival = rival.after(done, prospects.score(one), left)
+    return result
+
+
+def _simple_losses(
+    base: DiagnosedModel, prospects: Prospects, refitted: Sequence[Candidate]
+) -> list[Candidate]:
+    """Losses of one number, re-fitted, where the best so far leaves more than noise.
+
+    Those of the equation of the best: what a second look says of a law may be wrong, as
+    along a pendulum that goes over the top, and no law is named whose simplest rivals
+    were not re-fitted.
+    """
+    found = [one for one in refitted if one.trained is not None and not one.lost]
+    if not found or is_like_noise(base.trained):
+        return []
+    if any(one.trained and is_like_noise(one.trained) for one in found):
+        return []
+    best = min(found, key=lambda one: one.delta_bic)
+    tried = [one.name for one in refitted]
+    result = []
+    for one in prospects.singles:
+        is_simple = one.effect.slot == "R" and one.effect.n_unknowns == 1
+        is_rival = is_simple and one.effect.equation == best.effect.equation
+        if not is_rival or one.name in tried:
+            continue
+        base.say(f"re-fitting with {one.name}")
+        candidate = expected(base, prospects, one)
+        done = refit(base, request_of(one, best.fit, []))
+        if done is None:
+            result.append(replace(candidate, was_tried=True))
+        else:
+            result.append(as_refitted(base, candidate, done, one.n_tried))
     return result
 
 

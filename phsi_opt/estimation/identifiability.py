@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phsi_opt.errors import SolveError
 from phsi_opt.transcription.elimination import RIDGE
 
 # Share of the largest information below which it is made of rounding errors.
@@ -55,10 +56,19 @@ def silent_directions(
         theta: (n_theta,) scaled parameters.
         covariance: (n_theta, n_theta) of the scaled parameters, with the ridge.
         held: Places of parameters that do not move, such as those at a bound.
+
+    Raises:
+        SolveError: the covariance is not finite.
     """
     moving = [i for i in range(len(covariance)) if i not in held]
     if not moving:
         return SilentDirections()
+    if not np.all(np.isfinite(covariance)):
+        raise SolveError(
+            "the covariance of the estimates is beyond all numbers: the model's slopes "
+            "along its states are too steep; give parameters bounds, or start them "
+            "nearer to the truth."
+        )
     size = np.abs(theta[moving])
     variances, directions = np.linalg.eigh(covariance[np.ix_(moving, moving)])
     best_known = float(np.min(variances, where=variances > 0, initial=np.inf))

@@ -53,11 +53,18 @@ def chamber(rng: np.random.Generator, has_inflow: bool | None = None) -> Experim
     def model(given: Mapping[str, float]) -> ph.Model:
         H = ph.formula(f"n**2/(2*{capacity!r})")
         if not is_fed:
-            return ph.PseudoHamiltonian(states=["n"], S=np.zeros((1, 1)), H=H)
+            return ph.PseudoHamiltonian(
+                states=["n"], S=np.zeros((1, 1)), H=H, kind="hydraulic"
+            )
         b = ph.Parameter(given["b"], lower=0.0)
         F = {"n": ph.formula("b*u", b=b)}
         return ph.PseudoHamiltonian(
-            states=["n"], inputs=["u"], S=np.zeros((1, 1)), H=H, F=F
+            states=["n"],
+            inputs=["u"],
+            S=np.zeros((1, 1)),
+            H=H,
+            F=F,
+            kind="hydraulic",
         )
 
     return Experiment(

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 import phsi_opt as ph
-from problems.field_machines.laws import viscous
+from problems.field_machines.laws import on_momentum
 from problems.field_machines.records import Array, Experiment, Hidden, Truth, Values
 from problems.hidden_effects.machines import log_uniform
 
@@ -59,10 +59,11 @@ def circuit(rng: np.random.Generator) -> Experiment:
             H=ph.formula(f"s*q**2/2 + flux**2/(2*{coil!r})", s=s),
             R=R,
             F={"flux": ph.formula("u")},
+            kind="electrical",
         )
 
     values = {"s": elastance}
-    hidden = viscous(coil, LARGEST_RESISTANCE * critical, "flux")
+    hidden = ohmic(coil, LARGEST_RESISTANCE * critical)
     # Flux is measured as current times L, which a saturating coil does not allow.
     seen = [(0,), (1,), (0, 1)][rng.integers(3)]
     if saturates:
@@ -87,6 +88,13 @@ def circuit(rng: np.random.Generator) -> Experiment:
     )
 
 
+def ohmic(coil: float, largest: float) -> Hidden:
+    """-R flux / L in the coil's equation."""
+    law = on_momentum(lambda x: -x[..., 1] / coil)
+    truth = Truth(("linear resistance",), "flux", 1.0)
+    return Hidden("resistance", law, (truth,), largest)
+
+
 def saturation(coil: float, resistance: float, share: float, flux: float) -> Hidden:
     """More current at a large flux, which the resistor answers too.
 
@@ -97,5 +105,5 @@ def saturation(coil: float, resistance: float, share: float, flux: float) -> Hid
         more = x[..., 1] ** 3
         return np.stack([more, -resistance * more], axis=-1)
 
-    truth = Truth(("cubic stiffness", "saturating coil"), "q", 1.0)
+    truth = Truth(("coil saturation",), "flux", 1.0)
     return Hidden("saturating coil", law, (truth,), share / coil / flux**2)

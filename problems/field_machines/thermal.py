@@ -64,7 +64,9 @@ def thermal(rng: np.random.Generator) -> Experiment:
             "T1": ph.formula(f"({first})/{C1!r}", **_used(free, first)),
             "T2": ph.formula(f"({second})/{C2!r}", **_used(free, second)),
         }
-        return ph.FirstOrder(["T1", "T2"], rates, inputs=["P", "Ta"])
+        return ph.FirstOrder(
+            ["T1", "T2"], rates, inputs=["P", "Ta"], kind="thermal"
+        )
 
     return Experiment(
         states=("T1", "T2"),
@@ -103,9 +105,13 @@ def _inputs(rng: np.random.Generator, t: Array) -> tuple[Array, Array]:
 
 
 def _hidden(name: str, C1: float, C2: float) -> Hidden:
-    """The hidden flow of heat, with what a catalogue of single terms says of it."""
+    """The hidden flow of heat, with what a catalogue of single terms says of it.
+
+    A loss to the ambient is an exchange with it, or a loss to the reference beside a
+    gain of the ambient temperature.
+    """
     if name == LOSS:
-        leak = Truth(("viscous damping", "linear leak"), "T1", 1 / C1)
+        leak = Truth(("heat loss", "heat exchange with Ta"), "T1", 1 / C1)
         ambient = Truth(("input gain of Ta",), "T1", 1 / C1)
 
         def loss(x: Array, u: Array) -> Array:
@@ -114,9 +120,8 @@ def _hidden(name: str, C1: float, C2: float) -> Hidden:
 
         return Hidden(name, loss, (leak, ambient), LARGEST)
     if name == COUPLING:
-        # What flows over a limit of zero is in proportion: temperatures are positive.
-        second = Truth(("overflow from T1", "heat exchange"), "T2", 1 / C2)
-        first = Truth(("overflow from T2", "heat exchange"), "T1", 1 / C1)
+        second = Truth(("heat exchange with T1",), "T2", 1 / C2)
+        first = Truth(("heat exchange with T2",), "T1", 1 / C1)
 
         def exchange(x: Array, u: Array) -> Array:
             flow = x[..., 0] - x[..., 1]
@@ -128,4 +133,4 @@ def _hidden(name: str, C1: float, C2: float) -> Hidden:
         rate = -np.abs(x[..., 0]) * x[..., 0] / C1
         return np.stack([rate, np.zeros_like(rate)], axis=-1)
 
-    return Hidden(name, radiation, (Truth(("quadratic drag",), "T1", 1 / C1),), LARGEST)
+    return Hidden(name, radiation, (Truth(("quadratic heat loss",), "T1", 1 / C1),), LARGEST)
