@@ -7,6 +7,7 @@ left may be the difference between them, and the choice is as blunt as that.
 from collections.abc import Sequence
 
 from phsi_opt.comparison.model_selection import (
+    delta_bic,
     falls_significantly,
     free_run_deviance,
     share_of_change,
@@ -47,6 +48,34 @@ def alike(
             is_tied = remainder is not None and _is_within(remainder, base, best, other)
         if is_tied:
             found.append(other.effect)
+    return found
+
+
+def alike_in_pair(
+    base: DiagnosedModel, best: Candidate, effect: Effect, pairs: Sequence[Candidate]
+) -> list[Effect]:
+    """The effects that do as well in the place of one of the two that are proposed.
+
+    Args:
+        base: the model that is diagnosed.
+        best: two effects, re-fitted.
+        effect: one of them.
+        pairs: all that were looked at or re-fitted.
+    """
+    partners = [one for one in best.effects if one != effect]
+    found: list[Effect] = []
+    if best.fit is None or best.trained is None:
+        return found
+    share = share_of_change(base.trained, best.trained)
+    for pair in pairs:
+        others = [one for one in pair.effects if one not in partners]
+        if len(others) != 1 or others[0] == effect or pair.fit is None or pair.lost:
+            continue
+        is_behind = delta_bic(best.fit, pair.fit, share) > BIC_TIE
+        if others[0].n_unknowns > effect.n_unknowns or is_behind:
+            continue
+        if not _is_worse_held_out(base, best, pair):
+            found.append(others[0])
     return found
 
 

@@ -1,6 +1,6 @@
 """The verdict of a diagnosis with its reason in words."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from phsi_opt.comparison.model_selection import (
@@ -16,7 +16,7 @@ from phsi_opt.criteria import (
     MOST_FAMILIES,
 )
 from phsi_opt.data.resolution import unresolved_channels
-from phsi_opt.diagnosis.alike import alike
+from phsi_opt.diagnosis.alike import alike, alike_in_pair
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import fitted_size, unconfirmed
@@ -51,14 +51,18 @@ class Conclusion:
 
 
 def conclusion(
-    base: DiagnosedModel, proposed: Proposal | None, ranked: Sequence[Candidate]
+    base: DiagnosedModel,
+    proposed: Proposal | None,
+    ranked: Sequence[Candidate],
+    pairs: Sequence[Candidate] = (),
 ) -> Conclusion:
     """The verdict on a model from what is proposed to be added to it.
 
     Args:
         base: the model that is diagnosed.
         proposed: the best effect or pair; None where none is significant.
-        ranked: all candidates.
+        ranked: the single candidates, best first.
+        pairs: that were looked at or re-fitted.
     """
     if proposed is None:
         return _without_effect(base, ranked)
@@ -66,9 +70,13 @@ def conclusion(
     effects = proposed.candidate.effects
     is_all = is_explained(base.judged, done.trained, done.judged)
     left = None if is_all else Remainder.of(base, proposed.fit)
-    others: list[Effect] = []
-    if len(effects) == 1:
-        others = alike(base, proposed.candidate, ranked, left)
+    others = {}
+    for effect in effects:
+        if len(effects) == 1:
+            found = alike(base, proposed.candidate, ranked, left)
+        else:
+            found = alike_in_pair(base, proposed.candidate, effect, pairs)
+        others[str(effect)] = found
     findings = _findings(base, proposed, others)
     change = _change(base, proposed)
     said = " and ".join(str(finding) for finding in findings)
@@ -118,14 +126,14 @@ def _change(base: DiagnosedModel, proposed: Proposal) -> str:
 
 
 def _findings(
-    base: DiagnosedModel, proposed: Proposal, others: Sequence[Effect]
+    base: DiagnosedModel, proposed: Proposal, others: Mapping[str, Sequence[Effect]]
 ) -> tuple[Finding, ...]:
-    """A finding per effect; the others are in the class of a single one."""
+    """A finding per effect; the others of the same name are in its class."""
     share = explained_share(base.judged, proposed.done.judged)
     findings = []
     for effect in proposed.candidate.effects:
         size = fitted_size(base.fit, proposed.fit, effect)
-        members = (effect, *others)
+        members = (effect, *others[str(effect)])
         family = " or ".join(families(members))
         findings.append(Finding(members, family, size.value, size.std_error, share))
     return tuple(findings)

@@ -134,11 +134,11 @@ def diagnose_comparison(
     prospects = Prospects.of(test, listed, base.trained, base.judging_record)
     ranked = ranking(base, prospects)
     proposed, pairs = proposal(base, prospects, ranked)
-    concluded = conclusion(base, proposed, ranked)
+    concluded = conclusion(base, proposed, ranked, pairs)
     return Diagnosis(
         record=base.record,
         base=base.judged,
-        ranking=in_order(base, [*ranked, *pairs], proposed, concluded.against),
+        ranking=in_order(base, [*ranked, *pairs], proposed, concluded),
         verdict=concluded.verdict,
         reason=concluded.reason,
         findings=concluded.findings,

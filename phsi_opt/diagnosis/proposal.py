@@ -26,6 +26,7 @@ from phsi_opt.diagnosis.dry_friction import other_kinds, simplest_dry
 from phsi_opt.diagnosis.ranking import as_refitted, expected, request_of
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.model.effect import Effect
 from phsi_opt.screening.prospects import Prospect, Prospects
 
 
@@ -81,7 +82,23 @@ class _Search:
         for kinds in other_kinds((first, second), self.singles):
             for pair in self.pairs(kinds, 1):
                 best = self._better(best, pair)
+        for rivals in self._replaced(first, second):
+            for pair in self.pairs(rivals, 1):
+                best = self._better(best, pair, is_rival=True)
         return best
+
+    def _replaced(self, first: Effect, second: Effect) -> list[list[Prospect]]:
+        """The pair with the likeliest other law in place of one of the two.
+
+        Of the same family, and no larger: by itself it may be as good a name.
+        """
+        found = []
+        for effect, partner in ((first, second), (second, first)):
+            partners = [one for one in self.singles if one.effect == partner]
+            others = [one for one in self.singles if is_rival_law(one.effect, effect)]
+            if partners and others:
+                found.append([others[0], *partners])
+        return found
 
     def pairs(self, singles: Sequence[Prospect], most: int) -> list[Prospect]:
         """The pairs that leave least and do not raise the error on data held out."""
@@ -92,9 +109,15 @@ class _Search:
                 found.append(pair)
         return found[:most]
 
-    def _better(self, best: Proposal | None, pair: Prospect) -> Proposal | None:
-        """The pair, or what of it is needed, where that clearly beats the best."""
-        if best is not None and not self._is_promising(best, pair):
+    def _better(
+        self, best: Proposal | None, pair: Prospect, is_rival: bool = False
+    ) -> Proposal | None:
+        """The pair, or what of it is needed, where that clearly beats the best.
+
+        ``is_rival``: it is re-fitted whatever is expected of it, to be compared.
+        """
+        is_hopeless = best is not None and not self._is_promising(best, pair)
+        if is_hopeless and not is_rival:
             return best
         self.base.say(f"re-fitting with {pair.name}")
         rival = best.fit if best else None
@@ -217,6 +240,14 @@ def _simplest(
         if is_simpler and explained_share(base.judged, comparison) > enough:
             best = _single(candidate) or best
     return best
+
+
+def is_rival_law(other: Effect, effect: Effect) -> bool:
+    """Whether another effect is a law of the same family there, and no larger."""
+    if other == effect or other.equation != effect.equation:
+        return False
+    is_small = other.n_unknowns <= effect.n_unknowns
+    return is_small and other.family == effect.family
 
 
 def _n_unknowns(candidate: Candidate) -> int:

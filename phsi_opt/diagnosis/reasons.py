@@ -7,6 +7,7 @@ import numpy as np
 
 from phsi_opt.criteria import FALSE_DISCOVERY_RATE, HELD_OUT_RISE
 from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.conclusion import Conclusion
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.proposal import Proposal
 
@@ -15,7 +16,7 @@ def in_order(
     base: DiagnosedModel,
     candidates: Sequence[Candidate],
     proposed: Proposal | None,
-    against: str,
+    concluded: Conclusion,
 ) -> tuple[Candidate, ...]:
     """Candidates with their reasons: what is proposed, what was re-fitted, the others.
 
@@ -25,13 +26,16 @@ def in_order(
         base: the model that is diagnosed.
         candidates: single effects, best first, then pairs.
         proposed: the best of them; None where none is significant.
-        against: why that is not named; empty where it is.
+        concluded: why that is not named; the classes where it is.
     """
     best = None if proposed is None else proposed.candidate
     rows = [one for one in candidates if best is None or one.name != best.name]
-    ordered = [] if best is None else [replace(best, lost=against)]
+    ordered = [] if best is None else [replace(best, lost=concluded.against)]
     for one in sorted(rows, key=_place):
-        ordered.append(replace(one, lost=one.lost or _reason(base, one, best)))
+        lost = one.lost or _reason(base, one, best)
+        if best is not None and not one.lost and _is_alike(one, best, concluded):
+            lost = f"the data do not tell it from {best.name}"
+        ordered.append(replace(one, lost=lost))
     return tuple(ordered)
 
 
@@ -63,6 +67,19 @@ def _reason(base: DiagnosedModel, one: Candidate, best: Candidate | None) -> str
     if one.delta_bic > best.delta_bic:
         return f"{best.name} leaves less"
     return f"{best.name} does better on the data that judge, or is simpler"
+
+
+def _is_alike(one: Candidate, best: Candidate, concluded: Conclusion) -> bool:
+    """Whether it is the best with another member of a class in place of the first."""
+    if len(one.effects) != len(best.effects):
+        return False
+    for finding in concluded.findings:
+        first, *others = finding.effects
+        kept = [effect for effect in best.effects if effect != first]
+        new = [effect for effect in one.effects if effect not in kept]
+        if len(new) == 1 and new[0] in others:
+            return True
+    return False
 
 
 def _is_part(one: Candidate, pair: Candidate) -> bool:

@@ -64,9 +64,7 @@ def thermal(rng: np.random.Generator) -> Experiment:
             "T1": ph.formula(f"({first})/{C1!r}", **_used(free, first)),
             "T2": ph.formula(f"({second})/{C2!r}", **_used(free, second)),
         }
-        return ph.FirstOrder(
-            ["T1", "T2"], rates, inputs=["P", "Ta"], kind="thermal"
-        )
+        return ph.FirstOrder(["T1", "T2"], rates, inputs=["P", "Ta"], kind="thermal")
 
     return Experiment(
         states=("T1", "T2"),
@@ -133,4 +131,6 @@ def _hidden(name: str, C1: float, C2: float) -> Hidden:
         rate = -np.abs(x[..., 0]) * x[..., 0] / C1
         return np.stack([rate, np.zeros_like(rate)], axis=-1)
 
-    return Hidden(name, radiation, (Truth(("quadratic heat loss",), "T1", 1 / C1),), LARGEST)
+    return Hidden(
+        name, radiation, (Truth(("quadratic heat loss",), "T1", 1 / C1),), LARGEST
+    )
