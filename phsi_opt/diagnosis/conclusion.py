@@ -13,6 +13,7 @@ from phsi_opt.criteria import (
     EXPLAINED_IF_PARTLY,
     EXPLAINED_IF_PROPOSED,
     FORCE_GONE_IF_PARTLY,
+    INEXACT_SHARE,
     MOST_FAMILIES,
 )
 from phsi_opt.data.resolution import unresolved_channels
@@ -26,6 +27,8 @@ from phsi_opt.diagnosis.remainder import Remainder
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
+
+LOSS = "a loss of energy whose law the data do not tell"
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,12 @@ def conclusion(
     share = explained_share(base.judged, done.judged)
     percent = f"{100 * share:.0f} % of the squared error above the noise floor"
     remainder = left or Remainder.of(base, proposed.fit)
+    if not against and remainder.of_motion < INEXACT_SHARE:
+        percent_of_motion = f"{100 * remainder.of_motion:.2g} % of the motion's own"
+        against = (
+            f"the missing force is {percent_of_motion}, as models are inexact by, and "
+            "more than noise remains"
+        )
     if not against and remainder.gone < FORCE_GONE_IF_PARTLY:
         against = f"of the missing force {remainder}"
     if share > EXPLAINED_IF_PARTLY and not against:
@@ -134,8 +143,9 @@ def _findings(
     for effect in proposed.candidate.effects:
         size = fitted_size(base.fit, proposed.fit, effect)
         members = (effect, *others[str(effect)])
-        family = " or ".join(families(members))
-        findings.append(Finding(members, family, size.value, size.std_error, share))
+        findings.append(
+            Finding(members, class_of(members), size.value, size.std_error, share)
+        )
     return tuple(findings)
 
 
@@ -144,13 +154,27 @@ def families(effects: Sequence[Effect]) -> list[str]:
     return list(dict.fromkeys(effect.family for effect in effects))
 
 
+def class_of(effects: Sequence[Effect]) -> str:
+    """What a class is called; of many laws of loss that they take energy."""
+    joined = families(effects)
+    if len(joined) > MOST_FAMILIES and _are_losses(effects):
+        return LOSS
+    return " or ".join(joined)
+
+
+def _are_losses(effects: Sequence[Effect]) -> bool:
+    """Whether all take energy from one state: then they are alike in that."""
+    places = {(effect.slot, effect.equation) for effect in effects}
+    return len(places) == 1 and effects[0].slot == "R"
+
+
 def _against(
     base: DiagnosedModel, proposed: Proposal, findings: Sequence[Finding]
 ) -> str:
     """Why what is proposed is not established; empty where it is."""
     for finding in findings:
         joined = families(finding.effects)
-        if len(joined) > MOST_FAMILIES:
+        if len(joined) > MOST_FAMILIES and not _are_losses(finding.effects):
             return f"the data do not tell apart {', '.join(joined)}"
     effects = proposed.candidate.effects
     return unconfirmed(base, proposed.fit, proposed.done.judged, effects)

@@ -18,6 +18,7 @@ from phsi_opt.criteria import (
     FALSE_DISCOVERY_RATE,
     HELD_OUT_RISE,
     N_PAIR_REFITS,
+    N_PAIR_RIVALS,
     SIMPLE_SHARE,
 )
 from phsi_opt.diagnosis.candidate import Candidate
@@ -82,22 +83,24 @@ class _Search:
         for kinds in other_kinds((first, second), self.singles):
             for pair in self.pairs(kinds, 1):
                 best = self._better(best, pair)
-        for rivals in self._replaced(first, second):
-            for pair in self.pairs(rivals, 1):
-                best = self._better(best, pair, is_rival=True)
+        for pair in self._replaced(first, second):
+            best = self._better(best, pair, is_rival=True)
         return best
 
-    def _replaced(self, first: Effect, second: Effect) -> list[list[Prospect]]:
-        """The pair with the likeliest other law in place of one of the two.
+    def _replaced(self, first: Effect, second: Effect) -> list[Prospect]:
+        """The pair with other laws in place of one of the two, the likeliest of them.
 
-        Of the same family, and no larger: by itself it may be as good a name.
+        Of the same family, and no larger: one of them may be as good a name.
         """
         found = []
         for effect, partner in ((first, second), (second, first)):
             partners = [one for one in self.singles if one.effect == partner]
-            others = [one for one in self.singles if is_rival_law(one.effect, effect)]
-            if partners and others:
-                found.append([others[0], *partners])
+            rivals = []
+            for other in self.singles:
+                if is_rival_law(other.effect, effect):
+                    rivals += self.pairs([other, *partners], 1)
+            rivals.sort(key=self.prospects.score, reverse=True)
+            found += rivals[:N_PAIR_RIVALS]
         return found
 
     def pairs(self, singles: Sequence[Prospect], most: int) -> list[Prospect]:

@@ -22,34 +22,44 @@ class Remainder:
         equation: the one whose force is strongest, over its uncertainty, before.
         before: root mean square of its force; ``after``: with the effects.
         unit: of both.
+        motion: root mean square of the rates in that equation.
     """
 
     equation: str
     before: float
     after: float
     unit: str
+    motion: float
 
     @classmethod
     def of(cls, base: DiagnosedModel, fit: Fit) -> "Remainder":
         """Of a base model and the fit of a larger one, on the training record."""
         record = base.record
         before = record.estimate
-        place = int(np.argmax(_root_mean_squares(before) / _typical(before)))
+        typical = _typical(before)
+        place = int(np.argmax(_root_mean_squares(before) / typical))
+        motion = float(typical[place])
         equation = base.fit.model.states[before.prior.rows[place]]
         unit = force_unit(equation, record.data.units)
         strong = float(_root_mean_squares(before)[place])
         try:
             after = Record.of_aligned(fit, record.aligned).estimate
         except PhsiOptError:
-            return cls(equation, strong, strong, unit)
+            return cls(equation, strong, strong, unit, motion)
         rows = list(after.prior.rows)
         place = rows.index(fit.model.states.index(equation))
-        return cls(equation, strong, float(_root_mean_squares(after)[place]), unit)
+        left = float(_root_mean_squares(after)[place])
+        return cls(equation, strong, left, unit, motion)
 
     @property
     def gone(self) -> float:
         """Share of the force's mean square that is gone."""
         return 1 - (self.after / max(self.before, TINY)) ** 2
+
+    @property
+    def of_motion(self) -> float:
+        """The force before, as a share of the motion's own."""
+        return self.before / self.motion
 
     def __str__(self) -> str:
         unit = spaced(self.unit)
