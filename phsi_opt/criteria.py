@@ -168,8 +168,8 @@ EXPLAINED_IF_PARTLY = 0.3
 REMAINDER_TIE = 1.5
 # Root mean square of the missing force over that of the motion's own, up to which it is
 # what a machine and its model differ by: then only what leaves noise is named. With 5 %
-# of model error, forces that first steps missed were 4.3 % and more, and what was left to
-# later ones, of which some were given names, 1 to 3.4 %.
+# of model error, forces that first steps missed were 4.3 % and more; what was left to
+# later ones, of which some were given names, was 1 to 3.4 %.
 INEXACT_SHARE = 0.04
 # Share of the missing force's mean square that must be gone besides: what imitates an
 # effect moves the motion as that does, and leaves the force. A spring q|v| named
