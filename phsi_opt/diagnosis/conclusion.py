@@ -23,7 +23,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import fitted_size, unconfirmed
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.proposal import Proposal
-from phsi_opt.diagnosis.remainder import Remainder
+from phsi_opt.diagnosis.remainder import Remainder, share_of_motion
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
@@ -100,12 +100,8 @@ def conclusion(
     share = explained_share(base.judged, done.judged)
     percent = f"{100 * share:.0f} % of the squared error above the noise floor"
     remainder = left or Remainder.of(base, proposed.fit)
-    if not against and remainder.of_motion < INEXACT_SHARE:
-        percent_of_motion = f"{100 * remainder.of_motion:.2g} % of the motion's own"
-        against = (
-            f"the missing force is {percent_of_motion}, as models are inexact by, and "
-            "more than noise remains"
-        )
+    if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
+        against = f"{_inexact(base)}, and more than noise remains"
     if not against and remainder.gone < FORCE_GONE_IF_PARTLY:
         against = f"of the missing force {remainder}"
     if share > EXPLAINED_IF_PARTLY and not against:
@@ -177,7 +173,16 @@ def _against(
         if len(joined) > MOST_FAMILIES and not _are_losses(finding.effects):
             return f"the data do not tell apart {', '.join(joined)}"
     effects = proposed.candidate.effects
+    needs_clock = base.handicap(effects) > 0
+    if needs_clock and share_of_motion(base.record.estimate) < INEXACT_SHARE:
+        return f"{_inexact(base)}, and with a clock much can be made to fit"
     return unconfirmed(base, proposed.fit, proposed.done.judged, effects)
+
+
+def _inexact(base: DiagnosedModel) -> str:
+    """How small the missing force is."""
+    percent = 100 * share_of_motion(base.record.estimate)
+    return f"the missing force is {percent:.2g} % of the motion's own, as models err"
 
 
 def _without_effect(base: DiagnosedModel, ranked: Sequence[Candidate]) -> Conclusion:

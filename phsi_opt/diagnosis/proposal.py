@@ -1,6 +1,6 @@
 """What is proposed to be added: one effect, or two together where one is not enough."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import comb
 
@@ -29,6 +29,7 @@ from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.prospects import Prospect, Prospects
+from phsi_opt.screening.second_look import second_look
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,7 @@ class _Search:
         base: the model that is diagnosed.
         prospects: its larger models.
         singles: the effects among which pairs are made, best first.
+        doubted: those that were re-fitted alone and are not believed.
         known: fits made before, at which a re-fit may begin.
         looked: pairs that were looked at or re-fitted, to be told.
     """
@@ -64,6 +66,7 @@ class _Search:
     base: DiagnosedModel
     prospects: Prospects
     singles: Sequence[Prospect]
+    doubted: Sequence[Effect]
     known: list[Fit]
     looked: list[Candidate] = field(default_factory=list)
 
@@ -80,7 +83,8 @@ class _Search:
             return best
         self.known.append(best.fit)
         first, second = best.candidate.effects
-        for kinds in other_kinds((first, second), self.singles):
+        kept = [one for one in self.singles if one.effect not in self.doubted]
+        for kinds in other_kinds((first, second), kept):
             for pair in self.pairs(kinds, 1):
                 best = self._better(best, pair)
         for pair in self._replaced(first, second):
@@ -136,6 +140,17 @@ class _Search:
             return best
         return self._needed(Proposal(candidate, done), pair)
 
+    def _is_far_behind(
+        self, fit: Fit, one: Prospect, values: Mapping[str, float], share: float
+    ) -> bool:
+        """Whether a look at one of the two, from these values, leaves much more."""
+        look = second_look(self.base.record, one.effects, values)
+        if look is None:
+            return False
+        again = replace(one, look=look)
+        behind = self.prospects.delta_bic(again, share)
+        return behind > delta_bic(self.base.fit, fit, share) + 2 * BIC_TIE
+
     def _is_promising(self, best: Proposal, pair: Prospect) -> bool:
         """Whether what a pair is expected to leave is less than what the best does."""
         if pair.look is None:
@@ -179,6 +194,8 @@ class _Search:
             if one.effect not in pair.effects:
                 continue
             values = {name: pair.values.get(name, x) for name, x in one.values.items()}
+            if self._is_far_behind(best.fit, one, values, share):
+                continue
             done = refit(self.base, RefitRequest(one.effects, values, rival=both.fit))
             if done is not None and delta_bic(best.fit, done.fit, share) < BIC_TIE:
                 candidate = expected(self.base, self.prospects, one)
@@ -216,7 +233,8 @@ def proposal(
         elif candidate.was_tried:
             failed.append(candidate.effect)
     kept = [one for one in prospects.singles if one.effect not in failed]
-    search = _Search(base, prospects, kept, fitted)
+    doubted = [candidate.effect for candidate in ranked if candidate.lost]
+    search = _Search(base, prospects, kept, doubted, fitted)
     found = search.best(best)
     return _simplest(base, found, ranked), search.looked
 

@@ -22,44 +22,35 @@ class Remainder:
         equation: the one whose force is strongest, over its uncertainty, before.
         before: root mean square of its force; ``after``: with the effects.
         unit: of both.
-        motion: root mean square of the rates in that equation.
     """
 
     equation: str
     before: float
     after: float
     unit: str
-    motion: float
 
     @classmethod
     def of(cls, base: DiagnosedModel, fit: Fit) -> "Remainder":
         """Of a base model and the fit of a larger one, on the training record."""
         record = base.record
         before = record.estimate
-        typical = _typical(before)
-        place = int(np.argmax(_root_mean_squares(before) / typical))
-        motion = float(typical[place])
+        place = int(np.argmax(_shares_of_motion(before)))
         equation = base.fit.model.states[before.prior.rows[place]]
         unit = force_unit(equation, record.data.units)
         strong = float(_root_mean_squares(before)[place])
         try:
             after = Record.of_aligned(fit, record.aligned).estimate
         except PhsiOptError:
-            return cls(equation, strong, strong, unit, motion)
+            return cls(equation, strong, strong, unit)
         rows = list(after.prior.rows)
         place = rows.index(fit.model.states.index(equation))
         left = float(_root_mean_squares(after)[place])
-        return cls(equation, strong, left, unit, motion)
+        return cls(equation, strong, left, unit)
 
     @property
     def gone(self) -> float:
         """Share of the force's mean square that is gone."""
         return 1 - (self.after / max(self.before, TINY)) ** 2
-
-    @property
-    def of_motion(self) -> float:
-        """The force before, as a share of the motion's own."""
-        return self.before / self.motion
 
     def __str__(self) -> str:
         unit = spaced(self.unit)
@@ -69,6 +60,16 @@ class Remainder:
             f"{100 * self.gone:.0f} % is gone (rms {self.before:.3g} before, "
             f"{self.after:.3g}{unit} after)"
         )
+
+
+def share_of_motion(estimate: ForceEstimate) -> float:
+    """The strongest force over the rates of its equation, both root mean squares."""
+    shares = _shares_of_motion(estimate)
+    return float(np.max(shares)) if shares.size else 0.0
+
+
+def _shares_of_motion(estimate: ForceEstimate) -> np.ndarray:
+    return _root_mean_squares(estimate) / _typical(estimate)
 
 
 def _root_mean_squares(estimate: ForceEstimate) -> np.ndarray:
