@@ -10,6 +10,7 @@ from phsi_opt.comparison.model_selection import (
     delta_bic,
     falls_significantly,
     free_run_deviance,
+    is_like_noise,
     share_of_change,
 )
 from phsi_opt.criteria import BIC_TIE, REMAINDER_TIE
@@ -44,8 +45,10 @@ def alike(
             is_tied = True
         elif other.name in best.confusable_with:
             is_tied = not _is_worse_held_out(base, best, other)
+        elif remainder is not None:
+            is_tied = _is_within(remainder, base, best, other)
         else:
-            is_tied = remainder is not None and _is_within(remainder, base, best, other)
+            is_tied = _is_better_held_out(base, best, other)
         if is_tied:
             found.append(other.effect)
     return found
@@ -83,6 +86,21 @@ def _is_preferred_in_training(best: Candidate, other: Candidate) -> bool:
     """Whether the training data clearly prefer another one than the data held out."""
     is_known = other.fit is not None and not other.lost
     return is_known and other.delta_bic < best.delta_bic - BIC_TIE
+
+
+def _is_better_held_out(
+    base: DiagnosedModel, best: Candidate, other: Candidate
+) -> bool:
+    """Whether a law of the same family leaves noise too, and less on data held out.
+
+    The training data prefer the best, those held out do not: model error, which is
+    hidden by the noise, may have made the difference.
+    """
+    if not base.is_held_out or other.effect.family != best.effect.family:
+        return False
+    if other.trained is None or other.lost or not is_like_noise(other.trained):
+        return False
+    return bool(other.held_out_rmse < best.held_out_rmse)
 
 
 def _is_worse_held_out(base: DiagnosedModel, best: Candidate, other: Candidate) -> bool:

@@ -33,6 +33,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import doubt, fitted_size
 from phsi_opt.diagnosis.dry_friction import simple_first
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
+from phsi_opt.diagnosis.simple_losses import Refitted, begins_at, with_simple_losses
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.screening.prospects import Prospect, Prospects
 from phsi_opt.statistics import false_discovery_adjusted
@@ -46,7 +47,9 @@ def ranking(base: DiagnosedModel, prospects: Prospects) -> tuple[Candidate, ...]
         prospects: what second looks expect of each effect.
     """
     refitted = _best_refitted(base, prospects)
-    refitted += _simple_losses(base, prospects, refitted)
+    refitted = with_simple_losses(
+        base, prospects, refitted, _refitting(base, prospects)
+    )
     ranked = _ranked(base, prospects, refitted)
     tried = [candidate.effect for candidate in ranked]
     others = []
@@ -54,6 +57,24 @@ def ranking(base: DiagnosedModel, prospects: Prospects) -> tuple[Candidate, ...]
         if one.effect not in tried:
             others.append(expected(base, prospects, one))
     return _adjusted([*ranked, *others])
+
+
+def _refitting(base: DiagnosedModel, prospects: Prospects) -> Refitted:
+    """Re-fits a prospect, from its own start or from the states of another fit."""
+
+    def refitted(one: Prospect, at: Fit | None) -> Candidate:
+        base.say(f"re-fitting with {one.name}")
+        request = request_of(one, None, [])
+        states = begins_at(base, at)
+        if at is not None and states is not None:
+            request = replace(request, base_values=at.model.values, states=states)
+        candidate = expected(base, prospects, one)
+        done = refit(base, request)
+        if done is None:
+            return replace(candidate, was_tried=True)
+        return as_refitted(base, candidate, done, one.n_tried)
+
+    return refitted
 
 
 def expected(base: DiagnosedModel, prospects: Prospects, one: Prospect) -> Candidate:
@@ -114,38 +135,6 @@ def _best_refitted(base: DiagnosedModel, prospects: Prospects) -> list[Candidate
             continue
         result.append(as_refitted(base, candidate, done, one.n_tried))
         rival = rival.after(done, prospects.score(one), left)
-    return result
-
-
-def _simple_losses(
-    base: DiagnosedModel, prospects: Prospects, refitted: Sequence[Candidate]
-) -> list[Candidate]:
-    """Losses of one number, re-fitted, where the best so far leaves more than noise.
-
-    Those of the equation of the best: what a second look says of a law may be wrong, as
-    along a pendulum that goes over the top, and no law is named whose simplest rivals
-    were not re-fitted.
-    """
-    found = [one for one in refitted if one.trained is not None and not one.lost]
-    if not found or is_like_noise(base.trained):
-        return []
-    if any(one.trained and is_like_noise(one.trained) for one in found):
-        return []
-    best = min(found, key=lambda one: one.delta_bic)
-    tried = [one.name for one in refitted]
-    result = []
-    for one in prospects.singles:
-        is_simple = one.effect.slot == "R" and one.effect.n_unknowns == 1
-        is_rival = is_simple and one.effect.equation == best.effect.equation
-        if not is_rival or one.name in tried:
-            continue
-        base.say(f"re-fitting with {one.name}")
-        candidate = expected(base, prospects, one)
-        done = refit(base, request_of(one, best.fit, []))
-        if done is None:
-            result.append(replace(candidate, was_tried=True))
-        else:
-            result.append(as_refitted(base, candidate, done, one.n_tried))
     return result
 
 
