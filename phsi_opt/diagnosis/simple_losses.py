@@ -1,0 +1,133 @@
+"""The losses of one number, where the best candidate leaves more than noise.
+
+What a second look says of a law may be wrong, and so may the optimum of a re-fit, as
+along a pendulum that goes over the top. No law is named whose simplest rivals were not
+re-fitted, once from their own start and once from the states of the best of them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from phsi_opt.comparison.model_selection import delta_bic, is_like_noise
+from phsi_opt.criteria import BIC_TIE
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
+from phsi_opt.screening.effect_size import new_names
+from phsi_opt.screening.prospects import Prospect, Prospects
+from phsi_opt.statistics import TINY
+
+# A candidate re-fitted: from its own start, or from the states of another fit.
+Refitted = Callable[[Prospect, Fit | None], Candidate]
+
+
+def with_simple_losses(
+    base: DiagnosedModel,
+    prospects: Prospects,
+    candidates: Sequence[Candidate],
+    refitted: Refitted,
+) -> list[Candidate]:
+    """The candidates, and the simple losses of the equation of the best.
+
+    Args:
+        base: the model that is diagnosed.
+        prospects: its larger models.
+        candidates: those that were re-fitted.
+        refitted: makes a re-fit of one more.
+    """
+    result = list(candidates)
+    best = _best(result)
+    if best is None or is_like_noise(base.trained) or _leaves_noise(best):
+        return result
+    equation = best.effect.equation
+    losses = []
+    for one in prospects.singles:
+        if is_simple_loss(one.effect) and one.effect.equation == equation:
+            losses.append(one)
+    tried = [one.name for one in result]
+    for one in losses:
+        if one.name not in tried:
+            result.append(refitted(one, None))
+    best = _best(result)
+    if best is None or best.fit is None or not is_simple_loss(best.effect):
+        return result
+    for one in losses:
+        if one.effect.family == best.effect.family and one.name != best.name:
+            result = _again(base, result, refitted, one, best)
+    return result
+
+
+def is_simple_loss(effect: Effect) -> bool:
+    """Whether an effect is a loss of one number."""
+    return effect.slot == "R" and effect.n_unknowns == 1
+
+
+def _best(candidates: Sequence[Candidate]) -> Candidate | None:
+    """The re-fitted candidate of the lowest BIC that is to be believed."""
+    found = [one for one in candidates if one.fit is not None and not one.lost]
+    return min(found, key=lambda one: one.delta_bic, default=None)
+
+
+def _leaves_noise(one: Candidate) -> bool:
+    return one.trained is not None and is_like_noise(one.trained)
+
+
+def _again(
+    base: DiagnosedModel,
+    candidates: list[Candidate],
+    refitted: Refitted,
+    one: Prospect,
+    best: Candidate,
+) -> list[Candidate]:
+    """The candidates; where one is far behind the best, re-fitted from its states."""
+    (present,) = [known for known in candidates if known.name == one.name]
+    if best.fit is None or present.delta_bic < best.delta_bic + BIC_TIE:
+        return candidates
+    value = matched(base, best.fit, best.effect, one.effect)
+    another = refitted(replace(one, values=value), best.fit)
+    if another.fit is None:
+        return candidates
+    if present.fit is not None and delta_bic(present.fit, another.fit, 1.0) > 0:
+        return candidates
+    return [another if known is present else known for known in candidates]
+
+
+def matched(
+    base: DiagnosedModel, fit: Fit, effect: Effect, other: Effect
+) -> dict[str, float]:
+    """Value of another loss whose force is nearest to that of a loss in a fit.
+
+    Least squares of the two forces along the states of the fit.
+    """
+    model = base.fit.model
+    (known,) = new_names(model, effect, fit.names)
+    larger = fit.model.with_values({known: 0.0}).add(other)
+    (sought,) = new_names(fit.model, other, larger.entries)
+    without = _rates(base, larger.with_values({sought: 0.0}), fit)
+    of_unit = _rates(base, larger.with_values({sought: 1.0}), fit) - without
+    full = fit.model.values[known]
+    of_fit = _rates(base, larger.with_values({known: full, sought: 0.0}), fit) - without
+    size = np.sum(of_unit * of_fit) / max(np.sum(of_unit**2), TINY)
+    return {sought: float(size)}
+
+
+def _rates(base: DiagnosedModel, model: Model, fit: Fit) -> np.ndarray:
+    """dx/dt of a model along the states of a fit, (n_states, n_nodes)."""
+    grid = base.record.estimate.grid
+    x = np.concatenate([np.asarray(run) for run in fit.states])
+    theta = np.array([model.values[name] for name in model.free])
+    rates = model.rhs()(x.T, grid.u.T, grid.t[None, :], theta)
+    return np.asarray(rates)
+
+
+def begins_at(base: DiagnosedModel, fit: Fit | None) -> np.ndarray | None:
+    """States of a fit as a re-fit begins with them; None where the grids differ."""
+    if fit is None:
+        return None
+    states = np.concatenate([np.asarray(run) for run in fit.states])
+    own = base.record.estimate.x.shape
+    return states if states.shape == own else None
