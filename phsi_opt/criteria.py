@@ -157,6 +157,10 @@ CLOCK_MARGIN = 30.0
 # the error of the model, to which it bends. Beside 5 % of model error in the force, a
 # missing damper explains 98 % of the squared error, hysteresis with a gap 99.8 %.
 SIMPLE_SHARE = 0.9
+# The same where the larger one leaves noise, and how many numbers fewer the simpler one
+# must have: hysteresis with a gap, six numbers, leaves noise where a damper is missing.
+SIMPLE_SHARE_BESIDE_ALL = 0.95
+FEWER_BESIDE_ALL = 4
 # Families of effects, at most, that a class may join.
 MOST_FAMILIES = 2
 # Share of the squared error above the noise floor that an effect must explain to be

@@ -13,7 +13,7 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
     share_of_change,
 )
-from phsi_opt.criteria import BIC_TIE, REMAINDER_TIE
+from phsi_opt.criteria import BIC_TIE, REMAINDER_TIE, SIMPLE_SHARE
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.remainder import Remainder
@@ -45,6 +45,8 @@ def alike(
             is_tied = True
         elif other.name in best.confusable_with:
             is_tied = not _is_worse_held_out(base, best, other)
+            if remainder is not None and not is_tied:
+                is_tied = _is_nearly_all(best, other)
         elif remainder is not None:
             is_tied = _is_within(remainder, base, best, other)
         else:
@@ -86,6 +88,15 @@ def _is_preferred_in_training(best: Candidate, other: Candidate) -> bool:
     """Whether the training data clearly prefer another one than the data held out."""
     is_known = other.fit is not None and not other.lost
     return is_known and other.delta_bic < best.delta_bic - BIC_TIE
+
+
+def _is_nearly_all(best: Candidate, other: Candidate) -> bool:
+    """Whether another one explains nearly as much of the error on data held out.
+
+    Beside model error a run held out prefers one law or another by chance.
+    """
+    is_known = other.fit is not None and not other.lost
+    return is_known and other.share > SIMPLE_SHARE * best.share
 
 
 def _is_better_held_out(

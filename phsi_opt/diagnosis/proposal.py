@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import comb
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.comparison.model_selection import (
     delta_bic,
     explained_share,
     falls_or_explains_most,
     falls_significantly,
+    free_run_deviance,
     is_explained,
     is_like_noise,
     share_of_change,
@@ -16,10 +18,12 @@ from phsi_opt.comparison.model_selection import (
 from phsi_opt.criteria import (
     BIC_TIE,
     FALSE_DISCOVERY_RATE,
+    FEWER_BESIDE_ALL,
     HELD_OUT_RISE,
     N_PAIR_REFITS,
     N_PAIR_RIVALS,
     SIMPLE_SHARE,
+    SIMPLE_SHARE_BESIDE_ALL,
 )
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
@@ -245,20 +249,56 @@ def _simplest(
     """The simplest effect that explains nearly as much, where noise is not all left.
 
     What is left is then error of the model, and larger laws bend to it: a gap beside
-    hysteresis leaves less than the damper that is missing.
+    hysteresis leaves less than the damper that is missing. So do two laws of many
+    numbers that leave noise alone. Of laws of one size the data held out decide with
+    those of training.
     """
     if best is None:
         return None
     done = best.done
-    if is_explained(base.judged, done.trained, done.judged):
-        return best
-    enough = SIMPLE_SHARE * explained_share(base.judged, done.judged)
+    is_all = is_explained(base.judged, done.trained, done.judged)
+    least = SIMPLE_SHARE_BESIDE_ALL if is_all else SIMPLE_SHARE
+    fewer = FEWER_BESIDE_ALL if is_all else 1
+    enough = least * explained_share(base.judged, done.judged)
     for candidate in ranked:
         comparison = candidate.comparison
         if comparison is None or not _is_significant(base, candidate):
             continue
-        is_simpler = _n_unknowns(candidate) < _n_unknowns(best.candidate)
+        is_simpler = _n_unknowns(candidate) + fewer <= _n_unknowns(best.candidate)
         if is_simpler and explained_share(base.judged, comparison) > enough:
+            best = _single(candidate) or best
+    return _by_all_data(base, best, ranked)
+
+
+def _by_all_data(
+    base: DiagnosedModel, best: Proposal, ranked: Sequence[Candidate]
+) -> Proposal:
+    """The single effect that training and held-out data together prefer.
+
+    Where it leaves more than noise; by BIC and the deviance of the free run on the data
+    held out, among effects that are no larger.
+    """
+    done = best.done
+    is_all = is_explained(base.judged, done.trained, done.judged)
+    if is_all or not base.is_held_out or best.candidate.partner is not None:
+        return best
+    share = share_of_change(base.trained, done.trained)
+
+    def evidence(fit: Fit, judged: Comparison, effects: Sequence[Effect]) -> float:
+        bic = delta_bic(base.fit, fit, share) + base.handicap(effects)
+        return bic + share * free_run_deviance(judged)
+
+    least = evidence(best.fit, done.judged, best.candidate.effects)
+    size = _n_unknowns(best.candidate)
+    for candidate in ranked:
+        fit, judged = candidate.fit, candidate.comparison
+        if fit is None or judged is None or _n_unknowns(candidate) > size:
+            continue
+        if not _is_significant(base, candidate):
+            continue
+        of_all = evidence(fit, judged, candidate.effects)
+        if of_all < least:
+            least = of_all
             best = _single(candidate) or best
     return best
 
