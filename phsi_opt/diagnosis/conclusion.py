@@ -10,6 +10,7 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
 )
 from phsi_opt.criteria import (
+    CLOCK_Z,
     EXPLAINED_IF_PARTLY,
     EXPLAINED_IF_PROPOSED,
     FORCE_GONE_IF_PARTLY,
@@ -173,9 +174,10 @@ def _against(
         if len(joined) > MOST_FAMILIES and not _are_losses(finding.effects):
             return f"the data do not tell apart {', '.join(joined)}"
     effects = proposed.candidate.effects
-    needs_clock = base.handicap(effects) > 0
-    if needs_clock and share_of_motion(base.record.estimate) < INEXACT_SHARE:
-        return f"{_inexact(base)}, and with a clock much can be made to fit"
+    if base.handicap(effects) and share_of_motion(base.record.estimate) < INEXACT_SHARE:
+        sizes = [fitted_size(base.fit, proposed.fit, effect) for effect in effects]
+        if min(size.z for size in sizes) < CLOCK_Z:
+            return f"{_inexact(base)}, and with a clock much can be made to fit"
     return unconfirmed(base, proposed.fit, proposed.done.judged, effects)
 
 

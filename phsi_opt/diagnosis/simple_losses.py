@@ -125,7 +125,7 @@ def _rates(base: DiagnosedModel, model: Model, fit: Fit) -> np.ndarray:
 
 
 def begins_at(base: DiagnosedModel, fit: Fit | None) -> np.ndarray | None:
-    """States of a fit as a re-fit begins with them; None where the grids differ."""
+    """States of a fit, (n_nodes, n_states), for a re-fit; None where grids differ."""
     if fit is None:
         return None
     states = np.concatenate([np.asarray(run) for run in fit.states])
