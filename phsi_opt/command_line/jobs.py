@@ -29,7 +29,6 @@ from phsi_opt.study import Study
 from phsi_opt.study_file.study_file import StudyFile
 
 Tell = Callable[[Message], None]
-SIGNIFICANT_DIGITS = "{:.4g}".format
 
 
 def run(job: Job, tell: Tell) -> Answer:
@@ -205,7 +204,12 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
 
 def table_text(table: pd.DataFrame) -> str:
     """A table as text, all of its columns."""
-    return str(table.to_string(index=False, float_format=SIGNIFICANT_DIGITS))
+    return str(table.to_string(index=False, float_format=four_digits))
+
+
+def four_digits(value: float) -> str:
+    """A number with four significant digits."""
+    return f"{value:.4g}"
 
 
 def table_content(table: pd.DataFrame) -> list[dict[str, Any]]:

@@ -25,9 +25,6 @@ def finish(answer: Answer, as_json: bool, **further: Any) -> NoReturn:
         answer: what there is to say.
         as_json: whether standard output is for a program.
         **further: more for JSON.
-
-    Raises:
-        typer.Exit: always, with the exit code.
     """
     is_done = answer.code in (ExitCode.DONE, ExitCode.MISSING)
     if as_json:
@@ -46,11 +43,7 @@ def _print_json(content: Mapping[str, Any], code: int) -> None:
 
 @contextlib.contextmanager
 def told_errors(as_json: bool = False) -> Iterator[None]:
-    """Say what the package refuses, without a trace, and end with the exit code.
-
-    Raises:
-        typer.Exit: where something was refused.
-    """
+    """Say what the package refuses, without a trace, and end with the exit code."""
     try:
         yield
     except PhsiOptError as error:
@@ -58,11 +51,7 @@ def told_errors(as_json: bool = False) -> Iterator[None]:
 
 
 def do(job: Job, as_json: bool) -> NoReturn:
-    """Have a job done, say how it ended, and end with the exit code.
-
-    Raises:
-        typer.Exit: always, with the exit code.
-    """
+    """Have a job done, say how it ended, and end with the exit code."""
     with told_errors(as_json):
         check_places(job)
     ended = supervise(job)

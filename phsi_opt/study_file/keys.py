@@ -26,7 +26,7 @@ class Key:
 
     @property
     def path(self) -> str:
-        """The key as in messages: ``"data.time.column"``."""
+        """The key as in messages, such as ``"data.time.column"``."""
         return f"{self.table}.{self.name}" if self.table else self.name
 
 
