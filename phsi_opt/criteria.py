@@ -148,6 +148,9 @@ BELIEVED_MISFIT = 1.05
 OUT_OF_PHASE = 0.5
 # Periods that a record must hold of a wave that is named.
 LEAST_PERIODS = 1.5
+# Share of the record in which a velocity must go the other way for hysteresis to be
+# shown: of a fall it is drag with two numbers more.
+LEAST_TURNED = 0.05
 # Difference in BIC by which an effect that needs the clock must beat those that do not,
 # in a model without inputs: runs that start in phase are a clock of their own. On a
 # fall, a stiffness that changes with the time beat viscous drag by 12.

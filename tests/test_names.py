@@ -402,3 +402,12 @@ def test_a_law_of_a_pair_is_compared_with_what_could_take_its_place() -> None:
         if "do not tell" in candidate.lost:
             told.append({effect.name for effect in candidate.effects})
     assert {"constant force", "cubic stiffness"} in told
+
+
+def test_hysteresis_is_not_named_where_nothing_turns_back() -> None:
+    case = drawn_case("falling", 108)
+    fit = ph.identify(case.model, case.train)
+    diagnosis = ph.diagnose(fit, case.train, case.test)
+    assert findings_of(diagnosis) == {frozenset({"viscous damping on p"})}
+    (hysteresis,) = [c for c in diagnosis.ranking if c.name == "hysteresis on p"]
+    assert "never turns back" in hysteresis.lost

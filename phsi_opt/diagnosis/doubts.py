@@ -15,6 +15,7 @@ from phsi_opt.criteria import (
     CONFIRMED_Z,
     ESTABLISHED_Z,
     LEAST_PERIODS,
+    LEAST_TURNED,
     OUT_OF_PHASE,
     PROPOSED_Z,
     TELLING_ERROR,
@@ -22,7 +23,9 @@ from phsi_opt.criteria import (
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect, is_wave
+from phsi_opt.model.structure import effort_of
 from phsi_opt.screening.effect_size import Size, new_names, size_of
 from phsi_opt.screening.second_look import Look, independent_share, second_look
 from phsi_opt.statistics import TINY
@@ -53,7 +56,21 @@ def doubt(base: DiagnosedModel, fit: Fit, effects: Sequence[Effect]) -> str:
             period = _period(fit, names)
             if period * LEAST_PERIODS > longest_duration(base.record.data):
                 return f"its period, {period:.3g}, is longer than the record shows"
+        if effect.name == HYSTERESIS and _turned_share(base, effect) < LEAST_TURNED:
+            effort = effort_of(base.fit.model, effect.equation)
+            return f"{effort} never turns back, without which {effect} is not shown"
     return ""
+
+
+def _turned_share(base: DiagnosedModel, effect: Effect) -> float:
+    """Share of the record in which an effort has the rarer one of its two signs."""
+    model = base.fit.model
+    estimate = base.record.estimate
+    grid = estimate.grid
+    effort = model.function(effort_of(model, effect.equation))
+    values = effort(estimate.x.T, grid.u.T, grid.t[None, :], model.theta)
+    positive = float(np.mean(np.asarray(values) > 0))
+    return min(positive, 1 - positive)
 
 
 def _driven_to_bounds(old: Fit, new: Fit, effects: Sequence[Effect]) -> list[str]:

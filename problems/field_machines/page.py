@@ -25,6 +25,7 @@ from problems.tools import markdown
 from problems.tools.intervals import share
 from problems.tools.provenance import write
 
+DEVELOPED_ON = "developed on seeds 0 to 117 and 8000 to 8005"
 ANSWERS = (NAME, CLASS, FALSE, SILENT)
 LEVELS = markdown.enumerated(f"{100 * noise:g}" for noise in NOISE_LEVELS)
 INTRODUCTION = markdown.paragraph(f"""
@@ -37,7 +38,8 @@ INTRODUCTION = markdown.paragraph(f"""
     The effect's size is such that the best re-fit of the model has a free-run error of
     {QUIETEST:g} to {LOUDEST:g} times the noise, and {ABOVE_MODEL_ERROR:g} times what
     the model error does to the runs, which at little noise asks for more; under control
-    and over the top it is drawn.
+    and over the top it is drawn. Models of circuits, heated bodies and chambers say
+    what kind of thing they are (`kind="electrical"`), as a user would.
     """)
 TERMS = markdown.paragraph(f"""
     A study goes on by itself for up to {MOST_STEPS} steps; all that its diagnoses find
@@ -65,7 +67,7 @@ def page() -> str:
         return "\n".join(lines)
     everything = pd.concat(found.values(), ignore_index=True)
     seeds = everything["seed"]
-    lines += [f"Seeds {seeds.min()} to {seeds.max()}.", ""]
+    lines += [f"Seeds {seeds.min()} to {seeds.max()}; {DEVELOPED_ON}.", ""]
     lines += ["## What was said", "", markdown.table(summary(found)), ""]
     lines += ["By noise, where something is to be named:", ""]
     lines += [markdown.table(by_noise(everything)), ""]
