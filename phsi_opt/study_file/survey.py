@@ -1,7 +1,7 @@
 """A look at a table nobody has described yet: which column is what, and its unit.
 
 Guesses from headers and values, for a first study file that a person corrects. Nothing
-is decided by them. The table is read by the reader of ``phsi_opt.data``, so that what is
+is decided by them. The reader of ``phsi_opt.data`` reads the table, so that what is
 seen here can be read later.
 """
 
