@@ -352,7 +352,7 @@ def test_add_writes_an_effect_and_keeps_what_the_user_wrote(demo: Path) -> None:
     assert Path(content["backup"]).read_text() == before
     after = demo.read_text()
     assert after == before.replace("added = []", 'added = ["coulomb friction on p"]')
-    again = said("add", "coulomb friction on p", demo)
+    again = said("add", "coulomb friction on p", demo, "-e", "p")
     assert again.code == ExitCode.BAD_INPUT
     assert "the model has it already" in again.err
     assert demo.read_text() == after
@@ -363,7 +363,6 @@ def test_add_refuses_what_is_unknown_and_says_what_was_meant(demo: Path) -> None
     result = said("add", "coulom friction", demo)
     assert result.code == ExitCode.BAD_INPUT
     assert "Did you mean 'coulomb friction'?" in result.err
-    assert "say which" in said("add", "constant force", demo, "-e", "z").err or True
     assert demo.read_text() == before
     assert list(demo.parent.glob("*.bak")) == []
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from phsi_opt.command_line.job import Answer
 from phsi_opt.study_file.adding import add_effects
-from phsi_opt.study_file.effect_reading import meant_effect
+from phsi_opt.study_file.effect_reading import ON, meant_effect
 from phsi_opt.study_file.study_file import StudyFile
 
 
@@ -17,7 +17,9 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
         ModelError: there is no such effect, or the model has it.
     """
     file = StudyFile.read(path)
-    asked = name if equation is None else f"{name} on {equation}"
+    asked = name
+    if equation is not None and not name.endswith(f"{ON}{equation}"):
+        asked = f"{name}{ON}{equation}"
     model = file.model()
     effect = meant_effect(model, asked, file.own_effects)
     larger = model.add(effect)
