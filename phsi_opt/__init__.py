@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
     from phsi_opt.optimization.settings import SolverSettings
     from phsi_opt.simulation.simulate import simulate
-    from phsi_opt.study import Study
+    from phsi_opt.study.study import Study
     from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
     from phsi_opt.study_file.study_file import StudyFile
     from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
@@ -64,7 +64,7 @@ MODULES = {
     "model.terms": "damping formula polynomials trigonometric",
     "optimization.settings": "SolverSettings",
     "simulation.simulate": "simulate",
-    "study": "Study",
+    "study.study": "Study",
     "study_file.sections": "Channel DataSection HeldOut",
     "study_file.study_file": "StudyFile",
     "transcription.losses": "MaximumLikelihood PHSILoss",

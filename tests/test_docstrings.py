@@ -177,7 +177,7 @@ def test_the_audit_sees_the_package() -> None:
     names = {one.name for one in documented()}
     assert len(names) > 900
     assert "phsi_opt.estimation.identify.identify" in names
-    assert "phsi_opt.study.Study.compare" in names
+    assert "phsi_opt.study.study.Study.compare" in names
 
 
 def test_every_public_docstring_begins_with_a_sentence_on_one_line() -> None:

@@ -4,30 +4,28 @@ It stops when no further effect is significant, and says why.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from phsi_opt.comparison.compare import Comparison, compare_record
-from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of_change
-from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnose import diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.diagnosis.refit_effort import ADDED
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.identify import identify_aligned
-from phsi_opt.estimation.record import Record
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.report import Section, write_report
-from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.study.fitting import StudyFitting
+from phsi_opt.study.history import history_table
+from phsi_opt.study.record import StudyRecord
+from phsi_opt.study.report_text import report_sections
+from phsi_opt.study.step import Step
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
@@ -35,38 +33,6 @@ if TYPE_CHECKING:
 
 HELD_OUT = "held out"
 TRAINING = "training"
-HISTORY_COLUMNS = (
-    "step",
-    "effect",
-    "train_rmse",
-    "held_out_rmse",
-    "noise_floor",
-    "bic",
-)
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One step of a study.
-
-    Attributes:
-        label: what was done.
-        added: the effects that the model has since beyond the base model.
-        fit: of the model.
-        train: its free run on the training record.
-        held_out: its free run on data held out; None where there are none.
-    """
-
-    label: str
-    added: tuple[Effect, ...]
-    fit: Fit
-    train: Comparison
-    held_out: Comparison | None
-
-    @property
-    def judged(self) -> Comparison:
-        """The comparison that judges, on data held out or else the training record."""
-        return self.held_out or self.train
 
 
 class Study:
@@ -110,30 +76,28 @@ class Study:
     ) -> None:
         self.base = model
         self._choice = EffectChoice(effects, without).checked(model, train.units)
-        self._train = AlignedData.of(model, train)
-        self._held_out = None
-        if held_out is not None:
-            self._held_out = AlignedData.of(model, held_out)
+        loss = loss or MaximumLikelihood()
+        self._fitting = StudyFitting.of(model, train, held_out, loss)
         self.stopped = ""
-        self._loss = loss or MaximumLikelihood()
         self._say = progress or _silent
         self._diagnoses: dict[int, Diagnosis] = {}
         self._considered: dict[int, EffectChoice] = {}
         self._say("fitting the base model")
-        fit = identify_aligned(model, self._train, self._loss)
-        self.steps: list[Step] = [self._step("base model", (), fit)]
+        first = self._fitting.step("base model", (), self._fitting.of_base())
+        self.steps: list[Step] = [first]
         if self.steps[0].train.warning:
             self._say(self.steps[0].train.warning)
 
     @property
     def train(self) -> Measurements:
         """The measurements that are fitted, in the model's order."""
-        return self._train.data
+        return self._fitting.train.data
 
     @property
     def held_out(self) -> Measurements | None:
         """The measurements that judge, in the model's order."""
-        return None if self._held_out is None else self._held_out.data
+        held_out = self._fitting.held_out
+        return None if held_out is None else held_out.data
 
     @property
     def fit(self) -> Fit:
@@ -149,6 +113,19 @@ class Study:
     def added(self) -> tuple[Effect, ...]:
         """Effects that the present model has beyond the base model, oldest first."""
         return self.steps[-1].added
+
+    @property
+    def record(self) -> StudyRecord:
+        """The study as it stands, for those who tell of it."""
+        diagnoses = {number - 1: found for number, found in self._diagnoses.items()}
+        return StudyRecord(
+            tuple(self.steps),
+            diagnoses,
+            self.stopped,
+            self.train,
+            self.held_out,
+            self._fitting.loss,
+        )
 
     def compare(self, on: str | None = None) -> Comparison:
         """The free run of the present model.
@@ -187,7 +164,7 @@ class Study:
                 step.train,
                 step.held_out,
                 effects=choice.candidates(self.model, self.train.units),
-                loss=self._loss,
+                loss=self._fitting.loss,
                 progress=self._say,
             )
             self._considered[key] = choice
@@ -200,7 +177,7 @@ class Study:
         if fit is step.fit:
             return
         label = f"{step.label}, re-fitted"
-        self.steps[-1] = self._step(label, step.added, fit)
+        self.steps[-1] = self._fitting.step(label, step.added, fit)
 
     def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
         """Add an effect, re-fit, and return the fit.
@@ -220,11 +197,11 @@ class Study:
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
             alone = diagnose_comparison(
-                self.steps[-1].train, effects=[effect], loss=self._loss
+                self.steps[-1].train, effects=[effect], loss=self._fitting.loss
             )
             found = alone.ranking[0] if alone.ranking else None
-        fit = self._fitted(effect, found)
-        self.steps.append(self._step(str(effect), (*self.added, effect), fit))
+        fit = self._fitting.larger(self.fit, effect, found)
+        self.steps.append(self._fitting.step(str(effect), (*self.added, effect), fit))
         return fit
 
     def remove(self, effect: str | Effect, equation: str | None = None) -> Fit:
@@ -252,8 +229,9 @@ class Study:
             )
         self._say(f"removing {found[0]}")
         kept = self._without(found[0])
-        self.steps.append(self._step(f"without {found[0]}", kept, self._fit_with(kept)))
-        return self.fit
+        fit = self._fitting.with_effects(self.fit, kept)
+        self.steps.append(self._fitting.step(f"without {found[0]}", kept, fit))
+        return fit
 
     def undo(self) -> Fit:
         """Take back the last step, with all that it added; return the fit before it.
@@ -324,22 +302,7 @@ class Study:
         Columns: step, effect, train_rmse, held_out_rmse (NaN without data held out),
         noise_floor, bic.
         """
-        rows = []
-        for number, step in enumerate(self.steps):
-            held_out = float("nan")
-            if step.held_out is not None:
-                held_out = step.held_out.rmse
-            rows.append(
-                (
-                    number,
-                    step.label,
-                    step.train.rmse,
-                    held_out,
-                    step.judged.noise_floor,
-                    step.fit.bic,
-                )
-            )
-        return pd.DataFrame(rows, columns=list(HISTORY_COLUMNS))
+        return history_table(self.steps)
 
     def plot_history(self, ax: "Axes | None" = None) -> "Axes":
         """Training and held-out error per step, with the noise floor."""
@@ -350,10 +313,7 @@ class Study:
     @property
     def unit(self) -> str:
         """Unit of the errors, that of the channel where one is measured."""
-        measured = self.train.measured
-        if len(measured) != 1:
-            return "standard deviations"
-        return self.train.units.get(measured[0], "")
+        return self.record.unit
 
     def report(self, path: str | Path) -> Path:
         """Write the study as text: equations, history, verdict; return the path.
@@ -365,23 +325,7 @@ class Study:
 
     def report_sections(self) -> list[Section]:
         """History, present model, comparison, verdict, and every diagnosis."""
-        unit = f" ({self.unit})" if self.unit else ""
-        history = self.history.to_string(index=False, float_format=lambda v: f"{v:.4g}")
-        introduction = f"Errors are root mean squares of the free-run residual{unit}."
-        not_asked = "not asked yet: call `study.auto()` or `study.diagnose()`"
-        model = (str(self.fit), "\n".join(self.fit.equations()))
-        sections = [
-            Section("Study", 1, introduction),
-            Section("History", 2, outputs=(history,)),
-            Section("Model", 2, outputs=model),
-            Section("Against the measurements", 2, outputs=(str(self.compare()),)),
-            Section("Verdict", 2, self.stopped or not_asked),
-        ]
-        for number, diagnosis in sorted(self._diagnoses.items()):
-            said = "\n".join(f"- {sentence}" for sentence in diagnosis.sentences)
-            heading = f"Diagnosis before step {number}"
-            sections.append(Section(heading, 3, said, (str(diagnosis),)))
-        return sections
+        return report_sections(self.record)
 
     def _known_candidate(self, effect: Effect) -> Candidate | None:
         """What the diagnosis of the present model found of an effect."""
@@ -404,64 +348,21 @@ class Study:
             return
         label = " and ".join(str(effect) for effect in proposed)
         self._say(f"adding {label}")
-        fit = self._refined(brief)
-        self.steps.append(self._step(label, (*self.added, *proposed), fit))
-
-    def _refined(self, brief: Fit) -> Fit:
-        """A brief re-fit made thorough; kept itself where that fails or is worse."""
-        try:
-            thorough = identify_aligned(
-                brief.model, self._train, self._loss, start=brief, settings=ADDED
-            )
-        except SolveError:
-            return brief
-        if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
-            return thorough
-        return brief
+        fit = self._fitting.refined(brief)
+        self.steps.append(self._fitting.step(label, (*self.added, *proposed), fit))
 
     def _check_earlier(self) -> None:
         """Take out each earlier effect without which BIC is lower."""
         for effect in self.added[:-1]:
             kept = self._without(effect)
             try:
-                fit = self._fit_with(kept)
+                fit = self._fitting.with_effects(self.fit, kept)
             except PhsiOptError:
                 continue
             trained = self.steps[-1].train
-            smaller = compare_record(
-                Record.beside(fit, self._train, trained.record.estimate)
-            )
-            if delta_bic(self.fit, fit, share_of_change(smaller, trained)) < 0:
+            if self._fitting.is_superfluous(self.fit, trained, fit):
                 self._say(f"{effect} has become superfluous")
-                self.steps.append(self._step(f"without {effect}", kept, fit))
-
-    def _fitted(self, effect: Effect, found: Candidate | None) -> Fit:
-        """The model with the effect, from what the diagnosis found of it."""
-        if found is not None and found.fit is not None:
-            return self._refined(found.fit)
-        values = {} if found is None else found.values
-        larger = self.model.add(effect).with_values(values)
-        return identify_aligned(larger, self._train, self._loss, start=self.fit)
-
-    def _fit_with(self, effects: tuple[Effect, ...]) -> Fit:
-        """The base model with effects, all parameters re-estimated from the present."""
-        model = self.base
-        for effect in effects:
-            model = model.add(effect)
-        known = {}
-        for name, value in self.model.values.items():
-            if name in model.entries:
-                known[name] = value
-        return identify_aligned(
-            model.with_values(known), self._train, self._loss, start=self.fit
-        )
-
-    def _step(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Step:
-        train = compare_record(Record.of_aligned(fit, self._train))
-        held_out = None
-        if self._held_out is not None:
-            held_out = compare_record(Record.of_aligned(fit, self._held_out))
-        return Step(label, added, fit, train, held_out)
+                self.steps.append(self._fitting.step(f"without {effect}", kept, fit))
 
 
 def _silent(line: str) -> None:

@@ -1,0 +1,103 @@
+"""The fits of a study's steps: every model on the same aligned records."""
+
+from dataclasses import dataclass
+
+from phsi_opt.comparison.compare import Comparison, compare_record
+from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of_change
+from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.refit_effort import ADDED
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify_aligned
+from phsi_opt.estimation.record import Record
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
+from phsi_opt.study.step import Step
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.losses import MaximumLikelihood
+
+
+@dataclass(frozen=True, eq=False)
+class StudyFitting:
+    """Fits models of one study, and compares them with its records.
+
+    Attributes:
+        base: the model that effects are added to.
+        train: the training record.
+        held_out: the record that judges; None where nothing was held out.
+        loss: how to fit.
+    """
+
+    base: Model
+    train: AlignedData
+    held_out: AlignedData | None
+    loss: MaximumLikelihood
+
+    @classmethod
+    def of(
+        cls,
+        base: Model,
+        train: Measurements,
+        held_out: Measurements | None,
+        loss: MaximumLikelihood,
+    ) -> "StudyFitting":
+        """The measurements in the model's order.
+
+        Raises:
+            DataError: a state or input of the model is not in the measurements.
+        """
+        aligned = None if held_out is None else AlignedData.of(base, held_out)
+        return cls(base, AlignedData.of(base, train), aligned, loss)
+
+    def of_base(self) -> Fit:
+        """The base model, fitted."""
+        return identify_aligned(self.base, self.train, self.loss)
+
+    def step(self, label: str, added: tuple[Effect, ...], fit: Fit) -> Step:
+        """A fit with its free runs on both records."""
+        train = compare_record(Record.of_aligned(fit, self.train))
+        held_out = None
+        if self.held_out is not None:
+            held_out = compare_record(Record.of_aligned(fit, self.held_out))
+        return Step(label, added, fit, train, held_out)
+
+    def refined(self, brief: Fit) -> Fit:
+        """A brief re-fit made thorough; kept itself where that fails or is worse."""
+        try:
+            thorough = identify_aligned(
+                brief.model, self.train, self.loss, start=brief, settings=ADDED
+            )
+        except SolveError:
+            return brief
+        if deviance(thorough) < deviance(brief) + OTHER_OPTIMUM_DEVIANCE:
+            return thorough
+        return brief
+
+    def larger(self, fit: Fit, effect: Effect, found: Candidate | None) -> Fit:
+        """The model of a fit with one effect, from what a diagnosis found of it."""
+        if found is not None and found.fit is not None:
+            return self.refined(found.fit)
+        values = {} if found is None else found.values
+        model = fit.model.add(effect).with_values(values)
+        return identify_aligned(model, self.train, self.loss, start=fit)
+
+    def with_effects(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
+        """The base model with effects, all parameters re-estimated from a fit."""
+        model = self.base
+        for effect in effects:
+            model = model.add(effect)
+        known = {}
+        for name, value in fit.model.values.items():
+            if name in model.entries:
+                known[name] = value
+        return identify_aligned(
+            model.with_values(known), self.train, self.loss, start=fit
+        )
+
+    def is_superfluous(self, fit: Fit, trained: Comparison, smaller: Fit) -> bool:
+        """Whether BIC prefers a smaller model to a fit with its training comparison."""
+        record = Record.beside(smaller, self.train, trained.record.estimate)
+        share = share_of_change(compare_record(record), trained)
+        return delta_bic(fit, smaller, share) < 0

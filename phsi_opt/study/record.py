@@ -1,0 +1,50 @@
+"""What a study is at one moment; texts, reports and pages are made from it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import pandas as pd
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.study.history import history_table
+from phsi_opt.study.step import Step
+from phsi_opt.transcription.losses import MaximumLikelihood
+
+
+@dataclass(frozen=True, eq=False)
+class StudyRecord:
+    """A study as it stands.
+
+    Attributes:
+        steps: what was done so far, the base model first.
+        diagnoses: by the number of the step whose model they look at.
+        stopped: why it stopped last; "" where it was not asked to go on.
+        train: measurements that are fitted; ``held_out``: those that judge, or None.
+        loss: how the models were fitted.
+    """
+
+    steps: tuple[Step, ...]
+    diagnoses: Mapping[int, Diagnosis]
+    stopped: str
+    train: Measurements
+    held_out: Measurements | None
+    loss: MaximumLikelihood
+
+    @property
+    def last(self) -> Step:
+        """The present step."""
+        return self.steps[-1]
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """A row per step (see `history_table`)."""
+        return history_table(self.steps)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the errors, that of the channel where one is measured."""
+        measured = self.train.measured
+        if len(measured) != 1:
+            return "standard deviations"
+        return self.train.units.get(measured[0], "")
