@@ -427,7 +427,11 @@ def test_a_trajectory_has_one_number_by_name_and_by_number() -> None:
         ),
         (2, r"no trajectory 2; there are 2, counted from 0: \['run 1', 'run 2'\]"),
         (-3, "there is no trajectory -3"),
-        (slice(5, 9), "at least one Trajectory"),
+        (slice(5, 9), r"data\[5:9\] picks trajectories, of which there are 2"),
+        (slice(None, 100), r"data\[:100\] picks.*data.between\(begin, end\)"),
+        (slice(None, None, 10), r"data\[::10\] picks.*data.thinned\(n\)"),
+        (slice(0.0, 2.5), r"data\[0.0:2.5\] picks.*between"),
+        (slice(1, 1), r"data\[1:1\] picks trajectories"),
         (1.5, r"trajectory 1.5 is unknown; expected a name of \['run 1', 'run 2'\]"),
     ],
 )

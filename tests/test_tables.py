@@ -177,10 +177,26 @@ def test_names_of_runs_in_a_file_stay_text() -> None:
             "column 'u', line 3: the value is nan; times and inputs",
         ),
         (
-            "t;q\n0,1;1,5\n",
+            't,q\n0,"1,500"\n1,"2,500"\n',
             {},
-            "column 't', line 2: '0,1' is not a real number. "
-            "Decimal commas.*decimal=','",
+            "column 'q', line 2: '1,500' is not a real number. "
+            "A comma could stand before decimals or thousands.*decimal=','",
+        ),
+        (
+            "t;q\n0,5;1.234,5\n1,5;2\n",
+            {},
+            "column 'q', line 2: '1.234,5' is not a real number. Correct the cell",
+        ),
+        (
+            "t;q\n0,1;1.5\n0,2;1,5\n",
+            {},
+            "column 't', line 2: '0,1' is not a real number. A comma could stand",
+        ),
+        (
+            "t;q\n0,1;1.5\n0,2;1,5\n",
+            {"decimal": ","},
+            "column 'q', line 2: '1.5' is not a real number. "
+            "The table has decimal commas: write all decimals in one way",
         ),
         ("t,q\n0,1,1,5\n", {}, "line 2 has 4 cells; expected 2.*decimal commas"),
         ("t,q\n0,1\n1\n", {}, "line 3 has 1 cells; expected 2, as in the header"),
@@ -192,8 +208,8 @@ def test_names_of_runs_in_a_file_stay_text() -> None:
         (
             "t,q\n0,1\n0,2\n",
             {},
-            r"trajectory 'run 1': t\[1\]=0.0 is not after t\[0\]=0.0; "
-            r"times must increase strictly",
+            "column 't', line 3: 0.0 is not after 0.0 of line 2; "
+            "times must increase strictly",
         ),
         ("t,q\n0,\n1,NA\n", {}, "trajectory 'run 1' has no measured value"),
         (

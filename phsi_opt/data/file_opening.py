@@ -1,17 +1,23 @@
-"""Opening text files: their text, and the names that messages and trajectories use.
+"""Opening files: their content, and the names that messages and trajectories use.
 
-What the text means is the business of `tables`.
+What the content means is the business of `tables`, `excel_tables` and `matlab_tables`.
 """
 
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import IO, Any, TextIO
 
 from phsi_opt.errors import DataError
 
 Source = str | os.PathLike[str] | TextIO
+BinarySource = str | os.PathLike[str] | IO[bytes]
+OTHER_READERS = {  # the files that are no text, by their suffix
+    ".xlsx": "from_excel",
+    ".xlsm": "from_excel",
+    ".mat": "from_mat",
+}
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,21 @@ class TextFile:
     text: str
 
 
+@dataclass(frozen=True)
+class BinaryFile:
+    """The bytes of one file.
+
+    Attributes:
+        title: What messages call it: "file 'bench.xlsx'" or "open file".
+        run: The name of its trajectory where no column tells it.
+        content: All of its bytes.
+    """
+
+    title: str
+    run: str
+    content: bytes
+
+
 def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
     """The files one after the other; each is read when its turn comes.
 
@@ -38,21 +59,43 @@ def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
     Raises:
         DataError: This is no source, or a file cannot be read as UTF-8 text.
     """
-    sources = _listed(source)
-    paths = [_path(one) for one in sources]
-    runs = _run_names(paths)
-    for one, path, run in zip(sources, paths, runs, strict=True):
-        title = "open file" if path is None else f"file {path!r}"
+    for one, title, run in _titled(source, "an open text file"):
+        _check_is_text(one, title)
         yield TextFile(title, run, _text(one, title))
 
 
-def _listed(source: Any) -> list[Any]:
+def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[BinaryFile]:
+    """The files one after the other; each is read when its turn comes.
+
+    Args:
+        source: A path, a file that is open for reading bytes, or several of them.
+
+    Raises:
+        DataError: This is no source, or a file cannot be read.
+    """
+    for one, title, run in _titled(source, "an open binary file"):
+        yield BinaryFile(title, run, _bytes(one, title))
+
+
+def _titled(source: Any, open_file: str) -> list[tuple[Any, str, str]]:
+    """Each source, its title and the name of its run."""
+    sources = _listed(source, open_file)
+    paths = [_path(one) for one in sources]
+    runs = _run_names(paths)
+    titled = []
+    for one, path, run in zip(sources, paths, runs, strict=True):
+        title = "open file" if path is None else f"file {path!r}"
+        titled.append((one, title, run))
+    return titled
+
+
+def _listed(source: Any, open_file: str) -> list[Any]:
     if isinstance(source, str | os.PathLike) or hasattr(source, "read"):
         return [source]
     if not isinstance(source, list | tuple | Iterator):
         raise DataError(
             f"source is a {type(source).__name__}; "
-            "expected a path, a list of paths or an open text file."
+            f"expected a path, a list of paths or {open_file}."
         )
     sources = list(source)
     if not sources:
@@ -80,17 +123,27 @@ def _run_names(paths: list[str | None]) -> list[str]:
     return names
 
 
+def _check_is_text(source: Any, title: str) -> None:
+    suffix = Path(_path(source) or "").suffix.lower()
+    if suffix in OTHER_READERS:
+        raise DataError(
+            f"{title} is no text table; read it with "
+            f"Measurements.{OTHER_READERS[suffix]}."
+        )
+    if suffix in (".xls", ".ods"):
+        raise DataError(f"{title} is no text table; save it as .xlsx or CSV.")
+
+
 def _text(source: Any, title: str) -> str:
     try:
-        text = _read(source)
+        text = _read(source, "r")
     except UnicodeDecodeError as error:
         raise DataError(
-            f"{title} is not UTF-8 text ({error}). Save it as 'CSV UTF-8'."
+            f"{title} is not UTF-8 text ({error}). Save it as 'CSV UTF-8', or give "
+            "the file opened with its encoding: open(path, encoding='latin-1')."
         ) from error
     except OSError as error:
-        raise DataError(
-            f"{title} cannot be read ({error}). Check the path and the permissions."
-        ) from error
+        raise _unreadable(title, error) from error
     if not isinstance(text, str):
         raise DataError(
             f"{title} gives {type(text).__name__}; expected text. "
@@ -99,11 +152,31 @@ def _text(source: Any, title: str) -> str:
     return text.removeprefix("\ufeff")  # the byte order mark which spreadsheets write
 
 
-def _read(source: Any) -> Any:
+def _bytes(source: Any, title: str) -> bytes:
+    try:
+        content = _read(source, "rb")
+    except OSError as error:
+        raise _unreadable(title, error) from error
+    if not isinstance(content, bytes):
+        raise DataError(
+            f"{title} gives {type(content).__name__}; expected bytes. "
+            "Open it in binary mode: open(path, 'rb')."
+        )
+    return content
+
+
+def _unreadable(title: str, error: OSError) -> DataError:
+    return DataError(
+        f"{title} cannot be read ({error}). Check the path and the permissions."
+    )
+
+
+def _read(source: Any, mode: str) -> Any:
     if hasattr(source, "read"):
         return source.read()
-    if isinstance(source, str | os.PathLike):
-        return Path(source).read_text(encoding="utf-8")
-    raise DataError(
-        f"source holds a {type(source).__name__}; expected paths or open text files."
-    )
+    if not isinstance(source, str | os.PathLike):
+        raise DataError(
+            f"source holds a {type(source).__name__}; expected paths or open files."
+        )
+    path = Path(source)
+    return path.read_bytes() if mode == "rb" else path.read_text(encoding="utf-8")

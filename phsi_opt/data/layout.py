@@ -12,6 +12,7 @@ import pandas as pd
 
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.data.tables import Table, numbers_in
+from phsi_opt.data.times import Times, are_dates, times_in
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, did_you_mean
 
@@ -24,14 +25,14 @@ class Layout:
     """Which column plays which part.
 
     Attributes:
-        time: The column of the times.
+        times: Where the times come from.
         states: The column of each state, or None: not measured.
         inputs: The column of each input.
         trajectory: The column which names each row's trajectory, or None: the whole
             table is one trajectory.
     """
 
-    time: str
+    times: Times
     states: Mapping[str, Any]
     inputs: Mapping[str, Any]
     trajectory: str | None
@@ -39,7 +40,7 @@ class Layout:
     def columns(self) -> list[Any]:
         """The columns that are asked for, in the order of the parts."""
         columns = [
-            self.time,
+            self.times.column,
             *self.states.values(),
             *self.inputs.values(),
             self.trajectory,
@@ -47,13 +48,23 @@ class Layout:
         return [column for column in columns if column is not None]
 
 
-def table_layout(time: str, states: Any, inputs: Any, trajectory: str | None) -> Layout:
+def table_layout(
+    time: Any,
+    states: Any,
+    inputs: Any,
+    trajectory: str | None,
+    step: float | None = None,
+    start: Any = None,
+    date_format: str | None = None,
+) -> Layout:
     """The layout in a user's words: maps from names to columns, or lists of columns.
 
     Raises:
-        DataError: A name cannot be used, or an input has no column.
+        DataError: A name cannot be used, an input has no column, or the times have
+            none and no step, or both.
     """
-    return Layout(time, _state_columns(states), _input_columns(inputs), trajectory)
+    times = Times(time, step, start, date_format)
+    return Layout(times, _state_columns(states), _input_columns(inputs), trajectory)
 
 
 def _state_columns(states: Any) -> Mapping[str, Any]:
@@ -93,14 +104,35 @@ def trajectories_in(tables: Sequence[Table], layout: Layout) -> tuple[Trajectory
     trajectories = []
     for table in tables:
         _check_columns(table, layout)
-        samples = _samples(table, layout)
-        if layout.trajectory is None:
-            trajectories.append(samples.trajectory(table.run, slice(None)))
-            continue
-        prefix = f"{table.run}/" if len(tables) > 1 else ""
-        for name, rows in _rows_by_name(table, layout.trajectory).items():
+        rows_by_name = _rows_by_name(table, layout)
+        samples = _samples(table, layout, rows_by_name)
+        is_named = layout.trajectory is not None
+        prefix = f"{table.run}/" if is_named and len(tables) > 1 else ""
+        for name, rows in rows_by_name.items():
             trajectories.append(samples.trajectory(prefix + name, rows))
     return tuple(trajectories)
+
+
+def with_unit_of_dates(
+    units: Mapping[str, str] | None, tables: Sequence[Table], layout: Layout
+) -> Mapping[str, str]:
+    """The units, with seconds as that of the time where times are dates.
+
+    Raises:
+        DataError: The user gave another unit.
+    """
+    given: Any = {} if units is None else units
+    if not isinstance(given, Mapping):
+        return given  # refused by `checked_units`
+    if not any(are_dates(table, layout.times) for table in tables):
+        return given
+    unit = given.get("t", "s")
+    if unit != "s":
+        raise DataError(
+            f"units: the time 't' has the unit {unit!r}, and times that are dates are "
+            "read in seconds; expected 's'. Leave 't' out of units."
+        )
+    return {**given, "t": "s"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +143,15 @@ class _Samples:
     x: np.ndarray  # (n_rows, n_states)
     u: np.ndarray  # (n_rows, n_inputs)
 
-    def trajectory(self, name: str, rows: np.ndarray | slice) -> Trajectory:
+    def trajectory(self, name: str, rows: np.ndarray) -> Trajectory:
         return Trajectory(name, self.t[rows], self.x[rows], self.u[rows])
 
 
-def _samples(table: Table, layout: Layout) -> _Samples:
+def _samples(
+    table: Table, layout: Layout, rows_by_name: Mapping[str, np.ndarray]
+) -> _Samples:
     n_rows = len(table.frame)
-    t = numbers_in(table, layout.time, may_be_missing=False)
+    t = times_in(table, layout.times, rows_by_name.values())
     x = np.full((n_rows, len(layout.states)), np.nan)
     for i, column in enumerate(layout.states.values()):
         if column is not None:
@@ -156,8 +190,11 @@ def _check_columns(table: Table, layout: Layout) -> None:
         )
 
 
-def _rows_by_name(table: Table, column: str) -> dict[str, np.ndarray]:
+def _rows_by_name(table: Table, layout: Layout) -> dict[str, np.ndarray]:
     """Row numbers of each trajectory, in the order in which the trajectories begin."""
+    column = layout.trajectory
+    if column is None:
+        return {table.run: np.arange(len(table.frame))}
     cells = table.frame[column]
     names = cells.astype(str).str.strip()
     is_missing = (cells.isna() | (names == "")).to_numpy()

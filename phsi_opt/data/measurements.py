@@ -3,13 +3,13 @@
 Every later step relies on what is checked here: times increase, inputs are known at
 every sample, states are finite or NaN (not measured), names can be used in formulas.
 Values are reported when they are wrong, never repaired, interpolated, scaled or
-filtered. How tables are read is told in `tables`, which column is what in `layout`, how
-integration steps join in `pairs`.
+filtered. How tables are read is told in `table_readers`, which column is what in
+`layout`, how integration steps join in `step_pairs`.
 """
 
 import hashlib
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -25,15 +25,21 @@ from phsi_opt.data.checks import (
     checked_noise,
     checked_units,
 )
-from phsi_opt.data.file_opening import Source, text_files
-from phsi_opt.data.layout import ColumnMap, Layout, table_layout, trajectories_in
 from phsi_opt.data.selection import (
     checked_fraction,
     number_of_trajectory,
     size_of_first_part,
+    slice_of_trajectories,
 )
 from phsi_opt.data.step_pairs import check_pairs, input_ends, pair_ends, runs_of_pairs
-from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
+from phsi_opt.data.table_readers import TableReaders
+from phsi_opt.data.thinning import (
+    checked_group_size,
+    checked_interval,
+    every_nth,
+    mean_of_groups,
+    part_between,
+)
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
@@ -45,10 +51,11 @@ from phsi_opt.errors import DataError
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Measurements:
+class Measurements(TableReaders):
     """Several trajectories of the same channels, with names, units and noise levels.
 
-    Made by `from_csv`, `from_dataframe`, `from_arrays` or `from_pairs`.
+    Made by `from_csv`, `from_excel`, `from_mat`, `from_dataframe`, `from_arrays` or
+    `from_pairs`.
 
     Attributes:
         trajectories: At least one `Trajectory`, each under a name of its own.
@@ -88,84 +95,6 @@ class Measurements:
             object.__setattr__(self, name, value)
         for run in trajectories:
             check_channels(run, states, inputs)
-
-    @classmethod
-    def from_csv(
-        cls,
-        source: Source | Iterable[Source],
-        *,
-        time: str,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: str = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-    ) -> Self:
-        """Read text tables with a header line.
-
-        The text is UTF-8 with decimal points, separated by comma, semicolon or tab.
-        Empty cells, nan and NA are missing samples.
-
-        Args:
-            source: A path, an open text file, or several of them: then each file is a
-                trajectory of its own.
-            time: The column of the times.
-            states: Maps names to columns (or lists columns whose names they share); a
-                state mapped to None was not measured.
-            inputs: The same for the inputs, which must be measured.
-            trajectory: The column that names each line's trajectory. The lines of one
-                trajectory need not be contiguous but keep their order.
-            hold, units, noise: As the attributes of `Measurements`.
-
-        Raises:
-            DataError: Something cannot be used; with file, column and line number (the
-                header is line 1 when it is the file's first).
-        """
-        layout = table_layout(time, states, inputs, trajectory)
-        columns = layout.columns()
-        tables = [table_of_csv(file, columns) for file in text_files(source)]
-        return cls._from_tables(tables, layout, units, hold, noise)
-
-    @classmethod
-    def from_dataframe(
-        cls,
-        frame: pd.DataFrame,
-        *,
-        time: str,
-        states: ColumnMap,
-        inputs: ColumnMap | None = None,
-        hold: str = "linear",
-        trajectory: str | None = None,
-        units: Mapping[str, str] | None = None,
-        noise: Mapping[str, float] | None = None,
-    ) -> Self:
-        """Read a data frame, which is not changed; otherwise as `from_csv`.
-
-        Raises:
-            DataError: Something cannot be used; with the row's label in the index.
-        """
-        table = table_of_frame(frame)
-        layout = table_layout(time, states, inputs, trajectory)
-        return cls._from_tables([table], layout, units, hold, noise)
-
-    @classmethod
-    def _from_tables(
-        cls,
-        tables: Sequence[Table],
-        layout: Layout,
-        units: Mapping[str, str] | None,
-        hold: str,
-        noise: Mapping[str, float] | None,
-    ) -> Self:
-        return cls(
-            trajectories_in(tables, layout),
-            states=tuple(layout.states),
-            inputs=tuple(layout.inputs),
-            units={} if units is None else units,
-            hold=hold,
-            noise=noise,
-        )
 
     @classmethod
     def from_arrays(
@@ -315,10 +244,16 @@ class Measurements:
         return iter(self.trajectories)
 
     def __getitem__(self, key: int | slice | str) -> Self:
-        """The measurements of one trajectory (by number or name) or of a slice."""
+        """The measurements of one trajectory (by number or name) or of a slice.
+
+        Raises:
+            DataError: There is no such trajectory, or samples seem to be meant.
+        """
+        names = [run.name for run in self.trajectories]
         if isinstance(key, slice):
-            return replace(self, trajectories=self.trajectories[key])
-        number = self.trajectory_number(key)
+            rows = slice_of_trajectories(names, key)
+            return replace(self, trajectories=self.trajectories[rows])
+        number = number_of_trajectory(names, key)
         return replace(self, trajectories=(self.trajectories[number],))
 
     def trajectory_number(self, trajectory: str | int) -> int:
@@ -373,6 +308,58 @@ class Measurements:
         train = part_of(run, slice(n_train))
         test = part_of(run, slice(n_train, None))
         return replace(self, trajectories=(train,)), replace(self, trajectories=(test,))
+
+    def between(self, begin: float | None, end: float | None) -> Self:
+        """The samples with begin <= t <= end of every trajectory.
+
+        Clocks are kept: a force that follows the time, and an input, act when they did.
+
+        Args:
+            begin: The first time, in the unit of the times; None: from the start.
+            end: The last time; None: to the end.
+
+        Returns:
+            The same trajectories with fewer samples.
+
+        Raises:
+            DataError: The times are not in order, or a trajectory has fewer than 2
+                samples between them.
+        """
+        interval = checked_interval(begin, end)
+        parts = [part_between(run, interval) for run in self.trajectories]
+        return replace(self, trajectories=tuple(parts))
+
+    def thinned(self, n: int, by: str = "mean") -> Self:
+        """Fewer samples: one for every n of each trajectory.
+
+        With ``by="mean"`` a sample is the mean of n neighbouring ones, at the mean of
+        their times: what is faster than the new sampling rate is averaged out instead
+        of appearing as something slower (aliasing). A state is missing where one of its
+        n samples is. Noise that is given becomes smaller by sqrt(n), as if the errors
+        of samples were independent. An input that is held (``hold="zero"``) is averaged
+        over the time from each new sample to the next.
+
+        With ``by="picking"`` every n-th sample is kept as it is, from the first. Use it
+        where the signals are smooth at the new rate, or states have gaps; what inputs
+        did between the samples that are kept is lost.
+
+        Samples at the end that do not fill a group of n are left out by the mean.
+
+        Args:
+            n: How many samples make one.
+            by: "mean" or "picking".
+
+        Raises:
+            DataError: n is no positive number, or a trajectory would have fewer than 2
+                samples.
+        """
+        size = checked_group_size(n, by)
+        thin = mean_of_groups if by == "mean" else every_nth
+        runs = [thin(run, size, self.hold) for run in self.trajectories]
+        noise = self.noise
+        if noise is not None and by == "mean":
+            noise = {name: sigma / np.sqrt(size) for name, sigma in noise.items()}
+        return replace(self, trajectories=tuple(runs), noise=noise)
 
     def with_noise(self, noise: Mapping[str, float] | None) -> Self:
         """The same measurements with other standard deviations of the noise.

@@ -19,7 +19,8 @@ def number_of_trajectory(names: Sequence[str], trajectory: str | int) -> int:
     if not hasattr(trajectory, "__index__"):
         raise DataError(
             f"trajectory {trajectory!r} is unknown; expected a name of {names} "
-            "or a number, counted from 0."
+            "or a number, counted from 0. Samples are chosen by data.between(begin, "
+            "end)."
         )
     number = operator.index(trajectory)
     n_trajectories = len(names)
@@ -38,6 +39,34 @@ def _number_by_name(names: Sequence[str], name: str) -> int:
             f"there is no trajectory {name!r}; expected one of {names}.{hint}"
         )
     return names.index(name)
+
+
+def slice_of_trajectories(names: Sequence[str], key: slice) -> slice:
+    """A slice of trajectories; one that reaches beyond them was meant for samples.
+
+    Raises:
+        DataError: It begins, ends or steps beyond the trajectories, or is empty.
+    """
+    n = len(names)
+    for bound in (key.start, key.stop, key.step):
+        is_whole = bound is None or hasattr(bound, "__index__")
+        if not is_whole or (bound is not None and abs(operator.index(bound)) > n):
+            raise DataError(_not_samples(names, key))
+    if not names[key]:
+        raise DataError(_not_samples(names, key))
+    return key
+
+
+def _not_samples(names: Sequence[str], key: slice) -> str:
+    parts = [key.start, key.stop]
+    if key.step is not None:
+        parts.append(key.step)
+    written = ":".join("" if part is None else f"{part!r}" for part in parts)
+    return (
+        f"data[{written}] picks trajectories, of which there are {len(names)}: "
+        f"{list(names)}. For a part of each in time use data.between(begin, end), "
+        "for fewer samples data.thinned(n)."
+    )
 
 
 def checked_fraction(fraction: Any) -> float:

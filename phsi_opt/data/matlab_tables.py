@@ -1,0 +1,194 @@
+"""Columns of MATLAB files: vectors, columns or rows of matrices, fields of structs.
+
+A column is called as in MATLAB: ``y``, ``X(:,2)``, ``X(2,:)``, ``log.y``,
+``log.X(:,2)``; a field may go without its struct where one struct alone has it. Cells,
+texts, tables and structs in structs are not read, but are named where something is not
+found.
+"""
+
+import io
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from phsi_opt.data.file_opening import BinaryFile
+from phsi_opt.data.tables import Table
+from phsi_opt.errors import DataError, did_you_mean
+
+INDEXED = re.compile(r"(?P<name>[\w.]+)\((?P<row>:|\d+),\s*(?P<column>:|\d+)\)")
+REAL_OR_COMPLEX = "biufc"  # the kinds of NumPy's types that hold numbers
+
+
+def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
+    """The columns that are looked for, in the order in which they are.
+
+    Args:
+        file: A MATLAB file of version 4 to 7.
+        wanted: The columns, as they would be called in MATLAB.
+
+    Raises:
+        DataError: This is no such file, a column is not there or could be several, or
+            the columns differ in length.
+    """
+    content = _Content.of(_loaded(file), file.title)
+    columns = {}
+    for name in wanted:
+        columns[name] = content.column(name)
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise DataError(
+            f"{file.title}: the columns differ in length: {lengths}; "
+            "expected one value per sample in each. "
+            f"The file holds: {content.listing()}."
+        )
+    frame = pd.DataFrame(columns)
+    frame.index = pd.RangeIndex(1, len(frame) + 1)  # as MATLAB counts
+    return Table(file.title, "row", frame, file.run)
+
+
+def _loaded(file: BinaryFile) -> Mapping[str, Any]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        loaded: Mapping[str, Any] = loadmat(io.BytesIO(file.content))
+        return loaded
+    except NotImplementedError as error:
+        raise DataError(
+            f"{file.title} is a MATLAB file of version 7.3 (HDF5), which is not read. "
+            "Save it in MATLAB by save(name, '-v7'), or write the table as CSV by "
+            "writetable or writematrix."
+        ) from error
+    except (ValueError, TypeError, OSError, MatReadError, EOFError) as error:
+        raise DataError(
+            f"{file.title} is no MATLAB file that can be read ({error}). "
+            "Save it in MATLAB by save(name, '-v7')."
+        ) from error
+
+
+@dataclass(frozen=True, eq=False)
+class _Content:
+    """What a file holds.
+
+    Attributes:
+        title: What messages call the file.
+        matrices: The numbers (n_rows, n_columns), by name; fields as "struct.field".
+        others: What cannot be read, in words.
+    """
+
+    title: str
+    matrices: Mapping[str, np.ndarray]
+    others: Mapping[str, str]
+
+    @classmethod
+    def of(cls, loaded: Mapping[str, Any], title: str) -> "_Content":
+        content = cls(title, {}, {})
+        for name, value in loaded.items():
+            if name.startswith("__"):
+                continue
+            if not _is_struct(value):
+                content.take(name, value)
+                continue
+            for field in value.dtype.names:
+                content.take(f"{name}.{field}", value[field].item())
+        return content
+
+    def take(self, name: str, value: Any) -> None:
+        """Sort a value among the matrices or the others."""
+        said = _why_not_read(value)
+        if said is None:
+            self.matrices[name] = value  # type: ignore[index]
+        else:
+            self.others[name] = said  # type: ignore[index]
+
+    def column(self, name: Any) -> np.ndarray:
+        if not isinstance(name, str):
+            raise DataError(
+                f"{self.title}: the column {name!r} is no name; expected text, as in "
+                f"MATLAB. The file holds: {self.listing()}."
+            )
+        indexed = INDEXED.fullmatch(name)
+        if indexed is not None:
+            return self._indexed(name, indexed)
+        matrix = self.matrices[self._full_name(name)]
+        if 1 not in matrix.shape:
+            raise DataError(
+                f"{self.title}: {name!r} is a matrix of {_size(matrix)}; "
+                f"choose one of its columns or rows, such as '{name}(:,1)' or "
+                f"'{name}(1,:)'."
+            )
+        return matrix.ravel()
+
+    def _indexed(self, name: str, indexed: re.Match[str]) -> np.ndarray:
+        matrix = self.matrices[self._full_name(indexed["name"])]
+        row = indexed["row"]
+        column = indexed["column"]
+        is_one_colon = (row == ":") != (column == ":")
+        number = int(column if row == ":" else row) if is_one_colon else 0
+        vectors = matrix.T if row == ":" else matrix
+        if not 1 <= number <= len(vectors):
+            raise DataError(
+                f"{self.title} has no column {name!r}: {indexed['name']!r} is of "
+                f"{_size(matrix)}, counted from 1; expected such as (:,1) or (1,:)."
+            )
+        chosen: np.ndarray = vectors[number - 1]
+        return chosen
+
+    def _full_name(self, name: str) -> str:
+        """The name with its struct."""
+        if name in self.matrices:
+            return name
+        fields = [known for known in self.matrices if known.endswith(f".{name}")]
+        if len(fields) == 1:
+            return fields[0]
+        if fields:
+            raise DataError(
+                f"{self.title}: {name!r} is a field of several structs; "
+                f"say which one of {fields}."
+            )
+        said = f"{self.title} has no column {name!r}"
+        if name in self.others:
+            said = f"{self.title}: {name!r} is {self.others[name]}"
+        hint = did_you_mean(name, list(self.matrices))
+        raise DataError(f"{said}. The file holds: {self.listing()}.{hint}")
+
+    def listing(self) -> str:
+        """All that is in the file, in words."""
+        listed = []
+        for name, matrix in self.matrices.items():
+            listed.append(f"{name!r} ({_size(matrix)})")
+        for name, said in self.others.items():
+            listed.append(f"{name!r} ({said})")
+        return ", ".join(listed) or "nothing"
+
+
+def _is_struct(value: Any) -> bool:
+    is_array = isinstance(value, np.ndarray)
+    return is_array and value.dtype.names is not None and value.size == 1
+
+
+def _why_not_read(value: Any) -> str | None:
+    """What a value is, where it is no matrix of numbers; None for such."""
+    if not isinstance(value, np.ndarray):
+        return f"a {type(value).__name__}, which is not read"
+    if value.dtype.names is not None:
+        return "a list of structs or a struct in a struct, which is not read"
+    if value.dtype.kind in "US":
+        return "text"
+    if value.dtype.kind not in REAL_OR_COMPLEX:
+        return "cells, a table or an object, which is not read; see writetable"
+    if value.ndim != 2:
+        return f"an array with {value.ndim} axes, which is not read"
+    return None if value.size else "empty"
+
+
+def _size(matrix: np.ndarray) -> str:
+    if matrix.size == 1:
+        return "one number"
+    if 1 in matrix.shape:
+        return f"{matrix.size} numbers"
+    return f"{matrix.shape[0]} x {matrix.shape[1]} numbers"
