@@ -357,9 +357,9 @@ def test_runs_may_be_named_by_anything(labels: Any) -> None:
             "column 'q', row 'a': .* is not a real number. Convert the column",
         ),
         (
-            frame(t=pd.date_range("2024-01-01", periods=3)),
+            frame(q=pd.date_range("2024-01-01", periods=3)),
             {},
-            "column 't', row 'a': Timestamp.*seconds since the start",
+            "column 'q', row 'a': Timestamp.*seconds since the start",
         ),
         (frame(t=[0.0, np.nan, 1.0]), {}, "column 't', row 'b': the value is nan"),
         (

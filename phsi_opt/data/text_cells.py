@@ -143,8 +143,9 @@ def separator_of(file: TextFile, wanted_names: set[str]) -> str:
             return 0, 0.0, 0
         first = without_trailing_empties(lines[0].cells)
         n_wanted = len(set(first) & wanted_names)
-        n_columns = len(first) if len(first) > 1 else 0  # one column: no separator
-        return n_wanted, _readable_share(lines, len(first)), n_columns
+        if len(first) == 1:  # a sign that separates nothing
+            return n_wanted, 0.0, 0
+        return n_wanted, _readable_share(lines, len(first)), len(first)
 
     return max(SEPARATORS, key=score)
 

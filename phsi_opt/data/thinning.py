@@ -10,7 +10,7 @@ import numpy as np
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError, did_you_mean
 
-WAYS = ("mean", "picking")
+WAYS_OF_THINNING = ("mean", "picking")
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ def checked_group_size(n: Any, by: Any) -> int:
     Raises:
         DataError: n is no positive integer, or the way is unknown.
     """
-    if by not in WAYS:
-        hint = did_you_mean(by, WAYS)
+    if by not in WAYS_OF_THINNING:
+        hint = did_you_mean(by, WAYS_OF_THINNING)
         raise DataError(f"by={by!r} is unknown; expected 'mean' or 'picking'.{hint}")
     is_integer = hasattr(n, "__index__") and not isinstance(n, bool)
     if not is_integer or operator.index(n) < 1:
@@ -100,6 +100,8 @@ def mean_of_groups(run: Trajectory, n: int, hold: str) -> Trajectory:
     Raises:
         DataError: There are fewer than 2 groups.
     """
+    if n == 1:
+        return run
     n_groups = run.n_samples // n
     _check_enough(run, n, n_groups)
     t = _means(run.t[:, np.newaxis], n_groups, n)[:, 0]
@@ -132,8 +134,6 @@ def _held_means(run: Trajectory, t: np.ndarray) -> np.ndarray:
     passed = np.cumsum(run.u[:-1] * steps, axis=0)
     integral = np.vstack([np.zeros(run.u.shape[1]), passed])  # at every sample
     ends = np.append(t, run.t[-1])
-    if ends[-1] <= t[-1]:  # groups of one sample: the last is the end
-        return run.u.copy()
     means = np.empty((len(t), run.u.shape[1]))
     for i in range(run.u.shape[1]):
         at_ends = np.interp(ends, run.t, integral[:, i])

@@ -13,7 +13,8 @@ import pandas as pd
 
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.file_opening import text_files
-from phsi_opt.data.tables import MISSING_CELLS, table_of_csv
+from phsi_opt.data.tables import table_of_csv
+from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
 from phsi_opt.study_file.headers import (
