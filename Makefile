@@ -41,9 +41,9 @@ lint: $(VENV)/.full ## check style and formatting
 types: $(VENV)/.full ## check types
 	@$(PY) -m mypy
 
-docs: $(VENV)/.full ## write the API reference into docs/_build/html; warnings are errors
+docs: $(VENV)/.full ## write the site into docs/_build/html: tutorial, how-tos, reference; warnings are errors
 	@$(PY) -m sphinx -q -W --keep-going -n -b html -d docs/_build/doctrees docs docs/_build/html
-	@echo "The API reference is in docs/_build/html/index.html."
+	@echo "The site is in docs/_build/html/index.html."
 
 constraints: ## write .ci/constraints.txt anew, with the newest versions that pyproject.toml allows
 	@tmp=$$(mktemp -d) && trap 'rm -rf "$$tmp"' EXIT && set -e; \
@@ -58,7 +58,7 @@ constraints: ## write .ci/constraints.txt anew, with the newest versions that py
 	cp "$$tmp/constraints.txt" $(CONSTRAINTS)
 
 clean: ## remove caches and build products; .venv stays
-	rm -rf build dist docs/_build docs/rooms *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf build dist docs/_build docs/rooms docs/measured *.egg-info .pytest_cache .mypy_cache .ruff_cache
 	find . -path ./$(VENV) -prune -o -type d -name __pycache__ -exec rm -rf {} +
 
 # The stamps say what .venv holds. The full installation contains the core, so it renews both stamps, and

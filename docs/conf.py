@@ -1,7 +1,7 @@
-"""How Sphinx makes the API reference: `make docs` writes it into docs/_build/html.
+"""How Sphinx makes the site: `make docs` writes it into docs/_build/html.
 
 The pages of the rooms are written by ``room_pages`` from the packages' files, so that
-no module is forgotten. A public name is documented once, on its user's page; links to
+no module is forgotten, those of measured machines by ``result_pages`` from results/. A public name is documented once, on its user's page; links to
 it and to the module that defines it lead there. Nothing is read from the network.
 """
 
@@ -22,7 +22,8 @@ import phsi_opt
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
-import room_pages  # noqa: E402  (found only with docs/ on the path)
+import result_pages  # noqa: E402  (found only with docs/ on the path)
+import room_pages  # noqa: E402
 
 project = "phsi_opt"
 author = "the phsi_opt authors"
@@ -38,7 +39,7 @@ html_theme = "furo"
 html_title = "phsi_opt"
 html_copy_source = False
 html_show_copyright = False
-myst_heading_anchors = 2
+myst_heading_anchors = 3
 
 add_module_names = False
 default_role = "py:obj"  # `name` is a link where there is such an object, else literal
@@ -158,6 +159,7 @@ def _only_class(domain: PythonDomain, name: str) -> str | None:
 def setup(app: Sphinx) -> None:
     """Connect the functions above with Sphinx."""
     room_pages.write(DOCS)
+    result_pages.write(DOCS)
     for field in PyObject.doc_field_types:
         if field.name == "variable":
             field.label = "Attributes"

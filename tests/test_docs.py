@@ -1,0 +1,114 @@
+"""Every example of docs/ runs and prints what its page shows."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from problems.examples.docs_data import FILES, FOLDER
+from tests.doc_pages import DOCS, ROOT, agree, first_difference, pages, run_page
+
+# A page whose files come with the package: what `phsi-opt demo` writes.
+DEMO_DATA = ROOT / "phsi_opt" / "command_line" / "demo_data"
+WITH_DEMO_DATA = ("command_line",)
+LINKED = re.compile(r"\]\(measured/(\w+)\.md")
+NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(DOCS).with_suffix("").as_posix()
+
+
+@pytest.mark.parametrize("page", pages(), ids=name_of)
+def test_the_examples_of_a_page_run_and_print_what_it_shows(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = DEMO_DATA if name_of(page) in WITH_DEMO_DATA else FOLDER
+    for data in shipped.iterdir():
+        shutil.copy(data, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    shown = run_page(page)
+    for block, printed in shown:
+        where = f"{name_of(page)}.md, line {block.line}"
+        assert not first_difference(block.text, printed), f"{where}\n{printed}"
+
+
+def test_every_page_for_users_has_examples() -> None:
+    names = {name_of(page) for page in pages()}
+    expected = {"index", "tutorial"}
+    for folder in ("how_to", "explained"):
+        for page in (DOCS / folder).glob("*.md"):
+            if page.stem != "index":
+                expected.add(name_of(page))
+    assert expected <= names
+    assert len(expected) == 13
+
+
+def test_the_data_of_the_pages_are_what_their_script_writes() -> None:
+    for name, table in FILES.items():
+        kept = pd.read_csv(FOLDER / name)
+        again = table().reset_index(drop=True)
+        assert list(kept.columns) == list(again.columns)
+        for column in kept.columns:
+            if column == "run":
+                assert list(kept[column]) == list(again[column])
+            else:  # a unit of the last digit written, by rounding
+                np.testing.assert_allclose(kept[column], again[column], atol=2e-3)
+
+
+def test_the_numbers_of_the_gallery_are_those_of_the_pages_it_links() -> None:
+    text = (DOCS / "gallery.md").read_text("utf-8")
+    sections = text.split("\n## ")[1:]
+    n_numbers = 0
+    for section in sections:
+        sources = ""
+        for name in LINKED.findall(section):
+            sources += (ROOT / "results" / f"{name}.md").read_text("utf-8")
+        known = set(NUMBER.findall(sources))
+        said = re.sub(r"\]\([^)]*\)", "]", section)  # not the paths of links
+        numbers = NUMBER.findall(said)
+        assert not set(numbers) - known, section.splitlines()[0]
+        n_numbers += len(numbers)
+    assert n_numbers > 20
+
+
+@pytest.mark.parametrize(
+    ("shown", "printed", "right"),
+    [
+        ("k = 1.23", "k = 1.24", True),
+        ("k = 1.23", "k = 1.25", False),
+        ("k = 1.23", "k = 1.2349", True),
+        ("the error falls", "the error rises", False),
+        ("2 runs ...", "2 runs and more", True),
+        ("3 runs ...", "2 runs and more", True),
+        ("5 runs ...", "2 runs and more", False),
+        ("hysteresis | ...", "hysteresis | lost", True),
+        ("hysteresis | ...", "gap | lost", False),
+        ("1e-05", "2e-05", True),
+        ("1e-05", "1e-03", False),
+    ],
+)
+def test_lines_agree_in_words_and_to_a_unit_of_the_last_digit(
+    shown: str, printed: str, right: bool
+) -> None:
+    assert agree(shown, printed) is right
+
+
+@pytest.mark.parametrize(
+    ("shown", "right"),
+    [
+        ("one\ntwo\nthree", True),
+        ("one\n...\nthree", True),
+        ("...\ntwo\n...", True),
+        ("one\nthree", False),
+        ("one\ntwo", False),
+        ("two\none\n...", False),
+    ],
+)
+def test_shown_lines_must_be_printed_in_their_order(shown: str, right: bool) -> None:
+    difference = first_difference(shown, "one\n\ntwo\nthree\n")
+    assert (difference == "") is right
