@@ -1,8 +1,9 @@
 """How Sphinx makes the site: `make docs` writes it into docs/_build/html.
 
 The pages of the rooms are written by ``room_pages`` from the packages' files, so that
-no module is forgotten, those of measured machines by ``result_pages`` from results/. A public name is documented once, on its user's page; links to
-it and to the module that defines it lead there. Nothing is read from the network.
+no module is forgotten, those of measured machines by ``result_pages`` from results/. A
+public name is documented once, on its user's page; links to it and to the module that
+defines it lead there. Nothing is read from the network.
 """
 
 import re
@@ -37,6 +38,8 @@ exclude_patterns = ["_build"]
 
 html_theme = "furo"
 html_title = "phsi_opt"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_show_copyright = False
 myst_heading_anchors = 3
