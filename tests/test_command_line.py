@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pandas as pd
 import pytest
+from scipy.io import savemat
 from typer.testing import CliRunner
 
 import phsi_opt as ph
@@ -202,10 +204,12 @@ def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> Non
         ("q\n1\n3\n2\n", ["no column increases from line to line"]),
         ("t,q,c\n0,1,5\n1,2,5\n5,4,5\n6,1,5\n", ["1 gaps, the longest 4", "c: always 5"]),
         ("t,q\n0,1\n1,nan\n2,3\n", ["1 cells missing"]),
-        ("when,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ["dates = true"]),
+        ("when,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "when", unit = "s"', "the times are dates"]),
         ("x (m),y (m)\n0,1\n1,2\n", ["no column increases"]),
-        ("date,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ["dates = true"]),
+        ("date,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "date", unit = "s"']),
         ("time,lambda,2nd,sin\n0,1,2,3\n1,2,3,5\n2,4,1,4\n", ["x_lambda = ", "x2nd = ", "x_sin = "]),
+        ("time;q\n0,0;1,5\n0,5;2,5\n1,0;-1,5\n", ["0 to 1, every 0.5, regular", "-1.5 to 2.5"]),
+        ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
         ("time,a,a\n0,1,2\n1,2,3\n2,4,1\n", ["a: 2 columns are called so"]),
     ],
 )  # fmt: skip
@@ -302,6 +306,18 @@ def test_measured_tables_run_after_the_physics_is_filled_in(
     result = said("check", study, "--json")
     assert result.code == ExitCode.DONE, result.out
     assert json.loads(result.out)["states"] == states
+
+
+def test_init_reads_workbooks_and_says_why_not_matlab(tmp_path: Path) -> None:
+    frame = pd.read_csv(CSV)
+    frame.to_excel(tmp_path / "spring.xlsx", index=False)
+    study = tmp_path / "study.toml"
+    result = said("init", tmp_path / "spring.xlsx", "-o", study)
+    assert result.code == ExitCode.DONE, result.err
+    assert 'time = { column = "t_s", unit = "s" }  # 0 to 5' in study.read_text()
+    savemat(tmp_path / "log.mat", {"y": [1.0, 2.0]})
+    refused = said("init", tmp_path / "log.mat", "-o", study, "--force")
+    assert "MATLAB's variables" in refused.err
 
 
 def test_a_survey_sees_runs_and_their_times(tmp_path: Path) -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt.model.parameters import Scan, Share, Tried
@@ -171,14 +173,73 @@ def test_times_may_be_cut_counted_or_dates(spring: Path) -> None:
         "run,t_s,position_m\na,2020-02-28 23:59:00,1\na,2020-02-29 00:00:30.5,2\n"
         "a,2020-03-01 00:00:00,3\nb,2020-03-01 00:00:01,3\nb,2020-03-01 00:00:02,4\n"
     )
-    dates = changed(steps, ("step = 0.025", 'column = "t_s", dates = true'))
+    dates = changed(steps, ("step = 0.025", 'column = "t_s", start = "2020-02-28"'))
     file = ph.StudyFile.read(dates)
     times = np.concatenate([run.t for run in file.measurements()])
-    assert times.tolist() == [0, 90.5, 86460, 86461, 86462]
+    assert times.tolist() == [86340, 86430.5, 172800, 172801, 172802]
     again = ph.StudyFile.read(file.write(spring.with_name("again.toml")))
     assert again.measurements().digest == file.measurements().digest
     table.write_text(table.read_text().replace("2020-03-01 00:00:02", "monday"))
-    assert "line 6" in complaints(dates)["data.time.column"]
+    assert "line 6" in str(complaints(dates))
+
+
+@pytest.mark.parametrize("suffix", ["txt", "xlsx", "mat"])
+def test_tables_of_other_kinds_are_read_and_their_script_reads_them_too(
+    tmp_path: Path, suffix: str
+) -> None:
+    numbers = np.column_stack([np.arange(20) / 4, np.sin(np.arange(20)), np.ones(20)])
+    table = tmp_path / f"data.{suffix}"
+    columns = {"t": '"t"', "y": '"y"', "u": '"u"'}
+    more = ""
+    if suffix == "txt":
+        lines = [" ".join(f"{one:.17g}" for one in row) for row in numbers]
+        table.write_text("\n".join(lines).replace(".", ","))
+        columns = {"t": "0", "y": "1", "u": "2"}
+        more = 'decimal = ","'
+    elif suffix == "xlsx":
+        frame = pd.DataFrame(numbers, columns=["t", "y", "u"])
+        with pd.ExcelWriter(table) as writer:
+            frame.to_excel(writer, sheet_name="bench", index=False)
+            frame.to_excel(writer, sheet_name="other", index=False)
+        more = 'sheet = "bench"'
+    else:
+        savemat(table, {"log": {"t": numbers[:, 0]}, "X": numbers[:, 1:]})
+        columns = {"t": '"log.t"', "y": '"X(:,1)"', "u": '"X(:,2)"'}
+    path = tmp_path / "study.toml"
+    path.write_text(
+        f"""
+[data]
+files = "data.{suffix}"
+between = [0.5, 4.0]
+thinned = 2
+time = {{ column = {columns["t"]} }}
+{more}
+[data.states]
+x = {{ column = {columns["y"]} }}
+[data.inputs]
+u = {{ column = {columns["u"]} }}
+[model]
+type = "FirstOrder"
+states = ["x"]
+inputs = ["u"]
+F = {{ x = "-a*x + u" }}
+[parameters]
+a = {{ start = 1.0 }}
+"""
+    )
+    file = ph.StudyFile.read(path)
+    data = file.measurements()
+    (run,) = data.trajectories
+    assert run.t.tolist() == [0.625 + 0.5 * k for k in range(7)]
+    expected = numbers[2:16, 1].reshape(7, 2).mean(axis=1)
+    np.testing.assert_allclose(run.x[:, 0], expected, rtol=1e-14)
+    again = ph.StudyFile.read(file.write(tmp_path / "again.toml"))
+    assert again.data == file.data
+    seen: dict[str, Any] = {"__file__": str(tmp_path / "study.py")}
+    exec(file.script().partition("study = ph.Study(")[0], seen)
+    assert seen["data"].digest == data.digest
+    path.write_text(path.read_text().replace(f"column = {columns['y']}", "column = 77"))
+    assert complaints(path)
 
 
 def test_terms_may_be_polynomials_and_waves(spring: Path) -> None:
@@ -299,7 +360,7 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ("{ lower = 0 }", "{ guess = { kind = 'Sha' } }", "parameters.c.guess.kind", "'Share'"),
         ("{ lower = 0 }", "{ guess = { kind = 'Share' } }", "parameters.c.guess.of", "needs it"),
         ("[data.states]", "between = [5]\n[data.states]", "data.between", "two times"),
-        ("[data.states]", "between = [6, 9]\n[data.states]", "data", "has 0 samples"),
+        ("[data.states]", "between = [6, 9]\n[data.states]", "data", "0 samples"),
         ("added = []", "max_steps = 0", "study.max_steps", "at least 1"),
         ("[study]", "[loss]\nstart = 2\n[study]", "loss.start", "Did you mean 'starts'?"),
         ("[study]", "[loss]\nhorizon = 2.0\n[study]", "loss", "model_error"),

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.data.checks import HOLDS, checked_names
-from phsi_opt.data.file_opening import text_files
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.tables import Table, numbers_in, table_of_csv
+from phsi_opt.data.tables import Table, numbers_in
+from phsi_opt.data.times import Times, are_dates
 from phsi_opt.errors import DataError, did_you_mean
+from phsi_opt.study_file.file_tables import table_at
 from phsi_opt.study_file.part import Complaints, Part
 from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
 
@@ -33,7 +34,12 @@ def read_data(file: Part) -> DataSection:
         inputs=_channels(data, "inputs"),
         trajectory=data.text("trajectory") or None,
         hold=data.one_of("hold", HOLDS, "linear"),
+        sheet=data.text("sheet") or None,
+        columns=data.texts("columns", '["t", "q"]') or None,
+        separator=data.text("separator") or None,
+        decimal=data.text("decimal") or None,
         between=_between(data),
+        thinned=data.whole("thinned"),
         **_time(data),
     )
 
@@ -65,19 +71,20 @@ def _time(data: Part) -> dict[str, Any]:
     step = part.number("step")
     if step is not None and not 0 < step < float("inf"):
         part.complain("step", "expected the time between lines, a number above zero.")
-    column = part.text("column")
-    if column and "step" in part.content:
+    column = part.column("column")
+    if column is not None and "step" in part.content:
         part.complain("step", "there is a column too; keep one of the two.")
-    if data.content and not column and "step" not in part.content:
+    if data.content and column is None and "step" not in part.content:
         data.complaints.add(
             part.path("column"),
             'expected the column of the times, such as "t_s"; where no column has '
             "them, the time between lines: time = { step = 0.01 }.",
         )
     return {
-        "time": Channel(column or None, part.text("unit")),
+        "time": Channel(column, part.text("unit")),
         "step": step,
-        "dates": part.flag("dates"),
+        "start": part.text("start") or None,
+        "date_format": part.text("date_format") or None,
     }
 
 
@@ -113,9 +120,9 @@ def _input(part: Part) -> Channel:
     return Channel(_column(part, ""), part.text("unit"))
 
 
-def _column(part: Part, otherwise: str) -> str:
-    column = part.text("column")
-    if not column and isinstance(part.content.get("column", ""), str):
+def _column(part: Part, otherwise: str) -> str | int | None:
+    column = part.column("column")
+    if column is None and part.content.get("column", "") == "":
         part.complaints.add(
             part.path("column"), f"expected the name of a column{otherwise}."
         )
@@ -170,34 +177,29 @@ def _check_file(
     section: DataSection, path: Path, name: str, key: str, complaints: Complaints
 ) -> None:
     """Look at each column by itself, for the first wrong cell of each."""
+    if section.reader == "from_mat" and path.is_file():
+        return  # the whole reader names what the file holds
     wanted = _wanted(section)
     if not path.is_file():
         said = "there is no such file; paths are relative to the study file."
         complaints.add(key, said, name)
         return
     try:
-        (text,) = text_files(path)
-        table = table_of_csv(text, wanted.values())
+        table = table_at(path, wanted.values(), section)
     except DataError as error:
         complaints.add(key, str(error), name)
         return
-    if section.dates:
-        try:
-            table = section.with_times(table)
-        except DataError as error:
-            complaints.add(TIME_KEY, str(error), section.time.column)
-            return
     for where, column in wanted.items():
-        _check_column(table, where, column, complaints)
+        _check_column(table, where, column, section, complaints)
 
 
-def _wanted(section: DataSection) -> dict[str, str]:
+def _wanted(section: DataSection) -> dict[str, str | int]:
     """The columns that are asked for, by their keys."""
     channels: dict[str, Channel] = {"data.time": section.time}
     for what, named in (("states", section.states), ("inputs", section.inputs)):
         for name, channel in named.items():
             channels[f"data.{what}.{name}"] = channel
-    wanted = {}
+    wanted: dict[str, str | int] = {}
     for key, channel in channels.items():
         if channel.column is not None:
             wanted[f"{key}.column"] = channel.column
@@ -206,12 +208,19 @@ def _wanted(section: DataSection) -> dict[str, str]:
     return wanted
 
 
-def _check_column(table: Table, key: str, column: str, complaints: Complaints) -> None:
-    found = [str(name) for name in table.frame.columns]
+def _check_column(
+    table: Table,
+    key: str,
+    column: str | int,
+    section: DataSection,
+    complaints: Complaints,
+) -> None:
+    found = table.frame.columns.tolist()
     if column not in found:
+        listed = ", ".join(map(str, found))
         complaints.add(
             key,
-            f"{table.title} has no such column; it has {', '.join(found)}."
+            f"{table.title} has no such column; it has {listed}."
             f"{did_you_mean(column, found)}",
             column,
         )
@@ -219,10 +228,20 @@ def _check_column(table: Table, key: str, column: str, complaints: Complaints) -
     if found.count(column) > 1 or key == "data.trajectory":
         return  # told where the table is read as a whole
     try:
-        numbers_in(table, column, may_be_missing=key.startswith("data.states."))
+        if key == TIME_KEY:
+            _check_times(table, column, section)
+        else:
+            is_state = key.startswith("data.states.")
+            numbers_in(table, column, may_be_missing=is_state)
     except DataError as error:
-        hint = " Are these dates? Then: dates = true." if key == TIME_KEY else ""
-        complaints.add(key, f"{error}{hint}", column)
+        complaints.add(key, str(error), column)
+
+
+def _check_times(table: Table, column: str | int, section: DataSection) -> None:
+    """Refuse times that are no numbers, where they are not dates."""
+    times = Times(column, None, section.start, section.date_format)
+    if not are_dates(table, times):
+        numbers_in(table, column, may_be_missing=False)
 
 
 def check_held_out(

@@ -104,7 +104,7 @@ def _time(table: TableSurvey) -> str:
     if times:
         content: dict[str, Any] = {"column": times[0].column}
         if times[0].said == "dates":
-            content.update(unit="s", dates=True)
+            content["unit"] = "s"
         elif times[0].unit:
             content["unit"] = times[0].unit
         return f"time = {toml_value(content)}  # {table.said}"

@@ -31,7 +31,7 @@ class Key:
 
 
 CHANNEL = (
-    ("column", "text", "the column of the table"),
+    ("column", "text or position", "its header, or its position from 0"),
     ("unit", "text", 'its unit, such as "m"; default: unknown'),
 )
 TERMS = "formula, term, or list of these"
@@ -55,23 +55,30 @@ KEYS: tuple[Key, ...] = (
     ),
     *_keys(
         "data",
-        ("files", "text or list of texts", "relative to the study file"),
+        (
+            "files",
+            "text or list of texts",
+            "text, .xlsx or .mat, by paths from the study file",
+        ),
         ("trajectory", "text", "column that names each line's run; default: no such"),
         ("hold", '"linear" or "zero"', "inputs between samples; default linear"),
         ("time", "table", "the column of the times"),
         ("between", "list of two numbers", "times that are used; default: all"),
+        ("thinned", "whole number", "so many samples become their mean; default: none"),
+        ("sheet", "text", "of a workbook (.xlsx); default: the only one"),
+        ("columns", "list of texts", "names, where there is no header"),
+        ("separator", "text", "between the cells of a text; default: found"),
+        ("decimal", "text", "sign before decimals; default: found"),
         ("states", "table", "a table for each state"),
         ("inputs", "table", "a table for each measured input; default: none"),
     ),
     *_keys(
         "data.time",
-        *CHANNEL,
+        ("column", "text or position", "numbers, dates, or times of day"),
+        ("unit", "text", 'such as "s"; dates are read in seconds'),
         ("step", "number", "in place of a column: the time between lines"),
-        (
-            "dates",
-            "true or false",
-            "dates become seconds since the first one",
-        ),
+        ("start", "text", "of dates: when t is 0; default: each run's first sample"),
+        ("date_format", "text", 'of other dates, such as "%d.%m.%Y %H:%M"'),
     ),
     *_keys(
         "data.states",

@@ -93,6 +93,19 @@ class Part:
         self.complain(name, 'expected text in quotes, such as "m".')
         return default
 
+    def column(self, name: str) -> str | int | None:
+        """A column: its header, or its position counted from 0; None where none is."""
+        value = self.content.get(name, "")
+        is_position = isinstance(value, int) and not isinstance(value, bool)
+        if is_position and value >= 0:
+            return int(value)
+        if not isinstance(value, str):
+            self.complain(
+                name, 'expected a header in quotes, such as "q", or a position from 0.'
+            )
+            return None
+        return value or None
+
     def texts(self, name: str, example: str = '["q", "p"]') -> tuple[str, ...]:
         """A list of texts; one text stands for a list of it."""
         value = self.content.get(name, [])

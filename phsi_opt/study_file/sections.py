@@ -4,18 +4,22 @@ Paths stay as they were written, relative to the folder of the study file.
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
-from phsi_opt.data.file_opening import text_files
-from phsi_opt.data.layout import table_layout, trajectories_in
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
-from phsi_opt.study_file.times import COUNTED, counted_times, dates_as_seconds, within
 
+TEXT_READER = "from_csv"
+READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
+# Settings that readers know by the names that they have here.
+TOLD_TO_READERS = (
+    *("trajectory", "step", "start", "date_format"),
+    *("sheet", "columns", "separator", "decimal"),
+)
 SHARE_DIGITS = 12  # of 1 - share, so that 1 - 0.4 reads 0.6
 
 
@@ -24,12 +28,13 @@ class Channel:
     """A column of the table: a state, an input, or the time.
 
     Attributes:
-        column: its name; None for a state that nobody measured.
+        column: its header, or its position counted from 0; None for a state that nobody
+            measured.
         unit: such as "m"; "" where it is unknown.
         noise: standard deviation of a state's noise, in its unit; None: estimated.
     """
 
-    column: str | None
+    column: str | int | None
     unit: str = ""
     noise: float | None = None
 
@@ -37,6 +42,9 @@ class Channel:
 @dataclass(frozen=True)
 class DataSection:
     """Where the measurements are and which column is what.
+
+    What a table is (text, .xlsx, .mat) follows from the name of the first file; what is
+    None is found in the table, as the readers of `Measurements` do.
 
     Attributes:
         files: relative to the folder of the study file, or absolute.
@@ -46,8 +54,14 @@ class DataSection:
         trajectory: the column that names each line's run; None: a run per file.
         hold: what inputs do between samples, "linear" or "zero".
         step: the time between neighbouring lines, where no column has the times.
-        dates: whether the times are dates; they become seconds since the first one.
+        start: where times are dates, the moment at which t is 0.
+        date_format: dates written otherwise than 2021-11-22 09:15:00, see strptime.
+        sheet: of an Excel workbook.
+        columns: the names of the columns of a table without a header.
+        separator: the sign between the cells of a text.
+        decimal: the sign before decimals.
         between: first and last time that are used, of every run; None: all.
+        thinned: how many neighbouring samples become their mean; None: none do.
     """
 
     files: tuple[str, ...]
@@ -57,14 +71,14 @@ class DataSection:
     trajectory: str | None = None
     hold: str = "linear"
     step: float | None = None
-    dates: bool = False
+    start: str | None = None
+    date_format: str | None = None
+    sheet: str | None = None
+    columns: tuple[str, ...] | None = None
+    separator: str | None = None
+    decimal: str | None = None
     between: tuple[float, float] | None = None
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether `Measurements.from_csv` alone gives the measurements."""
-        is_numbers = self.step is None and not self.dates
-        return is_numbers and self.between is None
+    thinned: int | None = None
 
     @property
     def units(self) -> dict[str, str]:
@@ -86,12 +100,12 @@ class DataSection:
         return noise or None
 
     @property
-    def state_columns(self) -> dict[str, str | None]:
+    def state_columns(self) -> dict[str, str | int | None]:
         """The column of each state."""
         return {name: channel.column for name, channel in self.states.items()}
 
     @property
-    def input_columns(self) -> dict[str, str | None]:
+    def input_columns(self) -> dict[str, str | int | None]:
         """The column of each input."""
         return {name: channel.column for name, channel in self.inputs.items()}
 
@@ -108,6 +122,33 @@ class DataSection:
             files.append(file)
         return replace(self, files=tuple(files))
 
+    @property
+    def suffix(self) -> str:
+        """What the first file's name ends in, in lower case, such as ".csv"."""
+        return Path(self.files[0]).suffix.lower() if self.files else ""
+
+    @property
+    def reader(self) -> str:
+        """The name of the reader of `Measurements` for such files."""
+        return READERS.get(self.suffix, TEXT_READER)
+
+    def reader_arguments(self) -> dict[str, Any]:
+        """What the reader is told beside the files; only what is not the default."""
+        arguments: dict[str, Any] = {"states": self.state_columns}
+        if self.time.column is not None:
+            arguments["time"] = self.time.column
+        if self.inputs:
+            arguments["inputs"] = self.input_columns
+            arguments["hold"] = self.hold
+        for name in TOLD_TO_READERS:
+            if getattr(self, name) is not None:
+                arguments[name] = getattr(self, name)
+        if self.units:
+            arguments["units"] = self.units
+        if self.noise is not None:
+            arguments["noise"] = self.noise
+        return arguments
+
     def measurements(self, folder: Path) -> Measurements:
         """Read the files.
 
@@ -117,58 +158,13 @@ class DataSection:
         Raises:
             DataError: something in them cannot be used; with file, column and line.
         """
-        data = self._whole_measurements(self.paths(folder))
-        if self.between is None:
-            return data
-        begin, end = self.between
-        runs = [within(run, begin, end) for run in data.trajectories]
-        return replace(data, trajectories=tuple(runs))
-
-    def _whole_measurements(self, paths: Sequence[Path]) -> Measurements:
-        if self.step is not None or self.dates:
-            return self._timed_measurements(paths)
-        return Measurements.from_csv(
-            paths if len(paths) > 1 else paths[0],
-            time=str(self.time.column),
-            states=self.state_columns,
-            inputs=self.input_columns,
-            trajectory=self.trajectory,
-            hold=self.hold,
-            units=self.units,
-            noise=self.noise,
-        )
-
-    def _timed_measurements(self, paths: Sequence[Path]) -> Measurements:
-        """The measurements, where the times are counted or are dates."""
-        column = COUNTED if self.step is not None else str(self.time.column)
-        layout = table_layout(
-            column, self.state_columns, self.input_columns, self.trajectory
-        )
-        tables = []
-        for file in text_files(list(paths)):
-            table = table_of_csv(file, layout.columns())
-            tables.append(self.with_times(table))
-        return Measurements(
-            trajectories_in(tables, layout),
-            states=tuple(self.states),
-            inputs=tuple(self.inputs),
-            units=self.units,
-            hold=self.hold,
-            noise=self.noise,
-        )
-
-    def with_times(self, table: Table) -> Table:
-        """The table with its times as numbers.
-
-        Raises:
-            DataError: a cell is no date.
-        """
-        if self.step is not None:
-            return counted_times(table, self.step, self.trajectory)
-        column = str(self.time.column)
-        if self.dates and list(table.frame.columns).count(column) == 1:
-            return dates_as_seconds(table, column)
-        return table
+        paths = self.paths(folder)
+        read = getattr(Measurements, self.reader)
+        arguments = self.reader_arguments()
+        data: Measurements = read(paths if len(paths) > 1 else paths[0], **arguments)
+        if self.between is not None:
+            data = data.between(*self.between)
+        return data if self.thinned is None else data.thinned(self.thinned)
 
 
 @dataclass(frozen=True)

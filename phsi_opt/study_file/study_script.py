@@ -18,7 +18,7 @@ from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.study_file.content import loss_content, shared_parameters
 from phsi_opt.study_file.effect_reading import StudySection
 from phsi_opt.study_file.python_text import Call, Code, Names, source_of
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+from phsi_opt.study_file.sections import DataSection, HeldOut
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 IN_SCRIPT = "parameters"  # the variable in which the script keeps them
@@ -60,41 +60,16 @@ def study_script(
 
 
 def _data_lines(data: DataSection) -> list[str]:
-    if not data.is_plain:
-        section = _record(data)
-        return [f"data = {section.text()}.measurements(FOLDER)"]
     files: Any = [Code(f"FOLDER / {source_of(file)}") for file in data.files]
-    arguments: dict[str, Any] = {
-        "time": data.time.column,
-        "states": data.state_columns,
-    }
-    if data.inputs:
-        arguments["inputs"] = data.input_columns
-        arguments["hold"] = data.hold
-    if data.trajectory is not None:
-        arguments["trajectory"] = data.trajectory
-    if data.units:
-        arguments["units"] = data.units
-    if data.noise is not None:
-        arguments["noise"] = data.noise
     first = files[0] if len(files) == 1 else files
-    call = Call("ph.Measurements.from_csv", [first], arguments)
-    return [f"data = {call.text()}"]
-
-
-def _record(data: DataSection) -> Call:
-    """The section as code, where `Measurements.from_csv` cannot read the times."""
-    arguments = _changed_fields(data)
-    arguments["files"] = tuple(data.files)
-    arguments["time"] = _channel(data.time)
-    for what in ("states", "inputs"):
-        channels = getattr(data, what)
-        arguments[what] = {name: _channel(one) for name, one in channels.items()}
-    return Call("ph.DataSection", [], arguments)
-
-
-def _channel(channel: Channel) -> Call:
-    return Call("ph.Channel", [], _changed_fields(channel))
+    call = Call(f"ph.Measurements.{data.reader}", [first], data.reader_arguments())
+    lines = [f"data = {call.text()}"]
+    if data.between is not None:
+        begin, end = data.between
+        lines.append(f"data = data.between({begin!r}, {end!r})")
+    if data.thinned is not None:
+        lines.append(f"data = data.thinned({data.thinned})")
+    return lines
 
 
 def _held_out_lines(held_out: HeldOut | None, names: Names) -> list[str]:

@@ -83,9 +83,10 @@ def data_sections(data: DataSection) -> list[str]:
         content["trajectory"] = data.trajectory
     if data.inputs:
         content["hold"] = data.hold
+    for name in ("sheet", "columns", "separator", "decimal", "between", "thinned"):
+        if getattr(data, name) is not None:
+            content[name] = getattr(data, name)
     content["time"] = _time_content(data)
-    if data.between is not None:
-        content["between"] = list(data.between)
     states = {name: _channel_content(one) for name, one in data.states.items()}
     inputs = {name: _channel_content(one) for name, one in data.inputs.items()}
     return [
@@ -96,13 +97,12 @@ def data_sections(data: DataSection) -> list[str]:
 
 
 def _time_content(data: DataSection) -> dict[str, Any]:
-    content = {} if data.step is not None else _channel_content(data.time)
-    if data.step is not None:
-        content["step"] = data.step
-        if data.time.unit:
-            content["unit"] = data.time.unit
-    if data.dates:
-        content["dates"] = True
+    content = {} if data.time.column is None else _channel_content(data.time)
+    if data.time.column is None and data.time.unit:
+        content["unit"] = data.time.unit
+    for name in ("step", "start", "date_format"):
+        if getattr(data, name) is not None:
+            content[name] = getattr(data, name)
     return content
 
 

@@ -12,11 +12,10 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.checks import checked_names
-from phsi_opt.data.file_opening import text_files
-from phsi_opt.data.tables import table_of_csv
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
+from phsi_opt.study_file.file_tables import table_at
 from phsi_opt.study_file.headers import (
     TIMES,
     Header,
@@ -27,6 +26,7 @@ from phsi_opt.study_file.headers import (
     is_time_word,
     name_from,
 )
+from phsi_opt.study_file.sections import READERS
 
 TIME = "time"
 RUN = "run"
@@ -108,14 +108,22 @@ def survey(path: Path) -> TableSurvey:
     Raises:
         DataError: it cannot be read as a table with a header line.
     """
-    (text,) = text_files(path)
-    frame = table_of_csv(text, ()).frame
+    if READERS.get(path.suffix.lower()) == "from_mat":
+        raise DataError(
+            f"{path} holds MATLAB's variables and no table; write the study file by "
+            'hand, with columns such as "y" or "log.y" or "X(:,2)".'
+        )
+    table = table_at(path, ())
+    frame = table.frame
     if frame.empty:
         raise DataError(f"{path} has no line below its header.")
     headers = [str(column) for column in frame.columns]
     seen = []
     for number, header in enumerate(headers):
-        one = _looked_at(header, frame.iloc[:, number], headers)
+        cells = frame.iloc[:, number].map(_as_text)
+        if table.decimal == ",":
+            cells = cells.str.replace(",", ".", regex=False)
+        one = _looked_at(header, cells, headers)
         seen.append(one)
     run = _mark_run(seen)
     time = _mark_time(seen, run)
@@ -129,7 +137,7 @@ def survey(path: Path) -> TableSurvey:
 
 
 def _looked_at(header: str, cells: pd.Series, headers: list[str]) -> _Seen:
-    one = _Seen(header_of(header), cells.astype(str).str.strip())
+    one = _Seen(header_of(header), cells.str.strip())
     missing = one.cells.str.lower().isin(MISSING_CELLS).to_numpy()
     one.n_missing = int(missing.sum())
     numbers = pd.to_numeric(one.cells.where(~missing), errors="coerce").to_numpy(float)
@@ -151,6 +159,10 @@ def _looked_at(header: str, cells: pd.Series, headers: list[str]) -> _Seen:
     if one.n_missing:
         one.said += f", {one.n_missing} cells missing"
     return one
+
+
+def _as_text(cell: object) -> str:
+    return "" if cell is None else str(cell)
 
 
 def _left_out(one: _Seen, why: str) -> _Seen:

@@ -1,0 +1,45 @@
+"""The tables of data files as they are found: text or Excel, column by column.
+
+For looking at columns one by one; `Measurements` has the readers of whole files.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from phsi_opt.data.excel_tables import table_of_excel
+from phsi_opt.data.file_opening import binary_files, text_files
+from phsi_opt.data.matlab_tables import table_of_mat
+from phsi_opt.data.tables import Table, table_of_csv
+from phsi_opt.data.text_cells import TextFormat
+from phsi_opt.study_file.sections import READERS, DataSection
+
+
+def table_at(
+    path: Path, wanted: Iterable[Any], section: DataSection | None = None
+) -> Table:
+    """The table of a file.
+
+    Args:
+        path: of the file; its suffix tells what it is.
+        wanted: the columns that are looked for.
+        section: what the user said of the table; None: nothing.
+
+    Raises:
+        DataError: it cannot be read as such a table.
+    """
+    columns = separator = decimal = sheet = None
+    if section is not None:
+        columns = section.columns
+        separator = section.separator
+        decimal = section.decimal
+        sheet = section.sheet
+    reader = READERS.get(path.suffix.lower())
+    if reader == "from_mat":
+        (file,) = binary_files(path)
+        return table_of_mat(file, wanted)
+    if reader == "from_excel":
+        (file,) = binary_files(path)
+        return table_of_excel(file, wanted, sheet, TextFormat(columns, None, decimal))
+    (text,) = text_files(path)
+    return table_of_csv(text, wanted, TextFormat(columns, separator, decimal))
