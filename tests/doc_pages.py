@@ -1,7 +1,8 @@
 """The pages in docs/ as programs: their Python blocks and commands, run in order.
 
 A fence of Python is run in the page's namespace, a ``console`` fence runs its lines
-that begin with ``$ phsi-opt``. A ``text`` fence after either is what it printed: the
+that begin with ``$ phsi-opt``, a ``toml`` fence that begins with ``# NAME.toml`` is
+written into that file. A ``text`` fence after either is what it printed: the
 lines must be there, in this order, where ``...`` stands for any lines or the rest of
 one. Words agree exactly, numbers to one unit of the last digit shown, because linear
 algebra differs in the last bits from machine to machine.
@@ -22,7 +23,8 @@ from markdown_it import MarkdownIt
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-RUN = ("python", "console")
+RUN = ("python", "console", "toml")
+FILE_NAME = re.compile(r"# (\w+\.toml)\n")
 PROGRAM = "$ phsi-opt "
 ANYTHING = "..."
 NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
@@ -72,8 +74,10 @@ def run_page(page: Path) -> list[tuple[Block, str]]:
             shown.append((block, printed))
         elif block.language == "python":
             printed = _run_python(block, page, namespace)
-        else:
+        elif block.language == "console":
             printed = _run_commands(block.text)
+        else:
+            _write_file(block.text)
     return shown
 
 
@@ -84,6 +88,12 @@ def _run_python(block: Block, page: Path, namespace: dict[str, str]) -> str:
     with contextlib.redirect_stdout(output):
         exec(code, namespace)
     return output.getvalue()
+
+
+def _write_file(text: str) -> None:
+    name = FILE_NAME.match(text)
+    if name is not None:
+        Path(name[1]).write_text(text, "utf-8")
 
 
 def _run_commands(text: str) -> str:
