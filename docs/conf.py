@@ -134,7 +134,7 @@ def resolve_name(
     name = target.rsplit(".", 1)[-1]
     domain = env.domains.python_domain
     full = None
-    if name in phsi_opt.__all__ and target in (name, _defined_as(name)):
+    if name in phsi_opt.__all__ and (target == name or _stands_at(target, name)):
         full = f"phsi_opt.{name}"
     elif target == name and name[:1].isupper():
         full = _only_class(domain, name)
@@ -145,9 +145,10 @@ def resolve_name(
     return text if node["reftype"] == "obj" and not is_full else None
 
 
-def _defined_as(name: str) -> str:
-    value = getattr(phsi_opt, name, None)
-    return f"{getattr(value, '__module__', '')}.{name}"
+def _stands_at(target: str, name: str) -> bool:
+    """Whether a public object is found at a place, where it is defined or passed on."""
+    module = sys.modules.get(target.rpartition(".")[0])
+    return getattr(module, name, None) is getattr(phsi_opt, name)
 
 
 def _only_class(domain: PythonDomain, name: str) -> str | None:

@@ -1,6 +1,6 @@
-"""The pictures of the tutorial in docs/, from the file that it reads.
+"""The picture of the tutorial in docs/, from the file that it reads.
 
-    python -m problems.examples.docs_pictures
+python -m problems.examples.docs_pictures
 """
 
 from pathlib import Path
@@ -35,18 +35,12 @@ def study_of_the_tutorial() -> ph.Study:
 
 
 def main() -> None:
-    """Write both pictures."""
+    """Write the picture of the base model."""
     FOLDER.mkdir(exist_ok=True)
-    study = study_of_the_tutorial()
-    plots = {
-        "tutorial_before": study.compare().plot,
-        "tutorial_missing_force": study.diagnose().plot,
-    }
-    for name, plot in plots.items():
-        figure, ax = plt.subplots(figsize=(WIDTH, HEIGHT), layout="constrained")
-        plot(ax)
-        figure.savefig(FOLDER / f"{name}.png", dpi=100)
-        print(f"wrote {name}.png")
+    figure, ax = plt.subplots(figsize=(WIDTH, HEIGHT), layout="constrained")
+    study_of_the_tutorial().compare().plot(ax)
+    figure.savefig(FOLDER / "tutorial_before.png", dpi=100)
+    print("wrote tutorial_before.png")
 
 
 if __name__ == "__main__":
