@@ -1,0 +1,286 @@
+"""Charts of a snapshot, as plotly's browser library takes them.
+
+Text and grid take their colours from the page's style, which knows light and dark; the
+curves have colours that stand out from both.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from phsi_opt.page.limits import MOST_POINTS
+from phsi_opt.page.snapshot import ChannelCurves, ErrorStep, ForceCurve, RunCurves
+
+Figure = dict[str, Any]
+
+# Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
+MEASURED = "#7a828c"
+MODEL = "#2f7fd6"
+FORCE = "#c8611a"
+FLOOR = "#3b8f5a"
+MARK = "#b5459e"
+BAND_OPACITY = 0.22
+N_WORDS_A_LINE = 16  # letters of a step's label below the staircase
+RESIDUAL_PART = 0.3  # of the chart's height
+
+
+def free_run(
+    run: RunCurves, channel: ChannelCurves, t_unit: str, mark: float | None = None
+) -> Figure:
+    """Measured and free run of one channel, with the residual below."""
+    t = _thinned(run.t)
+    noise = 2 * channel.noise
+    data = [
+        _curve(t, channel.measured, "measured", MEASURED, mode="markers"),
+        _curve(t, channel.shown, "model", MODEL),
+        _curve(t, channel.residual, "measured less model", FORCE, yaxis="y2"),
+    ]
+    layout = _layout(_label("time", t_unit))
+    layout["yaxis"] = _axis(_label(channel.name, channel.unit), [RESIDUAL_PART + 0.06, 1])
+    layout["yaxis2"] = _axis(_label("residual", channel.unit), [0, RESIDUAL_PART])
+    layout["shapes"] = [_band(-noise, noise, "y2")]
+    layout["annotations"] = [
+        {
+            "text": "shaded: noise (two standard deviations)",
+            "xref": "paper",
+            "yref": "paper",
+            "x": 1,
+            "y": RESIDUAL_PART + 0.055,
+            "xanchor": "right",
+            "showarrow": False,
+        }
+    ]
+    _mark(layout, mark)
+    return _figure(data, layout)
+
+
+def missing_force(
+    curves: Sequence[ForceCurve], t_unit: str, mark: float | None = None
+) -> Figure:
+    """The missing force of one run with two standard deviations, an equation each."""
+    data: list[Figure] = []
+    colors = (FORCE, MODEL, FLOOR, MARK)
+    for number, curve in enumerate(curves):
+        color = colors[number % len(colors)]
+        data += _banded(curve, color)
+    layout = _layout(_label("time", t_unit))
+    units = {curve.unit for curve in curves}
+    unit = units.pop() if len(units) == 1 else ""
+    layout["yaxis"] = _axis(_label("missing force", unit))
+    layout["shapes"] = [_line("y", 0)]
+    _mark(layout, mark)
+    return _figure(data, layout)
+
+
+def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
+    """The error of every step, with its value, down to the noise floor."""
+    x = [step.number for step in steps]
+    labels = [_broken(_change(step)) for step in steps]
+    judged = [step.judged for step in steps]
+    is_held_out = steps[-1].held_out is not None
+    data = []
+    if is_held_out:
+        train = [step.train for step in steps]
+        data.append(_step_curve(x, train, "training", MEASURED, "dash"))
+    name = "held out" if is_held_out else "training"
+    main = _step_curve(x, judged, name, MODEL, "solid")
+    main["mode"] = "lines+markers+text"
+    main["text"] = [f"{value:.3g}" for value in judged]
+    main["textposition"] = "top center"
+    data.append(main)
+    floor = [step.floor for step in steps]
+    data.append(_step_curve(x, floor, "noise floor", FLOOR, "dot"))
+    layout = _layout("")
+    layout["xaxis"].update(
+        {
+            "tickvals": x,
+            "ticktext": labels,
+            "range": [-0.5, max(len(x) - 0.5, 1.5)],
+        }
+    )
+    values = [*judged, *floor, *(step.train for step in steps)]
+    layout["yaxis"] = _axis(_label("error", unit))
+    layout["yaxis"].update(_error_axis(values))
+    return _figure(data, layout)
+
+
+def _error_axis(values: Sequence[float]) -> Figure:
+    """From zero; by decades where the errors span more than one."""
+    largest = max(values)
+    smallest = min(values)
+    if smallest > 0 and largest / smallest > 10:
+        low = np.log10(smallest) - 0.2
+        return {"type": "log", "range": [low, np.log10(largest) + 0.3]}
+    return {"range": [0, 1.25 * largest]}
+
+
+def _change(step: ErrorStep) -> str:
+    is_addition = step.number > 0 and not step.label.startswith("without ")
+    return f"+ {step.label}" if is_addition else step.label
+
+
+def _broken(text: str) -> str:
+    """A label in lines of few letters."""
+    lines = [""]
+    for word in text.split():
+        if lines[-1] and len(lines[-1]) + len(word) > N_WORDS_A_LINE:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "<br>".join(_escaped(line) for line in lines)
+
+
+def _escaped(text: str) -> str:
+    """A text in which nothing is markup: plotly reads some tags in labels."""
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _label(name: str, unit: str) -> str:
+    return _escaped(f"{name} ({unit})" if unit else name)
+
+
+def _thinned(values: np.ndarray) -> np.ndarray:
+    """Every so many samples where there are more than a screen shows.
+
+    Args:
+        values: (n_samples,).
+    """
+    stride = max(int(np.ceil(len(values) / MOST_POINTS)), 1)
+    return values[::stride]
+
+
+def _numbers(values: np.ndarray) -> list[float | None]:
+    """Thinned values, None where there is none: JSON has no NaN."""
+    thinned = _thinned(np.asarray(values, dtype=float))
+    listed = thinned.tolist()
+    return [value if np.isfinite(value) else None for value in listed]
+
+
+def _curve(
+    t: np.ndarray,
+    values: np.ndarray,
+    name: str,
+    color: str,
+    *,
+    mode: str = "lines",
+    yaxis: str = "y",
+) -> Figure:
+    return {
+        "type": "scatter",
+        "x": _numbers(t),
+        "y": _numbers(values),
+        "name": name,
+        "mode": mode,
+        "yaxis": yaxis,
+        "line": {"color": color, "width": 2},
+        "marker": {"color": color, "size": 5},
+        "hovertemplate": "%{y:.4g}",
+    }
+
+
+def _banded(curve: ForceCurve, color: str) -> list[Figure]:
+    """A missing force and, below it, the band of two standard deviations."""
+    name = f"d{curve.equation}/dt"
+    upper = _curve(curve.t, curve.force + 2 * curve.std, name, color)
+    lower = _curve(curve.t, curve.force - 2 * curve.std, name, color)
+    for edge in (upper, lower):
+        edge.update({"hoverinfo": "skip", "showlegend": False})
+        edge["line"] = {"width": 0, "color": color}
+    lower["fill"] = "tonexty"
+    lower["fillcolor"] = _transparent(color)
+    lower.update({"showlegend": True, "name": "two standard deviations"})
+    line = _curve(curve.t, curve.force, f"missing in {name}", color)
+    return [upper, lower, line]
+
+
+def _transparent(color: str) -> str:
+    red, green, blue = (int(color[i : i + 2], 16) for i in (1, 3, 5))
+    return f"rgba({red},{green},{blue},{BAND_OPACITY})"
+
+
+def _step_curve(
+    x: Sequence[int], y: Sequence[float], name: str, color: str, dash: str
+) -> Figure:
+    return {
+        "type": "scatter",
+        "x": list(x),
+        "y": list(y),
+        "name": name,
+        "mode": "lines+markers",
+        "line": {"color": color, "width": 2, "dash": dash},
+        "marker": {"color": color, "size": 8},
+        "hovertemplate": "%{y:.4g}",
+        "cliponaxis": False,
+    }
+
+
+def _layout(x_title: str) -> Figure:
+    return {
+        "margin": {"l": 64, "r": 12, "t": 12, "b": 48},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "font": {"family": "inherit", "size": 13},
+        "hovermode": "x unified",
+        "hoverlabel": {"bgcolor": "#16191d", "font": {"color": "#f4f6f8"}},
+        "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
+        "xaxis": {"title": {"text": x_title}, "zeroline": False},
+        "dragmode": "zoom",
+    }
+
+
+def _axis(title: str, domain: list[float] | None = None) -> Figure:
+    axis: Figure = {"title": {"text": title}, "zeroline": False, "automargin": True}
+    if domain is not None:
+        axis["domain"] = domain
+    return axis
+
+
+def _band(low: float, high: float, axis: str) -> Figure:
+    return {
+        "type": "rect",
+        "xref": "paper",
+        "yref": axis,
+        "x0": 0,
+        "x1": 1,
+        "y0": low,
+        "y1": high,
+        "line": {"width": 0},
+        "fillcolor": _transparent(MEASURED),
+        "layer": "below",
+    }
+
+
+def _line(axis: str, y: float) -> Figure:
+    return {
+        "type": "line",
+        "xref": "paper",
+        "yref": axis,
+        "x0": 0,
+        "x1": 1,
+        "y0": y,
+        "y1": y,
+        "line": {"color": MEASURED, "width": 1},
+    }
+
+
+def _mark(layout: Figure, t: float | None) -> None:
+    """A vertical line at the time that is looked at."""
+    if t is None:
+        return
+    layout.setdefault("shapes", []).append(
+        {
+            "type": "line",
+            "xref": "x",
+            "yref": "paper",
+            "x0": t,
+            "x1": t,
+            "y0": 0,
+            "y1": 1,
+            "line": {"color": MARK, "width": 2, "dash": "dash"},
+        }
+    )
+
+
+def _figure(data: list[Figure], layout: Figure) -> Figure:
+    config = {"responsive": True, "displaylogo": False, "displayModeBar": False}
+    return {"data": data, "layout": layout, "config": config}

@@ -1,0 +1,195 @@
+"""The first part of the page: the table, its columns, what is held out."""
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from nicegui import events, run, ui
+
+from phsi_opt.page.drafts import (
+    AFTER,
+    ROLES,
+    RUN,
+    RUNS,
+    SHARE,
+    STATE,
+    TIME,
+    UNUSED,
+    WAYS_HELD_OUT,
+    ColumnDraft,
+    DataDraft,
+)
+from phsi_opt.page.limits import MOST_FILES, MOST_UPLOADED, in_megabytes
+from phsi_opt.page.parts import alert, card, choice, complaints, heading, text_field
+from phsi_opt.page.session import Session
+
+ABOUT = (
+    "One line per sample, a header line, numbers with decimal points; comma, semicolon "
+    f"or tab between them. At most {in_megabytes(MOST_UPLOADED)} a file. Several files "
+    "with the same columns are several runs."
+)
+DATA_KEYS = ("data", "held_out")
+
+
+class DataView:
+    """Draws the draft of the data.
+
+    Args:
+        session: whose draft it is.
+        checked: called after every change of the draft.
+        go_on: shows the next part.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        checked: Callable[[], Awaitable[None]],
+        go_on: Callable[[], Any],
+    ) -> None:
+        self._session = session
+        self._checked = checked
+        self._go_on = go_on
+
+    def build(self) -> None:
+        """Draw it all."""
+        with card():
+            heading("Measurements")
+            ui.label(ABOUT).classes("faint")
+            upload = ui.upload(
+                label="Drop CSV files here",
+                auto_upload=True,
+                multiple=True,
+                max_file_size=MOST_UPLOADED,
+                max_files=MOST_FILES,
+                on_upload=self._upload,
+                on_rejected=self._rejected,
+            )
+            upload.props('flat bordered accept=".csv,.txt,.tsv,.dat"').classes("w-full")
+            ui.button(
+                "Choose a CSV file", on_click=lambda: upload.run_method("pickFiles")
+            )
+            self.error()
+        self.table()
+        self.wrong()
+
+    async def _upload(self, e: events.UploadEventArguments) -> None:
+        content = await e.file.read()
+        await run.io_bound(self._session.upload, e.file.name, content)
+        e.sender.run_method("reset")
+
+    def _rejected(self) -> None:
+        size = in_megabytes(MOST_UPLOADED)
+        self._session.upload_error = (
+            f"The file was not taken: a CSV of at most {size} is expected."
+        )
+        self._session.shape += 1
+
+    @ui.refreshable_method
+    def error(self) -> None:
+        """Why the last file was refused."""
+        if self._session.upload_error:
+            alert(f"This file cannot be used. {self._session.upload_error}")
+
+    @ui.refreshable_method
+    def wrong(self) -> None:
+        """What is wrong with the data as they are described."""
+        if self._session.draft.data is None:
+            return
+        with card():
+            found = self._session.complaints_about(*DATA_KEYS)
+            complaints(found, "The data can be used.")
+            ui.button("Next: the model", on_click=self._go_on)
+
+    @ui.refreshable_method
+    def table(self) -> None:
+        """The columns and what is held out."""
+        data = self._session.draft.data
+        if data is None:
+            return
+        with card():
+            heading("Columns")
+            n_runs = len(data.runs)
+            files = ", ".join(data.files)
+            ui.label(f"{files}: {data.n_samples} samples, {n_runs} runs")
+            for column in data.columns:
+                self._column(column)
+        with card():
+            heading("Held out")
+            ui.label("Kept from fitting, to judge by.").classes("faint")
+            self.held_out()
+
+    def _column(self, column: ColumnDraft) -> None:
+        with ui.element("div").classes("fields candidate"):
+            with ui.element("div").style("width: 11em"):
+                ui.label(column.column).style("font-weight: 600")
+                ui.label(", ".join(column.examples)).classes("faint formula")
+            roles = ROLES if column.is_numeric else (RUN, UNUSED)
+            choice(
+                f"{column.column} is",
+                roles,
+                column.role,
+                lambda role: self._set_role(column, role),
+                width="10em",
+            )
+            if column.role not in (RUN, UNUSED):
+                self._channel(column)
+
+    def _channel(self, column: ColumnDraft) -> None:
+        label = column.column
+        if column.role != TIME:
+            self._field(column, "name", f"name of {label}", "9em", "as in formulas")
+        self._field(column, "unit", f"unit of {label}", "8em", "m")
+        if column.role == STATE:
+            hint = "estimated"
+            self._field(column, "noise", f"noise of {label}", "9em", hint)
+
+    def _field(self, owner: Any, name: str, label: str, width: str, hint: str) -> None:
+        async def changed(value: str) -> None:
+            setattr(owner, name, value.strip())
+            await self._checked()
+
+        text_field(label, getattr(owner, name), changed, width=width, hint=hint)
+
+    async def _set_role(self, column: ColumnDraft, role: str) -> None:
+        data = self._session.draft.data
+        if role in (TIME, RUN) and data is not None:
+            for known in data.with_role(role):
+                known.role = UNUSED  # there is one time, and one column of runs
+        column.role = role
+        self.table.refresh()
+        await self._checked()
+
+    @ui.refreshable_method
+    def held_out(self) -> None:
+        """In which way, and which part."""
+        data = self._session.draft.data
+        if data is None:
+            return
+        held_out = data.held_out
+
+        async def set_way(way: str) -> None:
+            held_out.way = way
+            self.held_out.refresh()
+            await self._checked()
+
+        with ui.element("div").classes("fields"):
+            choice("what is held out", WAYS_HELD_OUT, held_out.way, set_way)
+            if held_out.way == SHARE:
+                self._field(held_out, "share", "share", "8em", "0.3")
+            elif held_out.way == AFTER:
+                self._field(held_out, "after", "from the time", "8em", "10")
+            elif held_out.way == RUNS:
+                self._runs(data)
+
+    def _runs(self, data: DataDraft) -> None:
+        async def changed(e: events.ValueChangeEventArguments) -> None:
+            data.held_out.runs = list(e.value)
+            await self._checked()
+
+        field = ui.select(
+            data.runs,
+            label="runs held out",
+            multiple=True,
+            value=[run for run in data.held_out.runs if run in data.runs],
+            on_change=changed,
+        )
+        field.props("dense outlined use-chips").style("min-width: 14em")

@@ -1,0 +1,171 @@
+"""What a user has filled in so far, before it is checked: texts, as they were typed.
+
+A draft may be wrong; `phsi_opt.page.study_draft` writes it as a study file, and reading
+that file tells what is wrong. Drafts are the only records of the package that change.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+TIME = "time"
+RUN = "run"
+STATE = "state"
+INPUT = "input"
+UNUSED = "not used"
+ROLES = (TIME, RUN, STATE, INPUT, UNUSED)
+
+NOTHING = "nothing"
+SHARE = "the last share"
+AFTER = "from a time on"
+RUNS = "runs by name"
+WAYS_HELD_OUT = (SHARE, AFTER, RUNS, NOTHING)
+DEFAULT_SHARE = "0.3"  # of the runs, or of the samples of a single run
+
+ENERGY = "PseudoHamiltonian"
+FIRST_ORDER = "FirstOrder"
+
+
+@dataclass
+class ColumnDraft:
+    """One column of the table and what it is.
+
+    Attributes:
+        column: its header.
+        role: one of `ROLES`.
+        name: in formulas, of a state or an input.
+        unit: such as "m"; "" where it is unknown.
+        noise: standard deviation of a state's noise; "" where it is unknown.
+        examples: its first cells.
+        is_numeric: whether it holds numbers; else it can only name runs.
+    """
+
+    column: str
+    role: str = UNUSED
+    name: str = ""
+    unit: str = ""
+    noise: str = ""
+    examples: tuple[str, ...] = ()
+    is_numeric: bool = True
+
+
+@dataclass
+class HeldOutDraft:
+    """What is kept from fitting, in one of the `WAYS_HELD_OUT`."""
+
+    way: str = SHARE
+    share: str = DEFAULT_SHARE
+    after: str = ""
+    runs: list[str] = field(default_factory=list)
+
+
+@dataclass
+class DataDraft:
+    """The files and their columns.
+
+    Attributes:
+        folder: in which the files are.
+        files: relative to the folder, or absolute.
+        columns: of the table.
+        n_samples: lines of numbers, of all files.
+        runs: names that the column of runs holds, or those of the files.
+        held_out: what is kept from fitting.
+        hold: what inputs do between samples.
+        unmeasured: units of states that nobody measured.
+    """
+
+    folder: Path
+    files: list[str] = field(default_factory=list)
+    columns: list[ColumnDraft] = field(default_factory=list)
+    n_samples: int = 0
+    runs: list[str] = field(default_factory=list)
+    held_out: HeldOutDraft = field(default_factory=HeldOutDraft)
+    hold: str = "linear"
+    unmeasured: dict[str, str] = field(default_factory=dict)
+
+    def with_role(self, role: str) -> list[ColumnDraft]:
+        """The columns of a role."""
+        return [column for column in self.columns if column.role == role]
+
+    def column_named(self, role: str, name: str) -> ColumnDraft | None:
+        """The column that is a state or an input of this name."""
+        for column in self.with_role(role):
+            if column.name == name:
+                return column
+        return None
+
+    def measure(self, role: str, name: str, column: str | None) -> None:
+        """Let a column be the state or input of a name; None: no column is."""
+        for known in self.columns:
+            if known.role == role and known.name == name:
+                known.role = UNUSED
+            if known.column == column:
+                known.role = role
+                known.name = name
+
+
+@dataclass
+class ParameterDraft:
+    """A number of the formulas.
+
+    Attributes:
+        name: in the formulas.
+        value: known, or where the search begins; "" where it is found in the data.
+        is_known: whether it is not estimated.
+        lower: least value; "" for none.
+        upper: largest value; "" for none.
+        unit: such as "N/m".
+        further: keys of a study file that the page does not show.
+    """
+
+    name: str
+    value: str = ""
+    is_known: bool = False
+    lower: str = ""
+    upper: str = ""
+    unit: str = ""
+    further: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class ModelDraft:
+    """The base model as it is written.
+
+    Attributes:
+        title: of the entry of the gallery that it came from; "" where it is written.
+        type: `ENERGY` or `FIRST_ORDER`.
+        states: names, separated by commas.
+        inputs: names, separated by commas.
+        pairs: such as "q-p, r-s": dq/dt = dH/dp, dp/dt = -dH/dq.
+        H: the energy.
+        R: losses by state.
+        F: forces by state.
+        parameters: in their order.
+        further: keys of [model] that the page does not show.
+    """
+
+    title: str = ""
+    type: str = ENERGY
+    states: str = ""
+    inputs: str = ""
+    pairs: str = ""
+    H: str = ""
+    R: dict[str, str] = field(default_factory=dict)
+    F: dict[str, str] = field(default_factory=dict)
+    parameters: list[ParameterDraft] = field(default_factory=list)
+    further: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def state_names(self) -> list[str]:
+        """The states, each once."""
+        return names_in(self.states)
+
+    @property
+    def input_names(self) -> list[str]:
+        """The inputs, each once."""
+        return names_in(self.inputs)
+
+
+def names_in(text: str) -> list[str]:
+    """Names of a text that are separated by commas or spaces, each once."""
+    return list(dict.fromkeys(text.replace(",", " ").split()))

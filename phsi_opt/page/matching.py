@@ -1,0 +1,60 @@
+"""Which column is which state of a base model, guessed from units and order."""
+
+from collections.abc import Callable, Mapping
+
+from phsi_opt.model.kinds import LENGTHS, plain_unit
+from phsi_opt.page.drafts import STATE, UNUSED, ColumnDraft, DataDraft
+
+
+def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
+    """Give the columns of states the names that the model has.
+
+    First where the units agree, then in order where one of them is unknown. A column
+    that fits no state is not used; a state without a column counts as not measured.
+
+    Args:
+        data: its columns are changed.
+        units: of the model's states, by name.
+    """
+    columns = data.with_role(STATE)
+    free = list(units)
+    left = []
+    for column in columns:
+        name = _first(column, free, units, is_same_unit)
+        if name is None:
+            left.append(column)
+            continue
+        column.name = name
+        free.remove(name)
+    for column in left:
+        name = _first(column, free, units, _is_open)
+        if name is None:
+            column.role = UNUSED
+            continue
+        column.name = name
+        free.remove(name)
+    data.unmeasured = {name: units[name] for name in free}
+
+
+def _first(
+    column: ColumnDraft,
+    free: list[str],
+    units: Mapping[str, str],
+    agrees: Callable[[str, str], bool],
+) -> str | None:
+    for name in free:
+        if agrees(column.unit, units[name]):
+            return name
+    return None
+
+
+def is_same_unit(one: str, other: str) -> bool:
+    """Whether two units are of one quantity: m and mm are."""
+    if not one or not other:
+        return False
+    are_lengths = one in LENGTHS and other in LENGTHS
+    return are_lengths or plain_unit(one) == plain_unit(other)
+
+
+def _is_open(one: str, other: str) -> bool:
+    return not one or not other

@@ -1,0 +1,242 @@
+"""The second part of the page: the base model, picked or written, checked as one types."""
+
+from collections.abc import Awaitable, Callable
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from phsi_opt.page.drafts import (
+    ENERGY,
+    FIRST_ORDER,
+    INPUT,
+    STATE,
+    ColumnDraft,
+    ModelDraft,
+    ParameterDraft,
+)
+from phsi_opt.page.gallery import GALLERY, BaseModel
+from phsi_opt.page.parts import card, choice, complaints, heading, text_field
+from phsi_opt.page.session import Session
+from phsi_opt.page.unknown_names import unknown_names
+
+NOT_MEASURED = "not measured"
+TYPES = {
+    ENERGY: "energy: dx/dt = (S - R) grad H + F",
+    FIRST_ORDER: "first order: dx/dt = F",
+}
+
+
+class ModelView:
+    """Draws the draft of the model.
+
+    Args:
+        session: whose draft it is.
+        checked: called after every change of the draft.
+        fit: begins to fit.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        checked: Callable[[], Awaitable[None]],
+        fit: Callable[[], Any],
+    ) -> None:
+        self._session = session
+        self._checked = checked
+        self._fit = fit
+
+    @property
+    def _draft(self) -> ModelDraft:
+        return self._session.draft.model
+
+    def build(self) -> None:
+        """Draw it all."""
+        self.gallery()
+        self.fields()
+        self.wrong()
+
+    @ui.refreshable_method
+    def gallery(self) -> None:
+        """The base models to begin with."""
+        with card():
+            heading("Base model")
+            ui.label("What is known of the machine. Pick one, then change it below.")
+            with ui.element("div").classes("tiles"):
+                for base in GALLERY:
+                    self._tile(base)
+
+    def _tile(self, base: BaseModel) -> None:
+        is_chosen = base.title == self._draft.title
+        tile = ui.element("button").classes("tile").props('type="button"')
+        tile.props(f'aria-pressed="{str(is_chosen).lower()}"')
+        if is_chosen:
+            tile.classes("chosen")
+        with tile:
+            chosen = " (chosen)" if is_chosen else ""
+            ui.label(f"{base.title}{chosen}").style("font-weight: 600")
+            ui.label(base.about).classes("faint")
+        tile.on("click", lambda: self._choose(base))
+
+    async def _choose(self, base: BaseModel) -> None:
+        self._session.choose(base)
+        await self._checked()
+
+    @ui.refreshable_method
+    def wrong(self) -> None:
+        """What is wrong with the model; parameters that formulas ask for; the fit."""
+        with card():
+            session = self._session
+            found = list(session.complaints)
+            complaints(found, "Model and data can be used.")
+            for name in unknown_names(self._draft):
+                ui.button(
+                    f"Make {name} a parameter",
+                    on_click=partial(self._add_parameter, name),
+                ).props("outline")
+            button = ui.button("Fit", on_click=self._fit)
+            button.set_enabled(not found and session.job is None)
+
+    @ui.refreshable_method
+    def fields(self) -> None:
+        """The model as it is written."""
+        draft = self._draft
+        with card():
+            heading("The model in formulas")
+            ui.label(
+                "Names in formulas are states, inputs, the time t, efforts such as "
+                "dH_dp, and the parameters below."
+            ).classes("faint")
+            with ui.element("div").classes("fields"):
+                choice("kind of model", TYPES, draft.type, self._set_type, width="20em")
+                self._field("states", "states", "q, p", self._named)
+                self._field("inputs", "inputs", "u", self._named)
+                if draft.type == ENERGY:
+                    self._field("pairs", "pairs: dq/dt = dH/dp", "q-p", self._checked)
+            if draft.type == ENERGY:
+                hint = "k*q**2/2 + p**2/(2*m)"
+                self._field("H", "energy H", hint, self._checked, width="100%")
+            self.by_state()
+        with card():
+            heading("Parameters")
+            self.parameters()
+
+    def _field(
+        self,
+        name: str,
+        label: str,
+        hint: str,
+        then: Callable[[], Awaitable[None]],
+        width: str = "14em",
+    ) -> None:
+        draft = self._draft
+
+        async def changed(value: str) -> None:
+            setattr(draft, name, value)
+            await then()
+
+        value = getattr(draft, name)
+        text_field(label, value, changed, width=width, hint=hint).classes("formula")
+
+    async def _set_type(self, value: str) -> None:
+        self._draft.type = value
+        self.fields.refresh()
+        await self._checked()
+
+    async def _named(self) -> None:
+        """States or inputs have other names now; the fields below follow."""
+        self.by_state.refresh()
+        await self._checked()
+
+    @ui.refreshable_method
+    def by_state(self) -> None:
+        """Loss, force and column of each state; the column of each input."""
+        draft = self._draft
+        for name in draft.state_names:
+            with ui.element("div").classes("fields candidate"):
+                ui.label(f"d{name}/dt").classes("formula").style("width: 5em")
+                if draft.type == ENERGY:
+                    self._formula(draft.R, name, f"loss R of {name}", "c")
+                self._formula(draft.F, name, f"force F on {name}", "u")
+                self._column(STATE, name)
+        for name in draft.input_names:
+            with ui.element("div").classes("fields candidate"):
+                ui.label(name).classes("formula").style("width: 5em")
+                self._column(INPUT, name)
+
+    def _formula(
+        self, formulas: dict[str, str], name: str, label: str, hint: str
+    ) -> None:
+        async def changed(value: str) -> None:
+            formulas[name] = value
+            await self._checked()
+
+        field = text_field(label, formulas.get(name, ""), changed, width="15em")
+        field.props(f'placeholder="{hint}"').classes("formula")
+
+    def _column(self, role: str, name: str) -> None:
+        """Which column of the table shows a state or an input."""
+        data = self._session.draft.data
+        if data is None:
+            return
+        options = [NOT_MEASURED] if role == STATE else []
+        options += [column.column for column in data.columns if column.is_numeric]
+        known: ColumnDraft | None = data.column_named(role, name)
+
+        async def changed(column: str) -> None:
+            chosen = None if column == NOT_MEASURED else column
+            data.measure(role, name, chosen)
+            self._session.shape += 1
+            await self._checked()
+
+        value = NOT_MEASURED if known is None else known.column
+        if value not in options:
+            options.append(value)
+        choice(f"column of {name}", options, value, changed, width="12em")
+
+    @ui.refreshable_method
+    def parameters(self) -> None:
+        """A row for each."""
+        for one in self._draft.parameters:
+            self._parameter(one)
+        ui.button("Add a parameter", on_click=lambda: self._add_parameter("")).props(
+            "outline"
+        )
+
+    def _parameter(self, one: ParameterDraft) -> None:
+        name = one.name or "new parameter"
+        with ui.element("div").classes("fields candidate"):
+            self._number(one, "name", "name", "8em", "k")
+            start = "known value" if one.is_known else "start"
+            self._number(one, "value", f"{start} of {name}", "10em", "found in data")
+            self._number(one, "lower", f"least {name}", "8em", "none")
+            self._number(one, "upper", f"largest {name}", "8em", "none")
+            self._number(one, "unit", f"unit of {name}", "8em", "N/m")
+            known = ui.checkbox("known", value=one.is_known)
+            known.on_value_change(lambda e: self._set_known(one, bool(e.value)))
+            remove = ui.button("Remove", on_click=lambda: self._remove(one))
+            remove.props(f'flat aria-label="Remove {name}"')
+
+    def _number(
+        self, one: ParameterDraft, field: str, label: str, width: str, hint: str
+    ) -> None:
+        async def changed(value: str) -> None:
+            setattr(one, field, value.strip())
+            await self._checked()
+
+        text_field(label, getattr(one, field), changed, width=width, hint=hint)
+
+    async def _set_known(self, one: ParameterDraft, is_known: bool) -> None:
+        one.is_known = is_known
+        self.parameters.refresh()
+        await self._checked()
+
+    async def _add_parameter(self, name: str) -> None:
+        self._draft.parameters.append(ParameterDraft(name))
+        self.parameters.refresh()
+        await self._checked()
+
+    async def _remove(self, one: ParameterDraft) -> None:
+        self._draft.parameters.remove(one)
+        self.parameters.refresh()
+        await self._checked()

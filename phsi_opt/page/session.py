@@ -1,0 +1,384 @@
+"""One browser's study: drafts, results and the work that goes on; without a browser.
+
+It outlives the page that shows it: a page that is loaded again shows the same session.
+Everything that a view may do is a method here; the views only draw what it holds.
+"""
+
+import shutil
+import time
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
+from phsi_opt.page.drafts import INPUT, DataDraft
+from phsi_opt.page.gallery import BaseModel
+from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
+from phsi_opt.page.matching import match_states
+from phsi_opt.page.snapshot import Snapshot
+from phsi_opt.page.study_draft import StudyDraft, draft_of
+from phsi_opt.page.table_look import look_at, without_folder
+from phsi_opt.page.worker import (
+    ADD,
+    AUTO,
+    DIAGNOSE,
+    FIT,
+    REPORT,
+    UNDO,
+    Done,
+    Order,
+    Refused,
+    Said,
+    Shown,
+    Wrote,
+)
+from phsi_opt.page.worker_handle import WorkerHandle
+from phsi_opt.study_file.study_file import StudyFile
+
+WORKING_FILE = "working_study.toml"
+CHECKPOINT = "study.checkpoint"
+REPORT_FILE = "report.md"
+
+
+@dataclass
+class Job:
+    """Work that goes on.
+
+    Attributes:
+        label: such as "Fitting the base model".
+        began: by `time.monotonic`.
+        lines: what the worker said, the oldest first.
+    """
+
+    label: str
+    began: float = field(default_factory=time.monotonic)
+    lines: list[str] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Since it began."""
+        return time.monotonic() - self.began
+
+
+class Session:
+    """The study of one browser.
+
+    Args:
+        folder: for its files; it is removed by `close`.
+        study_file: a study file to begin with, which has been read without complaint.
+
+    Attributes:
+        draft: what the user filled in.
+        complaints: what is wrong with it, by key, as of the last `check`.
+        upload_error: why the last file was refused; "" where it was not.
+        job: the work that goes on; None: none does.
+        message: how the last job ended where it did not end well; "" else.
+        snapshot: the study as it stands; None before the first fit.
+        fitted: the draft's study file as it was fitted last; "" before.
+        report_path: the report that was written last.
+        shape: counts changes after which the fields of the drafts are drawn anew.
+        version: counts changes of all else.
+        seen: when a page last asked, by `time.monotonic`.
+    """
+
+    def __init__(self, folder: Path, study_file: Path | None = None) -> None:
+        self.folder = folder
+        self.draft = StudyDraft()
+        self.complaints: tuple[Complaint, ...] = ()
+        self.upload_error = ""
+        self.job: Job | None = None
+        self.message = ""
+        self.snapshot: Snapshot | None = None
+        self.fitted = ""
+        self.report_path: Path | None = None
+        self.shape = 0
+        self.version = 0
+        self.seen = time.monotonic()
+        self._worker: WorkerHandle | None = None
+        self._idle_since = time.monotonic()
+        self._fitting = ""
+        if study_file is not None:
+            self._open(study_file)
+
+    # ---- drafts ----------------------------------------------------------------------
+
+    def _open(self, path: Path) -> None:
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        files = content["data"]["files"]
+        listed = [files] if isinstance(files, str) else list(files)
+        data = look_at(path.parent, listed)
+        self.draft = draft_of(content, data)
+        self.check()
+
+    def upload(self, name: str, content: bytes) -> bool:
+        """Take a table; whether it could be used.
+
+        A further table with the same columns is a further run; ``upload_error`` says
+        why one was refused, and the files before it stay.
+        """
+        self.shape += 1
+        file = Path(name).name or "table.csv"
+        known = [] if self.draft.data is None else list(self.draft.data.files)
+        path = self.folder / file
+        before = path.read_bytes() if path.exists() else None
+        try:
+            _check_size(file, content, len(known))
+            path.write_bytes(content)
+            self._take_files([one for one in known if one != file] + [file])
+        except DataError as error:
+            self.upload_error = str(error)
+            _restore(path, before)
+            return False
+        self.upload_error = ""
+        self._ready_worker()
+        return True
+
+    def _take_files(self, files: list[str]) -> None:
+        """Look at all files; columns that are known keep what was said of them."""
+        known = self.draft.data
+        data = look_at(self.folder, files)
+        headers = [column.column for column in data.columns]
+        if known is not None and known.folder == self.folder:
+            if headers != [column.column for column in known.columns]:
+                data = look_at(self.folder, files[-1:])  # another table altogether
+            else:
+                data.columns = known.columns
+                data.held_out = known.held_out
+                data.unmeasured = known.unmeasured
+        self.draft.data = data
+        self.check()
+
+    def choose(self, base: BaseModel) -> None:
+        """Begin with an entry of the gallery; columns become its states."""
+        self.shape += 1
+        inputs: list[str] = []
+        if self.draft.data is not None:
+            match_states(self.draft.data, base.units)
+            inputs = [one.name for one in self.draft.data.with_role(INPUT)]
+        self.draft.model = base.drafted(inputs)
+        self.draft.added = []
+        self.check()
+
+    def check(self) -> tuple[Complaint, ...]:
+        """Read the draft as a study file; keep and return what is wrong with it."""
+        self.version += 1
+        if self.draft.data is None:
+            self.complaints = (
+                Complaint("data.files", "", "there is no table yet; drop a CSV file."),
+            )
+            return self.complaints
+        try:
+            StudyFile.read(self._working_file())
+            self.complaints = ()
+        except StudyFileError as error:
+            self.complaints = _named(error.complaints, self.draft.data)
+        return self.complaints
+
+    def complaints_about(self, *keys: str) -> list[Complaint]:
+        """What is wrong at these keys of a study file, or below them."""
+        found = []
+        for complaint in self.complaints:
+            for key in keys:
+                if complaint.key == key or complaint.key.startswith((f"{key}.", f"{key}[")):
+                    found.append(complaint)
+        return found
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether the draft has changed since it was fitted."""
+        return bool(self.fitted) and self.fitted != self.draft.text()
+
+    def _working_file(self) -> Path:
+        path = self.folder / WORKING_FILE
+        path.write_text(self.draft.text(absolute=True), encoding="utf-8")
+        return path
+
+    # ---- work ------------------------------------------------------------------------
+
+    def fit(self) -> None:
+        """Fit the draft, and ask what it lacks."""
+        if self.check():
+            self.message = "The draft cannot be fitted yet; see what is to correct."
+            return
+        self._fitting = self.draft.text()
+        path = self._working_file()
+        self._order("Fitting the base model", Order(FIT, (str(path),)))
+
+    def diagnose(self) -> None:
+        """Ask what the present model lacks."""
+        self._order("Looking for what is missing", Order(DIAGNOSE))
+
+    def add(self, effects: Sequence[str]) -> None:
+        """Add effects of the ranking, re-fit, and ask again."""
+        label = f"Adding {' and '.join(effects)}"
+        self._order(label, Order(ADD, tuple(effects)))
+
+    def undo(self) -> None:
+        """Take back the last step."""
+        self._order("Taking back the last step", Order(UNDO))
+
+    def auto(self) -> None:
+        """Add while an effect is significant."""
+        self._order("Adding until nothing is left", Order(AUTO))
+
+    def report(self) -> None:
+        """Write the report; ``report_path`` is set when it is there."""
+        self.report_path = None
+        path = self.folder / REPORT_FILE
+        self._order("Writing the report", Order(REPORT, (str(path),)))
+
+    def cancel(self) -> None:
+        """End the work that goes on, within two seconds; what was found before stays."""
+        if self.job is None:
+            return
+        label = self.job.label
+        self._end_worker()
+        self.message = f"Cancelled: {label}. What was found before is kept."
+        self._ready_worker()
+        self.version += 1
+
+    def _order(self, label: str, order: Order) -> None:
+        if self.job is not None:
+            return
+        self.message = ""
+        self.job = Job(label)
+        self._ready_worker().tell(order)
+        self.version += 1
+
+    def _ready_worker(self) -> WorkerHandle:
+        """The worker; a new one goes on from the study that the last one kept."""
+        if self._worker is None or not self._worker.is_alive:
+            self._worker = WorkerHandle(self.folder / CHECKPOINT, self._receive)
+        self._idle_since = time.monotonic()
+        return self._worker
+
+    def _end_worker(self) -> None:
+        worker = self._worker
+        self._worker = None  # what it still says is not listened to
+        self.job = None
+        if worker is not None:
+            worker.end()
+
+    @property
+    def idle_seconds(self) -> float:
+        """For how long a worker has had nothing to do; 0 where there is none."""
+        if self._worker is None or self.job is not None:
+            return 0.0
+        return time.monotonic() - self._idle_since
+
+    def rest(self) -> None:
+        """End a worker that has nothing to do; the next order starts another."""
+        if self.job is None:
+            self._end_worker()
+
+    def _receive(self, worker: WorkerHandle, message: Any) -> None:
+        """Take a message of the worker; called from its thread."""
+        if worker is not self._worker:
+            return
+        if isinstance(message, Said):
+            self._note(message.line)
+        elif isinstance(message, Shown):
+            self.snapshot = message.snapshot
+            if self._fitting:
+                self.fitted = self._fitting
+        elif isinstance(message, Wrote):
+            self.report_path = Path(message.path)
+        elif isinstance(message, Refused):
+            self.message = message.message
+            self.complaints = message.complaints or self.complaints
+        elif isinstance(message, Done):
+            self.job = None
+            self._fitting = ""
+            self._idle_since = time.monotonic()
+        elif message is None:
+            self._lose_worker()
+        self.version += 1
+
+    def _note(self, line: str) -> None:
+        if self.job is not None:
+            self.job.lines.append(line)
+            del self.job.lines[:-MOST_LINES]
+
+    def _lose_worker(self) -> None:
+        """The process ended by itself, for want of memory perhaps."""
+        if self.job is not None:
+            self.message = (
+                f"The process that was at work ended unexpectedly ({self.job.label}). "
+                "What was found before is kept; try again, with fewer samples if "
+                "memory is short."
+            )
+        self._worker = None
+        self.job = None
+
+    # ---- files to take away ----------------------------------------------------------
+
+    def study_file(self) -> StudyFile:
+        """The study file as it was fitted, with the effects added.
+
+        Raises:
+            DataError: nothing was fitted yet.
+            StudyFileError: a data file has changed since.
+        """
+        if self.snapshot is None or self.draft.data is None:
+            raise DataError("nothing has been fitted yet; press Fit first.")
+        path = self.folder / "study.toml"
+        path.write_text(self.fitted, encoding="utf-8")
+        if self.draft.data.folder != self.folder:
+            path.write_text(self.draft.text(absolute=True), encoding="utf-8")
+        file = StudyFile.read(path)
+        further = [one for one in self.snapshot.added if one not in file.steps.added]
+        return file.with_added(*further)
+
+    def study_text(self) -> str:
+        """The study file, with comments.
+
+        Raises:
+            DataError: nothing was fitted yet.
+        """
+        return self.study_file().text()
+
+    def script(self) -> str:
+        """The Python script that does the same, effect by effect.
+
+        Raises:
+            DataError: nothing was fitted yet.
+        """
+        return self.study_file().script()
+
+    def close(self) -> None:
+        """End the worker and remove the files."""
+        self._end_worker()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _check_size(file: str, content: bytes, n_known: int) -> None:
+    if len(content) > MOST_UPLOADED:
+        raise DataError(
+            f"{file} has {in_megabytes(len(content))}; at most "
+            f"{in_megabytes(MOST_UPLOADED)} are taken. Keep every tenth sample, or "
+            "work on the file from Python."
+        )
+    if n_known >= MOST_FILES:
+        raise DataError(f"there are {n_known} files already, at most {MOST_FILES}.")
+
+
+def _restore(path: Path, before: bytes | None) -> None:
+    """The file as it was before one that could not be used."""
+    if before is None:
+        path.unlink(missing_ok=True)
+    else:
+        path.write_bytes(before)
+
+
+def _named(
+    complaints: Sequence[Complaint], data: DataDraft
+) -> tuple[Complaint, ...]:
+    """The complaints with the files' names alone."""
+    named = []
+    for one in complaints:
+        said = without_folder(one.said, data.folder)
+        value = without_folder(one.value, data.folder)
+        named.append(Complaint(one.key, value, said))
+    return tuple(named)

@@ -1,0 +1,157 @@
+"""The page as a whole: its three parts, the work that goes on, and keeping up with it.
+
+A page asks its session a few times a second whether something has changed, and draws
+that anew. So it does not matter how often it is loaded, or in how many windows.
+"""
+
+from collections.abc import Callable
+
+from nicegui import run, ui
+
+from phsi_opt.page import style
+from phsi_opt.page.data_view import DataView
+from phsi_opt.page.model_view import ModelView
+from phsi_opt.page.parts import heading
+from phsi_opt.page.session import Session
+from phsi_opt.page.snapshot import Snapshot
+from phsi_opt.page.study_view import StudyView
+
+ASK_EVERY = 0.25  # s between looks at the session; faster than a reader notices
+DATA = "1 Data"
+MODEL = "2 Model"
+STUDY = "3 Study"
+THEMES = {None: "as the system", False: "light", True: "dark"}
+
+
+class Shell:
+    """One page of a browser.
+
+    Args:
+        session: of the browser.
+        begin_again: forgets the session.
+    """
+
+    def __init__(self, session: Session, begin_again: Callable[[], None]) -> None:
+        self._session = session
+        self._begin_again = begin_again
+        self._data = DataView(session, self._checked, lambda: self._go(MODEL))
+        self._model = ModelView(session, self._checked, self._fit)
+        self._study = StudyView(session)
+        self._shape = session.shape
+        self._version = session.version
+        self._snapshot: Snapshot | None = session.snapshot
+        self._was_stale = session.is_stale
+        self._job = session.job
+
+    def build(self) -> None:
+        """Draw everything and keep up with the session."""
+        ui.colors(primary=style.PRIMARY)
+        ui.add_css(style.CSS)
+        self._dark = ui.dark_mode(value=None)
+        ui.link("Skip to the content", "#content").classes("skip")
+        self._header()
+        first = DATA
+        if self._session.snapshot is not None or self._session.job is not None:
+            first = STUDY
+        with (
+            ui.element("main").classes("page").props('id="content"'),
+            ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
+        ):
+            with ui.tab_panel(DATA), ui.column().classes("w-full gap-3"):
+                self._data.build()
+            with ui.tab_panel(MODEL), ui.column().classes("w-full gap-3"):
+                self._model.build()
+            with ui.tab_panel(STUDY), ui.column().classes("w-full gap-3"):
+                self._study.build()
+        with ui.footer().classes("q-pa-sm"):
+            self.status()
+        ui.timer(ASK_EVERY, self._keep_up)
+
+    def _header(self) -> None:
+        with ui.header().classes("items-center justify-between q-py-xs"):
+            heading("phsi_opt", 1)
+            with ui.tabs().props("dense no-caps") as self._tabs:
+                for name in (DATA, MODEL, STUDY):
+                    ui.tab(name)
+            with ui.button("Menu").props("flat color=primary"), ui.menu():
+                for value, name in THEMES.items():
+                    ui.menu_item(
+                        f"Colours: {name}",
+                        on_click=lambda value=value: self._dark.set_value(value),
+                    )
+                ui.separator()
+                ui.menu_item("Begin again: forget this study", self._begin_again)
+
+    def _go(self, part: str) -> None:
+        self._tabs.set_value(part)
+
+    def _fit(self) -> None:
+        self._session.fit()
+        if self._session.job is not None:
+            self._go(STUDY)
+
+    async def _checked(self) -> None:
+        await run.io_bound(self._session.check)
+
+    # ---- the work that goes on -------------------------------------------------------
+
+    @ui.refreshable_method
+    def status(self) -> None:
+        """What is done now, with the button that ends it; or how it ended."""
+        session = self._session
+        with (
+            ui.row()
+            .classes("w-full items-center gap-3 page q-py-none")
+            .props('role="status" aria-live="polite"')
+        ):
+            if session.job is None:
+                ui.label(session.message or _standing(session))
+                return
+            ui.spinner(size="22px").props('aria-hidden="true"')
+            line = session.job.lines[-1] if session.job.lines else "starting"
+            ui.label(f"{session.job.label}: {line}").style("flex: 1; min-width: 0")
+            self._seconds = ui.label(_seconds(session)).props('aria-live="off"')
+            ui.button("Cancel", on_click=session.cancel)
+
+    def _keep_up(self) -> None:
+        """Draw anew what has changed since the last look."""
+        session = self._session
+        if session.shape != self._shape:
+            self._shape = session.shape
+            self._data.error.refresh()
+            self._data.table.refresh()
+            self._model.gallery.refresh()
+            self._model.fields.refresh()
+        if session.version != self._version:
+            self._version = session.version
+            self._show_changes()
+        elif session.job is not None:
+            self._seconds.set_text(_seconds(session))
+        self._study.deliver()
+
+    def _show_changes(self) -> None:
+        session = self._session
+        self.status.refresh()
+        self._data.wrong.refresh()
+        self._model.wrong.refresh()
+        is_new = session.snapshot is not self._snapshot or session.job is not self._job
+        if is_new or session.is_stale != self._was_stale:
+            self._snapshot = session.snapshot
+            self._job = session.job
+            self._was_stale = session.is_stale
+            self._study.build.refresh()
+
+
+def _seconds(session: Session) -> str:
+    return "" if session.job is None else f"{session.job.seconds:.0f} s"
+
+
+def _standing(session: Session) -> str:
+    """What to do next, where nothing goes on."""
+    if session.snapshot is not None:
+        return "Nothing is being solved."
+    if session.draft.data is None:
+        return "Begin with the measurements: part 1."
+    if session.complaints:
+        return "Then the model: part 2."
+    return "Data and model can be used: press Fit."

@@ -1,0 +1,246 @@
+"""What the page shows of a study: plain records that travel between processes.
+
+Made in the worker from a study; the views draw them and ask nothing else.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+TRAINING = "training"
+HELD_OUT = "held out"
+
+
+@dataclass(frozen=True)
+class ErrorStep:
+    """One step of the staircase: errors of the free run, in the study's unit.
+
+    ``held_out`` is None where nothing is held out.
+    """
+
+    number: int
+    label: str
+    train: float
+    held_out: float | None
+    floor: float
+
+    @property
+    def judged(self) -> float:
+        """The error on data held out, or else on the training data."""
+        return self.train if self.held_out is None else self.held_out
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelCurves:
+    """One measured channel of a run.
+
+    Attributes:
+        name: of the state.
+        unit: its unit, or "".
+        measured: (n_samples,), NaN where missing.
+        shown: (n_samples,) by the sensor in the free run.
+        noise: standard deviation of the measurements.
+    """
+
+    name: str
+    unit: str
+    measured: np.ndarray
+    shown: np.ndarray
+    noise: float
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Measured less shown, (n_samples,)."""
+        return self.measured - self.shown
+
+
+@dataclass(frozen=True, eq=False)
+class RunCurves:
+    """One run with all its channels.
+
+    Attributes:
+        name: of the run.
+        part: `TRAINING` or `HELD_OUT`.
+        t: (n_samples,) times.
+        channels: those that were measured.
+    """
+
+    name: str
+    part: str
+    t: np.ndarray
+    channels: tuple[ChannelCurves, ...]
+
+    @property
+    def title(self) -> str:
+        """Such as 'run 3, held out'."""
+        return f"{self.name}, {self.part}"
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared residual in variances of the noise, of the worst channel."""
+        worst = 0.0
+        for channel in self.channels:
+            scaled = channel.residual / channel.noise
+            if np.isfinite(scaled).any():
+                worst = max(worst, float(np.nanmean(scaled**2)))
+        return worst
+
+
+@dataclass(frozen=True, eq=False)
+class ForceCurve:
+    """The missing force of one equation along one run of the training data.
+
+    Attributes:
+        run: its name.
+        equation: the state whose rate lacks the force.
+        unit: of the force, or "".
+        t: (n_intervals,) middles of the intervals.
+        force: (n_intervals,).
+        std: (n_intervals,) its standard deviation.
+    """
+
+    run: str
+    equation: str
+    unit: str
+    t: np.ndarray
+    force: np.ndarray
+    std: np.ndarray
+
+
+@dataclass(frozen=True)
+class CandidateRow:
+    """One candidate of the ranking, or two together.
+
+    Attributes:
+        effects: such as ("coulomb friction on p",).
+        coefficient: its size.
+        std_error: of the coefficient.
+        train: the training error that it would leave.
+        held_out: the error on data held out that it would leave; NaN: not known.
+        confusable_with: effects that the data cannot tell from it.
+        lost: why it is not named; "" where nothing speaks against it.
+        is_proposed: whether the diagnosis proposes it.
+    """
+
+    effects: tuple[str, ...]
+    coefficient: float
+    std_error: float
+    train: float
+    held_out: float
+    confusable_with: tuple[str, ...]
+    lost: str
+    is_proposed: bool
+
+    @property
+    def label(self) -> str:
+        """The effects in words."""
+        return " and ".join(self.effects)
+
+    @property
+    def size(self) -> str:
+        """The coefficient with its standard error."""
+        if not np.isfinite(self.coefficient):
+            return ""
+        if not np.isfinite(self.std_error):
+            return f"{self.coefficient:.3g}"
+        return f"{self.coefficient:.3g} ± {self.std_error:.2g}"
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """What the diagnosis of the present model said.
+
+    Attributes:
+        verdict: in one phrase.
+        reason: in a sentence.
+        is_missing: whether something is missing.
+        sentences: where it fails, an equation each.
+        where: the place where the missing force is strongest, in words.
+        since: the time from which it is sure, in words.
+        proposed: effects to add next.
+        candidates: best first.
+        forces: the missing force of each equation and run.
+        strongest: the equation whose missing force is strongest; "" for none.
+    """
+
+    verdict: str
+    reason: str
+    is_missing: bool
+    sentences: tuple[str, ...]
+    where: str
+    since: str
+    proposed: tuple[str, ...]
+    candidates: tuple[CandidateRow, ...]
+    forces: tuple[ForceCurve, ...]
+    strongest: str
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One parameter of the present model."""
+
+    name: str
+    value: float
+    std_error: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A study as it stands.
+
+    Attributes:
+        unit: of the errors.
+        t_unit: of the times.
+        steps: the base model first.
+        added: the effects that the present model has beyond the base model.
+        equations: of the present model.
+        parameters: of the present model.
+        warning: what to do where the free run is flat; "" where it is not.
+        runs: the free run beside the measurements, training and held out.
+        diagnosed: None before the present model was diagnosed.
+        stopped: why the automatic study stopped; "" where it did not run.
+    """
+
+    unit: str
+    t_unit: str
+    steps: tuple[ErrorStep, ...]
+    added: tuple[str, ...]
+    equations: tuple[str, ...]
+    parameters: tuple[ParameterRow, ...]
+    warning: str
+    runs: tuple[RunCurves, ...]
+    diagnosed: Diagnosed | None
+    stopped: str
+
+    @property
+    def judged_part(self) -> str:
+        """The part of the data that judges."""
+        return TRAINING if self.steps[-1].held_out is None else HELD_OUT
+
+    @property
+    def worst_run(self) -> int:
+        """The number of the run of the judging data with the largest residuals."""
+        sizes = []
+        for run in self.runs:
+            sizes.append(run.misfit if run.part == self.judged_part else -1.0)
+        return int(np.argmax(sizes))
+
+
+def force_near(curves: Sequence[ForceCurve], run: str, t: float) -> list[str]:
+    """What each equation lacks at a time of a run, in sentences; none elsewhere."""
+    said = []
+    for curve in curves:
+        if curve.run != run or not len(curve.t):
+            continue
+        place = int(np.argmin(np.abs(curve.t - t)))
+        force = curve.force[place]
+        std = curve.std[place]
+        unit = f" {curve.unit}" if curve.unit else ""
+        sure = "sure" if abs(force) > 2 * std else "not told from zero"
+        said.append(
+            f"d{curve.equation}/dt lacks {force:.3g} ± {std:.2g}{unit} at "
+            f"t = {curve.t[place]:.4g} ({sure})."
+        )
+    return said

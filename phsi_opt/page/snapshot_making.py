@@ -1,0 +1,194 @@
+"""Snapshots from a study, in the worker."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from phsi_opt.comparison.compare import Comparison
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.force_analysis.units import force_unit
+from phsi_opt.page.snapshot import (
+    HELD_OUT,
+    TRAINING,
+    CandidateRow,
+    ChannelCurves,
+    Diagnosed,
+    ErrorStep,
+    ForceCurve,
+    ParameterRow,
+    RunCurves,
+    Snapshot,
+)
+from phsi_opt.study import Study
+
+# Standard deviations beyond which the missing force counts as sure, at one time.
+SURE = 2.0
+# Units of forces as people write them.
+PLAIN_FORCES = {
+    "(kg m/s)/s": "N",
+    "(kg m2/s)/s": "N m",
+    "(kg m^2/s)/s": "N m",
+    "N s/s": "N",
+    "C/s": "A",
+    "Wb/s": "V",
+}
+
+
+def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
+    """A study as it stands.
+
+    Args:
+        study: with at least its base model fitted.
+        diagnosis: of the present model; None where there is none yet.
+    """
+    step = study.steps[-1]
+    runs = _runs(step.train, TRAINING)
+    if step.held_out is not None:
+        runs += _runs(step.held_out, HELD_OUT)
+    return Snapshot(
+        unit=study.unit,
+        t_unit=study.train.units.get("t", ""),
+        steps=tuple(_steps(study)),
+        added=tuple(str(effect) for effect in study.added),
+        equations=tuple(study.fit.equations()),
+        parameters=tuple(_parameters(study.fit.parameters)),
+        warning=step.judged.warning,
+        runs=tuple(runs),
+        diagnosed=None if diagnosis is None else _diagnosed(diagnosis),
+        stopped=study.stopped,
+    )
+
+
+def _steps(study: Study) -> list[ErrorStep]:
+    steps = []
+    for number, step in enumerate(study.steps):
+        held_out = None if step.held_out is None else step.held_out.rmse
+        floor = step.judged.noise_floor
+        steps.append(ErrorStep(number, step.label, step.train.rmse, held_out, floor))
+    return steps
+
+
+def _parameters(table: pd.DataFrame) -> list[ParameterRow]:
+    rows = []
+    for _, row in table.iterrows():
+        value = float(row["value"])
+        std_error = float(row["std_error"])
+        rows.append(ParameterRow(str(row["name"]), value, std_error, str(row["unit"])))
+    return rows
+
+
+def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
+    runs = []
+    for number, run in enumerate(comparison.data.trajectories):
+        channels = []
+        for k, name in enumerate(comparison.model.states):
+            if name in comparison.data.measured:
+                unit = comparison.data.units.get(name, "")
+                shown = comparison.shown[number][:, k]
+                noise = float(comparison.sigma[k])
+                measured = run.x[:, k]
+                channels.append(ChannelCurves(name, unit, measured, shown, noise))
+        runs.append(RunCurves(run.name, part, run.t, tuple(channels)))
+    return runs
+
+
+def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
+    forces = _forces(diagnosis)
+    where = diagnosis.where
+    strongest = str(where["equation"].iloc[0]) if len(where) else ""
+    proposed = tuple(str(effect) for effect in diagnosis.proposed)
+    return Diagnosed(
+        verdict=str(diagnosis.verdict),
+        reason=diagnosis.reason,
+        is_missing=diagnosis.verdict != Verdict.NOTHING_MISSING,
+        sentences=tuple(diagnosis.sentences),
+        where=_where(where, diagnosis.data.units),
+        since=_since(forces, strongest, diagnosis.data.units.get("t", "")),
+        proposed=proposed,
+        candidates=tuple(_candidates(diagnosis.ranking, proposed)),
+        forces=tuple(forces),
+        strongest=strongest,
+    )
+
+
+def _candidates(
+    ranking: tuple[Candidate, ...], proposed: tuple[str, ...]
+) -> list[CandidateRow]:
+    rows = []
+    for candidate in ranking:
+        effects = tuple(str(effect) for effect in candidate.effects)
+        rows.append(
+            CandidateRow(
+                effects=effects,
+                coefficient=float(candidate.coefficient),
+                std_error=float(candidate.std_error),
+                train=float(candidate.train_rmse),
+                held_out=float(candidate.held_out_rmse),
+                confusable_with=tuple(map(str, candidate.confusable_with)),
+                lost=candidate.lost,
+                is_proposed=bool(proposed) and effects == proposed,
+            )
+        )
+    return rows
+
+
+def _forces(diagnosis: Diagnosis) -> list[ForceCurve]:
+    table = diagnosis.missing_force
+    equations = [name[4:] for name in table.columns if str(name).startswith("std_")]
+    forces = []
+    for run, rows in table.groupby("trajectory", sort=False):
+        for equation in equations:
+            forces.append(
+                ForceCurve(
+                    run=str(run),
+                    equation=equation,
+                    unit=plain_force_unit(equation, diagnosis.data.units),
+                    t=rows["t"].to_numpy(),
+                    force=rows[equation].to_numpy(),
+                    std=rows[f"std_{equation}"].to_numpy(),
+                )
+            )
+    return forces
+
+
+def plain_force_unit(equation: str, units: Mapping[str, str]) -> str:
+    """Unit of a missing force as people write it: N, not (kg m/s)/s."""
+    unit = force_unit(equation, units)
+    return PLAIN_FORCES.get(unit, unit)
+
+
+def _where(where: pd.DataFrame, units: Mapping[str, str]) -> str:
+    """The strongest place in words."""
+    if not len(where):
+        return ""
+    row = where.iloc[0]
+    equation = str(row["equation"])
+    unit = plain_force_unit(equation, units)
+    region = str(row["state_region"])
+    place = "everywhere in its range" if region == "everywhere" else f"where {region}"
+    strength = f"{row['strength']:.2g}{' ' if unit else ''}{unit}"
+    return f"In d{equation}/dt, {place}: a force of rms {strength} is missing."
+
+
+def _since(forces: list[ForceCurve], strongest: str, t_unit: str) -> str:
+    """From when on the strongest missing force is sure, over the runs."""
+    begins = []
+    n_runs = 0
+    for curve in forces:
+        if curve.equation != strongest:
+            continue
+        n_runs += 1
+        sure = np.flatnonzero(np.abs(curve.force) > SURE * curve.std)
+        if len(sure):
+            begins.append((float(curve.t[sure[0]]), curve.run))
+    unit = f" {t_unit}" if t_unit else ""
+    if not begins:
+        return "At no single time; only the whole record shows it."
+    t, run = min(begins)
+    return (
+        f"From t = {t:.3g}{unit} on in {run}; sure at some time in {len(begins)} of "
+        f"{n_runs} training runs."
+    )

@@ -1,0 +1,295 @@
+"""Drafts as the text of a study file, and back from the tables of one.
+
+What the page does not show (own effects, the loss, kinds of states) is kept as it was.
+"""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from phsi_opt.page.drafts import (
+    AFTER,
+    DEFAULT_SHARE,
+    FIRST_ORDER,
+    INPUT,
+    RUN,
+    RUNS,
+    SHARE,
+    STATE,
+    TIME,
+    ColumnDraft,
+    DataDraft,
+    ModelDraft,
+    ParameterDraft,
+)
+from phsi_opt.study_file.study_text import section
+from phsi_opt.study_file.toml_text import toml_value
+
+Content = dict[str, Any]
+# Keys of a study file that the page neither shows nor changes.
+KEPT = ("effects", "loss")
+
+
+@dataclass
+class StudyDraft:
+    """All that a user has filled in.
+
+    Attributes:
+        data: files and columns; None before there is a file.
+        model: the base model.
+        added: effects that a study file had already.
+        kept: sections that the page does not show.
+    """
+
+    data: DataDraft | None = None
+    model: ModelDraft = field(default_factory=ModelDraft)
+    added: list[str] = field(default_factory=list)
+    kept: Content = field(default_factory=dict)
+
+    def text(self, absolute: bool = False) -> str:
+        """The study file.
+
+        Args:
+            absolute: whether the files are named with their folders.
+        """
+        content = self.content(absolute)
+        parts = []
+        for name in ("data", "held_out", "model", "parameters", "study", "loss"):
+            parts.append(section(name, content.get(name, {})))
+        for effect in content.get("effects", []):
+            parts.append(section("[effects]", effect))
+        return "\n".join(filter(None, parts))
+
+    def content(self, absolute: bool = False) -> Content:
+        """The tables of the study file."""
+        content: Content = dict(self.kept)
+        if self.data is not None:
+            content["data"] = _data(self.data, self.model, absolute)
+            content["held_out"] = _held_out(self.data)
+        content["model"] = _model(self.model)
+        parameters = {}
+        for one in self.model.parameters:
+            if one.name:
+                parameters[one.name] = _parameter(one)
+        content["parameters"] = parameters
+        study = dict(self.kept.get("study", {}))
+        content["study"] = {**study, "added": list(self.added)}
+        return content
+
+
+def _data(draft: DataDraft, model: ModelDraft, absolute: bool) -> Content:
+    files = []
+    for file in draft.files:
+        files.append(str(draft.folder.absolute() / file) if absolute else file)
+    content: Content = {"files": files}
+    for column in draft.with_role(RUN):
+        content["trajectory"] = column.column
+    inputs = _channels(draft, INPUT)
+    if inputs:
+        content["hold"] = draft.hold
+    content["time"] = {}
+    for column in draft.with_role(TIME):
+        content["time"] = _channel(column)
+    states = _channels(draft, STATE)
+    for name in model.state_names:
+        if name not in states:
+            states[name] = {"measured": False}
+            if draft.unmeasured.get(name):
+                states[name]["unit"] = draft.unmeasured[name]
+    content["states"] = states
+    if inputs:
+        content["inputs"] = inputs
+    return content
+
+
+def _channels(draft: DataDraft, role: str) -> Content:
+    return {one.name or one.column: _channel(one) for one in draft.with_role(role)}
+
+
+def _channel(column: ColumnDraft) -> Content:
+    content: Content = {"column": column.column}
+    if column.unit:
+        content["unit"] = column.unit
+    if column.noise and column.role == STATE:
+        content["noise"] = _number(column.noise)
+    return content
+
+
+def _number(text: str) -> Any:
+    """The number; the text itself where it is none, so that reading refuses it."""
+    try:
+        return float(text.strip())
+    except ValueError:
+        return text
+
+
+def _held_out(draft: DataDraft) -> Content:
+    held_out = draft.held_out
+    if held_out.way == SHARE:
+        return {"share": _number(held_out.share)}
+    if held_out.way == AFTER:
+        return {"after": _number(held_out.after)}
+    if held_out.way == RUNS:
+        return {"runs": list(held_out.runs)}
+    return {}
+
+
+def _model(draft: ModelDraft) -> Content:
+    content: Content = {"type": draft.type, "states": draft.state_names}
+    if draft.input_names:
+        content["inputs"] = draft.input_names
+    content.update(draft.further)
+    if draft.type != FIRST_ORDER:
+        if "S" not in draft.further:
+            content["pairs"] = pairs_in(draft.pairs)
+        content["H"] = terms_in(draft.H)
+    for slot, formulas in (("R", draft.R), ("F", draft.F)):
+        terms = {}
+        for name, text in formulas.items():
+            if text.strip() and name in draft.state_names:
+                terms[name] = terms_in(text)
+        if terms:
+            content[slot] = terms
+    return content
+
+
+def pairs_in(text: str) -> list[list[str]]:
+    """The pairs of states of a text such as "q-p, r-s"."""
+    pairs = []
+    for pair in re.split(r"[,;\n]", text):
+        if pair.strip():
+            pairs.append(pair.replace("-", " ").split())
+    return pairs
+
+
+def terms_in(text: str) -> Any:
+    """A formula as it is; a table or list of terms as TOML has it."""
+    stripped = text.strip()
+    if not stripped.startswith(("{", "[")):
+        return stripped
+    try:
+        return tomllib.loads(f"terms = {stripped}")["terms"]
+    except tomllib.TOMLDecodeError:
+        return stripped
+
+
+def _parameter(draft: ParameterDraft) -> Any:
+    content: Content = dict(draft.further)
+    if draft.value:
+        content["value" if draft.is_known else "start"] = _number(draft.value)
+    elif draft.is_known:
+        content["fixed"] = True
+    for name, bound in (("lower", draft.lower), ("upper", draft.upper)):
+        if bound:
+            content[name] = _number(bound)
+    if draft.unit:
+        content["unit"] = draft.unit
+    return content
+
+
+# ---- back from a study file ----------------------------------------------------------
+
+
+def draft_of(content: Mapping[str, Any], data: DataDraft) -> StudyDraft:
+    """The drafts of a study file that has been read without complaint.
+
+    Args:
+        content: its tables.
+        data: its files, looked at.
+    """
+    _take_data(content["data"], data)
+    _take_held_out(content.get("held_out"), data)
+    study = dict(content.get("study", {}))
+    added = list(study.pop("added", []))
+    kept = {name: content[name] for name in KEPT if name in content}
+    if study:
+        kept["study"] = study
+    model = _model_draft(content["model"], content.get("parameters", {}))
+    return StudyDraft(data, model, added, kept)
+
+
+def _take_data(content: Mapping[str, Any], data: DataDraft) -> None:
+    for column in data.columns:
+        column.role = "not used"
+    data.hold = content.get("hold", data.hold)
+    by_column = {column.column: column for column in data.columns}
+    if "trajectory" in content:
+        by_column[content["trajectory"]].role = RUN
+    time = by_column[content["time"]["column"]]
+    time.role = TIME
+    time.unit = content["time"].get("unit", "")
+    for role, key in ((STATE, "states"), (INPUT, "inputs")):
+        for name, channel in content.get(key, {}).items():
+            if "column" not in channel:
+                data.unmeasured[name] = channel.get("unit", "")
+                continue
+            column = by_column[channel["column"]]
+            column.role = role
+            column.name = name
+            column.unit = channel.get("unit", "")
+            column.noise = _written(channel.get("noise"))
+
+
+def _take_held_out(content: Mapping[str, Any] | None, data: DataDraft) -> None:
+    held_out = data.held_out
+    if not content:
+        held_out.way = "nothing"
+    elif "runs" in content:
+        held_out.way = RUNS
+        held_out.runs = list(content["runs"])
+    elif "after" in content:
+        held_out.way = AFTER
+        held_out.after = _written(content["after"])
+    else:
+        held_out.way = SHARE
+        held_out.share = _written(content.get("share")) or DEFAULT_SHARE
+
+
+def _model_draft(
+    content: Mapping[str, Any], parameters: Mapping[str, Any]
+) -> ModelDraft:
+    further = dict(content)
+    pairs = further.pop("pairs", [])
+    losses = further.pop("R", {})
+    forces = further.pop("F", {})
+    draft = ModelDraft(
+        type=further.pop("type", ModelDraft.type),
+        states=", ".join(further.pop("states")),
+        inputs=", ".join(further.pop("inputs", [])),
+        pairs=", ".join("-".join(pair) for pair in pairs),
+        H=_terms_text(further.pop("H", "")),
+        R={name: _terms_text(terms) for name, terms in losses.items()},
+        F={name: _terms_text(terms) for name, terms in forces.items()},
+        further=further,
+    )
+    for name, parameter in parameters.items():
+        draft.parameters.append(_parameter_draft(name, parameter))
+    return draft
+
+
+def _terms_text(terms: Any) -> str:
+    return terms if isinstance(terms, str) else toml_value(terms)
+
+
+def _parameter_draft(name: str, content: Any) -> ParameterDraft:
+    if not isinstance(content, Mapping):
+        return ParameterDraft(name, _written(content), is_known=True)
+    further = dict(content)
+    is_known = "value" in further or bool(further.pop("fixed", False))
+    value = further.pop("value", further.pop("start", None))
+    return ParameterDraft(
+        name,
+        _written(value),
+        is_known,
+        _written(further.pop("lower", None)),
+        _written(further.pop("upper", None)),
+        further.pop("unit", ""),
+        further,
+    )
+
+
+def _written(value: Any) -> str:
+    return "" if value is None else f"{value:.12g}"

@@ -1,0 +1,230 @@
+"""The third part of the page: the verdict, the charts, the ranking, the exports."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from nicegui import ui
+
+from phsi_opt.errors import PhsiOptError
+from phsi_opt.page import charts
+from phsi_opt.page.fit_view import FitView
+from phsi_opt.page.parts import alert, card, heading
+from phsi_opt.page.session import Session
+from phsi_opt.page.snapshot import CandidateRow, Snapshot
+from phsi_opt.page.verdict_words import facts_of, preview_words, share_left
+
+N_SHOWN = 5  # candidates that are shown at once
+STAIRCASE_HEIGHT = "height: 280px"
+
+
+class StudyView:
+    """Draws the study as it stands.
+
+    Args:
+        session: whose study it is.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._fit_view = FitView(session)
+        self._wants_report = False
+
+    @ui.refreshable_method
+    def build(self) -> None:
+        """Draw it all."""
+        snapshot = self._session.snapshot
+        if snapshot is None:
+            self._nothing_yet()
+            return
+        if self._session.is_stale:
+            with card():
+                ui.label(
+                    "Data or model have changed since this was fitted. Fit again to "
+                    "see what follows."
+                )
+        self._facts(snapshot)
+        with ui.element("div").classes("two w-full"):
+            with ui.column().classes("gap-3").style("min-width: 0"):
+                self._fit_view.build(snapshot)
+            with ui.column().classes("gap-3").style("min-width: 0"):
+                self._staircase(snapshot)
+                self._ranking(snapshot)
+        self._model(snapshot)
+        self._exports()
+
+    def _nothing_yet(self) -> None:
+        with card():
+            heading("Nothing is fitted yet")
+            if self._session.job is not None:
+                ui.label("The first results come in a moment.")
+            elif self._session.complaints:
+                ui.label("Give the measurements and the model first: parts 1 and 2.")
+            else:
+                ui.label("Data and model can be used.")
+                ui.button("Fit", on_click=self._session.fit)
+
+    # ---- the first screen ------------------------------------------------------------
+
+    def _facts(self, snapshot: Snapshot) -> None:
+        facts = facts_of(snapshot)
+        with card().props('role="region" aria-label="Verdict"'):
+            if facts is None:
+                self._not_asked(snapshot)
+                return
+            with ui.element("div").classes("facts w-full"):
+                with ui.element("div"):
+                    heading("What is wrong", 3).classes("faint")
+                    color = "bad" if facts.add or snapshot.diagnosed else ""
+                    is_good = snapshot.diagnosed and not snapshot.diagnosed.is_missing
+                    ui.label(facts.what).classes("good" if is_good else color).style(
+                        "font-size: 18px; font-weight: 600; line-height: 1.35"
+                    )
+                with ui.element("div"):
+                    heading("Where", 3).classes("faint")
+                    ui.label(facts.where)
+                with ui.element("div"):
+                    heading("Since when", 3).classes("faint")
+                    ui.label(facts.since)
+                with ui.element("div"):
+                    heading("What to add", 3).classes("faint")
+                    self._what_to_add(snapshot, facts.add, facts.preview)
+            if snapshot.warning:
+                alert(snapshot.warning)
+
+    def _not_asked(self, snapshot: Snapshot) -> None:
+        error = snapshot.steps[-1]
+        heading("Fitted; what is missing is not known yet")
+        ui.label(
+            f"The error is {error.judged:.3g}, noise alone would leave "
+            f"{error.floor:.3g} {snapshot.unit}."
+        )
+        if self._session.job is None:
+            ui.button("Look for what is missing", on_click=self._session.diagnose)
+
+    def _what_to_add(self, snapshot: Snapshot, add: str, preview: str) -> None:
+        if not add or snapshot.diagnosed is None:
+            ui.label("Nothing.")
+            ui.label(preview).classes("faint")
+            return
+        proposed = snapshot.diagnosed.proposed
+        ui.label(preview)
+        self._add_button(f"Add {add}", proposed)
+
+    def _add_button(self, label: str, effects: tuple[str, ...]) -> ui.button:
+        button = ui.button(label, on_click=lambda: self._session.add(effects))
+        button.set_enabled(self._session.job is None)
+        return button
+
+    # ---- staircase and ranking -------------------------------------------------------
+
+    def _staircase(self, snapshot: Snapshot) -> None:
+        with card():
+            heading("The error falls")
+            figure = charts.staircase(snapshot.steps, snapshot.unit)
+            errors = ", ".join(
+                f"{step.label} {step.judged:.3g}" for step in snapshot.steps
+            )
+            plot = ui.plotly(figure).classes("w-full").style(STAIRCASE_HEIGHT)
+            said = f"Chart: error after each step: {errors}".replace('"', "'")
+            plot.props(f'role="img" aria-label="{said}"')
+            with ui.row():
+                undo = ui.button("Undo the last step", on_click=self._session.undo)
+                undo.props("outline")
+                can_undo = len(snapshot.steps) > 1 and self._session.job is None
+                undo.set_enabled(can_undo)
+                auto = ui.button("Add until nothing is left")
+                auto.on_click(self._session.auto).props("outline")
+                auto.set_enabled(self._session.job is None)
+
+    def _ranking(self, snapshot: Snapshot) -> None:
+        diagnosed = snapshot.diagnosed
+        if diagnosed is None:
+            return
+        with card():
+            heading("Effects, best first")
+            ui.label(
+                "The bar is the error that an effect would leave, as a share of the "
+                "present one; the mark is the noise floor."
+            ).classes("faint")
+            for row in diagnosed.candidates[:N_SHOWN]:
+                self._candidate(snapshot, row)
+            further = diagnosed.candidates[N_SHOWN:]
+            if further:
+                with ui.expansion(f"{len(further)} more").classes("w-full"):
+                    for row in further:
+                        self._candidate(snapshot, row)
+
+    def _candidate(self, snapshot: Snapshot, row: CandidateRow) -> None:
+        with ui.column().classes("candidate gap-1"):
+            proposed = " (proposed)" if row.is_proposed else ""
+            size = f": {row.size}" if row.size else ""
+            ui.label(f"{row.label}{size}{proposed}").style("font-weight: 600")
+            left, floor = share_left(snapshot, row)
+            with ui.element("div").classes("track").props('aria-hidden="true"'):
+                ui.element("div").style(f"width: {100 * left:.1f}%")
+                ui.element("i").style(f"left: {100 * floor:.1f}%")
+            ui.label(preview_words(snapshot, row))
+            if row.lost:
+                ui.label(f"Not named: {row.lost}.").classes("faint")
+            if row.confusable_with:
+                others = ", ".join(row.confusable_with)
+                ui.label(f"The data do not tell it from {others}.").classes("faint")
+            button = self._add_button("Add", row.effects).props("outline dense")
+            button.props(f'aria-label="Add {row.label}"')
+
+    # ---- the model and the exports ---------------------------------------------------
+
+    def _model(self, snapshot: Snapshot) -> None:
+        with card():
+            heading("The model now")
+            for equation in snapshot.equations:
+                ui.label(equation).classes("formula")
+            with ui.expansion("Parameters").classes("w-full"):
+                for row in snapshot.parameters:
+                    error = f" ± {row.std_error:.2g}" if row.std_error > 0 else ""
+                    text = f"{row.name} = {row.value:.4g}{error} {row.unit}"
+                    ui.label(text).classes("formula")
+            if snapshot.diagnosed is not None:
+                with ui.expansion("What the diagnosis says").classes("w-full"):
+                    ui.label(snapshot.diagnosed.verdict).style("font-weight: 600")
+                    ui.label(snapshot.diagnosed.reason)
+                    for sentence in snapshot.diagnosed.sentences:
+                        ui.label(sentence)
+            if snapshot.stopped:
+                ui.label(f"The automatic study stopped: {snapshot.stopped}")
+
+    def _exports(self) -> None:
+        with card():
+            heading("Take it away")
+            with ui.row():
+                report = ui.button("Report", on_click=self._report)
+                report.set_enabled(self._session.job is None)
+                ui.button("Study file", on_click=self._study_file)
+                ui.button("Python script", on_click=self._script)
+            ui.label(
+                "The study file and the script look for the CSV files beside themselves."
+            ).classes("faint")
+
+    def _report(self) -> None:
+        self._wants_report = True
+        self._session.report()
+
+    def deliver(self) -> None:
+        """Send the report to the browser that asked for it, when it is there."""
+        path = self._session.report_path
+        if self._wants_report and path is not None:
+            self._wants_report = False
+            ui.download.content(path.read_bytes(), path.name)
+
+    def _study_file(self) -> None:
+        self._send(self._session.study_text, "study.toml")
+
+    def _script(self) -> None:
+        self._send(self._session.script, "study.py")
+
+    def _send(self, text: Callable[[], str], name: str) -> None:
+        try:
+            ui.download.content(text(), Path(name).name)
+        except PhsiOptError as error:
+            self._session.message = str(error)
+            self._session.version += 1

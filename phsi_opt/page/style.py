@@ -1,0 +1,85 @@
+"""How the page looks: colours of light and dark, and the few rules beyond the framework.
+
+Every pair of text and ground has a contrast of at least 4.5:1. No colour stands alone:
+a word says the same.
+"""
+
+PRIMARY = "#1f5fa8"  # 6.5:1 below white text
+CSS = """
+:root {
+  --ink: #16191d; --faint: #4d5661; --ground: #f4f6f8; --card: #ffffff;
+  --line: #c9d0d8; --good: #1d6b3d; --bad: #9f2f14; --strong: #1f5fa8;
+  --good-ground: #e6f4ea; --bad-ground: #fdebe5;
+}
+body.body--dark {
+  --ink: #eef1f4; --faint: #b4bdc7; --ground: #101317; --card: #1a1e24;
+  --line: #3a424c; --good: #86d3a3; --bad: #ffab8f; --strong: #8fc1f7;
+  --good-ground: #14301f; --bad-ground: #3a1c12;
+}
+body { background: var(--ground) !important; color: var(--ink); }
+.page { width: 100%; max-width: 1180px; margin: 0 auto; padding: 12px; }
+.card {
+  background: var(--card); border: 1px solid var(--line); border-radius: 8px;
+  padding: 14px 16px; width: 100%; min-width: 0; color: var(--ink);
+}
+.two { display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 12px; }
+.facts {
+  display: grid; grid-template-columns: repeat(4, minmax(0, 1fr)); gap: 14px;
+}
+.tiles {
+  display: grid; gap: 10px; width: 100%;
+  grid-template-columns: repeat(auto-fill, minmax(180px, 1fr));
+}
+.tile {
+  text-align: left; background: var(--card); color: var(--ink); padding: 10px 12px;
+  border: 1px solid var(--line); border-radius: 8px; cursor: pointer; font: inherit;
+}
+.tile:hover, .tile.chosen { border-color: var(--strong); }
+.tile.chosen { box-shadow: inset 0 0 0 1px var(--strong); }
+.fields { display: flex; flex-wrap: wrap; gap: 8px 12px; align-items: flex-end; }
+h1, h2, h3 { margin: 0; padding: 0; line-height: 1.3; font-weight: 600; }
+h1 { font-size: 20px; } h2 { font-size: 17px; } h3 { font-size: 15px; }
+p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
+.faint { color: var(--faint); }
+.good { color: var(--good); } .bad { color: var(--bad); }
+.alert {
+  background: var(--bad-ground); color: var(--bad); border: 1px solid currentColor;
+  border-radius: 8px; padding: 10px 12px; width: 100%; overflow-wrap: anywhere;
+}
+.fine {
+  background: var(--good-ground); color: var(--good); border-radius: 8px;
+  padding: 8px 12px; width: 100%;
+}
+.formula { font-family: ui-monospace, monospace; overflow-wrap: anywhere; }
+.track {
+  position: relative; height: 10px; border-radius: 5px; background: var(--line);
+  width: 100%; overflow: hidden;
+}
+.track div { position: absolute; inset: 0 auto 0 0; background: #2f7fd6; }
+.track i { position: absolute; top: 0; bottom: 0; width: 3px; background: var(--ink); }
+.candidate { border-top: 1px solid var(--line); padding: 10px 0; width: 100%; }
+:focus-visible { outline: 3px solid var(--strong) !important; outline-offset: 2px; }
+.skip { position: absolute; left: -999px; top: 4px; z-index: 9999; }
+.skip:focus { left: 8px; background: var(--card); color: var(--strong); padding: 6px; }
+.q-header, .q-footer {
+  background: var(--card) !important; color: var(--ink) !important;
+  border-color: var(--line);
+}
+.q-header { border-bottom: 1px solid var(--line); }
+.q-footer { border-top: 1px solid var(--line); }
+.q-field__label, .q-field__messages, .q-uploader__subtitle { color: var(--faint); }
+.q-field__native, .q-field__input { color: var(--ink); }
+.q-tab-panels, .q-tab-panel { background: transparent !important; padding: 0; }
+.body--dark .bg-primary { background: #8fc1f7 !important; color: #0d1b2a !important; }
+.body--dark .text-primary { color: #8fc1f7 !important; }
+.q-btn { text-transform: none; }
+.js-plotly-plot text { fill: var(--ink) !important; }
+.js-plotly-plot .hoverlayer text { fill: #f4f6f8 !important; }
+.js-plotly-plot .gridlayer path { stroke: var(--line) !important; }
+@media (max-width: 760px) {
+  .two, .facts { grid-template-columns: minmax(0, 1fr); }
+  .facts { gap: 8px; }
+  .page { padding: 8px; }
+}
+@media (prefers-reduced-motion: reduce) { * { transition: none !important; } }
+"""

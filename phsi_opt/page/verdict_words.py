@@ -1,0 +1,103 @@
+"""The first screen in words: what is wrong, where, since when, what to add."""
+
+from dataclasses import dataclass
+
+from phsi_opt.page.snapshot import CandidateRow, Diagnosed, Snapshot
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The four answers.
+
+    Attributes:
+        what: what is wrong.
+        where: where it is.
+        since: since when.
+        add: what to add; "" for nothing.
+        preview: the error that it would leave, in words.
+    """
+
+    what: str
+    where: str
+    since: str
+    add: str
+    preview: str
+
+
+def facts_of(snapshot: Snapshot) -> Facts | None:
+    """The four answers; None before the present model was diagnosed."""
+    diagnosed = snapshot.diagnosed
+    if diagnosed is None:
+        return None
+    if not diagnosed.is_missing:
+        left = error_words(snapshot, snapshot.steps[-1].judged)
+        floor = error_words(snapshot, snapshot.steps[-1].floor)
+        return Facts(
+            f"Nothing is missing. The error is {left}, the noise floor {floor}.",
+            "Nowhere.",
+            "Never.",
+            "",
+            diagnosed.reason,
+        )
+    row = _proposed(diagnosed)
+    preview = "" if row is None else preview_words(snapshot, row)
+    return Facts(
+        what_is_wrong(diagnosed),
+        diagnosed.where or "At no single place.",
+        diagnosed.since,
+        " and ".join(diagnosed.proposed),
+        preview,
+    )
+
+
+def what_is_wrong(diagnosed: Diagnosed) -> str:
+    """The verdict as a sentence of its own."""
+    if diagnosed.proposed:
+        return f"The model lacks {' and '.join(diagnosed.proposed)}."
+    return "Something is missing that no known effect explains."
+
+
+def preview_words(snapshot: Snapshot, row: CandidateRow) -> str:
+    """The error before and after, on the data that judge where that is known."""
+    now = snapshot.steps[-1]
+    before = now.judged
+    after = row.held_out
+    part = snapshot.judged_part
+    if now.held_out is None or after != after:  # NaN: not re-fitted there
+        before = now.train
+        after = row.train
+        part = "training"
+    if after != after:
+        return "The error that it would leave is not known."
+    change = 100 * (after / before - 1)
+    trend = f"{-change:.0f} % less" if change < 0 else f"{change:.0f} % more"
+    return (
+        f"{part.capitalize()} error {error_words(snapshot, before)} → "
+        f"{error_words(snapshot, after)} ({trend})"
+    )
+
+
+def error_words(snapshot: Snapshot, value: float) -> str:
+    """An error with its unit."""
+    unit = f" {snapshot.unit}" if snapshot.unit else ""
+    return f"{value:.3g}{unit}"
+
+
+def share_left(snapshot: Snapshot, row: CandidateRow) -> tuple[float, float]:
+    """The error that would be left, and the noise floor, as shares of the present."""
+    now = snapshot.steps[-1]
+    after = row.held_out if now.held_out is not None else row.train
+    before = now.judged
+    if after != after:
+        after = row.train
+        before = now.train
+    if after != after or before <= 0:
+        return 1.0, 0.0
+    return min(after / before, 1.0), min(now.floor / before, 1.0)
+
+
+def _proposed(diagnosed: Diagnosed) -> CandidateRow | None:
+    for row in diagnosed.candidates:
+        if row.is_proposed:
+            return row
+    return None

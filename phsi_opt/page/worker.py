@@ -1,0 +1,233 @@
+"""The process that solves: it holds one study and does what it is told, one by one.
+
+It is spawned, so that nothing of the server is in it, and ends with the server: its
+pipe breaks then. After every result the study is written to a file, from which the next
+process goes on where one was cancelled. That file is the server's own; it is read by
+nobody else.
+"""
+
+import copyreg
+import io
+import os
+import pickle
+import signal
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from queue import SimpleQueue
+from types import MappingProxyType
+from typing import Any
+
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
+from phsi_opt.model.effect import Effect
+from phsi_opt.page.snapshot import Snapshot
+from phsi_opt.page.snapshot_making import snapshot_of
+from phsi_opt.study import Study
+from phsi_opt.study_file.keys import DEFAULT_MAX_STEPS
+from phsi_opt.study_file.study_file import StudyFile
+
+FIT = "fit"
+DIAGNOSE = "diagnose"
+ADD = "add"
+UNDO = "undo"
+AUTO = "auto"
+REPORT = "report"
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the worker is told: one of the verbs, and what it needs.
+
+    Attributes:
+        verb: such as `ADD`.
+        what: a path for `FIT` and `REPORT`; for `ADD` names of effects.
+    """
+
+    verb: str
+    what: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Said:
+    """A line of progress."""
+
+    line: str
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The study as it stands now."""
+
+    snapshot: Snapshot
+
+
+@dataclass(frozen=True)
+class Wrote:
+    """A file that was asked for."""
+
+    path: str
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Why an order could not be carried out; with the complaints about a study file."""
+
+    message: str
+    complaints: tuple[Complaint, ...] = ()
+
+
+@dataclass(frozen=True)
+class Done:
+    """The order is carried out, or refused; the worker waits for the next."""
+
+
+class _Pipe:
+    """The end of the pipe of this process; progress lines go through it."""
+
+    connection: Connection | None = None
+
+
+def tell(line: str) -> None:
+    """Send a line of progress; a study keeps this function, so it has a name."""
+    if _Pipe.connection is not None:
+        _Pipe.connection.send(Said(line))
+
+
+def work(connection: Connection, checkpoint: str) -> None:
+    """Carry out orders until the pipe breaks.
+
+    Args:
+        connection: orders come in, messages go out.
+        checkpoint: the file in which the study is kept.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
+    _Pipe.connection = connection
+    orders: SimpleQueue[Order] = SimpleQueue()
+    listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
+    listener.start()
+    bench = Bench(Path(checkpoint))
+    while True:
+        order = orders.get()
+        connection.send(_answer(bench, order, connection))
+        connection.send(Done())
+
+
+def _listen(connection: Connection, orders: "SimpleQueue[Order]") -> None:
+    """Take orders; end this process at once where the server is gone."""
+    while True:
+        try:
+            orders.put(connection.recv())
+        except (EOFError, OSError):
+            os._exit(0)
+
+
+def _answer(bench: "Bench", order: Order, connection: Connection) -> Any:
+    """What is said at the end of an order."""
+    try:
+        return bench.carry_out(order, connection)
+    except StudyFileError as error:
+        return Refused("The draft cannot be used yet.", error.complaints)
+    except PhsiOptError as error:
+        return Refused(str(error))
+    except Exception as error:  # the page says it; the process goes on
+        return Refused(f"This is an error of the package: {error!r}")
+
+
+class Bench:
+    """A study in work, with its file.
+
+    Args:
+        checkpoint: from which a study is taken where the file is there.
+    """
+
+    def __init__(self, checkpoint: Path) -> None:
+        self.checkpoint = checkpoint
+        self.study: Study | None = None
+        if checkpoint.exists():
+            self.study = pickle.loads(checkpoint.read_bytes())
+
+    def carry_out(self, order: Order, connection: Connection) -> Any:
+        """Do it, sending snapshots on the way; return the last message.
+
+        Raises:
+            DataError: the data cannot be used, or nothing was fitted yet.
+            ModelError: an effect is unknown, or there is nothing to undo.
+            SolveError: a model could not be fitted.
+        """
+        if order.verb == FIT:
+            self.study = StudyFile.read(order.what[0]).study(tell)
+        study = self.study
+        if study is None:
+            return Refused("Nothing has been fitted yet; press Fit first.")
+        if order.verb == REPORT:
+            return Wrote(str(study.report(order.what[0])))
+        if order.verb == ADD:
+            for name in order.what:
+                study.add(_effect_named(study, name))
+        elif order.verb == UNDO:
+            study.undo()
+        elif order.verb == AUTO:
+            self._add_all(study, connection)
+        connection.send(Shown(self._kept(study, None)))
+        return Shown(self._kept(study, study.diagnose()))
+
+    def _add_all(self, study: Study, connection: Connection) -> None:
+        """What `Study.auto` does, shown after each step."""
+        for _ in range(DEFAULT_MAX_STEPS):
+            n_steps = len(study.steps)
+            study.auto(max_steps=1)
+            if len(study.steps) == n_steps:
+                return
+            connection.send(Shown(self._kept(study, None)))
+
+    def _kept(self, study: Study, diagnosis: Diagnosis | None) -> Snapshot:
+        """The snapshot; the study is written to its file first."""
+        fresh = self.checkpoint.with_suffix(".new")
+        fresh.write_bytes(pickled(study))
+        os.replace(fresh, self.checkpoint)
+        return snapshot_of(study, diagnosis)
+
+
+def _effect_named(study: Study, name: str) -> Effect:
+    """One of the candidates, by its name and equation."""
+    for candidate in study.diagnose().ranking:
+        for effect in candidate.effects:
+            if str(effect) == name:
+                return effect
+    return effect_meant(study, name)
+
+
+def effect_meant(study: Study, name: str) -> Effect:
+    """An effect of the catalogue, such as "coulomb friction on p".
+
+    Raises:
+        ModelError: there is none of that name.
+    """
+    from phsi_opt.model.catalogue import effect_named
+
+    before, _, equation = name.rpartition(" on ")
+    return effect_named(study.model, before, equation)
+
+
+def pickled(study: Study) -> bytes:
+    """A study as bytes; its read-only mappings, which pickle cannot, as mappings."""
+    buffer = io.BytesIO()
+    pickler = pickle.Pickler(buffer, protocol=pickle.HIGHEST_PROTOCOL)
+    pickler.dispatch_table = {
+        **copyreg.dispatch_table,
+        MappingProxyType: _reduced,
+    }
+    pickler.dump(study)
+    return buffer.getvalue()
+
+
+def _reduced(proxy: Mapping[Any, Any]) -> tuple[Any, ...]:
+    return read_only, (dict(proxy),)
+
+
+def read_only(mapping: dict[Any, Any]) -> Mapping[Any, Any]:
+    """The mapping, which nobody can change any more."""
+    return MappingProxyType(mapping)
