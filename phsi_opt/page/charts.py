@@ -22,7 +22,11 @@ FLOOR = "#3b8f5a"
 MARK = "#b5459e"
 BAND_OPACITY = 0.22
 N_WORDS_A_LINE = 16  # letters of a step's label below the staircase
+# Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
+# chosen: nested lists in the configuration make plotly's `react` draw without end.
+UNUSED_BUTTONS = ("toImage", "zoom2d", "pan2d", "select2d", "lasso2d", "autoScale2d")
 RESIDUAL_PART = 0.3  # of the chart's height
+RESIDUAL_GAP = 0.1  # of it, above the residual
 
 
 def free_run(
@@ -34,23 +38,15 @@ def free_run(
     data = [
         _curve(t, channel.measured, "measured", MEASURED, mode="markers"),
         _curve(t, channel.shown, "model", MODEL),
-        _curve(t, channel.residual, "measured less model", FORCE, yaxis="y2"),
+        _curve(t, channel.residual, "residual", FORCE, yaxis="y2"),
     ]
     layout = _layout(_label("time", t_unit))
-    layout["yaxis"] = _axis(_label(channel.name, channel.unit), [RESIDUAL_PART + 0.06, 1])
+    upper_part = [RESIDUAL_PART + RESIDUAL_GAP, 1]
+    layout["yaxis"] = _axis(_label(channel.name, channel.unit), upper_part)
     layout["yaxis2"] = _axis(_label("residual", channel.unit), [0, RESIDUAL_PART])
+    layout["xaxis"]["anchor"] = "y2"  # times stand below the residual
     layout["shapes"] = [_band(-noise, noise, "y2")]
-    layout["annotations"] = [
-        {
-            "text": "shaded: noise (two standard deviations)",
-            "xref": "paper",
-            "yref": "paper",
-            "x": 1,
-            "y": RESIDUAL_PART + 0.055,
-            "xanchor": "right",
-            "showarrow": False,
-        }
-    ]
+    layout["annotations"] = [_note("shaded: noise, two standard deviations")]
     _mark(layout, mark)
     return _figure(data, layout)
 
@@ -156,6 +152,21 @@ def _numbers(values: np.ndarray) -> list[float | None]:
     return [value if np.isfinite(value) else None for value in listed]
 
 
+def _note(text: str) -> Figure:
+    """A remark above the residual, at its right end."""
+    return {
+        "text": text,
+        "xref": "paper",
+        "yref": "paper",
+        "x": 1,
+        "y": RESIDUAL_PART + 0.005,
+        "xanchor": "right",
+        "yanchor": "bottom",
+        "showarrow": False,
+        "font": {"size": 12},
+    }
+
+
 def _curve(
     t: np.ndarray,
     values: np.ndarray,
@@ -216,20 +227,33 @@ def _step_curve(
 
 def _layout(x_title: str) -> Figure:
     return {
-        "margin": {"l": 64, "r": 12, "t": 12, "b": 48},
+        "margin": {"l": 64, "r": 12, "t": 44, "b": 44},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "font": {"family": "inherit", "size": 13},
         "hovermode": "x unified",
         "hoverlabel": {"bgcolor": "#16191d", "font": {"color": "#f4f6f8"}},
-        "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
-        "xaxis": {"title": {"text": x_title}, "zeroline": False},
+        "legend": {
+            "orientation": "h",
+            "x": 0,
+            "xref": "container",
+            "y": 1,
+            "yref": "container",
+            "yanchor": "top",
+            "font": {"size": 12},
+        },
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": MEASURED},
+        "xaxis": {"title": _title(x_title), "zeroline": False},
         "dragmode": "zoom",
     }
 
 
+def _title(text: str) -> Figure:
+    return {"text": text, "font": {"size": 13}}
+
+
 def _axis(title: str, domain: list[float] | None = None) -> Figure:
-    axis: Figure = {"title": {"text": title}, "zeroline": False, "automargin": True}
+    axis: Figure = {"title": _title(title), "zeroline": False, "automargin": True}
     if domain is not None:
         axis["domain"] = domain
     return axis
@@ -282,5 +306,10 @@ def _mark(layout: Figure, t: float | None) -> None:
 
 
 def _figure(data: list[Figure], layout: Figure) -> Figure:
-    config = {"responsive": True, "displaylogo": False, "displayModeBar": False}
+    config = {
+        "responsive": True,
+        "displaylogo": False,
+        "displayModeBar": True,
+        "modeBarButtonsToRemove": list(UNUSED_BUTTONS),
+    }
     return {"data": data, "layout": layout, "config": config}

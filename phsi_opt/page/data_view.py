@@ -19,7 +19,15 @@ from phsi_opt.page.drafts import (
     DataDraft,
 )
 from phsi_opt.page.limits import MOST_FILES, MOST_UPLOADED, in_megabytes
-from phsi_opt.page.parts import alert, card, choice, complaints, heading, text_field
+from phsi_opt.page.parts import (
+    alert,
+    button,
+    card,
+    choice,
+    complaints,
+    heading,
+    text_field,
+)
 from phsi_opt.page.session import Session
 
 ABOUT = (
@@ -54,8 +62,14 @@ class DataView:
         with card():
             heading("Measurements")
             ui.label(ABOUT).classes("faint")
+            self._drop_zone()
+            self.error()
+        self.table()
+        self.wrong()
+
+    def _drop_zone(self) -> None:
+        with ui.element("div").classes("drop"):
             upload = ui.upload(
-                label="Drop CSV files here",
                 auto_upload=True,
                 multiple=True,
                 max_file_size=MOST_UPLOADED,
@@ -63,13 +77,9 @@ class DataView:
                 on_upload=self._upload,
                 on_rejected=self._rejected,
             )
-            upload.props('flat bordered accept=".csv,.txt,.tsv,.dat"').classes("w-full")
-            ui.button(
-                "Choose a CSV file", on_click=lambda: upload.run_method("pickFiles")
-            )
-            self.error()
-        self.table()
-        self.wrong()
+            upload.props('accept=".csv,.txt,.tsv,.dat"')
+            ui.label("Drop CSV files here, or").classes("said q-mb-sm")
+            button("Choose CSV files", lambda: upload.run_method("pickFiles"))
 
     async def _upload(self, e: events.UploadEventArguments) -> None:
         content = await e.file.read()
@@ -97,7 +107,7 @@ class DataView:
         with card():
             found = self._session.complaints_about(*DATA_KEYS)
             complaints(found, "The data can be used.")
-            ui.button("Next: the model", on_click=self._go_on)
+            button("Next: the model", self._go_on)
 
     @ui.refreshable_method
     def table(self) -> None:

@@ -9,7 +9,7 @@ from nicegui import events, ui
 from phsi_opt.page import charts
 from phsi_opt.page.parts import card, choice, heading
 from phsi_opt.page.session import Session
-from phsi_opt.page.snapshot import HELD_OUT, RunCurves, Snapshot, force_near
+from phsi_opt.page.snapshot import RunCurves, Snapshot, force_near
 
 CHART_HEIGHT = "height: 360px"
 FORCE_HEIGHT = "height: 260px"
@@ -114,22 +114,11 @@ class FitView:
         snapshot = self._snapshot
         if run is None or snapshot is None:
             return
-        diagnosed = snapshot.diagnosed
-        if diagnosed is None:
-            ui.label("It is known once the page has looked for what is missing.")
-            return
-        curves = [curve for curve in diagnosed.forces if curve.run == run.name]
-        if run.part == HELD_OUT and not curves:
-            first = diagnosed.forces[0].run if diagnosed.forces else ""
-            curves = [curve for curve in diagnosed.forces if curve.run == first]
-            ui.label(
-                f"It is estimated along training runs only; this is {first}. Choose a "
-                "training run above to click into it."
-            )
-        elif self._t is not None:
+        curves = snapshot.forces_along(run)
+        if self._t is not None:
             with ui.element("div").props('role="status"'):
-                for sentence in force_near(curves, run.name, self._t):
-                    ui.label(sentence).style("font-weight: 600")
+                for curve in curves:
+                    ui.label(force_near(curve, self._t)).style("font-weight: 600")
         figure = charts.missing_force(curves, snapshot.t_unit, self._t)
         plot = ui.plotly(figure).classes("w-full").style(FORCE_HEIGHT)
         plot.props('role="img" aria-label="Chart: the missing force over time"')

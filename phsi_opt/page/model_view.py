@@ -1,4 +1,4 @@
-"""The second part of the page: the base model, picked or written, checked as one types."""
+"""The second part of the page: the base model, picked or written, with a live check."""
 
 from collections.abc import Awaitable, Callable
 from functools import partial
@@ -16,7 +16,7 @@ from phsi_opt.page.drafts import (
     ParameterDraft,
 )
 from phsi_opt.page.gallery import GALLERY, BaseModel
-from phsi_opt.page.parts import card, choice, complaints, heading, text_field
+from phsi_opt.page.parts import button, card, choice, complaints, heading, text_field
 from phsi_opt.page.session import Session
 from phsi_opt.page.unknown_names import unknown_names
 
@@ -90,12 +90,10 @@ class ModelView:
             found = list(session.complaints)
             complaints(found, "Model and data can be used.")
             for name in unknown_names(self._draft):
-                ui.button(
-                    f"Make {name} a parameter",
-                    on_click=partial(self._add_parameter, name),
-                ).props("outline")
-            button = ui.button("Fit", on_click=self._fit)
-            button.set_enabled(not found and session.job is None)
+                add = partial(self._add_parameter, name)
+                button(f"Make {name} a parameter", add, quiet=True)
+            fit = button("Fit", self._fit)
+            fit.set_enabled(not found and session.job is None)
 
     @ui.refreshable_method
     def fields(self) -> None:
@@ -199,9 +197,7 @@ class ModelView:
         """A row for each."""
         for one in self._draft.parameters:
             self._parameter(one)
-        ui.button("Add a parameter", on_click=lambda: self._add_parameter("")).props(
-            "outline"
-        )
+        button("Add a parameter", partial(self._add_parameter, ""), quiet=True)
 
     def _parameter(self, one: ParameterDraft) -> None:
         name = one.name or "new parameter"

@@ -7,6 +7,7 @@ from nicegui import ui
 from nicegui.elements.mixins.text_element import TextElement
 
 from phsi_opt.errors import Complaint
+from phsi_opt.page.complaint_words import complaint_words
 
 DEBOUNCE = "debounce=400"  # ms without a key before a text is checked
 Changed = Callable[[str], Any]
@@ -66,4 +67,10 @@ def complaints(listed: Iterable[Complaint], fine: str) -> None:
     with ui.element("div").classes("alert").props('role="status"'):
         ui.label(f"To correct: {len(found)}").style("font-weight: 600")
         for one in found:
-            ui.label(str(one))
+            ui.label(complaint_words(one))
+
+
+def button(label: str, then: Callable[[], Any], quiet: bool = False) -> ui.button:
+    """A button: filled, or quiet beside one that is."""
+    made = ui.button(label, on_click=then)
+    return made.props("outline" if quiet else "text-color=onprimary")

@@ -5,6 +5,7 @@ Everything that a view may do is a method here; the views only draw what it hold
 """
 
 import shutil
+import threading
 import time
 import tomllib
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
+from phsi_opt.errors import Complaint, DataError, StudyFileError
 from phsi_opt.page.drafts import INPUT, DataDraft
 from phsi_opt.page.gallery import BaseModel
 from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
@@ -40,6 +41,7 @@ from phsi_opt.study_file.study_file import StudyFile
 WORKING_FILE = "working_study.toml"
 CHECKPOINT = "study.checkpoint"
 REPORT_FILE = "report.md"
+NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a CSV file.")
 
 
 @dataclass
@@ -99,6 +101,7 @@ class Session:
         self._worker: WorkerHandle | None = None
         self._idle_since = time.monotonic()
         self._fitting = ""
+        self._checking = threading.Lock()
         if study_file is not None:
             self._open(study_file)
 
@@ -163,25 +166,26 @@ class Session:
 
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""
+        with self._checking:  # checks run beside each other, and write one file
+            self.complaints = self._checked()
         self.version += 1
+        return self.complaints
+
+    def _checked(self) -> tuple[Complaint, ...]:
         if self.draft.data is None:
-            self.complaints = (
-                Complaint("data.files", "", "there is no table yet; drop a CSV file."),
-            )
-            return self.complaints
+            return (NO_TABLE,)
         try:
             StudyFile.read(self._working_file())
-            self.complaints = ()
         except StudyFileError as error:
-            self.complaints = _named(error.complaints, self.draft.data)
-        return self.complaints
+            return _named(error.complaints, self.draft.data)
+        return ()
 
     def complaints_about(self, *keys: str) -> list[Complaint]:
         """What is wrong at these keys of a study file, or below them."""
         found = []
         for complaint in self.complaints:
             for key in keys:
-                if complaint.key == key or complaint.key.startswith((f"{key}.", f"{key}[")):
+                if complaint.key == key or complaint.key.startswith(below(key)):
                     found.append(complaint)
         return found
 
@@ -230,7 +234,7 @@ class Session:
         self._order("Writing the report", Order(REPORT, (str(path),)))
 
     def cancel(self) -> None:
-        """End the work that goes on, within two seconds; what was found before stays."""
+        """End the work that goes on, within two seconds; what was found stays."""
         if self.job is None:
             return
         label = self.job.label
@@ -353,6 +357,11 @@ class Session:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
+def below(key: str) -> tuple[str, str]:
+    """How the keys below a key of a study file begin."""
+    return f"{key}.", f"{key}["
+
+
 def _check_size(file: str, content: bytes, n_known: int) -> None:
     if len(content) > MOST_UPLOADED:
         raise DataError(
@@ -372,9 +381,7 @@ def _restore(path: Path, before: bytes | None) -> None:
         path.write_bytes(before)
 
 
-def _named(
-    complaints: Sequence[Complaint], data: DataDraft
-) -> tuple[Complaint, ...]:
+def _named(complaints: Sequence[Complaint], data: DataDraft) -> tuple[Complaint, ...]:
     """The complaints with the files' names alone."""
     named = []
     for one in complaints:

@@ -11,7 +11,7 @@ from nicegui import run, ui
 from phsi_opt.page import style
 from phsi_opt.page.data_view import DataView
 from phsi_opt.page.model_view import ModelView
-from phsi_opt.page.parts import heading
+from phsi_opt.page.parts import button, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.snapshot import Snapshot
 from phsi_opt.page.study_view import StudyView
@@ -45,7 +45,7 @@ class Shell:
 
     def build(self) -> None:
         """Draw everything and keep up with the session."""
-        ui.colors(primary=style.PRIMARY)
+        ui.colors(primary=style.PRIMARY, onprimary=style.ON_PRIMARY)
         ui.add_css(style.CSS)
         self._dark = ui.dark_mode(value=None)
         ui.link("Skip to the content", "#content").classes("skip")
@@ -111,7 +111,7 @@ class Shell:
             line = session.job.lines[-1] if session.job.lines else "starting"
             ui.label(f"{session.job.label}: {line}").style("flex: 1; min-width: 0")
             self._seconds = ui.label(_seconds(session)).props('aria-live="off"')
-            ui.button("Cancel", on_click=session.cancel)
+            button("Cancel", session.cancel)
 
     def _keep_up(self) -> None:
         """Draw anew what has changed since the last look."""
@@ -152,6 +152,8 @@ def _standing(session: Session) -> str:
         return "Nothing is being solved."
     if session.draft.data is None:
         return "Begin with the measurements: part 1."
-    if session.complaints:
+    if not session.draft.model.states:
         return "Then the model: part 2."
+    if session.complaints:
+        return f"To correct: {len(session.complaints)}; part 2 says what."
     return "Data and model can be used: press Fit."

@@ -3,13 +3,14 @@
 Made in the worker from a study; the views draw them and ask nothing else.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 TRAINING = "training"
 HELD_OUT = "held out"
+# Standard deviations beyond which the missing force counts as sure, at one time.
+SURE = 2.0
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,11 @@ class RunCurves:
 
 @dataclass(frozen=True, eq=False)
 class ForceCurve:
-    """The missing force of one equation along one run of the training data.
+    """The missing force of one equation along one run.
 
     Attributes:
         run: its name.
+        part: `TRAINING` or `HELD_OUT`.
         equation: the state whose rate lacks the force.
         unit: of the force, or "".
         t: (n_intervals,) middles of the intervals.
@@ -101,6 +103,7 @@ class ForceCurve:
     """
 
     run: str
+    part: str
     equation: str
     unit: str
     t: np.ndarray
@@ -160,8 +163,6 @@ class Diagnosed:
         since: the time from which it is sure, in words.
         proposed: effects to add next.
         candidates: best first.
-        forces: the missing force of each equation and run.
-        strongest: the equation whose missing force is strongest; "" for none.
     """
 
     verdict: str
@@ -172,8 +173,6 @@ class Diagnosed:
     since: str
     proposed: tuple[str, ...]
     candidates: tuple[CandidateRow, ...]
-    forces: tuple[ForceCurve, ...]
-    strongest: str
 
 
 @dataclass(frozen=True)
@@ -199,6 +198,7 @@ class Snapshot:
         parameters: of the present model.
         warning: what to do where the free run is flat; "" where it is not.
         runs: the free run beside the measurements, training and held out.
+        forces: the missing force of each equation and run.
         diagnosed: None before the present model was diagnosed.
         stopped: why the automatic study stopped; "" where it did not run.
     """
@@ -211,6 +211,7 @@ class Snapshot:
     parameters: tuple[ParameterRow, ...]
     warning: str
     runs: tuple[RunCurves, ...]
+    forces: tuple[ForceCurve, ...]
     diagnosed: Diagnosed | None
     stopped: str
 
@@ -227,20 +228,24 @@ class Snapshot:
             sizes.append(run.misfit if run.part == self.judged_part else -1.0)
         return int(np.argmax(sizes))
 
+    def forces_along(self, run: RunCurves) -> list[ForceCurve]:
+        """The missing force of each equation along a run."""
+        found = []
+        for curve in self.forces:
+            if (curve.run, curve.part) == (run.name, run.part):
+                found.append(curve)
+        return found
 
-def force_near(curves: Sequence[ForceCurve], run: str, t: float) -> list[str]:
-    """What each equation lacks at a time of a run, in sentences; none elsewhere."""
-    said = []
-    for curve in curves:
-        if curve.run != run or not len(curve.t):
-            continue
-        place = int(np.argmin(np.abs(curve.t - t)))
-        force = curve.force[place]
-        std = curve.std[place]
-        unit = f" {curve.unit}" if curve.unit else ""
-        sure = "sure" if abs(force) > 2 * std else "not told from zero"
-        said.append(
-            f"d{curve.equation}/dt lacks {force:.3g} ± {std:.2g}{unit} at "
-            f"t = {curve.t[place]:.4g} ({sure})."
-        )
-    return said
+
+def force_near(curve: ForceCurve, t: float) -> str:
+    """What an equation lacks at a time, in a sentence."""
+    place = int(np.argmin(np.abs(curve.t - t)))
+    force = curve.force[place]
+    std = curve.std[place]
+    unit = f" {curve.unit}" if curve.unit else ""
+    is_sure = abs(force) > SURE * std
+    sure = "sure" if is_sure else "not told from zero"
+    return (
+        f"At t = {curve.t[place]:.4g}, d{curve.equation}/dt lacks "
+        f"{force:.3g} ± {std:.2g}{unit} ({sure})."
+    )

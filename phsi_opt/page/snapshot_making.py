@@ -9,9 +9,12 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.estimation.missing_force import force_deviation
+from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.units import force_unit
 from phsi_opt.page.snapshot import (
     HELD_OUT,
+    SURE,
     TRAINING,
     CandidateRow,
     ChannelCurves,
@@ -24,8 +27,6 @@ from phsi_opt.page.snapshot import (
 )
 from phsi_opt.study import Study
 
-# Standard deviations beyond which the missing force counts as sure, at one time.
-SURE = 2.0
 # Units of forces as people write them.
 PLAIN_FORCES = {
     "(kg m/s)/s": "N",
@@ -48,6 +49,9 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
     runs = _runs(step.train, TRAINING)
     if step.held_out is not None:
         runs += _runs(step.held_out, HELD_OUT)
+    forces = _forces(step.train.record, TRAINING)
+    if step.held_out is not None:
+        forces += _forces(step.held_out.record, HELD_OUT)
     return Snapshot(
         unit=study.unit,
         t_unit=study.train.units.get("t", ""),
@@ -57,7 +61,8 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         parameters=tuple(_parameters(study.fit.parameters)),
         warning=step.judged.warning,
         runs=tuple(runs),
-        diagnosed=None if diagnosis is None else _diagnosed(diagnosis),
+        forces=tuple(forces),
+        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, forces),
         stopped=study.stopped,
     )
 
@@ -95,8 +100,7 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
     return runs
 
 
-def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
-    forces = _forces(diagnosis)
+def _diagnosed(diagnosis: Diagnosis, forces: list[ForceCurve]) -> Diagnosed:
     where = diagnosis.where
     strongest = str(where["equation"].iloc[0]) if len(where) else ""
     proposed = tuple(str(effect) for effect in diagnosis.proposed)
@@ -109,8 +113,6 @@ def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         since=_since(forces, strongest, diagnosis.data.units.get("t", "")),
         proposed=proposed,
         candidates=tuple(_candidates(diagnosis.ranking, proposed)),
-        forces=tuple(forces),
-        strongest=strongest,
     )
 
 
@@ -135,20 +137,27 @@ def _candidates(
     return rows
 
 
-def _forces(diagnosis: Diagnosis) -> list[ForceCurve]:
-    table = diagnosis.missing_force
-    equations = [name[4:] for name in table.columns if str(name).startswith("std_")]
+def _forces(record: Record, part: str) -> list[ForceCurve]:
+    """The missing force of a record, by equation and run."""
+    estimate = record.estimate
+    grid = estimate.grid
+    t = grid.t[grid.begin] + grid.h / 2
+    run_of = grid.trajectory[grid.begin]
+    deviation = force_deviation(estimate)
     forces = []
-    for run, rows in table.groupby("trajectory", sort=False):
-        for equation in equations:
+    for number, run in enumerate(record.data.trajectories):
+        inside = run_of == number
+        for column, row in enumerate(estimate.prior.rows):
+            equation = record.model.states[row]
             forces.append(
                 ForceCurve(
-                    run=str(run),
+                    run=run.name,
+                    part=part,
                     equation=equation,
-                    unit=plain_force_unit(equation, diagnosis.data.units),
-                    t=rows["t"].to_numpy(),
-                    force=rows[equation].to_numpy(),
-                    std=rows[f"std_{equation}"].to_numpy(),
+                    unit=plain_force_unit(equation, record.data.units),
+                    t=t[inside],
+                    force=estimate.w[inside, column],
+                    std=deviation[inside, column],
                 )
             )
     return forces
@@ -178,7 +187,7 @@ def _since(forces: list[ForceCurve], strongest: str, t_unit: str) -> str:
     begins = []
     n_runs = 0
     for curve in forces:
-        if curve.equation != strongest:
+        if curve.equation != strongest or curve.part != TRAINING:
             continue
         n_runs += 1
         sure = np.flatnonzero(np.abs(curve.force) > SURE * curve.std)

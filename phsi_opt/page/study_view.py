@@ -8,7 +8,7 @@ from nicegui import ui
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.page import charts
 from phsi_opt.page.fit_view import FitView
-from phsi_opt.page.parts import alert, card, heading
+from phsi_opt.page.parts import alert, button, card, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.snapshot import CandidateRow, Snapshot
 from phsi_opt.page.verdict_words import facts_of, preview_words, share_left
@@ -46,11 +46,11 @@ class StudyView:
         with ui.element("div").classes("two w-full"):
             with ui.column().classes("gap-3").style("min-width: 0"):
                 self._fit_view.build(snapshot)
+                self._model(snapshot)
+                self._exports()
             with ui.column().classes("gap-3").style("min-width: 0"):
                 self._staircase(snapshot)
                 self._ranking(snapshot)
-        self._model(snapshot)
-        self._exports()
 
     def _nothing_yet(self) -> None:
         with card():
@@ -61,7 +61,7 @@ class StudyView:
                 ui.label("Give the measurements and the model first: parts 1 and 2.")
             else:
                 ui.label("Data and model can be used.")
-                ui.button("Fit", on_click=self._session.fit)
+                button("Fit", self._session.fit)
 
     # ---- the first screen ------------------------------------------------------------
 
@@ -99,7 +99,7 @@ class StudyView:
             f"{error.floor:.3g} {snapshot.unit}."
         )
         if self._session.job is None:
-            ui.button("Look for what is missing", on_click=self._session.diagnose)
+            button("Look for what is missing", self._session.diagnose)
 
     def _what_to_add(self, snapshot: Snapshot, add: str, preview: str) -> None:
         if not add or snapshot.diagnosed is None:
@@ -110,16 +110,18 @@ class StudyView:
         ui.label(preview)
         self._add_button(f"Add {add}", proposed)
 
-    def _add_button(self, label: str, effects: tuple[str, ...]) -> ui.button:
-        button = ui.button(label, on_click=lambda: self._session.add(effects))
-        button.set_enabled(self._session.job is None)
-        return button
+    def _add_button(
+        self, label: str, effects: tuple[str, ...], quiet: bool = False
+    ) -> ui.button:
+        made = button(label, lambda: self._session.add(effects), quiet)
+        made.set_enabled(self._session.job is None)
+        return made
 
     # ---- staircase and ranking -------------------------------------------------------
 
     def _staircase(self, snapshot: Snapshot) -> None:
         with card():
-            heading("The error falls")
+            heading("Error after each step")
             figure = charts.staircase(snapshot.steps, snapshot.unit)
             errors = ", ".join(
                 f"{step.label} {step.judged:.3g}" for step in snapshot.steps
@@ -128,12 +130,10 @@ class StudyView:
             said = f"Chart: error after each step: {errors}".replace('"', "'")
             plot.props(f'role="img" aria-label="{said}"')
             with ui.row():
-                undo = ui.button("Undo the last step", on_click=self._session.undo)
-                undo.props("outline")
+                undo = button("Undo the last step", self._session.undo, quiet=True)
                 can_undo = len(snapshot.steps) > 1 and self._session.job is None
                 undo.set_enabled(can_undo)
-                auto = ui.button("Add until nothing is left")
-                auto.on_click(self._session.auto).props("outline")
+                auto = button("Add until nothing is left", self._session.auto, True)
                 auto.set_enabled(self._session.job is None)
 
     def _ranking(self, snapshot: Snapshot) -> None:
@@ -158,7 +158,10 @@ class StudyView:
         with ui.column().classes("candidate gap-1"):
             proposed = " (proposed)" if row.is_proposed else ""
             size = f": {row.size}" if row.size else ""
-            ui.label(f"{row.label}{size}{proposed}").style("font-weight: 600")
+            with ui.row().classes("w-full items-center no-wrap justify-between"):
+                ui.label(f"{row.label}{size}{proposed}").style("font-weight: 600")
+                add = self._add_button("Add", row.effects, quiet=True)
+                add.props(f'dense aria-label="Add {row.label}, of the ranking"')
             left, floor = share_left(snapshot, row)
             with ui.element("div").classes("track").props('aria-hidden="true"'):
                 ui.element("div").style(f"width: {100 * left:.1f}%")
@@ -169,8 +172,6 @@ class StudyView:
             if row.confusable_with:
                 others = ", ".join(row.confusable_with)
                 ui.label(f"The data do not tell it from {others}.").classes("faint")
-            button = self._add_button("Add", row.effects).props("outline dense")
-            button.props(f'aria-label="Add {row.label}"')
 
     # ---- the model and the exports ---------------------------------------------------
 
@@ -197,12 +198,12 @@ class StudyView:
         with card():
             heading("Take it away")
             with ui.row():
-                report = ui.button("Report", on_click=self._report)
+                report = button("Report", self._report)
                 report.set_enabled(self._session.job is None)
-                ui.button("Study file", on_click=self._study_file)
-                ui.button("Python script", on_click=self._script)
+                button("Study file", self._study_file, quiet=True)
+                button("Python script", self._script, quiet=True)
             ui.label(
-                "The study file and the script look for the CSV files beside themselves."
+                "Study file and script look for the CSV files beside themselves."
             ).classes("faint")
 
     def _report(self) -> None:

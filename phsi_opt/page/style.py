@@ -1,10 +1,11 @@
-"""How the page looks: colours of light and dark, and the few rules beyond the framework.
+"""How the page looks: colours of light and dark, and a few rules.
 
 Every pair of text and ground has a contrast of at least 4.5:1. No colour stands alone:
 a word says the same.
 """
 
 PRIMARY = "#1f5fa8"  # 6.5:1 below white text
+ON_PRIMARY = "#ffffff"
 CSS = """
 :root {
   --ink: #16191d; --faint: #4d5661; --ground: #f4f6f8; --card: #ffffff;
@@ -28,10 +29,11 @@ body { background: var(--ground) !important; color: var(--ink); }
 }
 .tiles {
   display: grid; gap: 10px; width: 100%;
-  grid-template-columns: repeat(auto-fill, minmax(180px, 1fr));
+  grid-template-columns: repeat(auto-fill, minmax(250px, 1fr));
 }
 .tile {
-  text-align: left; background: var(--card); color: var(--ink); padding: 10px 12px;
+  display: flex; flex-direction: column; text-align: left; padding: 10px 12px;
+  background: var(--card); color: var(--ink);
   border: 1px solid var(--line); border-radius: 8px; cursor: pointer; font: inherit;
 }
 .tile:hover, .tile.chosen { border-color: var(--strong); }
@@ -65,13 +67,24 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
   background: var(--card) !important; color: var(--ink) !important;
   border-color: var(--line);
 }
+.q-header h1 { white-space: nowrap; }
+.q-footer .page { padding: 4px 12px; min-height: 36px; }
 .q-header { border-bottom: 1px solid var(--line); }
 .q-footer { border-top: 1px solid var(--line); }
 .q-field__label, .q-field__messages, .q-uploader__subtitle { color: var(--faint); }
 .q-field__native, .q-field__input { color: var(--ink); }
 .q-tab-panels, .q-tab-panel { background: transparent !important; padding: 0; }
-.body--dark .bg-primary { background: #8fc1f7 !important; color: #0d1b2a !important; }
-.body--dark .text-primary { color: #8fc1f7 !important; }
+body.body--dark { --q-primary: #8fc1f7 !important; --q-onprimary: #0d1b2a !important; }
+.drop {
+  position: relative; width: 100%; border: 2px dashed var(--faint);
+  border-radius: 8px; padding: 22px; text-align: center;
+}
+.drop .q-uploader {
+  position: absolute; inset: 0; width: 100%; height: 100%; max-height: none; opacity: 0;
+}
+.drop .q-uploader__header, .drop .q-uploader__list { display: none; }
+.drop .q-btn, .drop .said { position: relative; z-index: 1; }
+.drop .said { pointer-events: none; }
 .q-btn { text-transform: none; }
 .js-plotly-plot text { fill: var(--ink) !important; }
 .js-plotly-plot .hoverlayer text { fill: #f4f6f8 !important; }
@@ -80,6 +93,10 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
   .two, .facts { grid-template-columns: minmax(0, 1fr); }
   .facts { gap: 8px; }
   .page { padding: 8px; }
+  .q-header { gap: 4px; padding: 2px 8px; flex-wrap: nowrap; }
+  .q-header h1 { display: none; }
+  .q-tab { padding: 0 10px; }
+  .q-header .q-btn { padding: 4px 6px; }
 }
 @media (prefers-reduced-motion: reduce) { * { transition: none !important; } }
 """

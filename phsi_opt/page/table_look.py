@@ -31,7 +31,11 @@ RUN_NAMES = frozenset({"run", "trajectory", "experiment", "trial", "test", "reco
 INPUT_NAMES = frozenset({"u", "input", "force", "torque", "drive", "heater", "pump"})
 # Units that end a header after an underscore, as in position_m.
 SUFFIX_UNITS = frozenset(
-    "s ms us min h m mm cm km rad deg V mV A mA N Nm K degC bar Pa kPa L W kW Hz".split()
+    (
+        *("s", "ms", "us", "min", "h", "m", "mm", "cm", "km", "rad", "deg", "Hz"),
+        *("V", "mV", "A", "mA", "N", "Nm", "K", "degC", "bar", "Pa", "kPa", "L"),
+        *("W", "kW"),
+    )
 )
 
 

@@ -1,4 +1,4 @@
-"""Names that formulas have and nobody has explained: parameters, or slips of the pen."""
+"""Names in formulas that nobody has explained: parameters, or slips of the pen."""
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.expressions import names_of

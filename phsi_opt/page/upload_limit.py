@@ -60,7 +60,5 @@ def _told_length(scope: Message) -> int:
 async def _refuse(send: Send) -> None:
     text = f"A file may have at most {in_megabytes(MOST_UPLOADED)}.".encode()
     headers = [(b"content-type", b"text/plain; charset=utf-8")]
-    await send(
-        {"type": "http.response.start", "status": TOO_LARGE, "headers": headers}
-    )
+    await send({"type": "http.response.start", "status": TOO_LARGE, "headers": headers})
     await send({"type": "http.response.body", "body": text})
