@@ -14,7 +14,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo thesis compare test lint types docs constraints clean
+.PHONY: help install demo thesis compare test browser lint types docs constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -31,8 +31,20 @@ thesis: $(VENV)/.full ## run every experiment of the thesis (about an hour; ARGS
 compare: $(VENV)/.full ## compare the solver with gradient descent on the systems of the thesis
 	@$(PY) -m problems.thesis.compare $(ARGS)
 
-test: $(VENV)/.full ## run the tests
+test: $(VENV)/.full browser ## run the tests
 	@$(PY) -m pytest $(ARGS)
+
+browser: ## install Chromium for the tests of the page, where there is none and apt may be used
+	@if command -v chromium > /dev/null || command -v chromium-browser > /dev/null || \
+			command -v google-chrome > /dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get > /dev/null; then \
+		echo "Installing Chromium, which the tests of the page drive."; \
+		{ apt-get update -qq && apt-get install -y -qq --no-install-recommends chromium > /dev/null; } || \
+			echo "Chromium could not be installed: the tests of the page are skipped (with CI=true they fail)."; \
+	else \
+		echo "There is no Chromium, and no apt to install it with: the tests of the page are skipped" \
+			"(with CI=true they fail). Install chromium or google-chrome."; \
+	fi
 
 lint: $(VENV)/.full ## check style and formatting
 	@$(PY) -m ruff check .

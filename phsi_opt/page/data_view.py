@@ -132,7 +132,7 @@ class DataView:
             with ui.element("div").style("width: 11em"):
                 ui.label(column.column).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
-            roles = ROLES if column.is_numeric else (RUN, UNUSED)
+            roles = ROLES if column.is_numeric else (TIME, RUN, UNUSED)
             choice(
                 f"{column.column} is",
                 roles,

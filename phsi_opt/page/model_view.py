@@ -54,7 +54,16 @@ class ModelView:
         """Draw it all."""
         self.gallery()
         self.fields()
-        self.wrong()
+        with card():
+            self.wrong()
+            self._fit_button = button("Fit", self._fit)
+        self.show_check()
+
+    def show_check(self) -> None:
+        """What the last check said; the button stays, so that no click is lost."""
+        self.wrong.refresh()
+        can_fit = not self._session.complaints and self._session.job is None
+        self._fit_button.set_enabled(can_fit)
 
     @ui.refreshable_method
     def gallery(self) -> None:
@@ -84,16 +93,11 @@ class ModelView:
 
     @ui.refreshable_method
     def wrong(self) -> None:
-        """What is wrong with the model; parameters that formulas ask for; the fit."""
-        with card():
-            session = self._session
-            found = list(session.complaints)
-            complaints(found, "Model and data can be used.")
-            for name in unknown_names(self._draft):
-                add = partial(self._add_parameter, name)
-                button(f"Make {name} a parameter", add, quiet=True)
-            fit = button("Fit", self._fit)
-            fit.set_enabled(not found and session.job is None)
+        """What is wrong with the model; parameters that formulas ask for."""
+        complaints(self._session.complaints, "Model and data can be used.")
+        for name in unknown_names(self._draft):
+            add = partial(self._add_parameter, name)
+            button(f"Make {name} a parameter", add, quiet=True)
 
     @ui.refreshable_method
     def fields(self) -> None:

@@ -9,6 +9,9 @@ from phsi_opt.page.sessions import Sessions
 from phsi_opt.study_file.study_file import StudyFile
 
 TIDY_EVERY = 60.0  # s between looks for sessions that nobody uses
+# s for which a page that lost its connection keeps its fields: a phone that slept, a
+# machine that is busy. After it the page is loaded again; the session stays anyway.
+RECONNECT_WITHIN = 30.0
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 
 
@@ -71,6 +74,7 @@ def serve(
         show=show,
         reload=False,
         title="phsi_opt",
+        reconnect_timeout=RECONNECT_WITHIN,
         storage_secret=secrets.token_hex(32),
     )
 

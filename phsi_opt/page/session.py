@@ -40,7 +40,7 @@ from phsi_opt.study_file.study_file import StudyFile
 
 WORKING_FILE = "working_study.toml"
 CHECKPOINT = "study.checkpoint"
-REPORT_FILE = "report.md"
+REPORT_FILE = "report.html"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a CSV file.")
 
 

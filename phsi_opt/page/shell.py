@@ -13,7 +13,6 @@ from phsi_opt.page.data_view import DataView
 from phsi_opt.page.model_view import ModelView
 from phsi_opt.page.parts import button, heading
 from phsi_opt.page.session import Session
-from phsi_opt.page.snapshot import Snapshot
 from phsi_opt.page.study_view import StudyView
 
 ASK_EVERY = 0.25  # s between looks at the session; faster than a reader notices
@@ -39,9 +38,7 @@ class Shell:
         self._study = StudyView(session)
         self._shape = session.shape
         self._version = session.version
-        self._snapshot: Snapshot | None = session.snapshot
-        self._was_stale = session.is_stale
-        self._job = session.job
+        self._drawn: tuple[object, object] = (session.snapshot, session.is_stale)
 
     def build(self) -> None:
         """Draw everything and keep up with the session."""
@@ -50,9 +47,7 @@ class Shell:
         self._dark = ui.dark_mode(value=None)
         ui.link("Skip to the content", "#content").classes("skip")
         self._header()
-        first = DATA
-        if self._session.snapshot is not None or self._session.job is not None:
-            first = STUDY
+        first = STUDY if _has_begun(self._session) else DATA
         with (
             ui.element("main").classes("page").props('id="content"'),
             ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
@@ -63,8 +58,8 @@ class Shell:
                 self._model.build()
             with ui.tab_panel(STUDY), ui.column().classes("w-full gap-3"):
                 self._study.build()
-        with ui.footer().classes("q-pa-sm"):
-            self.status()
+        with ui.footer().classes("q-pa-none"):
+            self._build_status()
         ui.timer(ASK_EVERY, self._keep_up)
 
     def _header(self) -> None:
@@ -95,23 +90,34 @@ class Shell:
 
     # ---- the work that goes on -------------------------------------------------------
 
-    @ui.refreshable_method
-    def status(self) -> None:
-        """What is done now, with the button that ends it; or how it ended."""
-        session = self._session
-        with (
-            ui.row()
-            .classes("w-full items-center gap-3 page q-py-none")
-            .props('role="status" aria-live="polite"')
-        ):
-            if session.job is None:
-                ui.label(session.message or _standing(session))
-                return
-            ui.spinner(size="22px").props('aria-hidden="true"')
-            line = session.job.lines[-1] if session.job.lines else "starting"
-            ui.label(f"{session.job.label}: {line}").style("flex: 1; min-width: 0")
-            self._seconds = ui.label(_seconds(session)).props('aria-live="off"')
-            button("Cancel", session.cancel)
+    def _build_status(self) -> None:
+        """What is done now, with the button that ends it; or how it ended.
+
+        Its parts stay and are changed, so that the button keeps the focus.
+        """
+        row = ui.row().classes("w-full items-center gap-3 page no-wrap")
+        with row:
+            self._spinner = ui.spinner(size="22px").props('aria-hidden="true"')
+            self._line = ui.label().style("flex: 1; min-width: 0")
+            self._line.props('role="status" aria-live="polite"')
+            self._seconds = ui.label()
+            self._cancel = button("Cancel", self._end_job)
+        self._show_status()
+
+    def _end_job(self) -> None:
+        self._session.cancel()
+        self._keep_up()
+
+    def _show_status(self) -> None:
+        job = self._session.job
+        for part in (self._spinner, self._seconds, self._cancel):
+            part.set_visibility(job is not None)
+        if job is None:
+            self._line.set_text(self._session.message or _standing(self._session))
+            return
+        line = job.lines[-1] if job.lines else "starting"
+        self._line.set_text(f"{job.label}: {line}")
+        self._seconds.set_text(f"{job.seconds:.0f} s")
 
     def _keep_up(self) -> None:
         """Draw anew what has changed since the last look."""
@@ -126,24 +132,28 @@ class Shell:
             self._version = session.version
             self._show_changes()
         elif session.job is not None:
-            self._seconds.set_text(_seconds(session))
+            self._show_status()
         self._study.deliver()
 
     def _show_changes(self) -> None:
         session = self._session
-        self.status.refresh()
+        self._show_status()
         self._data.wrong.refresh()
-        self._model.wrong.refresh()
-        is_new = session.snapshot is not self._snapshot or session.job is not self._job
-        if is_new or session.is_stale != self._was_stale:
-            self._snapshot = session.snapshot
-            self._job = session.job
-            self._was_stale = session.is_stale
+        self._model.show_check()
+        self._study.show_job()
+        now = (session.snapshot, session.is_stale)
+        if session.snapshot is None:
+            now = (session.job, session.complaints)
+        if now != self._drawn:
+            self._drawn = now
             self._study.build.refresh()
 
 
-def _seconds(session: Session) -> str:
-    return "" if session.job is None else f"{session.job.seconds:.0f} s"
+def _has_begun(session: Session) -> bool:
+    """Whether there is more to see than fields to fill in."""
+    if session.snapshot is not None or session.job is not None:
+        return True
+    return session.draft.data is not None and not session.complaints
 
 
 def _standing(session: Session) -> str:

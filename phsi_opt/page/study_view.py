@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from nicegui import ui
 
@@ -28,10 +29,24 @@ class StudyView:
         self._session = session
         self._fit_view = FitView(session)
         self._wants_report = False
+        self._resting: list[ui.button] = []  # pressed only while nothing is solved
+
+    def show_job(self) -> None:
+        """Let the buttons that begin work be pressed, or not."""
+        for one in self._resting:
+            one.set_enabled(self._session.job is None)
+
+    def _begins(self, label: str, then: Callable[[], Any], quiet: bool) -> ui.button:
+        """A button that begins work."""
+        made = button(label, then, quiet)
+        made.set_enabled(self._session.job is None)
+        self._resting.append(made)
+        return made
 
     @ui.refreshable_method
     def build(self) -> None:
         """Draw it all."""
+        self._resting.clear()
         snapshot = self._session.snapshot
         if snapshot is None:
             self._nothing_yet()
@@ -98,8 +113,7 @@ class StudyView:
             f"The error is {error.judged:.3g}, noise alone would leave "
             f"{error.floor:.3g} {snapshot.unit}."
         )
-        if self._session.job is None:
-            button("Look for what is missing", self._session.diagnose)
+        self._begins("Look for what is missing", self._session.diagnose, False)
 
     def _what_to_add(self, snapshot: Snapshot, add: str, preview: str) -> None:
         if not add or snapshot.diagnosed is None:
@@ -113,9 +127,7 @@ class StudyView:
     def _add_button(
         self, label: str, effects: tuple[str, ...], quiet: bool = False
     ) -> ui.button:
-        made = button(label, lambda: self._session.add(effects), quiet)
-        made.set_enabled(self._session.job is None)
-        return made
+        return self._begins(label, lambda: self._session.add(effects), quiet)
 
     # ---- staircase and ranking -------------------------------------------------------
 
@@ -130,11 +142,9 @@ class StudyView:
             said = f"Chart: error after each step: {errors}".replace('"', "'")
             plot.props(f'role="img" aria-label="{said}"')
             with ui.row():
-                undo = button("Undo the last step", self._session.undo, quiet=True)
-                can_undo = len(snapshot.steps) > 1 and self._session.job is None
-                undo.set_enabled(can_undo)
-                auto = button("Add until nothing is left", self._session.auto, True)
-                auto.set_enabled(self._session.job is None)
+                if len(snapshot.steps) > 1:
+                    self._begins("Undo the last step", self._session.undo, True)
+                self._begins("Add until nothing is left", self._session.auto, True)
 
     def _ranking(self, snapshot: Snapshot) -> None:
         diagnosed = snapshot.diagnosed
@@ -176,7 +186,7 @@ class StudyView:
     # ---- the model and the exports ---------------------------------------------------
 
     def _model(self, snapshot: Snapshot) -> None:
-        with card():
+        with card().classes("last"):
             heading("The model now")
             for equation in snapshot.equations:
                 ui.label(equation).classes("formula")
@@ -195,11 +205,10 @@ class StudyView:
                 ui.label(f"The automatic study stopped: {snapshot.stopped}")
 
     def _exports(self) -> None:
-        with card():
+        with card().classes("last"):
             heading("Take it away")
             with ui.row():
-                report = button("Report", self._report)
-                report.set_enabled(self._session.job is None)
+                self._begins("Report", self._report, False)
                 button("Study file", self._study_file, quiet=True)
                 button("Python script", self._script, quiet=True)
             ui.label(

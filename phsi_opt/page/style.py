@@ -90,7 +90,10 @@ body.body--dark { --q-primary: #8fc1f7 !important; --q-onprimary: #0d1b2a !impor
 .js-plotly-plot .hoverlayer text { fill: #f4f6f8 !important; }
 .js-plotly-plot .gridlayer path { stroke: var(--line) !important; }
 @media (max-width: 760px) {
-  .two, .facts { grid-template-columns: minmax(0, 1fr); }
+  .facts { grid-template-columns: minmax(0, 1fr); }
+  .two { display: flex; flex-direction: column; }
+  .two > * { display: contents !important; }
+  .two .last { order: 9; }
   .facts { gap: 8px; }
   .page { padding: 8px; }
   .q-header { gap: 4px; padding: 2px 8px; flex-wrap: nowrap; }

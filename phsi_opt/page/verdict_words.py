@@ -34,8 +34,8 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
         floor = error_words(snapshot, snapshot.steps[-1].floor)
         return Facts(
             f"Nothing is missing. The error is {left}, the noise floor {floor}.",
-            "Nowhere.",
-            "Never.",
+            "No place stands out: what is left looks like noise.",
+            "At no time.",
             "",
             diagnosed.reason,
         )

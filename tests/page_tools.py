@@ -1,0 +1,120 @@
+"""What the tests of the page share: small tables, and a server on a free port."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from problems.examples.friction_spring import CSV, STARTS, table
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
+SEED = 11
+RUNS = ("run 1", "run 2", "run 3")
+
+
+def thinned_table(text: str) -> bytes:
+    """Every second sample of three runs: enough to see the friction, sooner solved."""
+    lines = text.splitlines()
+    kept = [lines[0]]
+    for number, line in enumerate(lines):
+        if line.startswith(RUNS) and number % 2:
+            kept.append(line)
+    return "\n".join(kept).encode()
+
+
+def spring_table() -> bytes:
+    """The spring of the demonstration, with its hidden friction."""
+    return thinned_table(CSV.read_text())
+
+
+def plain_spring_table() -> bytes:
+    """The same spring without the friction: nothing is missing."""
+    frame = table(SEED, friction=0.0)
+    assert len(STARTS) >= len(RUNS)
+    return thinned_table(frame.to_csv(index=False, lineterminator="\n"))
+
+
+def bad_table() -> bytes:
+    """A table with a cell that is no number, in line 8."""
+    lines = spring_table().decode().splitlines()
+    return "\n".join([*lines[:7], "run 1,abc,0.5", *lines[7:]]).encode()
+
+
+def browser_path() -> str:
+    """An installed Chromium; skips where there is none, and fails in CI."""
+    for name in BROWSERS:
+        found = shutil.which(name)
+        if found:
+            return found
+    reason = f"none of {', '.join(BROWSERS)} is installed (make browser installs one)"
+    if os.environ.get("CI") == "true":
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+@contextmanager
+def served(folder: Path, *arguments: str) -> Iterator[str]:
+    """The page in a process of its own, on a free port; its address."""
+    port = _free_port()
+    command = [sys.executable, "-m", "phsi_opt.command_line", "page", *arguments]
+    environment = _environment()
+    server = subprocess.Popen(
+        [*command, "--no-show", "--port", str(port)],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    address = f"http://127.0.0.1:{port}"
+    try:
+        _wait_until_up(server, address)
+        yield address
+    finally:
+        server.terminate()
+        try:
+            server.wait(10)
+        except subprocess.TimeoutExpired:
+            server.kill()
+            server.wait(10)
+        assert server.stdout is not None
+        server.stdout.close()
+
+
+def _free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def _environment() -> dict[str, str]:
+    """Without what tells the framework that it is under test, and with the package."""
+    root = str(Path(__file__).resolve().parents[1])
+    environment = {**os.environ, "PYTHONPATH": root, "OMP_NUM_THREADS": "1"}
+    for name in list(environment):
+        if name.startswith(("PYTEST", "NICEGUI")):
+            del environment[name]
+    return environment
+
+
+def _wait_until_up(server: "subprocess.Popen[str]", address: str) -> None:
+    end = time.monotonic() + STARTS_WITHIN
+    while time.monotonic() < end:
+        if server.poll() is not None:
+            assert server.stdout is not None
+            raise AssertionError(f"the server ended: {server.stdout.read()}")
+        try:
+            with urllib.request.urlopen(address, timeout=5):
+                return
+        except OSError:
+            time.sleep(0.1)
+    raise AssertionError("the server did not start")

@@ -1,0 +1,209 @@
+"""The page in a real Chromium: a study from the table to the report, and what may go wrong."""
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from tests.page_tools import (
+    bad_table,
+    browser_path,
+    plain_spring_table,
+    served,
+    spring_table,
+)
+
+SHOWN_WITHIN = 20_000  # ms, for what needs no solve; a busy machine takes its time
+SOLVED_WITHIN = 90_000  # ms
+CANCELLED_WITHIN = 2.0  # s
+EFFECT = "coulomb friction on p"
+# The framework asks plotly to resize charts of a part that is not shown, in vain.
+HARMLESS = "Resize must be passed a displayed plot div element."
+expect.set_options(timeout=SHOWN_WITHIN)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    browser_path()  # skips before a server is started in vain
+    with served(tmp_path_factory.mktemp("server")) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    path = browser_path()
+    # Its sandbox refuses to run as root, which containers of tests do.
+    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=path, args=arguments)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def page(browser: Browser, address: str) -> Iterator[Page]:
+    """A fresh browser session; errors of its scripts fail the test."""
+    context = browser.new_context()
+    found = context.new_page()
+    found.set_default_timeout(SHOWN_WITHIN)
+    errors: list[str] = []
+    found.on("pageerror", lambda error: errors.append(str(error)))
+    found.goto(address)
+    yield found
+    context.close()
+    assert [one for one in errors if one != HARMLESS] == []
+
+
+def drop(page: Page, name: str, content: bytes) -> None:
+    file = {"name": name, "mimeType": "text/csv", "buffer": content}
+    page.locator("input[type=file]").set_input_files(file)  # type: ignore[arg-type]
+
+
+def prepare(page: Page, content: bytes) -> None:
+    """Table and model, as a user gives them."""
+    drop(page, "spring.csv", content)
+    expect(page.get_by_label("unit of position_m")).to_have_value("m")
+    page.get_by_role("tab", name="2 Model").click()
+    page.get_by_role("button", name="Spring A mass").click()
+    page.get_by_label("known value of m").fill("2.5")
+    expect(page.get_by_text("Model and data can be used.")).to_be_visible()
+
+
+def press_fit(page: Page) -> None:
+    page.get_by_role("button", name="Fit", exact=True).click()
+    expect(page.get_by_role("button", name="Cancel")).to_be_visible()
+
+
+def facts(page: Page) -> str:
+    """What the first screen says once it is known."""
+    region = page.get_by_role("region", name="Verdict")
+    region.get_by_text("What is wrong").wait_for(timeout=SOLVED_WITHIN)
+    return region.inner_text()
+
+
+def nothing_is_solved(page: Page) -> None:
+    cancel = page.get_by_role("button", name="Cancel")
+    expect(cancel).to_be_hidden(timeout=SOLVED_WITHIN)
+
+
+def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
+    page: Page, tmp_path: Path
+) -> None:
+    prepare(page, spring_table())
+    press_fit(page)
+    said = facts(page)
+    assert f"The model lacks {EFFECT}." in said
+    assert "In dp/dt" in said
+    assert "From t = " in said
+    nothing_is_solved(page)
+    error_before = held_out_error(page, step=0)
+
+    plot = page.locator(".nsewdrag").first
+    box = plot.bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.3 * box["height"])
+    expect(page.get_by_text("At t = ")).to_contain_text("dp/dt lacks")
+    assert float(page.get_by_label("look at the time").input_value()) > 2.0
+
+    page.get_by_role("button", name=f"Add {EFFECT}", exact=True).press("Enter")
+    expect(page.get_by_text("Nothing is missing.")).to_be_visible(timeout=SOLVED_WITHIN)
+    nothing_is_solved(page)
+    assert held_out_error(page, step=1) < 0.8 * error_before
+    assert unlabelled_fields(page) == []
+
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Report").click()
+    report = tmp_path / download.value.suggested_filename
+    download.value.save_as(report)
+    page.goto(report.as_uri())
+    expect(page.get_by_text("coulomb friction").first).to_be_visible()
+
+
+def held_out_error(page: Page, step: int) -> float:
+    """The number at a step of the staircase, as the chart tells it to screen readers."""
+    chart = page.get_by_role("img", name="Chart: error after each step")
+    label = chart.get_attribute("aria-label") or ""
+    _, _, steps = label.partition("step: ")
+    return float(steps.split(", ")[step].split()[-1])
+
+
+def unlabelled_fields(page: Page) -> list[str]:
+    """Fields and buttons that a screen reader could not name."""
+    found: list[str] = page.evaluate(
+        """() => [...document.querySelectorAll('input, select, textarea, button')]
+            .filter(one => one.offsetParent !== null && !(
+                one.labels?.length && one.labels[0].innerText.trim()
+                || one.getAttribute('aria-label') || one.innerText.trim()))
+            .map(one => one.outerHTML.slice(0, 200))"""
+    )
+    return found
+
+
+def test_a_bad_file_is_refused_with_row_and_column(page: Page) -> None:
+    drop(page, "bad.csv", bad_table())
+    alert = page.get_by_role("alert")
+    expect(alert).to_contain_text("column 't_s', line 8: 'abc' is not a real number")
+    drop(page, "spring.csv", spring_table())
+    expect(page.get_by_text("spring.csv: 302 samples, 3 runs")).to_be_visible()
+    expect(alert).to_be_hidden()
+    page.get_by_label("unit of t_s").fill("s")
+    page.get_by_role("tab", name="2 Model").click()
+    page.get_by_role("button", name="Spring A mass").click()
+    energy = page.get_by_label("energy H")
+    expect(energy).to_have_value("k*q**2/2 + p**2/(2*m)")
+    energy.fill("kk*q**2/2 + p**2/(2*m)")
+    expect(page.get_by_text("'kk' is not known here")).to_be_visible()
+    expect(page.get_by_role("button", name="Fit", exact=True)).to_be_disabled()
+    page.get_by_role("button", name="Make kk a parameter").click()
+    page.get_by_role("button", name="Remove k", exact=True).click()
+    expect(page.get_by_text("Model and data can be used.")).to_be_visible()
+
+
+def test_a_solve_is_cancelled_and_what_was_found_is_kept(page: Page) -> None:
+    prepare(page, spring_table())
+    press_fit(page)
+    expect(page.get_by_text("screening").first).to_be_visible(timeout=SOLVED_WITHIN)
+    cancel = page.get_by_role("button", name="Cancel")
+    cancel.click(trial=True)  # it can be pressed; the charts of the fit are drawn
+    began = time.monotonic()
+    cancel.click()
+    expect(page.get_by_text("Cancelled: Fitting the base model")).to_be_visible()
+    assert time.monotonic() - began < CANCELLED_WITHIN
+    expect(page.get_by_text("Fitted; what is missing is not known yet")).to_be_visible()
+    page.get_by_role("button", name="Look for what is missing").click()
+    assert f"The model lacks {EFFECT}." in facts(page)
+
+
+def test_a_reload_in_the_middle_of_a_study_loses_nothing(page: Page) -> None:
+    prepare(page, spring_table())
+    press_fit(page)
+    page.reload()
+    expect(page.get_by_role("button", name="Cancel")).to_be_visible()
+    assert f"The model lacks {EFFECT}." in facts(page)
+    nothing_is_solved(page)
+    page.reload()
+    assert f"The model lacks {EFFECT}." in facts(page)
+    page.get_by_role("tab", name="2 Model").click()
+    expect(page.get_by_label("known value of m")).to_have_value("2.5")
+    page.get_by_role("tab", name="1 Data").click()
+    expect(page.get_by_text("spring.csv: 302 samples, 3 runs")).to_be_visible()
+
+
+def test_two_browsers_do_not_disturb_each_other(
+    page: Page, browser: Browser, address: str
+) -> None:
+    context = browser.new_context()
+    other = context.new_page()
+    other.set_default_timeout(SHOWN_WITHIN)
+    other.goto(address)
+    prepare(page, spring_table())
+    prepare(other, plain_spring_table())
+    press_fit(page)
+    press_fit(other)
+    assert f"The model lacks {EFFECT}." in facts(page)
+    assert "Nothing is missing." in facts(other)
+    assert f"The model lacks {EFFECT}." in facts(page)
+    context.close()

@@ -1,0 +1,499 @@
+"""The page without a browser: drafts, session, worker, limits, words, colours."""
+
+import asyncio
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.errors import Complaint
+from phsi_opt.page import style
+from phsi_opt.page.complaint_words import complaint_words
+from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
+from phsi_opt.page.gallery import GALLERY, SPRING, BaseModel
+from phsi_opt.page.limits import MOST_SESSIONS, MOST_UPLOADED
+from phsi_opt.page.matching import match_states
+from phsi_opt.page.serve import is_loopback, serve
+from phsi_opt.page.session import Session
+from phsi_opt.page.sessions import Sessions
+from phsi_opt.page.snapshot import force_near
+from phsi_opt.page.unknown_names import unknown_names
+from phsi_opt.page.upload_limit import UploadLimit
+from phsi_opt.page.verdict_words import facts_of
+from phsi_opt.study_file.model_reading import read_model, read_names
+from phsi_opt.study_file.part import Complaints, Part
+from tests.page_tools import bad_table, spring_table
+
+ENDS_WITHIN = 2.0  # s, from Cancel to the end of the process
+SOLVED_WITHIN = 60.0  # s; a busy machine takes several times the usual five
+
+
+def wait_for(is_done: Callable[[], bool], seconds: float = SOLVED_WITHIN) -> None:
+    end = time.monotonic() + seconds
+    while not is_done():
+        assert time.monotonic() < end, "it takes too long"
+        time.sleep(0.02)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{pid}/status")
+    return not status.exists() or "State:\tZ" not in status.read_text()
+
+
+def filled(folder: Path) -> Session:
+    """A session with the spring of the demonstration."""
+    session = Session(folder)
+    assert session.upload("spring.csv", spring_table()), session.upload_error
+    session.choose(SPRING)
+    mass = next(one for one in session.draft.model.parameters if one.name == "m")
+    mass.value = "2.5"
+    assert session.check() == ()
+    return session
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    made = filled(tmp_path)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    """The spring, fitted, with the friction that was found added."""
+    made = filled(tmp_path_factory.mktemp("studied"))
+    made.fit()
+    wait_for(lambda: made.job is None)
+    assert made.snapshot is not None, made.message
+    assert made.snapshot.diagnosed is not None, made.message
+    made.add(made.snapshot.diagnosed.proposed)
+    wait_for(lambda: made.job is None)
+    yield made
+    made.close()
+
+
+# ---- the table -----------------------------------------------------------------------
+
+
+def test_the_columns_of_a_table_are_guessed(session: Session) -> None:
+    assert session.draft.data is not None
+    found = {one.column: (one.role, one.unit) for one in session.draft.data.columns}
+    assert found == {
+        "run": (RUN, ""),
+        "t_s": (TIME, "s"),
+        "position_m": (STATE, "m"),
+    }
+    assert session.draft.data.runs == ["run 1", "run 2", "run 3"]
+
+
+def test_a_bad_table_is_refused_with_its_line_and_column(session: Session) -> None:
+    assert not session.upload("bad.csv", bad_table())
+    assert "column 't_s', line 8: 'abc' is not a real number" in session.upload_error
+    assert str(session.folder) not in session.upload_error
+    assert session.draft.data is not None
+    assert session.draft.data.files == ["spring.csv"], "what was there stays"
+    assert not (session.folder / "bad.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is empty"),
+        ("t,q\n0,1\n1\n", "line 3 has 1 cells; expected 2"),
+        ("t,q,q\n0,1,1\n1,2,2\n", "the header has 'q' twice"),
+        ("t;q\n0;1,5\n1;2,5\n", "line 2: '1,5' is not a real number"),
+    ],
+)
+def test_what_is_no_table_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    session = Session(tmp_path)
+    assert not session.upload("x.csv", text.encode())
+    assert said in session.upload_error
+
+
+def test_a_table_that_is_too_large_is_refused(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    assert not session.upload("large.csv", b"0" * (MOST_UPLOADED + 1))
+    assert "at most 20 MB" in session.upload_error
+
+
+def test_a_name_with_a_path_stays_in_the_folder_of_the_session(tmp_path: Path) -> None:
+    session = Session(tmp_path / "own")
+    session.folder.mkdir()
+    session.upload("../../outside.csv", b"t,q\n0,1\n1,2\n2,4\n")
+    session.close()
+    assert not list(tmp_path.rglob("outside.csv"))
+
+
+def test_a_second_table_with_the_same_columns_is_a_second_run(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
+    assert session.draft.data is not None
+    session.draft.data.columns[1].unit = "mm"
+    session.upload("b.csv", b"t,q\n0,2\n1,1\n2,4\n")
+    session.close()
+    assert session.draft.data.files == ["a.csv", "b.csv"]
+    assert session.draft.data.runs == ["a", "b"]
+    assert session.draft.data.columns[1].unit == "mm", "what was said of it stays"
+
+
+# ---- the model -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("base", GALLERY, ids=lambda base: base.title)
+@pytest.mark.parametrize("inputs", [[], ["u"]], ids=["free", "driven"])
+def test_every_base_model_of_the_gallery_is_a_model(
+    base: BaseModel, inputs: list[str], tmp_path: Path
+) -> None:
+    session = Session(tmp_path)
+    session.draft.model = base.drafted(inputs)
+    found = Complaints()
+    file = Part("", session.draft.content(), found)
+    model = read_model(file, read_names(file))
+    assert [str(one) for one in found.listed] == []
+    assert model is not None
+    assert list(model.states) == list(base.units)
+    assert list(model.inputs) == inputs
+    if inputs:
+        assert any("u" in terms.terms[0].body for terms in model.F.values())
+
+
+def test_columns_become_the_states_of_the_same_unit() -> None:
+    columns = [
+        ColumnDraft("v", STATE, "v", "m/s"),
+        ColumnDraft("x", STATE, "x", "mm"),
+        ColumnDraft("u", INPUT, "u", "N"),
+    ]
+    data = DataDraft(Path(), ["a.csv"], columns)
+    match_states(data, {"q": "m", "p": "kg m/s"})
+    assert data.column_named(STATE, "q") is columns[1]
+    assert columns[0].role == "not used", "a velocity is no momentum"
+    assert data.unmeasured == {"p": "kg m/s"}
+
+
+def test_the_live_check_names_what_is_wrong(session: Session) -> None:
+    session.draft.model.H = "kk*q**2/2 + p**2/(2*m)"
+    session.draft.model.R["p"] = "c*("
+    session.draft.model.parameters[0].lower = "twenty"
+    words = {one.key: complaint_words(one) for one in session.check()}
+    assert "Energy H" in words["model.H"]
+    assert "'kk' is not known here" in words["model.H"]
+    assert "Did you mean 'k'?" in words["model.H"]
+    assert words["model.R.p"].startswith("Loss R of p")
+    assert words["parameters.k.lower"].startswith("Parameter k, lower")
+    assert unknown_names(session.draft.model) == ["kk"]
+    session.fit()
+    assert session.job is None
+    assert "cannot be fitted yet" in session.message
+
+
+def test_a_state_that_no_column_shows_is_told_in_words_of_the_page() -> None:
+    said = (
+        'the model has it: give { column = "..." }, or { measured = false }. '
+        "Did you mean 'q'?"
+    )
+    words = complaint_words(Complaint("data.states.x", "", said))
+    assert words.startswith("Column of x: the model has it: choose a column")
+
+
+def test_a_study_file_becomes_drafts_and_comes_back(tmp_path: Path) -> None:
+    (tmp_path / "spring.csv").write_bytes(spring_table())
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """
+[data]
+files = ["spring.csv"]
+trajectory = "run"
+time = { column = "t_s", unit = "s" }
+[data.states]
+q = { column = "position_m", unit = "m", noise = 0.04 }
+p = { measured = false, unit = "kg m/s" }
+[held_out]
+runs = ["run 3"]
+[model]
+states = ["q", "p"]
+pairs = [["q", "p"]]
+H = "k*q**2/2 + p**2/(2*m)"
+R = { p = "c" }
+F = { p = { body = "t", coefficient = { start = 0.5 } } }
+[parameters]
+m = 2.5
+k = { start = 10.0, lower = 0, unit = "N/m", per_trajectory = true }
+c = { lower = 0 }
+[study]
+added = ["coulomb friction on p"]
+without = ["harmonic force"]
+[loss]
+huber = 1.5
+"""
+    )
+    folder = tmp_path / "session"
+    folder.mkdir()
+    session = Session(folder, path)
+    assert session.complaints == ()
+    (tmp_path / "again.toml").write_text(session.draft.text())
+    again = ph.StudyFile.read(tmp_path / "again.toml")
+    first = ph.StudyFile.read(path)
+    assert again.text() == first.text()
+
+
+# ---- the work ------------------------------------------------------------------------
+
+
+def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> None:
+    assert studied.snapshot is not None
+    base, larger = studied.snapshot.steps
+    assert larger.label == "coulomb friction on p"
+    assert larger.judged < 0.8 * base.judged
+    assert studied.snapshot.diagnosed is not None
+    assert not studied.snapshot.diagnosed.is_missing
+    facts = facts_of(studied.snapshot)
+    assert facts is not None
+    assert facts.what.startswith("Nothing is missing.")
+
+
+def test_a_snapshot_holds_every_run_with_its_missing_force(studied: Session) -> None:
+    assert studied.snapshot is not None
+    parts = [(run.name, run.part) for run in studied.snapshot.runs]
+    assert parts == [
+        ("run 1", "training"),
+        ("run 2", "training"),
+        ("run 3", "held out"),
+    ]
+    for run in studied.snapshot.runs:
+        (force,) = studied.snapshot.forces_along(run)
+        assert force.equation == "p"
+        assert force.unit == "N"
+        assert run.t[0] <= force.t[0] <= force.t[-1] <= run.t[-1]
+        assert "dp/dt lacks" in force_near(force, 1.0)
+
+
+def test_the_exported_script_reproduces_every_step(
+    studied: Session, tmp_path: Path
+) -> None:
+    assert studied.snapshot is not None
+    (tmp_path / "spring.csv").write_bytes(spring_table())
+    script = tmp_path / "study.py"
+    shown = "print(*(step.judged.rmse for step in study.steps))"
+    script.write_text(f"{studied.script()}\n{shown}\n")
+    root = Path(__file__).resolve().parents[1]
+    ran = subprocess.run(
+        [sys.executable, script],
+        env={**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    errors = [float(word) for word in ran.stdout.splitlines()[-1].split()]
+    expected = [step.judged for step in studied.snapshot.steps]
+    # On the page the re-fit begins where the diagnosis ended: the same optimum, found
+    # from elsewhere.
+    assert errors == pytest.approx(expected, rel=1e-3)
+    (tmp_path / "study.toml").write_text(studied.study_text())
+    assert ph.StudyFile.read(tmp_path / "study.toml").steps.added == (
+        "coulomb friction on p",
+    )
+
+
+def test_undo_takes_back_the_step(studied: Session) -> None:
+    before = studied.snapshot
+    assert before is not None
+    studied.undo()
+    wait_for(lambda: studied.job is None)
+    assert studied.snapshot is not None
+    assert studied.snapshot.steps == before.steps[:1]
+    assert studied.snapshot.diagnosed is not None
+    assert studied.snapshot.diagnosed.proposed == ("coulomb friction on p",)
+    assert studied.message == ""
+
+
+def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> None:
+    session.fit()
+    wait_for(lambda: session.snapshot is not None)  # fitted; the diagnosis goes on
+    assert session.job is not None
+    assert session._worker is not None
+    pid = session._worker.pid
+    began = time.monotonic()
+    session.cancel()
+    assert time.monotonic() - began < ENDS_WITHIN
+    assert not is_running(pid)
+    assert session.job is None
+    assert session.message.startswith("Cancelled: Fitting the base model")
+    assert session.snapshot.diagnosed is None
+    session.diagnose()
+    wait_for(lambda: session.job is None)
+    assert session.message == ""
+    assert session.snapshot.diagnosed is not None, "it went on from what was kept"
+
+
+def test_a_worker_that_is_lost_is_told(session: Session) -> None:
+    session.fit()
+    wait_for(lambda: bool(session.job and session.job.lines))
+    assert session._worker is not None
+    os.kill(session._worker.pid, signal.SIGKILL)
+    wait_for(lambda: session.job is None, ENDS_WITHIN)
+    assert "ended unexpectedly" in session.message
+
+
+def test_what_cannot_be_done_is_told(session: Session) -> None:
+    session.undo()
+    wait_for(lambda: session.job is None)
+    assert session.message == "Nothing has been fitted yet; press Fit first."
+    with pytest.raises(ph.DataError, match="nothing has been fitted yet"):
+        session.script()
+
+
+PARENT = """
+import sys, tempfile, time
+from pathlib import Path
+from tests.test_page_session import filled
+
+def main():
+    session = filled(Path(tempfile.mkdtemp()))
+    session.fit()
+    while not (session.job and session.job.lines):
+        time.sleep(0.02)
+    print(session._worker.pid, flush=True)
+    time.sleep(60)
+
+if __name__ == "__main__":
+    main()
+"""
+
+
+def test_a_worker_ends_with_its_parent_in_the_middle_of_a_solve(
+    tmp_path: Path,
+) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    root = Path(__file__).resolve().parents[1]
+    environment = {**os.environ, "PYTHONPATH": str(root), "TMPDIR": str(tmp_path)}
+    with subprocess.Popen(
+        [sys.executable, script], env=environment, stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        assert is_running(pid)
+        parent.kill()
+    wait_for(lambda: not is_running(pid), ENDS_WITHIN)
+
+
+# ---- sessions and limits -------------------------------------------------------------
+
+
+def test_every_browser_has_a_session_of_its_own_and_the_oldest_is_forgotten() -> None:
+    sessions = Sessions()
+    first = sessions.of("a")
+    assert sessions.of("a") is first
+    assert sessions.of("b") is not first
+    first.seen -= 1000.0
+    for number in range(MOST_SESSIONS - 1):
+        sessions.of(f"further {number}")
+    assert len(sessions) == MOST_SESSIONS
+    assert not first.folder.exists()
+    sessions.of("b").seen -= 1e6
+    sessions.tidy()
+    assert len(sessions) == MOST_SESSIONS - 1
+    again = sessions.begin_again("further 0")
+    assert again.folder.exists()
+    sessions.close()
+    assert len(sessions) == 0
+    assert not again.folder.exists()
+
+
+def received(limit: UploadLimit, body: bytes, told: int | None) -> int:
+    """The status of an answer to a request; 200 where it was passed on whole."""
+    headers = [] if told is None else [(b"content-length", str(told).encode())]
+    sent: list[Any] = []
+
+    async def receive() -> Any:
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    asyncio.run(limit({"type": "http", "headers": headers}, receive, send))
+    return int(sent[0]["status"])
+
+
+@pytest.mark.parametrize(
+    ("n_bytes", "told", "status"),
+    [(10, 10, 200), (10, None, 200), (11, 11, 413), (5, 11, 413), (11, 5, 400)],
+)
+def test_requests_that_are_too_large_are_refused(
+    n_bytes: int, told: int | None, status: int
+) -> None:
+    async def application(scope: Any, receive: Any, send: Any) -> None:
+        message = await receive()
+        is_whole = message["type"] == "http.request"
+        await send({"type": "http.response.start", "status": 200 if is_whole else 400})
+
+    limit = UploadLimit(application, most=10)
+    assert received(limit, b"0" * n_bytes, told) == status
+
+
+def test_the_page_is_for_this_machine_alone_unless_told_otherwise() -> None:
+    assert serve.__defaults__ is not None
+    assert is_loopback(serve.__defaults__[1])
+    assert is_loopback("localhost")
+    assert is_loopback("::1")
+    assert not is_loopback("0.0.0.0")
+    assert not is_loopback("example.org")
+
+
+def test_a_study_file_that_cannot_be_used_is_told_before_anything_is_served(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text("[data]\n")
+    with pytest.raises(ph.StudyFileError, match="things to correct"):
+        serve(path)
+
+
+# ---- colours -------------------------------------------------------------------------
+
+
+def luminance(color: str) -> float:
+    """As WCAG 2.2 defines it."""
+    total = 0.0
+    for place, weight in ((1, 0.2126), (3, 0.7152), (5, 0.0722)):
+        share = int(color[place : place + 2], 16) / 255
+        is_dark = share <= 0.04045
+        linear = share / 12.92 if is_dark else ((share + 0.055) / 1.055) ** 2.4
+        total += weight * linear
+    return total
+
+
+def contrast(one: str, other: str) -> float:
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def colors(block: str) -> dict[str, str]:
+    return dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
+
+
+def test_every_text_has_enough_contrast_to_its_ground_in_light_and_dark() -> None:
+    light, dark = re.findall(r"(?:root|body\.body--dark) \{(.*?)\}", style.CSS, re.S)[
+        :2
+    ]
+    for named in (colors(light), colors(dark)):
+        for ink in ("ink", "faint", "good", "bad", "strong"):
+            for ground in ("ground", "card"):
+                assert contrast(named[ink], named[ground]) >= 4.5, (ink, ground)
+        assert contrast(named["good"], named["good-ground"]) >= 4.5
+        assert contrast(named["bad"], named["bad-ground"]) >= 4.5
+    assert contrast(style.PRIMARY, style.ON_PRIMARY) >= 4.5
+    assert contrast("#8fc1f7", "#0d1b2a") >= 4.5  # of filled buttons in the dark
