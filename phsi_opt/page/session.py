@@ -121,7 +121,6 @@ class Session:
         A further table with the same columns is a further run; ``upload_error`` says
         why one was refused, and the files before it stay.
         """
-        self.shape += 1
         file = Path(name).name or "table.csv"
         known = [] if self.draft.data is None else list(self.draft.data.files)
         path = self.folder / file
@@ -133,10 +132,11 @@ class Session:
         except DataError as error:
             self.upload_error = str(error)
             _restore(path, before)
-            return False
-        self.upload_error = ""
-        self._ready_worker()
-        return True
+        else:
+            self.upload_error = ""
+            self._ready_worker()
+        self.shape += 1  # at last: a page may look at any time
+        return not self.upload_error
 
     def _take_files(self, files: list[str]) -> None:
         """Look at all files; columns that are known keep what was said of them."""
@@ -155,7 +155,6 @@ class Session:
 
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
-        self.shape += 1
         inputs: list[str] = []
         if self.draft.data is not None:
             match_states(self.draft.data, base.units)
@@ -163,6 +162,7 @@ class Session:
         self.draft.model = base.drafted(inputs)
         self.draft.added = []
         self.check()
+        self.shape += 1
 
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""

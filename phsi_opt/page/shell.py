@@ -49,7 +49,7 @@ class Shell:
         self._header()
         first = STUDY if _has_begun(self._session) else DATA
         with (
-            ui.element("main").classes("page").props('id="content"'),
+            ui.element("div").classes("page").props('id="content"'),
             ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
         ):
             with ui.tab_panel(DATA), ui.column().classes("w-full gap-3"):
@@ -141,7 +141,7 @@ class Shell:
         self._data.wrong.refresh()
         self._model.show_check()
         self._study.show_job()
-        now = (session.snapshot, session.is_stale)
+        now: tuple[object, object] = (session.snapshot, session.is_stale)
         if session.snapshot is None:
             now = (session.job, session.complaints)
         if now != self._drawn:
