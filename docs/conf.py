@@ -61,7 +61,7 @@ napoleon_use_rtype = False
 nitpick_ignore_regex = [
     ("py:.*", r"(ca|casadi|matplotlib|np|numpy|pandas|pd|scipy|sympy|torch)(\..*)?"),
     ("py:.*", r"(abc|ast|collections|enum|functools|os|pathlib|types|typing)(\..*)?"),
-    ("py:.*", r"multiprocessing(\..*)?"),
+    ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
     ("py:class", r"Axes|Figure|(dict|tuple)\[str"),  # imported for types alone; cut up
     ("py:class", r"phsi_opt\..*\.(_\w+|E|Result)"),  # private, and type variables
 ]

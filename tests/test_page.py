@@ -158,6 +158,7 @@ def test_a_bad_file_is_refused_with_row_and_column(page: Page) -> None:
     expect(page.get_by_text("'kk' is not known here")).to_be_visible()
     expect(page.get_by_role("button", name="Fit", exact=True)).to_be_disabled()
     page.get_by_role("button", name="Make kk a parameter").click()
+    expect(page.get_by_label("start of kk")).to_be_visible()
     page.get_by_role("button", name="Remove k", exact=True).click()
     expect(page.get_by_text("Model and data can be used.")).to_be_visible()
 

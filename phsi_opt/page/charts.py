@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.page.limits import MOST_POINTS
+from phsi_opt.page.limits import CHART_POINTS
 from phsi_opt.page.snapshot import ChannelCurves, ErrorStep, ForceCurve, RunCurves
 
 Figure = dict[str, Any]
 
 # Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
-MEASURED = "#7a828c"
-MODEL = "#2f7fd6"
-FORCE = "#c8611a"
-FLOOR = "#3b8f5a"
-MARK = "#b5459e"
+MEASURED_COLOR = "#7a828c"
+MODEL_COLOR = "#2f7fd6"
+FORCE_COLOR = "#c8611a"
+FLOOR_COLOR = "#3b8f5a"
+MARK_COLOR = "#b5459e"
 BAND_OPACITY = 0.22
 N_WORDS_A_LINE = 16  # letters of a step's label below the staircase
 # Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
-# chosen: nested lists in the configuration make plotly's `react` draw without end.
+# chosen: nested lists in the configuration make plotly's ``react`` draw without end.
 UNUSED_BUTTONS = ("toImage", "zoom2d", "pan2d", "select2d", "lasso2d", "autoScale2d")
 RESIDUAL_PART = 0.3  # of the chart's height
 RESIDUAL_GAP = 0.1  # of it, above the residual
@@ -36,9 +36,9 @@ def free_run(
     t = _thinned(run.t)
     noise = 2 * channel.noise
     data = [
-        _curve(t, channel.measured, "measured", MEASURED, mode="markers"),
-        _curve(t, channel.shown, "model", MODEL),
-        _curve(t, channel.residual, "residual", FORCE, yaxis="y2"),
+        _curve(t, channel.measured, "measured", MEASURED_COLOR, mode="markers"),
+        _curve(t, channel.shown, "model", MODEL_COLOR),
+        _curve(t, channel.residual, "residual", FORCE_COLOR, yaxis="y2"),
     ]
     layout = _layout(_label("time", t_unit))
     upper_part = [RESIDUAL_PART + RESIDUAL_GAP, 1]
@@ -56,7 +56,7 @@ def missing_force(
 ) -> Figure:
     """The missing force of one run with two standard deviations, an equation each."""
     data: list[Figure] = []
-    colors = (FORCE, MODEL, FLOOR, MARK)
+    colors = (FORCE_COLOR, MODEL_COLOR, FLOOR_COLOR, MARK_COLOR)
     for number, curve in enumerate(curves):
         color = colors[number % len(colors)]
         data += _banded(curve, color)
@@ -78,15 +78,15 @@ def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
     data = []
     if is_held_out:
         train = [step.train for step in steps]
-        data.append(_step_curve(x, train, "training", MEASURED, "dash"))
+        data.append(_step_curve(x, train, "training", MEASURED_COLOR, "dash"))
     name = "held out" if is_held_out else "training"
-    main = _step_curve(x, judged, name, MODEL, "solid")
+    main = _step_curve(x, judged, name, MODEL_COLOR, "solid")
     main["mode"] = "lines+markers+text"
     main["text"] = [f"{value:.3g}" for value in judged]
     main["textposition"] = "top center"
     data.append(main)
     floor = [step.floor for step in steps]
-    data.append(_step_curve(x, floor, "noise floor", FLOOR, "dot"))
+    data.append(_step_curve(x, floor, "noise floor", FLOOR_COLOR, "dot"))
     layout = _layout("")
     layout["xaxis"].update(
         {
@@ -141,7 +141,7 @@ def _thinned(values: np.ndarray) -> np.ndarray:
     Args:
         values: (n_samples,).
     """
-    stride = max(int(np.ceil(len(values) / MOST_POINTS)), 1)
+    stride = max(int(np.ceil(len(values) / CHART_POINTS)), 1)
     return values[::stride]
 
 
@@ -242,7 +242,7 @@ def _layout(x_title: str) -> Figure:
             "yanchor": "top",
             "font": {"size": 12},
         },
-        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": MEASURED},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": MEASURED_COLOR},
         "xaxis": {"title": _title(x_title), "zeroline": False},
         "dragmode": "zoom",
     }
@@ -269,7 +269,7 @@ def _band(low: float, high: float, axis: str) -> Figure:
         "y0": low,
         "y1": high,
         "line": {"width": 0},
-        "fillcolor": _transparent(MEASURED),
+        "fillcolor": _transparent(MEASURED_COLOR),
         "layer": "below",
     }
 
@@ -283,7 +283,7 @@ def _line(axis: str, y: float) -> Figure:
         "x1": 1,
         "y0": y,
         "y1": y,
-        "line": {"color": MEASURED, "width": 1},
+        "line": {"color": MEASURED_COLOR, "width": 1},
     }
 
 
@@ -300,7 +300,7 @@ def _mark(layout: Figure, t: float | None) -> None:
             "x1": t,
             "y0": 0,
             "y1": 1,
-            "line": {"color": MARK, "width": 2, "dash": "dash"},
+            "line": {"color": MARK_COLOR, "width": 2, "dash": "dash"},
         }
     )
 

@@ -5,7 +5,7 @@ import re
 from phsi_opt.errors import Complaint
 
 # Keys of a study file, as patterns, and what the page calls their fields.
-PLACES = (
+FIELD_NAMES = (
     (r"data\.time.*", "Time column"),
     (r"data\.(states|inputs)\.([^.]+).*", r"Column of \2"),
     (r"data\.trajectory", "Column of runs"),
@@ -49,7 +49,7 @@ def complaint_words(complaint: Complaint) -> str:
 
 def place_words(key: str) -> str:
     """What the page calls the field of a key."""
-    for pattern, words in PLACES:
+    for pattern, words in FIELD_NAMES:
         if re.fullmatch(pattern, key):
             return re.sub(f"^{pattern}$", words, key)
     return key

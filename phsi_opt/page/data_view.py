@@ -7,14 +7,14 @@ from nicegui import events, run, ui
 
 from phsi_opt.page.drafts import (
     AFTER,
+    HELD_OUT_WAYS,
+    NOT_USED,
     ROLES,
     RUN,
     RUNS,
     SHARE,
     STATE,
     TIME,
-    UNUSED,
-    WAYS_HELD_OUT,
     ColumnDraft,
     DataDraft,
 )
@@ -132,7 +132,7 @@ class DataView:
             with ui.element("div").style("width: 11em"):
                 ui.label(column.column).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
-            roles = ROLES if column.is_numeric else (TIME, RUN, UNUSED)
+            roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
             choice(
                 f"{column.column} is",
                 roles,
@@ -140,7 +140,7 @@ class DataView:
                 lambda role: self._set_role(column, role),
                 width="10em",
             )
-            if column.role not in (RUN, UNUSED):
+            if column.role not in (RUN, NOT_USED):
                 self._channel(column)
 
     def _channel(self, column: ColumnDraft) -> None:
@@ -163,7 +163,7 @@ class DataView:
         data = self._session.draft.data
         if role in (TIME, RUN) and data is not None:
             for known in data.with_role(role):
-                known.role = UNUSED  # there is one time, and one column of runs
+                known.role = NOT_USED  # there is one time, and one column of runs
         column.role = role
         self.table.refresh()
         await self._checked()
@@ -182,7 +182,7 @@ class DataView:
             await self._checked()
 
         with ui.element("div").classes("fields"):
-            choice("what is held out", WAYS_HELD_OUT, held_out.way, set_way)
+            choice("what is held out", HELD_OUT_WAYS, held_out.way, set_way)
             if held_out.way == SHARE:
                 self._field(held_out, "share", "share", "8em", "0.3")
             elif held_out.way == AFTER:

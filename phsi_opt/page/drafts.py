@@ -1,6 +1,6 @@
 """What a user has filled in so far, before it is checked: texts, as they were typed.
 
-A draft may be wrong; `phsi_opt.page.study_draft` writes it as a study file, and reading
+A draft may be wrong; ``study_draft`` writes it as a study file, and reading
 that file tells what is wrong. Drafts are the only records of the package that change.
 """
 
@@ -12,14 +12,14 @@ TIME = "time"
 RUN = "run"
 STATE = "state"
 INPUT = "input"
-UNUSED = "not used"
-ROLES = (TIME, RUN, STATE, INPUT, UNUSED)
+NOT_USED = "not used"
+ROLES = (TIME, RUN, STATE, INPUT, NOT_USED)
 
 NOTHING = "nothing"
 SHARE = "the last share"
 AFTER = "from a time on"
 RUNS = "runs by name"
-WAYS_HELD_OUT = (SHARE, AFTER, RUNS, NOTHING)
+HELD_OUT_WAYS = (SHARE, AFTER, RUNS, NOTHING)
 DEFAULT_SHARE = "0.3"  # of the runs, or of the samples of a single run
 
 ENERGY = "PseudoHamiltonian"
@@ -32,7 +32,7 @@ class ColumnDraft:
 
     Attributes:
         column: its header.
-        role: one of `ROLES`.
+        role: one of ``ROLES``.
         name: in formulas, of a state or an input.
         unit: such as "m"; "" where it is unknown.
         noise: standard deviation of a state's noise; "" where it is unknown.
@@ -41,7 +41,7 @@ class ColumnDraft:
     """
 
     column: str
-    role: str = UNUSED
+    role: str = NOT_USED
     name: str = ""
     unit: str = ""
     noise: str = ""
@@ -51,7 +51,7 @@ class ColumnDraft:
 
 @dataclass
 class HeldOutDraft:
-    """What is kept from fitting, in one of the `WAYS_HELD_OUT`."""
+    """What is kept from fitting, in one of the ``HELD_OUT_WAYS``."""
 
     way: str = SHARE
     share: str = DEFAULT_SHARE
@@ -98,7 +98,7 @@ class DataDraft:
         """Let a column be the state or input of a name; None: no column is."""
         for known in self.columns:
             if known.role == role and known.name == name:
-                known.role = UNUSED
+                known.role = NOT_USED
             if known.column == column:
                 known.role = role
                 known.name = name
@@ -133,7 +133,7 @@ class ModelDraft:
 
     Attributes:
         title: of the entry of the gallery that it came from; "" where it is written.
-        type: `ENERGY` or `FIRST_ORDER`.
+        type: ``ENERGY`` or ``FIRST_ORDER``.
         states: names, separated by commas.
         inputs: names, separated by commas.
         pairs: such as "q-p, r-s": dq/dt = dH/dp, dp/dt = -dH/dq.

@@ -165,7 +165,7 @@ RLC = BaseModel(
     {"q": "C", "phi": "Wb"},
     {"phi": "{u}"},
 )
-THERMAL = BaseModel(
+THERMAL_NETWORK = BaseModel(
     "Thermal network",
     "A room and its walls, which lose heat to surroundings of one temperature.",
     ModelDraft(
@@ -184,4 +184,4 @@ THERMAL = BaseModel(
     {"Ti": "b*{u}"},
     (_free("b", "1"),),
 )
-GALLERY = (SPRING, PENDULUM, TWO_MASSES, TANKS, RLC, THERMAL)
+GALLERY = (SPRING, PENDULUM, TWO_MASSES, TANKS, RLC, THERMAL_NETWORK)

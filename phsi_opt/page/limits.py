@@ -17,7 +17,7 @@ CANCEL_GRACE = 1.0
 # Lines of progress that are kept.
 MOST_LINES = 200
 # Points of one curve that are sent to the browser; a screen shows fewer.
-MOST_POINTS = 4000
+CHART_POINTS = 4000
 
 
 def in_megabytes(size: int) -> str:

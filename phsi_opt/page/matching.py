@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from phsi_opt.model.kinds import LENGTHS, plain_unit
-from phsi_opt.page.drafts import STATE, UNUSED, ColumnDraft, DataDraft
+from phsi_opt.page.drafts import NOT_USED, STATE, ColumnDraft, DataDraft
 
 
 def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
@@ -29,7 +29,7 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
     for column in left:
         name = _first(column, free, units, _is_open)
         if name is None:
-            column.role = UNUSED
+            column.role = NOT_USED
             continue
         column.name = name
         free.remove(name)

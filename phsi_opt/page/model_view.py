@@ -21,7 +21,7 @@ from phsi_opt.page.session import Session
 from phsi_opt.page.unknown_names import unknown_names
 
 NOT_MEASURED = "not measured"
-TYPES = {
+MODEL_TYPES = {
     ENERGY: "energy: dx/dt = (S - R) grad H + F",
     FIRST_ORDER: "first order: dx/dt = F",
 }
@@ -110,7 +110,13 @@ class ModelView:
                 "dH_dp, and the parameters below."
             ).classes("faint")
             with ui.element("div").classes("fields"):
-                choice("kind of model", TYPES, draft.type, self._set_type, width="20em")
+                choice(
+                    "kind of model",
+                    MODEL_TYPES,
+                    draft.type,
+                    self._set_type,
+                    width="20em",
+                )
                 self._field("states", "states", "q, p", self._named)
                 self._field("inputs", "inputs", "u", self._named)
                 if draft.type == ENERGY:

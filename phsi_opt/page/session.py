@@ -50,7 +50,7 @@ class Job:
 
     Attributes:
         label: such as "Fitting the base model".
-        began: by `time.monotonic`.
+        began: by ``time.monotonic``.
         lines: what the worker said, the oldest first.
     """
 
@@ -68,12 +68,12 @@ class Session:
     """The study of one browser.
 
     Args:
-        folder: for its files; it is removed by `close`.
+        folder: for its files; it is removed by ``close``.
         study_file: a study file to begin with, which has been read without complaint.
 
     Attributes:
         draft: what the user filled in.
-        complaints: what is wrong with it, by key, as of the last `check`.
+        complaints: what is wrong with it, by key, as of the last ``check``.
         upload_error: why the last file was refused; "" where it was not.
         job: the work that goes on; None: none does.
         message: how the last job ended where it did not end well; "" else.
@@ -82,7 +82,7 @@ class Session:
         report_path: the report that was written last.
         shape: counts changes after which the fields of the drafts are drawn anew.
         version: counts changes of all else.
-        seen: when a page last asked, by `time.monotonic`.
+        seen: when a page last asked, by ``time.monotonic``.
     """
 
     def __init__(self, folder: Path, study_file: Path | None = None) -> None:
@@ -125,8 +125,12 @@ class Session:
         known = [] if self.draft.data is None else list(self.draft.data.files)
         path = self.folder / file
         before = path.read_bytes() if path.exists() else None
+        refusal = _refusal(file, content, len(known))
+        if refusal:
+            self.upload_error = refusal
+            self.shape += 1
+            return False
         try:
-            _check_size(file, content, len(known))
             path.write_bytes(content)
             self._take_files([one for one in known if one != file] + [file])
         except DataError as error:
@@ -362,15 +366,17 @@ def below(key: str) -> tuple[str, str]:
     return f"{key}.", f"{key}["
 
 
-def _check_size(file: str, content: bytes, n_known: int) -> None:
+def _refusal(file: str, content: bytes, n_known: int) -> str:
+    """Why a file is not even looked at; "" where it is."""
     if len(content) > MOST_UPLOADED:
-        raise DataError(
+        return (
             f"{file} has {in_megabytes(len(content))}; at most "
             f"{in_megabytes(MOST_UPLOADED)} are taken. Keep every tenth sample, or "
             "work on the file from Python."
         )
     if n_known >= MOST_FILES:
-        raise DataError(f"there are {n_known} files already, at most {MOST_FILES}.")
+        return f"there are {n_known} files already, at most {MOST_FILES}."
+    return ""
 
 
 def _restore(path: Path, before: bytes | None) -> None:

@@ -16,9 +16,9 @@ from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
 
 ASK_EVERY = 0.25  # s between looks at the session; faster than a reader notices
-DATA = "1 Data"
-MODEL = "2 Model"
-STUDY = "3 Study"
+DATA_PART = "1 Data"
+MODEL_PART = "2 Model"
+STUDY_PART = "3 Study"
 THEMES = {None: "as the system", False: "light", True: "dark"}
 
 
@@ -33,7 +33,7 @@ class Shell:
     def __init__(self, session: Session, begin_again: Callable[[], None]) -> None:
         self._session = session
         self._begin_again = begin_again
-        self._data = DataView(session, self._checked, lambda: self._go(MODEL))
+        self._data = DataView(session, self._checked, lambda: self._go(MODEL_PART))
         self._model = ModelView(session, self._checked, self._fit)
         self._study = StudyView(session)
         self._shape = session.shape
@@ -47,16 +47,16 @@ class Shell:
         self._dark = ui.dark_mode(value=None)
         ui.link("Skip to the content", "#content").classes("skip")
         self._header()
-        first = STUDY if _has_begun(self._session) else DATA
+        first = STUDY_PART if _has_begun(self._session) else DATA_PART
         with (
             ui.element("div").classes("page").props('id="content"'),
             ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
         ):
-            with ui.tab_panel(DATA), ui.column().classes("w-full gap-3"):
+            with ui.tab_panel(DATA_PART), ui.column().classes("w-full gap-3"):
                 self._data.build()
-            with ui.tab_panel(MODEL), ui.column().classes("w-full gap-3"):
+            with ui.tab_panel(MODEL_PART), ui.column().classes("w-full gap-3"):
                 self._model.build()
-            with ui.tab_panel(STUDY), ui.column().classes("w-full gap-3"):
+            with ui.tab_panel(STUDY_PART), ui.column().classes("w-full gap-3"):
                 self._study.build()
         with ui.footer().classes("q-pa-none"):
             self._build_status()
@@ -66,7 +66,7 @@ class Shell:
         with ui.header().classes("items-center justify-between q-py-xs"):
             heading("phsi_opt", 1)
             with ui.tabs().props("dense no-caps") as self._tabs:
-                for name in (DATA, MODEL, STUDY):
+                for name in (DATA_PART, MODEL_PART, STUDY_PART):
                     ui.tab(name)
             with ui.button("Menu").props("flat color=primary"), ui.menu():
                 for value, name in THEMES.items():
@@ -83,7 +83,7 @@ class Shell:
     def _fit(self) -> None:
         self._session.fit()
         if self._session.job is not None:
-            self._go(STUDY)
+            self._go(STUDY_PART)
 
     async def _checked(self) -> None:
         await run.io_bound(self._session.check)

@@ -62,7 +62,7 @@ class RunCurves:
 
     Attributes:
         name: of the run.
-        part: `TRAINING` or `HELD_OUT`.
+        part: ``TRAINING`` or ``HELD_OUT``.
         t: (n_samples,) times.
         channels: those that were measured.
     """
@@ -94,7 +94,7 @@ class ForceCurve:
 
     Attributes:
         run: its name.
-        part: `TRAINING` or `HELD_OUT`.
+        part: ``TRAINING`` or ``HELD_OUT``.
         equation: the state whose rate lacks the force.
         unit: of the force, or "".
         t: (n_intervals,) middles of the intervals.

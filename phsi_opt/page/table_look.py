@@ -8,9 +8,10 @@ guessed as for a first study file.
 from pathlib import Path
 
 from phsi_opt.data.file_opening import text_files
-from phsi_opt.data.tables import DECIMAL_COMMA, Table, numbers_in, table_of_csv
+from phsi_opt.data.tables import Table, numbers_in, table_of_csv
+from phsi_opt.data.text_cells import MISSING_CELLS, NUMBER
 from phsi_opt.errors import DataError
-from phsi_opt.page.drafts import RUN, UNUSED, ColumnDraft, DataDraft
+from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
 from phsi_opt.study_file import survey
 from phsi_opt.study_file.survey import ColumnSurvey
 
@@ -76,9 +77,7 @@ def _check_numbers(table: Table, name: str) -> None:
     Raises:
         DataError: with the file, the column and the line.
     """
-    cells = _cells(table, name)
-    has_commas = bool(cells) and DECIMAL_COMMA.fullmatch(cells[0]) is not None
-    if has_commas or _share_of_numbers(cells) > MOSTLY:
+    if _share_of_numbers(_cells(table, name)) > MOSTLY:
         numbers_in(table, name, may_be_missing=True)
 
 
@@ -90,24 +89,21 @@ def _share_of_numbers(cells: list[str]) -> float:
     n_numbers = 0
     n_filled = 0
     for cell in cells:
-        n_filled += bool(cell.strip())
-        n_numbers += _is_number(cell)
+        n_filled += cell.strip().lower() not in MISSING_CELLS
+        n_numbers += _is_number(cell.strip())
     return n_numbers / max(n_filled, 1)
 
 
 def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    """Whether it is one with a decimal point or comma."""
+    return NUMBER.fullmatch(cell) is not None
 
 
 def _column(table: Table, seen: ColumnSurvey) -> ColumnDraft:
     """The draft of a column; parts have the same words here and there but for one."""
     cells = _cells(table, seen.column)
     is_numeric = _share_of_numbers(cells) > MOSTLY
-    role = UNUSED if seen.part == survey.UNUSED else seen.part
+    role = NOT_USED if seen.part == survey.UNUSED else seen.part
     examples = tuple(cells[:N_EXAMPLES])
     name = seen.name
     return ColumnDraft(seen.column, role, name, seen.unit, "", examples, is_numeric)

@@ -42,8 +42,8 @@ class Order:
     """What the worker is told: one of the verbs, and what it needs.
 
     Attributes:
-        verb: such as `ADD`.
-        what: a path for `FIT` and `REPORT`; for `ADD` names of effects.
+        verb: such as ``ADD``.
+        what: a path for ``FIT`` and ``REPORT``; for ``ADD`` names of effects.
     """
 
     verb: str
@@ -175,7 +175,7 @@ class Bench:
         return Shown(self._kept(study, study.diagnose()))
 
     def _add_all(self, study: Study, connection: Connection) -> None:
-        """What `Study.auto` does, shown after each step."""
+        """What ``Study.auto`` does, shown after each step."""
         for _ in range(DEFAULT_MAX_STEPS):
             n_steps = len(study.steps)
             study.auto(max_steps=1)

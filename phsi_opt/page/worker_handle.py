@@ -49,7 +49,7 @@ class WorkerHandle:
         self._connection.send(order)
 
     def end(self) -> None:
-        """End the process: politely, and after `CANCEL_GRACE` seconds in any case."""
+        """End the process: politely, and after ``CANCEL_GRACE`` seconds in any case."""
         self._process.terminate()
         self._process.join(CANCEL_GRACE)
         if self._process.is_alive():
