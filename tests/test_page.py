@@ -16,6 +16,8 @@ from tests.page_tools import (
     spring_table,
 )
 
+pytestmark = pytest.mark.slow
+
 SHOWN_WITHIN = 20_000  # ms, for what needs no solve; a busy machine takes its time
 SOLVED_WITHIN = 90_000  # ms
 CANCELLED_WITHIN = 2.0  # s
