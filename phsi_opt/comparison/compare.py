@@ -26,6 +26,13 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import smoothed_states
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.model.model import Model
+from phsi_opt.presentation.summary import (
+    Part,
+    Summarised,
+    Summary,
+    text_of_summary,
+)
+from phsi_opt.presentation.tables import PrintedTable
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance
 from phsi_opt.transcription.sensors import outputs_at_samples
@@ -49,7 +56,7 @@ TABLE_COLUMNS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Summarised):
     """A free run beside the measurements.
 
     Attributes:
@@ -115,7 +122,7 @@ class Comparison:
         for number, name in enumerate(self.model.states):
             if name in self.data.measured:
                 rows.append(self._row(number, name))
-        return pd.DataFrame(rows, columns=list(TABLE_COLUMNS))
+        return PrintedTable(rows, columns=list(TABLE_COLUMNS))
 
     def _row(self, number: int, name: str) -> tuple[object, ...]:
         residual = np.concatenate([run[:, number] for run in self.residuals])
@@ -250,7 +257,7 @@ class Comparison:
                 (run.name, balance.change, balance.supplied, balance.dissipated)
             )
         columns = ["trajectory", "change", "supplied", "dissipated"]
-        return pd.DataFrame(rows, columns=columns)
+        return PrintedTable(rows, columns=columns)
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw measurements and free run of one trajectory.
@@ -294,13 +301,18 @@ class Comparison:
                 )
         return channels
 
-    def __str__(self) -> str:
-        table = self.table.to_string(index=False, float_format=lambda v: f"{v:.4g}")
-        said = (
+    def _summary(self) -> Summary:
+        title = (
             f"Free run against {self.data.n_samples} samples: rmse {self.rmse:.4g}, "
-            f"noise floor {self.noise_floor:.4g}\n{table}"
+            f"noise floor {self.noise_floor:.4g}"
         )
-        return f"{said}\n{self.warning}" if self.warning else said
+        parts = [Part(table=self.table)]
+        if self.warning:
+            parts.append(Part(text=self.warning))
+        return Summary(title, tuple(parts))
+
+    def __str__(self) -> str:
+        return text_of_summary(self._summary(), between="\n")
 
     __repr__ = __str__
 

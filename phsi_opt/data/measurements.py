@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.data.arrays import trajectories_in_arrays
+from phsi_opt.data.channel_table import channel_table
 from phsi_opt.data.checks import (
     check_unique,
     checked_hold,
@@ -48,10 +49,11 @@ from phsi_opt.data.trajectory import (
 )
 from phsi_opt.data.wording import extent_of, in_brackets, number_of, numbered_names
 from phsi_opt.errors import DataError
+from phsi_opt.presentation.summary import Part, Summarised, Summary
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Measurements(TableReaders):
+class Measurements(TableReaders, Summarised):
     """Several trajectories of the same channels, with names, units and noise levels.
 
     Made by `from_csv`, `from_excel`, `from_mat`, `from_dataframe`, `from_arrays` or
@@ -389,13 +391,21 @@ class Measurements(TableReaders):
         frame.insert(0, "trajectory", names)
         return frame
 
+    def _summary(self) -> Summary:
+        return Summary(self._title(), (Part(table=channel_table(self)),))
+
+    def _title(self) -> str:
+        runs = number_of(self.n_trajectories, "trajectory", "trajectories")
+        begin = min(run.t[0] for run in self.trajectories)
+        end = max(run.t[-1] for run in self.trajectories)
+        unit = in_brackets(self.units["t"])
+        span = f"t = {begin:g} to {end:g}{unit}"
+        return f"Measurements: {runs}, {self.n_samples} samples, {span}"
+
     def __repr__(self) -> str:
         """Number of trajectories and samples, span of time, and a line per channel."""
         samples = self.to_dataframe()
-        runs = number_of(self.n_trajectories, "trajectory", "trajectories")
-        span = f"t = {samples['t'].min():g} to {samples['t'].max():g}"
-        unit = in_brackets(self.units["t"])
-        lines = [f"Measurements: {runs}, {self.n_samples} samples, {span}{unit}"]
+        lines = [self._title()]
         for name in self.states:
             lines.append(f"  state {self._channel_line(name, samples)}")
         for name in self.inputs:

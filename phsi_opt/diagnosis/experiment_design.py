@@ -25,6 +25,7 @@ from phsi_opt.diagnosis.imitation import Imitation
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.model import Model
+from phsi_opt.presentation.tables import PrintedTable, text_of_table
 from phsi_opt.statistics import TINY
 
 MOST_SAMPLES = 1000  # of the record that are looked at
@@ -71,7 +72,7 @@ class Separation:
         )
 
     def __str__(self) -> str:
-        shown = self.table.to_string(index=False, float_format=lambda v: f"{v:.3g}")
+        shown = text_of_table(self.table)
         return f"{self.sentence}\n{shown}"
 
     __repr__ = __str__
@@ -169,7 +170,7 @@ def _separation(
             size = np.sqrt(misfit / experiment.n_values)
             separates = bool(misfit >= SEPARATED_MODELS**2)
             rows.append((experiment.name, size, separates))
-    table = pd.DataFrame(rows, columns=list(COLUMNS)).sort_values(
+    table = PrintedTable(rows, columns=list(COLUMNS)).sort_values(
         "separation", ascending=False, kind="stable", ignore_index=True
     )
     n_values = simulated.experiment.n_values

@@ -19,6 +19,13 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.model.effect import Effect
+from phsi_opt.presentation.summary import (
+    Part,
+    Summarised,
+    Summary,
+    text_of_summary,
+)
+from phsi_opt.presentation.tables import PrintedTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +61,7 @@ N_PRINTED = 6  # candidates that are printed
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Summarised):
     """What `diagnose` found.
 
     Attributes:
@@ -129,7 +136,7 @@ class Diagnosis:
                     candidate.lost,
                 )
             )
-        return pd.DataFrame(rows, columns=list(CANDIDATE_COLUMNS))
+        return PrintedTable(rows, columns=list(CANDIDATE_COLUMNS))
 
     @cached_property
     def missing_force(self) -> pd.DataFrame:
@@ -143,7 +150,7 @@ class Diagnosis:
         grid = estimate.grid
         names = self.record.trajectories
         numbers = grid.trajectory[grid.begin]
-        frame = pd.DataFrame(
+        frame = PrintedTable(
             {
                 "trajectory": [names[number] for number in numbers],
                 "t": grid.t[grid.begin] + grid.h / 2,
@@ -279,17 +286,23 @@ class Diagnosis:
 
         return plot_where(self.analysis, equation)
 
-    def __str__(self) -> str:
-        table = _printed(self.candidates[list(PRINTED_COLUMNS)].head(N_PRINTED))
-        warning = f"{self.base.warning}\n" if self.base.warning else ""
-        return (
-            f"{self.verdict}: {self.reason}\n{warning}"
-            f"where it fails\n{_printed(self.where)}\n"
-            f"candidates, best first\n{table}"
+    def _summary(self) -> Summary:
+        said = [self.reason]
+        if self.base.warning:
+            said.append(self.base.warning)
+        best = self.candidates[list(PRINTED_COLUMNS)].head(N_PRINTED)
+        return Summary(
+            str(self.verdict),
+            (
+                Part(text="\n".join(said)),
+                Part("where it fails", table=self.where),
+                Part("candidates, best first", table=best),
+            ),
         )
 
+    def __str__(self) -> str:
+        summary = self._summary()
+        said = Summary(f"{summary.title}: {summary.parts[0].text}", summary.parts[1:])
+        return text_of_summary(said, between="\n")
+
     __repr__ = __str__
-
-
-def _printed(table: pd.DataFrame) -> str:
-    return table.to_string(index=False, float_format=lambda v: f"{v:.4g}")

@@ -13,8 +13,9 @@ import pandas as pd
 
 from phsi_opt.estimation.fit_content import FORMAT, fit_content, fit_parts
 from phsi_opt.estimation.fit_record import FitRecord
-from phsi_opt.estimation.fit_report import report
+from phsi_opt.estimation.fit_report import fit_summary, report
 from phsi_opt.estimation.json_file import read_json
+from phsi_opt.presentation.summary import Summarised, Summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +24,7 @@ PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and picture
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Fit(FitRecord):
+class Fit(FitRecord, Summarised):
     """A fitted model: values, standard errors, solver's outcome and provenance.
 
     ``print(fit)`` shows the equations with standard errors and what to know about them.
@@ -111,6 +112,9 @@ class Fit(FitRecord):
         table["unit"] = parameters["unit"].reindex(table.index)
         table["at_bound"] = table.index.isin(self.outcome.at_bounds)
         return table.rename_axis("name").reset_index()
+
+    def _summary(self) -> Summary:
+        return fit_summary(self)
 
     def __str__(self) -> str:
         return report(self)

@@ -26,6 +26,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.presentation.tables import PrintedTable
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.statistics import TINY
 
@@ -124,7 +125,7 @@ class FitRecord(Identified):
         """Correlations of the estimates, (n_names, n_names), by name both ways."""
         std_errors = np.sqrt(np.diag(self.covariance))
         correlations = self.covariance / np.outer(std_errors, std_errors)
-        return pd.DataFrame(correlations, index=self.names, columns=self.names)
+        return PrintedTable(correlations, index=self.names, columns=self.names)
 
     @property
     def degrees_of_freedom(self) -> np.ndarray:
@@ -142,7 +143,7 @@ class FitRecord(Identified):
         that was worked out (`Source`), such as "white noise", what the likelihood says
         if residuals are independent.
         """
-        table = pd.DataFrame(index=list(self.names))
+        table = PrintedTable(index=list(self.names))
         table["std_error"] = np.sqrt(np.diag(self.covariance))
         table["freedom"] = self.degrees_of_freedom
         for source, covariance in self.covariances.items():
@@ -190,7 +191,7 @@ class FitRecord(Identified):
         where nothing but white noise shows.
         """
         rows = [vars(row) for row in self.model_error_rows]
-        return pd.DataFrame(rows, columns=list(MODEL_ERROR_COLUMNS))
+        return PrintedTable(rows, columns=list(MODEL_ERROR_COLUMNS))
 
     @property
     def model_error_priors(self) -> pd.DataFrame:
@@ -202,7 +203,7 @@ class FitRecord(Identified):
         (p-value of the hypothesis that all parts have the same parameters), chosen.
         """
         rows = [vars(row) for row in self.prior_rows]
-        return pd.DataFrame(rows, columns=list(PRIOR_COLUMNS))
+        return PrintedTable(rows, columns=list(PRIOR_COLUMNS))
 
     def intervals(self, level: float = 0.95) -> pd.DataFrame:
         """Confidence intervals of the estimates, from their standard errors.
@@ -238,7 +239,7 @@ class FitRecord(Identified):
             half_width = quantile * self.std_errors[name]
             rows.append((value, value - half_width, value + half_width))
         columns = ["value", "ci_lower", "ci_upper"]
-        return pd.DataFrame(rows, index=list(self.estimates), columns=columns)
+        return PrintedTable(rows, index=list(self.estimates), columns=columns)
 
     def model_of(self, trajectory: str | int) -> Model:
         """The model with the parameters of one trajectory.
@@ -285,7 +286,7 @@ class FitRecord(Identified):
         for entry in self.model.entries.values():
             for name, value in self._values_of(entry).items():
                 rows.append(self._row(name, entry, value))
-        return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
+        return PrintedTable(rows, columns=PARAMETER_COLUMNS)
 
     def _values_of(self, entry: Entry) -> dict[str, float]:
         """Values of one parameter of the model: one, or one per trajectory."""

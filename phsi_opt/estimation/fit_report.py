@@ -9,11 +9,13 @@ import numpy as np
 
 from phsi_opt.criteria import DIFFERENT_STD_ERRORS
 from phsi_opt.estimation.fit_record import FitRecord
-from phsi_opt.model.model import Model
+from phsi_opt.model.equation_text import dictionary_at, structure_rows
 from phsi_opt.model.slots import place_of
-from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.model.terms import Term
 from phsi_opt.model_error.standard_errors import Source
+from phsi_opt.presentation.summary import Part, Summary
 
+SHOWN_PARAMETERS = ("name", "value", "std_error", "unit")
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 
 
@@ -25,22 +27,43 @@ def report(fit: FitRecord) -> str:
         error and unit, fixed parameters, noise and removed terms, the solver's outcome
         in words, and the warnings; a line each.
     """
-    model = fit.model
-    states = ", ".join(model.states)
-    lines = [f"Fit of {type(model).__name__} by {fit.loss}: {states}"]
-    lines += [f"  {row}" for row in _structure(model)]
-    lines += [f"  {row}" for row in _dictionaries(fit)]
-    lines += [f"  {row}" for row in _fixed(fit)]
+    rows = [*_equations(fit), *_remarks(fit)]
+    return "\n".join([_title(fit), *(f"  {row}" for row in rows)])
+
+
+def fit_summary(fit: FitRecord) -> Summary:
+    """The fit for notebooks and rich: as in `report`, its parameters in a table."""
+    return Summary(
+        _title(fit),
+        (
+            Part(code="\n".join(_equations(fit))),
+            Part(table=fit.parameters[list(SHOWN_PARAMETERS)]),
+            Part(text="\n".join(_remarks(fit))),
+        ),
+    )
+
+
+def _title(fit: FitRecord) -> str:
+    states = ", ".join(fit.model.states)
+    return f"Fit of {type(fit.model).__name__} by {fit.loss}: {states}"
+
+
+def _equations(fit: FitRecord) -> list[str]:
+    return [*structure_rows(fit.model), *_dictionaries(fit), *_fixed(fit)]
+
+
+def _remarks(fit: FitRecord) -> list[str]:
+    lines = []
     if fit.noise:
-        lines.append(f"  noise: {_noise(fit)}")
+        lines.append(f"noise: {_noise(fit)}")
     if fit.covariances:
-        lines.append(f"  {_standard_errors(fit)}")
+        lines.append(_standard_errors(fit))
     if fit.removed:
-        lines.append(f"  removed: {', '.join(fit.removed)}")
+        lines.append(f"removed: {', '.join(fit.removed)}")
     loss = f"loss {fit.loss_value:.6g} over {fit.n_values} values"
-    lines.append(f"  {loss}; solver: {fit.outcome}")
-    lines += [f"  note: {warning}" for warning in fit.warnings]
-    return "\n".join(lines)
+    lines.append(f"{loss}; solver: {fit.outcome}")
+    lines += [f"note: {warning}" for warning in fit.warnings]
+    return lines
 
 
 def _standard_errors(fit: FitRecord) -> str:
@@ -86,48 +109,15 @@ def _difference(fit: FitRecord, source: Source) -> str:
     return f"; {source} alone would give {least:.2g} to {most:.2g} times as much"
 
 
-def _structure(model: Model) -> list[str]:
-    """An equation per state in the names of the slots: dp/dt = - dH_dq - R_p*dH_dp."""
-    rows = []
-    for i, state in enumerate(model.states):
-        parts = _exchange(model, i)
-        if state in model.R:
-            effort = f"dH_d{state}" if model.H.terms else state
-            parts.append(f"- R_{state}*{effort}")
-        if state in model.F:
-            parts.append(f"+ F_{state}")
-        right_hand_side = " ".join(parts).removeprefix("+ ") or "0"
-        rows.append(f"d{state}/dt = {right_hand_side}")
-    return rows
-
-
-def _exchange(model: Model, i: int) -> list[str]:
-    """What the structure matrix S exchanges with equation i: signed texts."""
-    parts = []
-    for j, entry in enumerate(model.S[i]):
-        if entry:
-            sign = "+" if entry > 0 else "-"
-            factor = "" if abs(entry) == 1 else f"{abs(entry):g}*"
-            parts.append(f"{sign} {factor}dH_d{model.states[j]}")
-    return parts
-
-
 def _dictionaries(fit: FitRecord) -> list[str]:
     """Every dictionary of the model that has terms, with the estimates in it."""
     places = dict.fromkeys((slot, equation) for slot, equation, _ in fit.model.placed())
     rows = []
     for slot, equation in places:
         place = place_of(slot, equation)
-        terms = [_term(fit, t, place) for t in _dictionary(fit.model, slot, equation)]
+        terms = [_term(fit, t, place) for t in dictionary_at(fit.model, slot, equation)]
         rows.append(f"{place} = {' + '.join(terms)}")
     return rows
-
-
-def _dictionary(model: Model, slot: str, equation: str) -> Dictionary:
-    if slot == "H":
-        return model.H
-    dictionary: Dictionary = getattr(model, slot)[equation]
-    return dictionary
 
 
 def _term(fit: FitRecord, term: Term, place: str) -> str:

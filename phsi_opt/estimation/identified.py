@@ -16,6 +16,7 @@ import sympy as sp
 from phsi_opt.model.backends import SYMPY
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
+from phsi_opt.presentation.tables import PrintedTable
 from phsi_opt.simulation.simulate import simulate
 
 PARAMETER_COLUMNS = [
@@ -71,7 +72,7 @@ class Identified:
         rows = []
         for name, entry in self.model.entries.items():
             rows.append(self._row(name, entry, values[name]))
-        return pd.DataFrame(rows, columns=PARAMETER_COLUMNS)
+        return PrintedTable(rows, columns=PARAMETER_COLUMNS)
 
     def _row(self, name: str, entry: Entry, value: float) -> dict[str, Any]:
         parameter = entry.parameter

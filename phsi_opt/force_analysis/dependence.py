@@ -29,6 +29,7 @@ from phsi_opt.force_analysis.piecewise_linear import (
     product_basis,
 )
 from phsi_opt.force_analysis.time_basis import leave_out_error_with_time
+from phsi_opt.presentation.tables import PrintedTable
 from phsi_opt.statistics import TINY
 
 # Rows of `depends_on` that are no variables.
@@ -73,7 +74,7 @@ def dependence(force: ForceRecord, equation: str) -> pd.DataFrame:
         gain = (baseline.error - error) / max(total, TINY)
         share = explained_share(error, baseline.error)
         rows.append(_Prediction(variable, share, error, gain))
-    frame = pd.DataFrame(rows)
+    frame = PrintedTable(rows)
     frame.insert(0, "equation", equation)
     predicted = np.maximum(total - frame.pop("error"), 0.0)
     frame["explained"] = np.sqrt(predicted / len(validation.w))

@@ -11,6 +11,7 @@ import pandas as pd
 from phsi_opt.force_analysis.causes import CAUSES, Causes
 from phsi_opt.force_analysis.energy_wording import energy_sentence
 from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.presentation.tables import PrintedTable
 
 SHARES = ("parameters", *CAUSES)
 
@@ -51,7 +52,7 @@ def energy_exchange(force: ForceRecord) -> EnergyExchange:
         rows.append((equation, mean_power, *shares, 1 - sum(shares)))
         sentences.append(energy_sentence(causes))
     columns = ["equation", "mean_power", *SHARES, "unexplained"]
-    return EnergyExchange(pd.DataFrame(rows, columns=columns), tuple(sentences))
+    return EnergyExchange(PrintedTable(rows, columns=columns), tuple(sentences))
 
 
 def _mean_power(force: ForceRecord, equation: str) -> float:

@@ -20,6 +20,7 @@ from phsi_opt.force_analysis.cross_validation import place_in_run
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.force_uncertainty import times_noise
 from phsi_opt.force_analysis.spectrum import spectrum
+from phsi_opt.presentation.tables import PrintedTable
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
 N_RANGE_BINS = 8  # parts of the range of a state in which the force's size is taken
@@ -56,7 +57,7 @@ def located(force: ForceRecord) -> pd.DataFrame:
             "times_noise": certainty[number],
         }
         rows.append(row)
-    table = pd.DataFrame(rows)
+    table = PrintedTable(rows)
     return table.sort_values("strength", ascending=False, ignore_index=True)
 
 

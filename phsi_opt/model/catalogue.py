@@ -23,6 +23,7 @@ from phsi_opt.model.catalogue_losses import (
 )
 from phsi_opt.model.catalogue_sensors import sensors
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.effect_list import EffectList
 from phsi_opt.model.kinds import KINDS, RELATIVE_TEMPERATURES, TEMPERATURES, plain_unit
 from phsi_opt.model.redundancy import is_redundant
 from phsi_opt.model.roles import Role, role_of
@@ -35,8 +36,10 @@ from phsi_opt.model.structure import (
 )
 
 
-def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> list[Effect]:
+def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
     """The effects that apply to the model, each with the slot and equation it acts in.
+
+    The list prints as a table.
 
     Those that the model has, or can do already, are left out. What is offered for a
     state, and its name, follows from the state's kind; where that is unknown, losses
@@ -56,10 +59,10 @@ def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> list[
         *_between_positions(known),
         *_in_sensors(known),
     ]
-    return [effect for effect in effects if not is_redundant(known, effect)]
+    return EffectList(effect for effect in effects if not is_redundant(known, effect))
 
 
-def every_name(model: BaseModel) -> list[Effect]:
+def every_name(model: BaseModel) -> EffectList:
     """The effects of the catalogue under the names of all kinds, the model's first.
 
     One term may stand there under several names.

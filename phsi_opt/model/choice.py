@@ -59,7 +59,7 @@ class EffectChoice:
             ModelError: a name that the catalogue of the model does not have, an effect
                 to leave out that is no candidate, or one that the model has.
         """
-        offered = catalogue(model, units)
+        offered: list[Effect] = catalogue(model, units)
         considered = offered
         effects = None
         if self.effects is not None:
@@ -78,7 +78,7 @@ class EffectChoice:
         self, model: BaseModel, units: Mapping[str, str] | None = None
     ) -> list[Effect]:
         """The effects that are considered, but for those that the model has."""
-        considered = catalogue(model, units)
+        considered: list[Effect] = catalogue(model, units)
         if self.effects is not None:
             considered = _all_meant(self.effects, considered)
         kept: list[Effect] = []

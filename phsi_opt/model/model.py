@@ -19,6 +19,7 @@ from phsi_opt.model.backends import CASADI, Backend
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.equation_text import model_summary
 from phsi_opt.model.symbolic import (
     Expressions,
     Symbols,
@@ -28,10 +29,11 @@ from phsi_opt.model.symbolic import (
     rhs_function,
 )
 from phsi_opt.model.terms import Dictionary
+from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
 
 
 @dataclass(frozen=True, kw_only=True)
-class Model(BaseModel):
+class Model(BaseModel, Summarised):
     """What every model can do. See `PseudoHamiltonian` and `FirstOrder`.
 
     ``sensor`` holds, per state, what its sensor adds to it: measured = state + sensor
@@ -40,6 +42,13 @@ class Model(BaseModel):
     memory of an effect (a lag, a hysteresis): their equations stand in F and the
     measurements need not know them.
     """
+
+    def _summary(self) -> Summary:
+        return model_summary(self)
+
+    def __str__(self) -> str:
+        """The equations, and the parameters in a table."""
+        return text_of_summary(self._summary())
 
     def add(self, effect: Effect | str, equation: str | None = None) -> Self:
         """A new model with the effect's terms in its slot.

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
+from phsi_opt.presentation.tables import PrintedTable
 from phsi_opt.study.step import Step
 
 HISTORY_COLUMNS = (
@@ -33,4 +34,4 @@ def history_table(steps: Sequence[Step]) -> pd.DataFrame:
                 step.fit.bic,
             )
         )
-    return pd.DataFrame(rows, columns=list(HISTORY_COLUMNS))
+    return PrintedTable(rows, columns=list(HISTORY_COLUMNS))

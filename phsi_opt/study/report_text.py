@@ -1,13 +1,14 @@
 """What a study says in plain text: history, model, comparison, verdict, diagnoses."""
 
 from phsi_opt.presentation.report import Section
+from phsi_opt.presentation.tables import text_of_table
 from phsi_opt.study.record import StudyRecord
 
 
 def report_sections(study: StudyRecord) -> list[Section]:
     """History, present model, comparison, verdict, and every diagnosis."""
     unit = f" ({study.unit})" if study.unit else ""
-    history = study.history.to_string(index=False, float_format=lambda v: f"{v:.4g}")
+    history = text_of_table(study.history)
     introduction = f"Errors are root mean squares of the free-run residual{unit}."
     not_asked = "not asked yet: call `study.auto()` or `study.diagnose()`"
     fit = study.last.fit

@@ -21,11 +21,13 @@ from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.report import Section, write_report
+from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
 from phsi_opt.study.fitting import StudyFitting
 from phsi_opt.study.history import history_table
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.report_text import report_sections
 from phsi_opt.study.step import Step
+from phsi_opt.study.summary import study_summary
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ HELD_OUT = "held out"
 TRAINING = "training"
 
 
-class Study:
+class Study(Summarised):
     """A model, the measurements it is fitted to, and the effects added so far.
 
     The model given is never changed; ``study.model`` is the present one. Every error is
@@ -87,6 +89,12 @@ class Study:
         self.steps: list[Step] = [first]
         if self.steps[0].train.warning:
             self._say(self.steps[0].train.warning)
+
+    def _summary(self) -> Summary:
+        return study_summary(self.record)
+
+    def __repr__(self) -> str:
+        return text_of_summary(self._summary())
 
     @property
     def train(self) -> Measurements:

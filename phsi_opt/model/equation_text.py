@@ -1,0 +1,85 @@
+"""The equations of a model as text, with the names of its parameters."""
+
+from phsi_opt.model.base import BaseModel
+from phsi_opt.model.slots import place_of
+from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.summary import Part, Summary
+from phsi_opt.presentation.tables import PrintedTable
+
+SHOWN_OF_MODEL = ("name", "value", "known", "lower", "upper", "unit")
+
+
+def model_summary(model: BaseModel) -> Summary:
+    """What a model says of itself: its equations, and its parameters in a table."""
+    title = f"{type(model).__name__}: states {', '.join(model.states)}"
+    if model.inputs:
+        title += f"; inputs {', '.join(model.inputs)}"
+    rows = [*structure_rows(model), *dictionary_rows(model)]
+    parts = [Part(code="\n".join(rows))]
+    if model.entries:
+        parts.append(Part("parameters", table=_parameters(model)))
+    return Summary(title, tuple(parts))
+
+
+def _parameters(model: BaseModel) -> PrintedTable:
+    rows = []
+    for name, entry in model.entries.items():
+        parameter = entry.parameter
+        known = "yes" if parameter.fixed else "no"
+        bounds = (parameter.lower, parameter.upper)
+        rows.append((name, parameter.start, known, *bounds, parameter.unit))
+    return PrintedTable(rows, columns=list(SHOWN_OF_MODEL))
+
+
+def dictionary_rows(model: BaseModel) -> list[str]:
+    """Every dictionary of the model that has terms: F_p = c1*q + c2*q**3."""
+    rows = []
+    places = dict.fromkeys((slot, equation) for slot, equation, _ in model.placed())
+    for slot, equation in places:
+        terms = []
+        for number, term in enumerate(dictionary_at(model, slot, equation), start=1):
+            terms.append(_term(term, number))
+        rows.append(f"{place_of(slot, equation)} = {' + '.join(terms)}")
+    return rows
+
+
+def _term(term: Term, number: int) -> str:
+    """A term; a coefficient without a name of its own has the term's number."""
+    if term.is_formula:
+        return term.body
+    coefficient = term.name or f"c{number}"
+    return coefficient if term.body == "1" else f"{coefficient}*{term.body}"
+
+
+def dictionary_at(model: BaseModel, slot: str, equation: str) -> Dictionary:
+    """The terms of a slot of an equation ('' for H)."""
+    if slot == "H":
+        return model.H
+    dictionary: Dictionary = getattr(model, slot)[equation]
+    return dictionary
+
+
+def structure_rows(model: BaseModel) -> list[str]:
+    """An equation per state in the names of the slots: dp/dt = - dH_dq - R_p*dH_dp."""
+    rows = []
+    for i, state in enumerate(model.states):
+        parts = _exchange(model, i)
+        if state in model.R:
+            effort = f"dH_d{state}" if model.H.terms else state
+            parts.append(f"- R_{state}*{effort}")
+        if state in model.F:
+            parts.append(f"+ F_{state}")
+        right_hand_side = " ".join(parts).removeprefix("+ ") or "0"
+        rows.append(f"d{state}/dt = {right_hand_side}")
+    return rows
+
+
+def _exchange(model: BaseModel, i: int) -> list[str]:
+    """What the structure matrix S exchanges with equation i: signed texts."""
+    parts = []
+    for j, entry in enumerate(model.S[i]):
+        if entry:
+            sign = "+" if entry > 0 else "-"
+            factor = "" if abs(entry) == 1 else f"{abs(entry):g}*"
+            parts.append(f"{sign} {factor}dH_d{model.states[j]}")
+    return parts

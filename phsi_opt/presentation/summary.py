@@ -1,0 +1,118 @@
+"""What a result says of itself, once, for the terminal, for rich and for notebooks.
+
+A result describes itself by a `Summary` of texts and tables; the forms are made here,
+the same for all. Whatever stands in a name is shown as it is: in HTML it is escaped,
+and rich's markup has no meaning in it.
+"""
+
+import html
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from phsi_opt.presentation.tables import (
+    html_of_table,
+    rich_of_table,
+    text_of_table,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderableType
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a summary.
+
+    Attributes:
+        heading: "" for none.
+        text: Sentences.
+        code: Lines whose blanks matter, such as equations.
+        table: None for none.
+    """
+
+    heading: str = ""
+    text: str = ""
+    code: str = ""
+    table: pd.DataFrame | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What a result says of itself.
+
+    Attributes:
+        title: In one line.
+        parts: What follows.
+    """
+
+    title: str
+    parts: tuple[Part, ...] = ()
+
+
+class Summarised:
+    """A result with a summary, which rich and notebooks show."""
+
+    def _summary(self) -> Summary:
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return html_of_summary(self._summary())
+
+    def __rich_console__(
+        self, console: "Console", options: "ConsoleOptions"
+    ) -> "Iterator[RenderableType]":
+        """What rich prints."""
+        yield from rich_of_summary(self._summary())
+
+
+def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
+    """The summary as text; tables within 80 characters.
+
+    Args:
+        summary: Of a result.
+        between: What stands between its parts.
+    """
+    blocks = [summary.title]
+    for part in summary.parts:
+        lines = [text for text in (part.heading, part.text, part.code) if text]
+        if part.table is not None:
+            lines.append(text_of_table(part.table, most_rows=len(part.table)))
+        blocks.append("\n".join(lines))
+    return between.join(block for block in blocks if block)
+
+
+def html_of_summary(summary: Summary) -> str:
+    """The summary as HTML; its colours are those of the page around it."""
+    blocks = [f"<p><strong>{html.escape(summary.title)}</strong></p>"]
+    for part in summary.parts:
+        if part.heading:
+            blocks.append(f"<p><em>{html.escape(part.heading)}</em></p>")
+        if part.text:
+            lines = map(html.escape, part.text.split("\n"))
+            blocks.append(f"<p>{'<br>'.join(lines)}</p>")
+        if part.code:
+            code = html.escape(part.code)
+            blocks.append(f'<pre style="white-space: pre-wrap">{code}</pre>')
+        if part.table is not None:
+            table = html_of_table(part.table, most_rows=len(part.table))
+            blocks.append(f'<div style="overflow-x: auto">\n{table}\n</div>')
+    body = "\n".join(blocks)
+    return f'<div class="phsi-opt">\n{body}\n</div>'
+
+
+def rich_of_summary(summary: Summary) -> "Iterator[RenderableType]":
+    """The summary for rich's consoles."""
+    from rich.text import Text
+
+    yield Text(summary.title, style="bold")
+    for part in summary.parts:
+        if part.heading:
+            yield Text(f"\n{part.heading}", style="italic")
+        for text in (part.text, part.code):
+            if text:
+                yield Text(text)
+        if part.table is not None:
+            yield rich_of_table(part.table, most_rows=len(part.table))
