@@ -25,6 +25,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
+from phsi_opt.presentation.tables import text_of_table
 from phsi_opt.study import Study
 from phsi_opt.study_file.study_file import StudyFile
 
@@ -204,12 +205,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
 
 def table_text(table: pd.DataFrame) -> str:
     """A table as text, all of its columns."""
-    return str(table.to_string(index=False, float_format=four_digits))
-
-
-def four_digits(value: float) -> str:
-    """A number with four significant digits."""
-    return f"{value:.4g}"
+    return text_of_table(table)
 
 
 def table_content(table: pd.DataFrame) -> list[dict[str, Any]]:

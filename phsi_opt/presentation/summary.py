@@ -65,7 +65,7 @@ class Summarised:
         self, console: "Console", options: "ConsoleOptions"
     ) -> "Iterator[RenderableType]":
         """What rich prints."""
-        yield from rich_of_summary(self._summary())
+        yield from rich_of_summary(self._summary(), options.max_width)
 
 
 def text_of_summary(summary: Summary, between: str = "\n\n") -> str:
@@ -103,8 +103,8 @@ def html_of_summary(summary: Summary) -> str:
     return f'<div class="phsi-opt">\n{body}\n</div>'
 
 
-def rich_of_summary(summary: Summary) -> "Iterator[RenderableType]":
-    """The summary for rich's consoles."""
+def rich_of_summary(summary: Summary, width: int) -> "Iterator[RenderableType]":
+    """The summary for a console of rich, whose lines have so many characters."""
     from rich.text import Text
 
     yield Text(summary.title, style="bold")
@@ -115,4 +115,4 @@ def rich_of_summary(summary: Summary) -> "Iterator[RenderableType]":
             if text:
                 yield Text(text)
         if part.table is not None:
-            yield rich_of_table(part.table, most_rows=len(part.table))
+            yield rich_of_table(part.table, width, most_rows=len(part.table))

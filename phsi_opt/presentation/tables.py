@@ -18,7 +18,7 @@ import pandas as pd
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
-    from rich.table import Table
+    from rich.text import Text
 
 WIDTH = 80  # characters in a line of a terminal that nobody has widened
 GAP = "  "  # between columns
@@ -27,6 +27,7 @@ LEAST_TEXT = 12  # characters to which a column of texts is narrowed: a word or 
 KEY_SHARE = 0.5  # of the line that the first columns may take in every block
 HEADER_PIECE = re.compile(r"[^_\s]+_?|_")
 CUT = "..."
+CELL_STYLE = "padding: 0.15em 0.7em; vertical-align: top"
 
 
 class PrintedTable(pd.DataFrame):
@@ -48,9 +49,9 @@ class PrintedTable(pd.DataFrame):
 
     def __rich_console__(
         self, console: "Console", options: "ConsoleOptions"
-    ) -> "Iterator[Table]":
+    ) -> "Iterator[Text]":
         """What rich prints."""
-        yield rich_of_table(self)
+        yield rich_of_table(self, options.max_width)
 
 
 @dataclass(frozen=True)
@@ -128,16 +129,62 @@ def text_of_table(
         width: Characters of a line; a word that is longer is broken.
         most_rows: That are shown; of a longer table the ends.
     """
-    columns = columns_of(table, most_rows)
     blocks = []
-    for block in _blocks(columns, width):
-        blocks.append("\n".join(_lines(block, width)))
-    text = "\n\n".join(blocks) or "(no columns)"
+    for block in blocks_of(table, width, most_rows):
+        blocks.append("\n".join([*block.header, *block.rows]))
+    remark = _remark(table, most_rows)
+    return "\n\n".join(blocks) + (f"\n{remark}" if remark else "")
+
+
+def rich_of_table(table: pd.DataFrame, width: int, most_rows: int = MOST_ROWS) -> "Text":
+    """A table for a console of rich, in which signs in names are no markup.
+
+    Args:
+        table: With any names and cells.
+        width: Characters of a line of the console.
+        most_rows: That are shown; of a longer table the ends.
+    """
+    from rich.text import Text
+
+    shown = Text(no_wrap=True)
+    for number, block in enumerate(blocks_of(table, width, most_rows)):
+        shown.append("\n\n" if number else "")
+        shown.append("\n".join(block.header), style="bold")
+        shown.append("".join(f"\n{row}" for row in block.rows))
+    remark = _remark(table, most_rows)
+    return shown.append(f"\n{remark}" if remark else "")
+
+
+def _remark(table: pd.DataFrame, most_rows: int) -> str:
+    """How many rows there are, where they are not all to be seen."""
     if not len(table):
-        return f"{text}\n(no rows)"
-    if len(table) > most_rows:
-        return f"{text}\n({len(table)} rows)"
-    return text
+        return "(no rows)"
+    return f"({len(table)} rows)" if len(table) > most_rows else ""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some columns of a table, as lines.
+
+    Attributes:
+        header: The lines of their names.
+        rows: The lines of their cells.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[str, ...]
+
+
+def blocks_of(table: pd.DataFrame, width: int, most_rows: int) -> list[Block]:
+    """All columns in blocks, each of which fits into the width.
+
+    Args:
+        table: With any names and cells.
+        width: Characters of a line; a word that is longer is broken.
+        most_rows: That are shown; of a longer table the ends.
+    """
+    columns = columns_of(table, most_rows)
+    return [_block(block, width) for block in _blocks(columns, width)]
 
 
 def _blocks(columns: list[Column], width: int) -> Iterator[list[Column]]:
@@ -176,7 +223,7 @@ def _fitted(columns: list[Column], width: int) -> list[int]:
     widths = [column.width for column in columns]
     if _total(widths) <= width:
         return widths
-    widths = [column.narrow_width for column in columns]
+    _break_headers(columns, widths, width)
     while _total(widths) > width:
         widest = -1
         for number, column in enumerate(columns):
@@ -189,18 +236,30 @@ def _fitted(columns: list[Column], width: int) -> list[int]:
     return widths
 
 
-def _lines(columns: list[Column], width: int) -> Iterator[str]:
-    """The header and the rows of one block."""
+def _break_headers(columns: list[Column], widths: list[int], width: int) -> None:
+    """Narrow the columns whose headers can be broken, what gains most first."""
+    gains = []
+    for number, column in enumerate(columns):
+        gains.append((column.width - column.narrow_width, number))
+    for gain, number in sorted(gains, reverse=True):
+        if gain == 0 or _total(widths) <= width:
+            return
+        widths[number] -= gain
+
+
+def _block(columns: list[Column], width: int) -> Block:
     widths = [min(wide, width) for wide in _fitted(columns, width)]
     headers = []
     for column, wide in zip(columns, widths, strict=True):
         headers.append(_header_lines(column.header, wide))
-    yield from _row_lines(columns, widths, headers)
+    header = tuple(_row_lines(columns, widths, headers))
+    rows: list[str] = []
     for cells in zip(*(column.cells for column in columns), strict=True):
         broken = []
         for cell, wide in zip(cells, widths, strict=True):
-            broken.append(textwrap.wrap(cell, wide, break_on_hyphens=False))
-        yield from _row_lines(columns, widths, broken)
+            broken.append(textwrap.wrap(cell, wide))
+        rows += _row_lines(columns, widths, broken)
+    return Block(header, tuple(rows))
 
 
 def _header_lines(header: str, width: int) -> list[str]:
@@ -248,27 +307,11 @@ def html_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> str:
         rows.append(f"<tr>{''.join(row)}</tr>")
     body = "\n".join(rows[1:])
     shown = f"<table>\n<thead>{rows[0]}</thead>\n<tbody>\n{body}\n</tbody>\n</table>"
-    if len(table) > most_rows:
-        return f"{shown}\n<p>{len(table)} rows</p>"
-    return shown
+    remark = _remark(table, most_rows)
+    return f"{shown}\n<p>{remark}</p>" if remark else shown
 
 
 def _align(column: Column) -> str:
     side = "right" if column.is_number else "left"
-    return f' style="text-align: {side}"'
-
-
-def rich_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> "Table":
-    """A table for rich's consoles; signs in names are signs, not markup."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    columns = columns_of(table, most_rows)
-    for column in columns:
-        justify: Any = "right" if column.is_number else "left"
-        shown.add_column(Text(column.header), justify=justify, overflow="fold")
-    for cells in zip(*(column.cells for column in columns), strict=True):
-        shown.add_row(*map(Text, cells))
-    return shown
+    wrapping = "; white-space: nowrap" if column.is_number else ""
+    return f' style="text-align: {side}; {CELL_STYLE}{wrapping}"'
