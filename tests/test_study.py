@@ -2,6 +2,7 @@
 effects, pictures.
 """
 
+import io
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from rich.console import Console
 
 import phsi_opt as ph
 from phsi_opt.estimation import record
@@ -259,6 +261,48 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(
     assert "coulomb friction on p" in text and "noise floor" in text
     with pytest.raises(ph.DataError, match=r"\.md or \.txt"):
         hidden.report(tmp_path / "study.html")
+
+
+def test_what_a_study_prints_loses_no_column_and_shows_itself_as_html_and_rich(
+    hidden: ph.Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    diagnosis = hidden.diagnose()
+    comparison = hidden.compare()
+    tables = {
+        "history": hidden.history,
+        "candidates": diagnosis.candidates,
+        "where": diagnosis.where,
+        "follows": diagnosis.follows,
+        "power": diagnosis.power,
+        "missing force": diagnosis.missing_force,
+        "comparison": comparison.table,
+        "energy": comparison.energy,
+        "parameters": hidden.fit.parameters,
+        "intervals": hidden.fit.intervals(0.95),
+        "standard errors": hidden.fit.standard_errors,
+        "model error": hidden.fit.model_error,
+        "correlations": hidden.fit.correlations,
+    }
+    for name, shown_table in tables.items():
+        assert isinstance(shown_table, pd.DataFrame)
+        print(shown_table)
+        lines = capsys.readouterr().out.splitlines()
+        assert max(map(len, lines)) <= 80, name
+        text = "\n".join(lines)
+        for column in shown_table.columns:
+            for piece in str(column).split("_"):
+                assert piece in text, f"{name}: {column}"
+    for shown in (hidden, hidden.fit, comparison, diagnosis):
+        page = shown._repr_html_()
+        assert page.startswith('<div class="phsi-opt">')
+        console = Console(file=io.StringIO(), width=80)
+        with console.capture() as captured:
+            console.print(shown)
+        assert max(map(len, captured.get().splitlines())) <= 80
+    for column in hidden.history.columns:
+        assert column in str(hidden)
+        assert f">{column}</th>" in hidden._repr_html_()
+    assert hidden.stopped in str(hidden)
 
 
 def test_measurements_in_which_nothing_moves_are_refused() -> None:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions
     from rich.text import Text
 
-WIDTH = 80  # characters in a line of a terminal that nobody has widened
-GAP = "  "  # between columns
+LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
+COLUMN_GAP = "  "  # between columns
 MOST_ROWS = 60  # that are printed, as pandas does; of longer tables the ends
 LEAST_TEXT = 12  # characters to which a column of texts is narrowed: a word or two
 KEY_SHARE = 0.5  # of the line that the first columns may take in every block
@@ -120,7 +120,7 @@ def text_of_cell(value: Any) -> str:
 
 
 def text_of_table(
-    table: pd.DataFrame, width: int = WIDTH, most_rows: int = MOST_ROWS
+    table: pd.DataFrame, width: int = LINE_WIDTH, most_rows: int = MOST_ROWS
 ) -> str:
     """A table as text with all of its columns.
 
@@ -136,7 +136,9 @@ def text_of_table(
     return "\n\n".join(blocks) + (f"\n{remark}" if remark else "")
 
 
-def rich_of_table(table: pd.DataFrame, width: int, most_rows: int = MOST_ROWS) -> "Text":
+def rich_of_table(
+    table: pd.DataFrame, width: int, most_rows: int = MOST_ROWS
+) -> "Text":
     """A table for a console of rich, in which signs in names are no markup.
 
     Args:
@@ -215,7 +217,7 @@ def _key_columns(columns: list[Column], width: int) -> list[Column]:
 
 
 def _total(widths: list[int]) -> int:
-    return sum(widths) + len(GAP) * (len(widths) - 1)
+    return sum(widths) + len(COLUMN_GAP) * (len(widths) - 1)
 
 
 def _fitted(columns: list[Column], width: int) -> list[int]:
@@ -289,7 +291,7 @@ def _row_lines(
         placed = []
         for column, wide, part in zip(columns, widths, parts, strict=True):
             placed.append(part.rjust(wide) if column.is_number else part.ljust(wide))
-        yield GAP.join(placed).rstrip()
+        yield COLUMN_GAP.join(placed).rstrip()
 
 
 def html_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> str:

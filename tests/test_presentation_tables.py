@@ -1,0 +1,228 @@
+"""Printed tables lose no column, whatever stands in them; results show themselves."""
+
+import io
+import pickle
+import re
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+import phsi_opt as ph
+from phsi_opt.presentation.tables import (
+    MOST_ROWS,
+    PrintedTable,
+    html_of_table,
+    text_of_table,
+)
+from phsi_opt.study.history import HISTORY_COLUMNS
+
+LONG = "position-dependent damping on p2, without coupling stiffness on p1, re-fitted"
+EVIL = "<script>alert(1)</script>[bold red]&amp;"
+
+
+def history(*effects: str) -> PrintedTable:
+    rows = []
+    for step, effect in enumerate(effects):
+        rows.append((step, effect, 0.05658, 0.06032, 0.04245, -290712.25))
+    return PrintedTable(rows, columns=list(HISTORY_COLUMNS))
+
+
+def squeezed(text: str) -> str:
+    return re.sub(r"\s+", "", text)
+
+
+def printed(table: Any, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    print(table)
+    return capsys.readouterr().out.splitlines()
+
+
+def test_a_history_prints_all_of_its_columns_within_80_characters(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = printed(history("base model", "coulomb friction on p"), capsys)
+    assert lines[0].split() == list(HISTORY_COLUMNS)
+    assert len(lines) == 3
+    assert lines[2].split()[-4:] == ["0.05658", "0.06032", "0.04245", "-2.907e+05"]
+    assert max(map(len, lines)) <= 80
+
+
+def test_long_names_of_effects_cost_lines_and_no_column(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = printed(history("base model", LONG, LONG), capsys)
+    assert max(map(len, lines)) <= 80
+    text = "\n".join(lines)
+    for value in ("0.05658", "0.06032", "0.04245", "-2.907e+05"):
+        assert text.count(value) == 3
+    for word in LONG.split():
+        assert text.count(word.rstrip(",")) >= 2
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_cell_of_any_table_is_lost_and_no_number_is_broken(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    width = int(rng.integers(40, 120))
+    n_columns = int(rng.integers(1, 15))
+    n_rows = int(rng.integers(1, 5))
+    columns: dict[str, Any] = {}
+    for number in range(n_columns):
+        name = f"{'long_' * int(rng.integers(0, 4))}c{number}"
+        if rng.uniform() < 0.5:
+            columns[name] = rng.normal(size=n_rows) * 10.0 ** rng.integers(-9, 9)
+        else:
+            words = [
+                f"w{k}" * int(rng.integers(1, 6)) for k in range(rng.integers(0, 9))
+            ]
+            columns[name] = [" ".join(words)] * n_rows
+    table = pd.DataFrame(columns)
+    text = text_of_table(table, width)
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= width
+    for name, values in columns.items():
+        if isinstance(values, np.ndarray):
+            for value in values:
+                assert re.search(rf"(?<!\S){re.escape(f'{value:.4g}')}(?!\S)", text)
+        # A header stands in one column of characters, perhaps in several lines.
+        pieces = [piece for piece in name.split("_") if piece]
+        assert all(piece in text for piece in pieces)
+
+
+def test_every_row_tells_which_it_is_where_a_table_is_cut_into_blocks() -> None:
+    columns: dict[str, Any] = {"effect": ["gap on p", "overflow on V1"]}
+    for number in range(12):
+        columns[f"number_{number}"] = [float(number), -1 / 3]
+    blocks = text_of_table(pd.DataFrame(columns)).split("\n\n")
+    assert len(blocks) > 1
+    for block in blocks:
+        assert block.startswith("effect")
+        assert "gap on p" in block
+        assert "overflow on V1" in block
+
+
+def test_of_long_tables_the_ends_are_printed_and_the_number_of_rows() -> None:
+    table = pd.DataFrame({"t": np.arange(1000.0), "name": "x"})
+    lines = text_of_table(table).splitlines()
+    assert len(lines) == 1 + MOST_ROWS + 2  # header, rows, what is left out, number
+    assert lines[1].split() == ["0", "x"]
+    assert lines[-2].split() == ["999", "x"]
+    assert lines[-1] == "(1000 rows)"
+    assert text_of_table(table.head(0)).splitlines()[-1] == "(no rows)"
+
+
+def test_names_in_the_index_are_printed_and_numbers_of_rows_are_not() -> None:
+    by_name = pd.DataFrame({"value": [1.0]}, index=["R_p"])
+    assert text_of_table(by_name).split() == ["value", "R_p", "1"]
+    assert text_of_table(by_name.reset_index(drop=True)).split() == ["value", "1"]
+
+
+def test_a_printed_table_is_a_data_frame_in_all_else() -> None:
+    table = history("base model", "gap on p")
+    plain = pd.DataFrame(table)
+    assert isinstance(table, pd.DataFrame)
+    pd.testing.assert_frame_equal(pd.DataFrame(table), plain)
+    part = table.loc[table["step"] == 1, ["effect", "bic"]]
+    assert repr(part).split() == ["effect", "bic", "gap", "on", "p", "-2.907e+05"]
+    again = pickle.loads(pickle.dumps(table))
+    assert repr(again) == repr(table)
+    assert table.to_csv() == plain.to_csv()
+    assert table.to_string() == plain.to_string()
+
+
+class Tags(HTMLParser):
+    """The tags and texts of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.texts: list[str] = []
+        self.open: list[str] = []
+        self.feed(page)
+        assert not self.open, "every tag is closed"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        if tag != "br":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.texts.append(data)
+
+
+def rich_text(shown: object, width: int = 80) -> str:
+    file = io.StringIO()
+    Console(file=file, width=width, color_system=None).print(shown)
+    return file.getvalue()
+
+
+def test_names_can_inject_nothing_into_html_and_mean_nothing_to_rich() -> None:
+    table = PrintedTable({EVIL: [EVIL], "n": [1.5]}, index=[EVIL])
+    page = Tags(html_of_table(table))
+    assert set(page.tags) == {"table", "thead", "tbody", "tr", "th", "td"}
+    assert page.texts.count(EVIL) == 3
+    assert table._repr_html_() == html_of_table(table)
+    shown = squeezed(rich_text(table, width=200))
+    assert shown.count(squeezed(EVIL)) == 3
+
+
+def measurements() -> ph.Measurements:
+    t = np.linspace(0, 1, 5)
+    return ph.Measurements.from_arrays(
+        t, np.sin(t), np.cos(t), states=["q"], inputs=["u"], units={"q": EVIL}
+    )
+
+
+def spring() -> ph.PseudoHamiltonian:
+    stiffness = ph.Parameter(1.0, lower=0, unit=EVIL)
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=stiffness, m=2.5),
+        R=ph.damping("p"),
+        F={"p": ph.formula("u") + ph.polynomials(["q"], degree=2)},
+    )
+
+
+@pytest.mark.parametrize("shown", [measurements(), spring(), ph.catalogue(spring())])
+def test_what_shows_itself_does_so_by_html_and_rich_with_names_escaped(
+    shown: Any,
+) -> None:
+    page = Tags(shown._repr_html_())
+    assert "script" not in page.tags
+    title = str(shown).splitlines()[0]
+    assert title in page.texts
+    lines = rich_text(shown).splitlines()
+    assert lines[0] == title
+    assert max(len(line.rstrip()) for line in lines) <= 80
+    if not isinstance(shown, list):
+        assert any(EVIL in text for text in page.texts)
+        assert squeezed(EVIL) in squeezed(rich_text(shown, width=200))
+
+
+def test_a_model_prints_its_equations_and_parameters() -> None:
+    text = str(spring())
+    assert "dp/dt = - dH_dq - R_p*dH_dp + F_p" in text
+    assert "H = k*q**2/2 + p**2/(2*m)" in text
+    assert "F_p = u + c2*q + c3*q**2" in text
+    assert re.search(r"^m +2\.5 +yes", text, re.MULTILINE)
+
+
+def test_the_catalogue_prints_as_a_table_and_is_a_list() -> None:
+    effects = ph.catalogue(spring())
+    assert isinstance(effects, list)
+    assert effects == list(effects)
+    assert effects[:2] == [effects[0], effects[1]]
+    lines = str(effects).splitlines()
+    assert lines[0] == f"{len(effects)} effects"
+    assert lines[2].split() == ["effect", "equation", "slot", "family"]
+    assert max(map(len, lines)) <= 80
+    for effect in effects:
+        row = rf"^{re.escape(effect.name)} +{effect.equation} +{effect.slot} "
+        assert re.search(row, str(effects), re.MULTILINE)
