@@ -338,7 +338,7 @@ def test_sentences_say_size_place_and_cause_with_units(cases: dict[str, Case]) -
     (said,) = ForceAnalysis.of(cases["wave"]).sentences
     for part in (
         "dp/dt lacks a force of rms 2.",
-        "(kg m/s)/s",
+        " N, ",
         " Hz",
         "period 2.5",
         "Best predicted from t",
@@ -362,7 +362,7 @@ def test_the_four_panels_name_what_they_show(cases: dict[str, Case]) -> None:
     assert "strong where q" in titles[1]
     assert "follows q" in titles[2]
     assert "strongest at" in titles[3]
-    assert "(kg m/s)/s" in figure.axes[0].get_ylabel()
+    assert "(N)" in figure.axes[0].get_ylabel()
 
 
 @pytest.mark.usefixtures("closing")

@@ -27,7 +27,7 @@ def report(fit: FitRecord) -> str:
         error and unit, fixed parameters, noise and removed terms, the solver's outcome
         in words, and the warnings; a line each.
     """
-    rows = [*_equations(fit), *_remarks(fit)]
+    rows = [*equation_lines(fit), *_remarks(fit)]
     return "\n".join([_title(fit), *(f"  {row}" for row in rows)])
 
 
@@ -36,7 +36,7 @@ def fit_summary(fit: FitRecord) -> Summary:
     return Summary(
         _title(fit),
         (
-            Part(code="\n".join(_equations(fit))),
+            Part(code="\n".join(equation_lines(fit))),
             Part(table=fit.parameters[list(SHOWN_PARAMETERS)]),
             Part(text="\n".join(_remarks(fit))),
         ),
@@ -48,7 +48,8 @@ def _title(fit: FitRecord) -> str:
     return f"Fit of {type(fit.model).__name__} by {fit.loss}: {states}"
 
 
-def _equations(fit: FitRecord) -> list[str]:
+def equation_lines(fit: FitRecord) -> list[str]:
+    """Structure, terms with their estimates, and fixed parameters; a line each."""
     return [*structure_rows(fit.model), *_dictionaries(fit), *_fixed(fit)]
 
 

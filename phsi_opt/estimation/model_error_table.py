@@ -9,6 +9,7 @@ from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.priors import Prior
 from phsi_opt.model_error.processes import Process
+from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
 
 SENSOR_ERROR = "sensor error"  # kind of a row
@@ -140,4 +141,4 @@ class _Rows:
         of_time = self._units.get("t", "")
         if not of_time:
             return unit and f"{unit} per unit of time"
-        return f"{unit or '1'}/{of_time}"
+        return rate_unit(unit or "1", of_time)

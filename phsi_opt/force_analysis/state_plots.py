@@ -1,5 +1,7 @@
 """Pictures of a missing force over the states, and against what it follows."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -37,16 +39,16 @@ def plot_map(
     """
     force = EquationForce.of(analysis, equation)
     ax = axes_of(ax, (6.0, 4.6))
-    names = _map_variables(force)
+    names = map_variables(force)
     if len(names) < 2:
         _draw_bars(ax, force, names[0])
     else:
         _draw_map(ax, force, names)
-    draw_title(ax, _map_title(force, names))
+    draw_title(ax, map_title(force, names))
     return ax
 
 
-def _map_variables(force: EquationForce) -> tuple[str, ...]:
+def map_variables(force: EquationForce) -> tuple[str, ...]:
     """Variables of a map: position and velocity of a momentum, else the best states.
 
     There may be only one state. Another pair of states takes their place where the
@@ -68,16 +70,48 @@ def _map_variables(force: EquationForce) -> tuple[str, ...]:
     return tuple(usual if is_usual else pair)
 
 
+@dataclass(frozen=True, eq=False)
+class ForceMap:
+    """Mean missing force in cells of two variables.
+
+    Attributes:
+        edges_a: of the first variable's cells, (N_CELLS + 1,).
+        edges_b: of the second one's, (N_CELLS + 1,).
+        mean: (N_CELLS, N_CELLS), the first variable first; masked where nothing was.
+    """
+
+    edges_a: np.ndarray
+    edges_b: np.ndarray
+    mean: np.ma.MaskedArray
+
+    @classmethod
+    def of(cls, force: EquationForce, names: tuple[str, ...]) -> "ForceMap":
+        """The map over the first two of the names."""
+        a = force.record.variable(names[0])
+        b = force.record.variable(names[1])
+        count, edges_a, edges_b = np.histogram2d(a, b, N_CELLS)
+        total, _, _ = np.histogram2d(a, b, (edges_a, edges_b), weights=force.w)
+        mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
+        return cls(edges_a, edges_b, mean)
+
+    @property
+    def limit(self) -> float:
+        """The largest size of the force."""
+        if not self.mean.count():
+            return 1.0
+        return float(np.ma.max(np.ma.abs(self.mean)))
+
+
 def _draw_map(ax: Axes, force: EquationForce, names: tuple[str, ...]) -> None:
     """Mean force in cells of two variables; red is positive, blue negative."""
-    a = force.record.variable(names[0])
-    b = force.record.variable(names[1])
-    count, edges_a, edges_b = np.histogram2d(a, b, N_CELLS)
-    total, _, _ = np.histogram2d(a, b, (edges_a, edges_b), weights=force.w)
-    mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
-    limit = float(np.ma.max(np.ma.abs(mean))) if mean.count() else 1.0
+    found = ForceMap.of(force, names)
     mesh = ax.pcolormesh(
-        edges_a, edges_b, mean.T, cmap="RdBu_r", vmin=-limit, vmax=limit
+        found.edges_a,
+        found.edges_b,
+        found.mean.T,
+        cmap="RdBu_r",
+        vmin=-found.limit,
+        vmax=found.limit,
     )
     ax.figure.colorbar(mesh, ax=ax, label=force.force_label("mean missing force"))
     ax.set_xlabel(force.variable_label(names[0]))
@@ -102,7 +136,8 @@ def _draw_bars(ax: Axes, force: EquationForce, name: str) -> None:
     ax.legend(frameon=False)
 
 
-def _map_title(force: EquationForce, names: tuple[str, ...]) -> str:
+def map_title(force: EquationForce, names: tuple[str, ...]) -> str:
+    """Where over the variables the force is strong, in a sentence."""
     begin = f"d{force.equation}/dt:"
     if force.is_uncertain:
         return f"{begin} no missing force is sure"
@@ -136,20 +171,40 @@ def plot_dependence(
     force = EquationForce.of(analysis, equation)
     variable = force.single_variable(variable)
     ax = axes_of(ax, (6.0, 4.6))
-    z = force.record.variable(variable)
-    label = force.variable_label(variable)
-    w = force.w
-    if variable == "t":
+    found = Dependence.of(force, variable)
+    _draw_dependence(ax, found.z, found.w)
+    ax.set(xlabel=found.label, ylabel=force.force_label())
+    draw_title(ax, dependence_title(force, variable))
+    return ax
+
+
+@dataclass(frozen=True, eq=False)
+class Dependence:
+    """The missing force beside a variable.
+
+    Attributes:
+        z: the variable, (n_intervals,); the time folded where the force is a wave.
+        w: the force, (n_intervals,), less what other values of the parameters explain.
+        label: of the variable, with its unit.
+    """
+
+    z: np.ndarray
+    w: np.ndarray
+    label: str
+
+    @classmethod
+    def of(cls, force: EquationForce, variable: str) -> "Dependence":
+        """The force of an equation beside one of the variables it was compared with."""
+        z = force.record.variable(variable)
+        label = force.variable_label(variable)
+        if variable != "t":
+            w = without_parameters(force.record, force.equation, variable)
+            return cls(z, w, label)
         period = _folding_period(force)
         if period is not None:
             z = (z - force.record.t[0]) % period
             label = f"{label}, folded to the period of {period:.3g}"
-    else:
-        w = without_parameters(force.record, force.equation, variable)
-    _draw_dependence(ax, z, w)
-    ax.set(xlabel=label, ylabel=force.force_label())
-    draw_title(ax, _dependence_title(force, variable))
-    return ax
+        return cls(z, force.w, label)
 
 
 def _folding_period(force: EquationForce) -> float | None:
@@ -181,7 +236,8 @@ def _draw_dependence(ax: Axes, z: np.ndarray, w: np.ndarray) -> None:
     )
 
 
-def _dependence_title(force: EquationForce, variable: str) -> str:
+def dependence_title(force: EquationForce, variable: str) -> str:
+    """Whether the force follows the variable, in a sentence."""
     equation = force.equation
     if force.is_uncertain:
         return f"d{equation}/dt: no missing force is sure"

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 
+from phsi_opt.presentation.units import rate_unit
+
 
 def frequency_unit(units: Mapping[str, str]) -> str:
     """Hz where the time is in seconds, else cycles per unit of time."""
@@ -13,13 +15,7 @@ def frequency_unit(units: Mapping[str, str]) -> str:
 
 def force_unit(equation: str, units: Mapping[str, str]) -> str:
     """Unit of the missing force of an equation, "" where units are not known."""
-    state = units.get(equation, "")
-    time = units.get("t", "")
-    if not state or not time:
-        return ""
-    if " " in state:
-        return f"({state})/{time}"
-    return f"{state}/{time}"
+    return rate_unit(units.get(equation, ""), units.get("t", ""))
 
 
 def spaced(unit: str) -> str:

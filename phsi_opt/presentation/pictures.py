@@ -16,8 +16,10 @@ from matplotlib.axes import Axes
 from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
+from phsi_opt.presentation.units import rate_unit
 
 LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
+DECADE = 10  # ratio of errors from which on their axis is logarithmic
 N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
 
@@ -104,10 +106,9 @@ def plot_missing_force(
     ax.axhline(0, color=BASELINE, lw=0.8)
     t_unit = units.get("t", "")
     state_unit = _common_unit([units.get(state, "") for state in equations])
-    force_unit = f"{state_unit}/{t_unit}" if state_unit and t_unit else ""
     ax.set(
         xlabel=label("t", t_unit),
-        ylabel=label("missing force", force_unit),
+        ylabel=label("missing force", rate_unit(state_unit, t_unit)),
         title="Where the band leaves zero, a force is missing",
     )
     _finish(ax)
@@ -190,6 +191,8 @@ def plot_profile(
 def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") -> Axes:
     """Free-run error after each step: training, held out, and the noise floor.
 
+    The values stand at the points; the axis is logarithmic where errors span a decade.
+
     Args:
         history: A row per step with the columns ``step``, ``effect``, ``train_rmse``,
             ``held_out_rmse`` (NaN: nothing was held out) and ``noise_floor``.
@@ -197,26 +200,83 @@ def plot_history(history: pd.DataFrame, ax: Axes | None = None, unit: str = "") 
         unit: Unit of the errors.
     """
     ax = axes_of(ax, (7.0, 3.8))
-    steps = history["step"].to_numpy()
-    held_out = history["held_out_rmse"]
-    floor = history["noise_floor"]
-    ax.plot(steps, history["train_rmse"], "o--", color=MEASURED, label="training")
-    if np.isfinite(held_out).any():
-        ax.plot(steps, held_out, "o-", color=MODEL, label="held out")
-    ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=14)
-    ax.set_xticks(steps, _step_labels(ax, history["effect"]))
-    ax.set(
-        ylabel=label("free-run rmse", unit),
-        title="Free-run error after each added effect",
+    draw_errors(
+        ax,
+        [str(effect) for effect in history["effect"]],
+        train=history["train_rmse"].to_numpy(dtype=float),
+        held_out=history["held_out_rmse"].to_numpy(dtype=float),
+        floor=history["noise_floor"].to_numpy(dtype=float),
+        unit=unit,
     )
-    errors = history[["train_rmse", "held_out_rmse", "noise_floor"]].to_numpy()
-    ax.set_ylim(0, 1.25 * float(np.nanmax(errors)))
-    ax.margins(x=0.2)
-    ax.legend(frameon=False)
     return ax
 
 
-def _step_labels(ax: Axes, effects: pd.Series) -> list[str]:
+def draw_errors(
+    ax: Axes,
+    labels: Sequence[str],
+    *,
+    train: np.ndarray,
+    held_out: np.ndarray,
+    floor: np.ndarray,
+    unit: str,
+) -> None:
+    """The staircase of errors on axes.
+
+    Args:
+        ax: Axes to draw on.
+        labels: What each step did.
+        train: (n_steps,) errors on the training data.
+        held_out: (n_steps,) on data held out, NaN where there are none.
+        floor: (n_steps,) what noise alone leaves.
+        unit: Of the errors.
+    """
+    steps = np.arange(len(labels))
+    ax.plot(steps, train, "o--", color=MEASURED, label="training")
+    judged = train
+    if np.isfinite(held_out).any():
+        ax.plot(steps, held_out, "o-", color=MODEL, label="held out")
+        judged = held_out
+    ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=14)
+    ax.set_xticks(steps, _step_labels(ax, labels))
+    ax.set_ylabel(label("free-run rmse", unit))
+    ax.set_title("Free-run error after each added effect")
+    _scale_errors(ax, np.concatenate([train, held_out, floor]))
+    for step, error in zip(steps, judged, strict=True):
+        if np.isfinite(error):
+            ax.annotate(
+                f"{error:.3g}",
+                (step, error),
+                xytext=(6, 6),
+                textcoords="offset points",
+                color=MODEL if judged is held_out else BASELINE,
+            )
+    if len(floor) and np.isfinite(floor[-1]):
+        ax.annotate(
+            f"floor {floor[-1]:.3g}",
+            (steps[-1], floor[-1]),
+            xytext=(10, -12),
+            textcoords="offset points",
+            color=FLOOR,
+        )
+    ax.margins(x=0.2)
+    ax.legend(frameon=False, loc="upper right")
+
+
+def _scale_errors(ax: Axes, errors: np.ndarray) -> None:
+    """A logarithmic axis where errors span a decade, else one from zero."""
+    known = errors[np.isfinite(errors) & (errors > 0)]
+    if not len(known):
+        return
+    least = float(known.min())
+    most = float(known.max())
+    if most >= DECADE * least:
+        ax.set_yscale("log")
+        ax.set_ylim(least / 2, 3 * most)
+    else:
+        ax.set_ylim(0, 1.35 * most)
+
+
+def _step_labels(ax: Axes, effects: Sequence[str]) -> list[str]:
     """What each step changed, in lines so short that neighbours do not touch."""
     inches = ax.get_window_extent().width / ax.figure.dpi
     n_letters = max(int(LETTERS_PER_INCH * inches / len(effects)), 8)

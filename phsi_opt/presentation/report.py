@@ -51,7 +51,8 @@ def write_report(sections: Sequence[Section], path: Path) -> Path:
     """
     if path.suffix not in SUFFIXES:
         raise DataError(
-            f"a report is written as {' or '.join(SUFFIXES)}; {path.name!r} is neither."
+            f"a report is written as .html, {' or '.join(SUFFIXES)}; "
+            f"{path.name!r} is none of these."
         )
     path.write_text(report_text(sections), encoding="utf-8")
     return path

@@ -324,12 +324,27 @@ class Study(Summarised):
         return self.record.unit
 
     def report(self, path: str | Path) -> Path:
-        """Write the study as text: equations, history, verdict; return the path.
+        """Write the study as a report, and return the path.
+
+        An HTML file holds everything it needs: verdict, errors, equations, measured
+        against model, where it fails, ranked effects, checks, settings. It needs no
+        network; on paper, static pictures stand in place of the charts.
+
+        Args:
+            path: ``.html`` for a report to look at; ``.md`` or ``.txt`` for text.
 
         Raises:
-            DataError: the file is neither Markdown (``.md``) nor text (``.txt``).
+            DataError: the file is of another kind.
         """
-        return write_report(self.report_sections(), Path(path))
+        place = Path(path)
+        if place.suffix == ".html":
+            from phsi_opt.presentation.html_report import html_report
+            from phsi_opt.study.report_content import report_content
+
+            text = html_report(report_content(self.record))
+            place.write_text(text, encoding="utf-8")
+            return place
+        return write_report(self.report_sections(), place)
 
     def report_sections(self) -> list[Section]:
         """History, present model, comparison, verdict, and every diagnosis."""

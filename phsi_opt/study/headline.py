@@ -1,0 +1,166 @@
+"""The first screen of a report: the verdict, what is wrong, where, since when."""
+
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.force_analysis.dependence import leading
+from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.localization import EVERYWHERE
+from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.report_content import BAD, GOOD, LOOK, Fact, Headline
+from phsi_opt.study.force_content import since_when
+from phsi_opt.study.record import StudyRecord
+
+NOT_ASKED = "not diagnosed yet"
+SEVERITIES = {
+    str(Verdict.NOTHING_MISSING): GOOD,
+    str(Verdict.NAMED): LOOK,
+    str(Verdict.PARTLY_NAMED): LOOK,
+    str(Verdict.UNEXPLAINED): BAD,
+    NOT_ASKED: LOOK,
+}
+# Effects whose size has the unit of the missing force of their equation.
+SIZED_AS_FORCES = ("constant force", "coulomb friction", "harmonic force")
+
+
+def headline_of(study: StudyRecord) -> Headline:
+    """The verdict on the present model, and the answers of the first screen."""
+    present = study.diagnoses.get(len(study.steps) - 1)
+    status = NOT_ASKED if present is None else str(present.verdict)
+    telling = _telling(study)
+    if telling is not None:
+        facts = _facts_of(study, telling)
+    else:
+        facts = _facts_without(study, present)
+    sentence = _sentence(study, present)
+    return Headline(status, SEVERITIES[status], sentence, tuple(facts))
+
+
+def _telling(study: StudyRecord) -> Diagnosis | None:
+    """The first diagnosis that found something missing: it says what was wrong."""
+    for _, diagnosis in sorted(study.diagnoses.items()):
+        if diagnosis.verdict != Verdict.NOTHING_MISSING:
+            return diagnosis
+    return None
+
+
+def errors_in_words(study: StudyRecord) -> str:
+    """How the error fell, beside the noise floor."""
+    first = study.steps[0].judged
+    last = study.last.judged
+    which = "held-out" if study.last.held_out is not None else "training"
+    unit = spaced(study.unit)
+    floor = f"noise floor {number(last.noise_floor, 3)}{unit}"
+    if len(study.steps) == 1:
+        return f"{which} error {number(last.rmse, 3)}{unit}, {floor}"
+    verb = "fell" if last.rmse < first.rmse else "went"
+    return (
+        f"{which} error {verb} from {number(first.rmse, 3)} to "
+        f"{number(last.rmse, 3)}{unit} ({floor})"
+    )
+
+
+def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
+    errors = errors_in_words(study)
+    added = " and ".join(str(effect) for effect in study.last.added)
+    if added:
+        begin = f"The base model lacked {added}. With it, the {errors}."
+        if len(study.last.added) > 1:
+            begin = begin.replace("With it", "With them")
+        if present is None:
+            return f"{begin} The present model has not been diagnosed."
+        if present.verdict == Verdict.NOTHING_MISSING:
+            return f"{begin} Now: nothing missing."
+        return f"{begin} Still {present.verdict}: {present.reason}."
+    if present is None:
+        return (
+            f"What the model lacks has not been asked yet: {errors}. "
+            "Call study.diagnose() or study.auto()."
+        )
+    return f"{str(present.verdict).capitalize()}: {present.reason}."
+
+
+def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
+    return [
+        Fact("What is wrong", _wrong(diagnosis)),
+        Fact("Where", _where(diagnosis)),
+        Fact("Since when", _when(diagnosis)),
+        Fact("What to add", _addition(study, diagnosis)),
+    ]
+
+
+def _wrong(diagnosis: Diagnosis) -> str:
+    force = EquationForce.of(diagnosis.analysis, None)
+    unit = spaced(force_unit(force.equation, force.record.units))
+    size = f"rms {number(float(force.where['strength']), 3)}{unit}"
+    if force.is_uncertain:
+        return f"The residuals show it; no missing force is sure ({size})."
+    return f"The base model's d{force.equation}/dt lacks a force of {size}."
+
+
+def _where(diagnosis: Diagnosis) -> str:
+    """The equation, the region of the states, and what the force follows."""
+    force = EquationForce.of(diagnosis.analysis, None)
+    if force.is_uncertain:
+        return "No equation, time or region stands out."
+    region = str(force.where["state_region"])
+    place = f"In the equation of {force.equation}"
+    if region == EVERYWHERE:
+        place += ", all over the visited states"
+    else:
+        place += f", strong where {region}"
+    best = leading(diagnosis.follows, force.equation)
+    if best is None:
+        return f"{place}."
+    percent = f"{100 * best['share']:.0f} %"
+    return f"{place}. Best predicted from {best['variable']} ({percent})."
+
+
+def _when(diagnosis: Diagnosis) -> str:
+    force = EquationForce.of(diagnosis.analysis, None)
+    if force.is_uncertain:
+        return "At no time surely."
+    return f"{since_when(diagnosis)}.".capitalize()
+
+
+def _addition(study: StudyRecord, diagnosis: Diagnosis) -> str:
+    """What to add, or what was added since."""
+    texts = []
+    for finding in diagnosis.findings:
+        effect = finding.effects[0]
+        unit = ""
+        if effect.name in SIZED_AS_FORCES:
+            unit = spaced(force_unit(effect.equation, diagnosis.data.units))
+        size = with_error(finding.coefficient, finding.std_error)
+        text = f"{effect}, {size}{unit}"
+        if not finding.is_name:
+            others = ", ".join(str(other) for other in finding.effects[1:])
+            text += f" (or {others}: the data do not tell)"
+        texts.append(text)
+    if not texts:
+        texts = [f"nearest: {effect}" for effect in diagnosis.proposed]
+    if not texts:
+        return "No effect of the catalogue explains enough."
+    added = study.last.added
+    if added and set(map(str, diagnosis.proposed)) <= set(map(str, added)):
+        return f"Added: {'; '.join(texts)}."
+    return f"{'; '.join(texts)}.".capitalize()
+
+
+def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
+    """The answers where no diagnosis has found anything missing."""
+    judged = study.last.judged
+    ratio = f"{judged.rmse / judged.noise_floor:.3g} times the noise floor"
+    error = errors_in_words(study)
+    error = f"{error[:1].upper()}{error[1:]}: {ratio}."
+    if present is None:
+        return [
+            Fact("What is wrong", "Not asked yet."),
+            Fact("How far off", error),
+            Fact("What to do", "Call study.diagnose() or study.auto()."),
+        ]
+    return [
+        Fact("What is wrong", "Nothing that these data show."),
+        Fact("How far off", error),
+        Fact("What to add", "Nothing."),
+    ]

@@ -1,0 +1,150 @@
+"""A study as the content of a report: numbers and words, in the order of reading."""
+
+import platform
+from importlib.metadata import version
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_report import equation_lines
+from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.report_content import (
+    Equations,
+    ErrorStep,
+    Fact,
+    Failure,
+    ParameterRow,
+    Report,
+    Staircase,
+)
+from phsi_opt.study.checks import checks_of
+from phsi_opt.study.force_content import failure_of
+from phsi_opt.study.headline import errors_in_words, headline_of
+from phsi_opt.study.record import StudyRecord
+from phsi_opt.study.run_content import runs_of
+
+LEVEL = 0.95  # of the intervals: the convention of most tables
+LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
+
+
+def report_content(study: StudyRecord) -> Report:
+    """What an HTML report of the study says."""
+    return Report(
+        f"Study of {', '.join(study.train.measured)}",
+        headline_of(study),
+        _staircase(study),
+        _equations(study),
+        runs_of(study),
+        _failures(study),
+        checks_of(study),
+        _settings(study),
+        _code(study),
+    )
+
+
+def _staircase(study: StudyRecord) -> Staircase:
+    steps = []
+    for step in study.steps:
+        held_out = None if step.held_out is None else step.held_out.rmse
+        floor = step.judged.noise_floor
+        error = ErrorStep(step.label, step.train.rmse, held_out, floor, step.fit.bic)
+        steps.append(error)
+    said = errors_in_words(study)
+    sentence = f"{said[:1].upper()}{said[1:]}."
+    return Staircase(tuple(steps), study.unit, sentence)
+
+
+def _equations(study: StudyRecord) -> tuple[Equations, ...]:
+    first = _model("Base model", study.steps[0].fit)
+    if len(study.steps) == 1:
+        return (first,)
+    added = " and ".join(str(effect) for effect in study.last.added)
+    heading = f"Present model: with {added}" if added else "Present model"
+    return (first, _model(heading, study.last.fit))
+
+
+def _model(heading: str, fit: Fit) -> Equations:
+    intervals = fit.intervals(LEVEL)
+    rows = []
+    for _, row in fit.parameters.iterrows():
+        name = str(row["name"])
+        interval = ""
+        remark = "fixed" if row["fixed"] else ""
+        if name in fit.outcome.at_bounds:
+            remark = "at its bound"
+        if name in intervals.index:
+            lower = float(intervals["ci_lower"][name])
+            upper = float(intervals["ci_upper"][name])
+            if np.isfinite(lower):
+                interval = f"{number(lower)} to {number(upper)}"
+        if not interval and not remark:
+            remark = "no standard error"
+        value = with_error(float(row["value"]), float(row["std_error"]))
+        rows.append(ParameterRow(name, value, interval, str(row["unit"]), remark))
+    return Equations(heading, tuple(equation_lines(fit)), tuple(rows))
+
+
+def _failures(study: StudyRecord) -> tuple[Failure, ...]:
+    """Every diagnosis, each under the model that it looks at."""
+    failures = []
+    for number_of_step, diagnosis in sorted(study.diagnoses.items()):
+        label = study.steps[number_of_step].label
+        heading = f"Base model: what it lacks ({label})"
+        if number_of_step:
+            heading = f"After step {number_of_step} ({label})"
+        else:
+            heading = heading.replace(" (base model)", "")
+        failures.append(failure_of(diagnosis, heading, study.unit))
+    return tuple(failures)
+
+
+def _settings(study: StudyRecord) -> tuple[Fact, ...]:
+    facts = [Fact("Training data", _data(study.train))]
+    held_out = "none"
+    if study.held_out is not None:
+        held_out = _data(study.held_out)
+    facts.append(Fact("Data held out", held_out))
+    starts = "estimated from the whole record of each trajectory, held out or not"
+    facts.append(Fact("Starting states", starts))
+    facts.append(Fact("Units", _units(study.train)))
+    facts.append(Fact("Inputs between samples", study.train.hold))
+    facts.append(Fact("Loss", str(study.loss)))
+    facts.append(Fact("Standard errors", str(study.last.fit.std_error_source)))
+    facts.append(Fact("Intervals", f"{100 * LEVEL:.0f} %, Student's distribution"))
+    seeds = "fixed in the package, none taken from a clock: the same data and "
+    seeds += "settings give the same numbers"
+    facts.append(Fact("Seeds", seeds))
+    versions = [f"{name} {version(name)}" for name in LIBRARIES]
+    versions.append(f"Python {platform.python_version()}")
+    facts.append(Fact("Versions", ", ".join(versions)))
+    return tuple(facts)
+
+
+def _data(data: Measurements) -> str:
+    unit = data.units.get("t", "")
+    lengths = [float(run.t[-1] - run.t[0]) for run in data.trajectories]
+    extent = f"{min(lengths):.4g}"
+    if max(lengths) > min(lengths):
+        extent += f" to {max(lengths):.4g}"
+    n_runs = len(lengths)
+    runs = "1 trajectory" if n_runs == 1 else f"{n_runs} trajectories"
+    return (
+        f"{runs}, {data.n_samples} samples, {extent} {unit}".rstrip()
+        + f" each; SHA-256 {data.digest}"
+    )
+
+
+def _units(data: Measurements) -> str:
+    known = [f"{name}: {unit}" for name, unit in data.units.items() if unit]
+    return ", ".join(known) or "not given"
+
+
+def _code(study: StudyRecord) -> str:
+    """The calls that repeat the steps, beside the user's data and base model."""
+    held_out = ", held_out" if study.held_out is not None else ""
+    lines = ["study = ph.Study(model, train" + held_out + ")"]
+    for effect in study.last.added:
+        lines.append(f"study.add({effect.name!r}, {effect.equation!r})")
+    lines.append('study.report("report.html")')
+    return "\n".join(lines)
