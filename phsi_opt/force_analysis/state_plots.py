@@ -172,7 +172,7 @@ def plot_dependence(
     variable = force.single_variable(variable)
     ax = axes_of(ax, (6.0, 4.6))
     found = Dependence.of(force, variable)
-    _draw_dependence(ax, found.z, found.w)
+    draw_dependence(ax, found.z, found.w)
     ax.set(xlabel=found.label, ylabel=force.force_label())
     draw_title(ax, dependence_title(force, variable))
     return ax
@@ -214,8 +214,8 @@ def _folding_period(force: EquationForce) -> float | None:
     return period_of(force.record, force.equation)
 
 
-def _draw_dependence(ax: Axes, z: np.ndarray, w: np.ndarray) -> None:
-    """Dots, and mean and standard deviation in bins, of w (n,) over z (n,)."""
+def draw_dependence(ax: Axes, z: np.ndarray, w: np.ndarray) -> None:
+    """Draw dots, and mean and standard deviation in bins, of w (n,) over z (n,)."""
     bins = Bins.of(z, w)
     step = max(1, len(z) // MOST_DOTS)
     ax.plot(z[::step], w[::step], ".", ms=3, color=DOTS, label="force")

@@ -56,6 +56,7 @@ def html_report(report: Report) -> str:
         undefined=StrictUndefined,
     )
     environment.filters["number"] = number
+    environment.filters["typeset"] = typeset
     template = environment.get_template("report.html.jinja")
     pictures = []
     for failure in report.failures:
@@ -64,12 +65,20 @@ def html_report(report: Report) -> str:
         report=report,
         staircase_picture=as_address(staircase_picture(report.staircase)),
         runs_picture=as_address(runs_picture(report.runs)),
+        law_pictures=[
+            as_address(follows_picture(law.follows, law.label)) for law in report.laws
+        ],
         force_pictures=pictures,
         style=_own_file("report.css"),
         script=_own_file("report.js"),
         data=script_json(_chart_data(report)),
         library=Markup(_packed_library()),
     )
+
+
+def typeset(text: str) -> str:
+    """A sentence of a terminal as it is printed: ± in place of +-."""
+    return text.replace("+-", "\N{PLUS-MINUS SIGN}")
 
 
 def _pictures_of(force: Force) -> ForcePictures:
@@ -108,6 +117,7 @@ def _chart_data(report: Report) -> dict[str, Any]:
     return {
         "staircase": asdict(report.staircase),
         "runs": asdict(report.runs),
+        "laws": [asdict(law) for law in report.laws],
         "forces": forces,
     }
 

@@ -208,6 +208,15 @@ class Force:
 
 
 @dataclass(frozen=True)
+class Law:
+    """The force that is missing without an effect; ``label`` is that of the force."""
+
+    heading: str
+    label: str
+    follows: Follows
+
+
+@dataclass(frozen=True)
 class Ranked:
     """A candidate effect: what it explains, what it is confused with, why it lost."""
 
@@ -268,6 +277,7 @@ class Report:
     staircase: Staircase
     equations: tuple[Equations, ...]
     runs: Runs
+    laws: tuple[Law, ...]
     failures: tuple[Failure, ...]
     checks: tuple[Check, ...]
     settings: tuple[Fact, ...]

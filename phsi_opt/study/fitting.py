@@ -8,15 +8,18 @@ from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.refit_effort import ADDED
-from phsi_opt.errors import SolveError
+from phsi_opt.errors import PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.study.effect_law import EffectLaw, effect_law
 from phsi_opt.study.step import Step
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
+
+MOST_LAWS = 3  # effects whose law a report shows: each is an estimate of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,3 +104,22 @@ class StudyFitting:
         record = Record.beside(smaller, self.train, trained.record.estimate)
         share = share_of_change(compare_record(record), trained)
         return delta_bic(fit, smaller, share) < 0
+
+    def law(self, fit: Fit, added: tuple[Effect, ...], effect: Effect) -> EffectLaw:
+        """What the model of a fit lacks without one of the effects added (see there).
+
+        Raises:
+            ModelError: the effect is one of a sensor.
+            SolveError: the model without the effect does not reach the measurements.
+        """
+        return effect_law(self.base, fit.model, added, effect, self.train)
+
+    def laws(self, fit: Fit, added: tuple[Effect, ...]) -> tuple[EffectLaw, ...]:
+        """The laws of the effects added first, as far as they can be shown."""
+        found = []
+        for effect in added[:MOST_LAWS]:
+            try:
+                found.append(self.law(fit, added, effect))
+            except PhsiOptError:
+                continue  # a sensor's, or a model that is too far off without it
+        return tuple(found)

@@ -3,10 +3,10 @@
 import numpy as np
 import pandas as pd
 
-from phsi_opt.criteria import SURE_DEVIATIONS
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_uncertainty import deviation_of
+from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT
 from phsi_opt.force_analysis.plot_parts import Bins
 from phsi_opt.force_analysis.state_plots import (
     Dependence,
@@ -23,15 +23,23 @@ from phsi_opt.presentation.report_content import (
     Force,
     ForceMap,
     ForceRun,
+    Law,
     Number,
     Ranked,
 )
 from phsi_opt.presentation.thinning import rounded, thinned
+from phsi_opt.statistics import TINY
+from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.run_content import DIGITS_OF_TIME, FEWEST_PER_CURVE, MOST_PER_CURVE
 
 MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
 MOST_DOTS = 1_500  # of a force against what it follows
 MOST_RANKED = 12  # candidates that are listed
+# Share of the strongest trajectory's force from which on another has it as well.
+STRONG_RUN = 0.5
+# Times that a force is stronger behind its beginning than before: by chance, and where it
+# follows a motion that decays or grows, tenths differ by less.
+BEGINNING = 3.0
 MOST_FORCES = 4  # equations whose missing force is drawn
 
 
@@ -115,6 +123,20 @@ def _follows(force: EquationForce) -> Follows | None:
         return None
     variable = force.single_variable(None)
     found = Dependence.of(force, variable)
+    return _beside(found, dependence_title(force, variable))
+
+
+def law_of(law: EffectLaw) -> Law:
+    """The law of an effect, to be drawn against what it follows."""
+    sentence = (
+        f"What d{law.force.equation}/dt lacks where {law.effect} is left out of the "
+        "present model and all other values stay"
+    )
+    follows = _beside(law.dependence, sentence)
+    return Law(law.title, law.force.force_label(), follows)
+
+
+def _beside(found: Dependence, sentence: str) -> Follows:
     bins = Bins.of(found.z, found.w)
     step = max(1, len(found.z) // MOST_DOTS)
     return Follows(
@@ -124,7 +146,7 @@ def _follows(force: EquationForce) -> Follows | None:
         rounded(bins.centre),
         rounded(bins.mean),
         rounded(bins.std),
-        dependence_title(force, variable),
+        sentence,
     )
 
 
@@ -155,27 +177,50 @@ def _known(value: object) -> Number:
 
 
 def since_when(diagnosis: Diagnosis) -> str:
-    """From when on the surest missing force is sure, in the trajectory it is strongest.
+    """Since when the surest missing force is there, where it is strongest, how often.
 
-    A tenth of a trajectory counts where the force is beyond its uncertainty in most of
-    that tenth.
+    A beginning is told where the force is several times weaker before it.
     """
     force = EquationForce.of(diagnosis.analysis, None)
     record = force.record
     unit = record.units.get("t", "")
-    deviation = deviation_of(record.estimate)[:, force.number]
-    is_sure = np.abs(force.w) > SURE_DEVIATIONS * deviation
+    sizes = []
+    for number_of_run in range(len(record.trajectories)):
+        sizes.append(_rms(force.w[record.run == number_of_run]))
+    n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
+    if len(sizes) == 1:
+        runs = ""
+    elif n_strong == len(sizes):
+        runs = f" in all {n_strong} trajectories"
+    else:
+        runs = f" in {n_strong} of {len(sizes)} trajectories"
     name = str(force.where["trajectory"])
     inside = np.flatnonzero(record.run == record.trajectories.index(name))
-    tenths = np.array_split(inside, min(10, len(inside)))
-    strong = [k for k, tenth in enumerate(tenths) if np.mean(is_sure[tenth]) > 0.5]
-    strongest = f"strongest at t = {force.where['time_window']} {unit}".rstrip()
-    strongest = f"{strongest} of {name}"
-    if not strong:
-        percent = f"{100 * np.mean(is_sure):.0f} %"
-        return f"now and then, surely during {percent} of the time; {strongest}"
-    if strong[0] == 0:
-        return f"from the start of the record on; {strongest}"
-    first = tenths[strong[0]][0]
-    begin = record.t[first] - record.h[first] / 2
-    return f"from t = {begin:.3g} {unit}".rstrip() + f" on; {strongest}"
+    begin = _beginning(force, inside)
+    since = "From the start of the record on"
+    if begin is not None:
+        since = f"From t = {number(begin, 3)} {unit}".rstrip() + f" of {name} on"
+    window = str(force.where["time_window"])
+    if THROUGHOUT in window:
+        return f"{since}{runs}, about as strong all the time."
+    strongest = f"strongest at t = {window} {unit}".rstrip()
+    of_run = f" of {name}" if len(sizes) > 1 and begin is None else ""
+    return f"{since}{runs}; {strongest}{of_run}."
+
+
+def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:
+    """The time before which the force is far weaker; None: there is none such."""
+    tenths = np.array_split(inside, min(N_WINDOWS, len(inside)))
+    contrasts = []
+    for k in range(1, len(tenths)):
+        before = _rms(force.w[np.concatenate(tenths[:k])])
+        after = _rms(force.w[np.concatenate(tenths[k:])])
+        contrasts.append(after / max(before, TINY))
+    if not contrasts or max(contrasts) < BEGINNING:
+        return None
+    first = tenths[int(np.argmax(contrasts)) + 1][0]
+    return float(force.record.t[first] - force.record.h[first] / 2)
+
+
+def _rms(w: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(w**2)))

@@ -2,7 +2,7 @@
 
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.dependence import leading
+from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import EVERYWHERE
 from phsi_opt.force_analysis.units import force_unit, spaced
@@ -109,18 +109,19 @@ def _where(diagnosis: Diagnosis) -> str:
         place += ", all over the visited states"
     else:
         place += f", strong where {region}"
-    best = leading(diagnosis.follows, force.equation)
-    if best is None:
-        return f"{place}."
-    percent = f"{100 * best['share']:.0f} %"
-    return f"{place}. Best predicted from {best['variable']} ({percent})."
+    energy = diagnosis.analysis.energy
+    causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
+    cause = causes[force.equation]
+    if cause == NO_PATTERN:
+        return f"{place}. No single cause explains it."
+    return f"{place}. It {cause}."
 
 
 def _when(diagnosis: Diagnosis) -> str:
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
         return "At no time surely."
-    return f"{since_when(diagnosis)}.".capitalize()
+    return since_when(diagnosis)
 
 
 def _addition(study: StudyRecord, diagnosis: Diagnosis) -> str:
@@ -144,7 +145,8 @@ def _addition(study: StudyRecord, diagnosis: Diagnosis) -> str:
     added = study.last.added
     if added and set(map(str, diagnosis.proposed)) <= set(map(str, added)):
         return f"Added: {'; '.join(texts)}."
-    return f"{'; '.join(texts)}.".capitalize()
+    text = "; ".join(texts)
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:

@@ -1,6 +1,7 @@
 """A study as the content of a report: numbers and words, in the order of reading."""
 
 import platform
+from collections.abc import Sequence
 from importlib.metadata import version
 
 import numpy as np
@@ -19,7 +20,8 @@ from phsi_opt.presentation.report_content import (
     Staircase,
 )
 from phsi_opt.study.checks import checks_of
-from phsi_opt.study.force_content import failure_of
+from phsi_opt.study.effect_law import EffectLaw
+from phsi_opt.study.force_content import failure_of, law_of
 from phsi_opt.study.headline import errors_in_words, headline_of
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
@@ -28,14 +30,20 @@ LEVEL = 0.95  # of the intervals: the convention of most tables
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 
 
-def report_content(study: StudyRecord) -> Report:
-    """What an HTML report of the study says."""
+def report_content(study: StudyRecord, laws: Sequence[EffectLaw] = ()) -> Report:
+    """What an HTML report of the study says.
+
+    Args:
+        study: as it stands.
+        laws: of the effects that were added.
+    """
     return Report(
         f"Study of {', '.join(study.train.measured)}",
         headline_of(study),
         _staircase(study),
         _equations(study),
         runs_of(study),
+        tuple(law_of(law) for law in laws),
         _failures(study),
         checks_of(study),
         _settings(study),

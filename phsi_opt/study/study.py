@@ -223,22 +223,11 @@ class Study(Summarised):
             ModelError: not exactly one such effect was added.
             SolveError: the smaller model could not be fitted.
         """
-        name = effect if isinstance(effect, str) else effect.name
-        place = equation if isinstance(effect, str) else effect.equation
-        found = []
-        for known in self.added:
-            if known.name == name and place in (None, known.equation):
-                found.append(known)
-        if len(found) != 1:
-            listed = ", ".join(str(known) for known in self.added) or "none"
-            raise ModelError(
-                f"{len(found)} effects named {name!r} on {place or 'any equation'} "
-                f"were added; added are {listed}."
-            )
-        self._say(f"removing {found[0]}")
-        kept = self._without(found[0])
+        known = self._added_effect(effect, equation)
+        self._say(f"removing {known}")
+        kept = self._without(known)
         fit = self._fitting.with_effects(self.fit, kept)
-        self.steps.append(self._fitting.step(f"without {found[0]}", kept, fit))
+        self.steps.append(self._fitting.step(f"without {known}", kept, fit))
         return fit
 
     def undo(self) -> Fit:
@@ -318,6 +307,37 @@ class Study(Summarised):
 
         return plot_history(self.history, ax, self.unit)
 
+    def plot_effect(
+        self,
+        effect: str | Effect,
+        equation: str | None = None,
+        ax: "Axes | None" = None,
+    ) -> "Axes":
+        """Draw the force that is missing where an added effect is left out.
+
+        All other values are those of the present model, so that the whole law of the
+        effect is seen, against what it follows.
+
+        Args:
+            effect: one that was added, or its name.
+            equation: where several of one name were added, that of the one.
+            ax: Axes to draw on; None: a new figure.
+
+        Raises:
+            ModelError: not exactly one such effect was added, or it is a sensor's.
+            SolveError: the model without the effect does not reach the measurements.
+        """
+        from phsi_opt.force_analysis.state_plots import draw_dependence
+        from phsi_opt.presentation.axes import axes_of
+
+        known = self._added_effect(effect, equation)
+        law = self._fitting.law(self.fit, self.added, known)
+        ax = axes_of(ax, (7.0, 3.8))
+        draw_dependence(ax, law.dependence.z, law.dependence.w)
+        ax.set(xlabel=law.dependence.label, ylabel=law.force.force_label())
+        ax.set_title(law.title)
+        return ax
+
     @property
     def unit(self) -> str:
         """Unit of the errors, that of the channel where one is measured."""
@@ -341,7 +361,8 @@ class Study(Summarised):
             from phsi_opt.presentation.html_report import html_report
             from phsi_opt.study.report_content import report_content
 
-            text = html_report(report_content(self.record))
+            laws = self._fitting.laws(self.fit, self.added)
+            text = html_report(report_content(self.record, laws))
             place.write_text(text, encoding="utf-8")
             return place
         return write_report(self.report_sections(), place)
@@ -358,6 +379,22 @@ class Study(Summarised):
                 if candidate.effects == (effect,):
                     return candidate
         return None
+
+    def _added_effect(self, effect: str | Effect, equation: str | None) -> Effect:
+        """The one effect that was added and is meant."""
+        name = effect if isinstance(effect, str) else effect.name
+        place = equation if isinstance(effect, str) else effect.equation
+        found = []
+        for known in self.added:
+            if known.name == name and place in (None, known.equation):
+                found.append(known)
+        if len(found) != 1:
+            listed = ", ".join(str(known) for known in self.added) or "none"
+            raise ModelError(
+                f"{len(found)} effects named {name!r} on {place or 'any equation'} "
+                f"were added; added are {listed}."
+            )
+        return found[0]
 
     def _without(self, effect: Effect) -> tuple[Effect, ...]:
         return tuple(known for known in self.added if known is not effect)

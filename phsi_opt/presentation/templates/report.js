@@ -67,11 +67,12 @@
       legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 }, showlegend: true,
     };
     for (const key of Object.keys(extra)) {
-      result[key] = key.match(/axis/) ? Object.assign({}, axis, extra[key]) : extra[key];
+      if (!key.match(/axis/)) result[key] = extra[key];
+      else result[key] = Object.assign({}, axis, key === "xaxis" ? { zeroline: false } : {}, extra[key]);
     }
     return result;
   }
-  const settings = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["lasso2d", "select2d", "toImage"] };
+  const settings = { responsive: true, displaylogo: false, displayModeBar: false };
 
   function draw(id, traces, extra) {
     const place = document.getElementById(id);
@@ -148,19 +149,20 @@
     ];
   }
 
+  function follows(id, one, label) {
+    const parts = band(one.centre, one.mean, one.std, "spread");
+    parts.unshift({ x: one.x, y: one.force, mode: "markers", marker: { color: color("measured"), size: 3, opacity: 0.6 }, name: "force", hoverinfo: "skip" });
+    parts.push({ x: one.centre, y: one.mean, mode: "lines+markers", line: { color: color("after"), width: 2 }, name: "mean in bins", hovertemplate: "%{y:.3g}" });
+    draw(id, parts, { xaxis: { title: { text: plain(one.label) } }, yaxis: { title: { text: plain(label) } } });
+  }
+
   function force(id, content) {
     const select = document.querySelector(`select[data-force="${id}"]`);
     const run = content.runs[Number(select.value)];
     const traces = band(run.t, run.force, run.std.map((v) => (v === null ? null : 2 * v)), "2 std. deviations");
     traces.push({ x: run.t, y: run.force, mode: "lines", line: { color: color("after"), width: 2 }, name: "missing force", hovertemplate: "%{y:.3g}" });
     draw(id + "-time", traces, { xaxis: { title: { text: plain(content.t_label) } }, yaxis: { title: { text: plain(content.label) } } });
-    if (content.follows) {
-      const one = content.follows;
-      const parts = band(one.centre, one.mean, one.std, "spread");
-      parts.unshift({ x: one.x, y: one.force, mode: "markers", marker: { color: color("measured"), size: 3, opacity: 0.6 }, name: "force", hoverinfo: "skip" });
-      parts.push({ x: one.centre, y: one.mean, mode: "lines+markers", line: { color: color("after"), width: 2 }, name: "mean in bins", hovertemplate: "%{y:.3g}" });
-      draw(id + "-follows", parts, { xaxis: { title: { text: plain(one.label) } }, yaxis: { title: { text: plain(content.label) } } });
-    }
+    if (content.follows) follows(id + "-follows", content.follows, content.label);
     if (content.map) {
       const one = content.map;
       const limit = Math.max(...one.force.flat().filter((v) => v !== null).map(Math.abs), 1e-300);
@@ -175,6 +177,7 @@
     if (!window.Plotly) return;
     staircase();
     measured();
+    data.laws.forEach((law, k) => follows("law-" + k, law.follows, law.label));
     data.forces.forEach((forces, f) => forces.forEach((one, k) => force(`force-${f}-${k}`, one)));
   }
 
@@ -182,8 +185,7 @@
   function zoom(id, what) {
     const place = document.getElementById(id);
     if (what === "whole") {
-      if (id === "staircase") staircase();
-      else Plotly.relayout(place, { "xaxis.autorange": true, "yaxis.autorange": true });
+      Plotly.relayout(place, { "xaxis.autorange": true, "yaxis.autorange": true });
       return;
     }
     const range = place._fullLayout.xaxis.range.map(Number);
