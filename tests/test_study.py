@@ -260,7 +260,7 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(
     text = hidden.report(tmp_path / "study.md").read_text(encoding="utf-8")
     assert "coulomb friction on p" in text and "noise floor" in text
     with pytest.raises(ph.DataError, match=r"\.md or \.txt"):
-        hidden.report(tmp_path / "study.html")
+        hidden.report(tmp_path / "study.pdf")
 
 
 def test_what_a_study_prints_loses_no_column_and_shows_itself_as_html_and_rich(

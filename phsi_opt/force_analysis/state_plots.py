@@ -75,9 +75,9 @@ class ForceMap:
     """Mean missing force in cells of two variables.
 
     Attributes:
-        edges_a: of the first variable's cells, (N_CELLS + 1,).
-        edges_b: of the second one's, (N_CELLS + 1,).
-        mean: (N_CELLS, N_CELLS), the first variable first; masked where nothing was.
+        edges_a: of the first variable's cells, (n_a + 1,).
+        edges_b: of the second one's, (n_b + 1,).
+        mean: (n_a, n_b), the first variable first; masked where nothing was.
     """
 
     edges_a: np.ndarray

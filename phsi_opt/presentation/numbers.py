@@ -2,10 +2,10 @@
 
 import math
 
-DIGITS = 4  # of a number in a text
+TEXT_DIGITS = 4  # of a number in a text
 
 
-def number(value: float | None, digits: int = DIGITS) -> str:
+def number(value: float | None, digits: int = TEXT_DIGITS) -> str:
     """The value with a few digits, "not known" where there is none."""
     if value is None or not math.isfinite(value):
         return "not known"
@@ -19,7 +19,7 @@ def with_error(value: float, std_error: float) -> str:
     if not math.isfinite(std_error) or std_error <= 0:
         return number(value)
     n_decimals = 1 - math.floor(math.log10(std_error))
-    if abs(n_decimals) > DIGITS + 1:
+    if abs(n_decimals) > TEXT_DIGITS + 1:
         return f"{number(value)} \N{PLUS-MINUS SIGN} {std_error:.2g}"
     n_decimals = max(n_decimals, 0)
     text = f"{value:.{n_decimals}f}".replace("-", "\N{MINUS SIGN}", 1)

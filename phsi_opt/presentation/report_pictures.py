@@ -6,6 +6,7 @@ never read as formulas, and text stays text in the file.
 
 import io
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -32,7 +33,7 @@ from phsi_opt.presentation.report_content import (
     Staircase,
 )
 
-STYLE = {
+STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "report",  # the same names of parts in every run
     "text.parse_math": False,  # a "$" in a name is a "$"
@@ -41,19 +42,20 @@ STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-WIDTH = 7.2  # inches: the width of a page of paper
+PAPER_WIDTH = 7.2  # inches: the width of a page of paper
 MODEL_STYLES = (
     {"color": ATTENTION, "ls": "--"},
     {"color": "C4", "ls": ":"},
     {"color": MODEL, "ls": "-"},
 )
+MOST_LETTERS = 36  # of a name in a picture; the page has it whole
 NOISE_BAND = 2  # standard deviations of the noise
 
 
 def svg(draw: Callable[[Figure], None], height: float) -> str:
     """A drawing as the text of an SVG file, ``height`` in inches."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        figure = Figure(figsize=(PAPER_WIDTH, height), layout="constrained")
         FigureCanvasSVG(figure)
         draw(figure)
         text = io.StringIO()
@@ -90,7 +92,7 @@ def runs_picture(content: Runs) -> str:
             pair = (axes[2 * k], axes[2 * k + 1])
             _draw_channel(pair, content, k, channel)
         axes[-1].set_xlabel(label("t", content.unit_of_time))
-        axes[0].set_title(f"{run.name} ({run.part})", loc="left", fontsize=10)
+        axes[0].set_title(f"{_short(run.name)} ({run.part})", loc="left", fontsize=10)
 
     return svg(draw, 0.4 + 3.2 * n_channels)
 
@@ -104,7 +106,7 @@ def _draw_channel(
     upper.plot(t, values(channel.measured), ".", ms=3, color=MEASURED, label="measured")
     styles = model_styles(len(content.models))
     for m, style in enumerate(styles):
-        name = content.models[m]
+        name = _short(content.models[m])
         upper.plot(t, values(channel.models[m]), lw=1.2, label=name, **style)
         lower.plot(t, values(channel.residuals[m]), lw=1.0, **style)
     if info.noise is not None:
@@ -112,14 +114,14 @@ def _draw_channel(
         lower.axhspan(-band, band, color=FLOOR, alpha=0.2, lw=0, label="noise, 2 std.")
         lower.legend(loc="upper right", frameon=False, fontsize=8)
     lower.axhline(0, color=BASELINE, lw=0.6)
-    upper.set_ylabel(label(info.name, info.unit))
-    lower.set_ylabel(label("residual", info.unit))
+    upper.set_ylabel(_short(label(info.name, info.unit)))
+    lower.set_ylabel(_short(label("residual", info.unit)))
     upper.margins(y=0.25)
     if k == 0:
         upper.legend(loc="upper right", frameon=False, fontsize=8, ncols=4)
 
 
-def model_styles(n_models: int) -> list[dict[str, str]]:
+def model_styles(n_models: int) -> list[dict[str, Any]]:
     """Base model dashed, present model solid; a single model solid."""
     if n_models == 1:
         return [dict(MODEL_STYLES[-1])]
@@ -142,8 +144,8 @@ def force_picture(content: Force) -> str:
         )
         ax.plot(t, force, color=MODEL, lw=1.2, label="missing force")
         ax.axhline(0, color=BASELINE, lw=0.6)
-        ax.set(xlabel=content.t_label, ylabel=content.label)
-        ax.set_title(run.name, loc="left", fontsize=10)
+        ax.set(xlabel=_short(content.t_label), ylabel=_short(content.label))
+        ax.set_title(_short(run.name), loc="left", fontsize=10)
         ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=2)
 
     return svg(draw, 3.0)
@@ -166,8 +168,8 @@ def map_picture(content: ForceMap, force_label: str) -> str:
             vmax=limit,
             shading="nearest",
         )
-        figure.colorbar(mesh, ax=ax, label=f"mean {force_label}")
-        ax.set(xlabel=content.x_label, ylabel=content.y_label)
+        figure.colorbar(mesh, ax=ax, label=_short(f"mean {force_label}"))
+        ax.set(xlabel=_short(content.x_label), ylabel=_short(content.y_label))
 
     return svg(draw, 3.6)
 
@@ -187,11 +189,18 @@ def follows_picture(content: Follows, force_label: str) -> str:
         )
         ax.plot(centre, mean, "o-", color=MODEL, ms=4, lw=1.4, label="mean in bins")
         ax.axhline(0, color=BASELINE, lw=0.6)
-        ax.set(xlabel=content.label, ylabel=force_label)
+        ax.set(xlabel=_short(content.label), ylabel=_short(force_label))
         ax.margins(y=0.2)
         ax.legend(frameon=False, fontsize=8, ncols=3, loc="upper center")
 
     return svg(draw, 3.6)
+
+
+def _short(name: str) -> str:
+    """A name that leaves room for the curves."""
+    if len(name) <= MOST_LETTERS:
+        return name
+    return f"{name[: MOST_LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
 def values(numbers: Numbers | Sequence[float | None]) -> np.ndarray:

@@ -45,7 +45,7 @@ NAMED: Mapping[str, Mapping[str, int]] = {
 }
 # A factor such as "m", "s^2", "m2" or "s**-1"; between two, blanks, "*", "." or "·".
 FACTOR = re.compile(r"([A-Za-z]+)(?:(?:\^|\*\*)?(-?\d))?$")
-SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
+FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
 
 
 def rate_unit(unit: str, unit_of_time: str) -> str:
@@ -69,7 +69,7 @@ def powers_of(unit: str) -> Counter[str] | None:
     powers: Counter[str] = Counter()
     for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
         sign = 1 if place == 0 else -1
-        for factor in SEPARATORS.split(part.strip()):
+        for factor in FACTOR_SEPARATORS.split(part.strip()):
             found = FACTOR.match(factor)
             if factor == "1":
                 continue

@@ -18,8 +18,8 @@ from phsi_opt.model.model import Model
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-SENSOR = "sensor"
-LOSS = "R"
+SENSOR_SLOT = "sensor"
+LOSS_SLOT = "R"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def effect_law(
         ModelError: the effect is one of a sensor, or its equation can lack no force.
         SolveError: no states were found that obey the smaller model.
     """
-    if effect.slot == SENSOR:
+    if effect.slot == SENSOR_SLOT:
         raise ModelError(f"{effect} acts in a sensor; no force is missing without it.")
     model = base
     for other in added:
@@ -82,7 +82,7 @@ def effect_law(
     fit = identify_aligned(frozen, data, MaximumLikelihood())
     analysis = ForceAnalysis.of(Record.of_aligned(fit, data))
     force = EquationForce.of(analysis, effect.equation)
-    if effect.slot == LOSS:
+    if effect.slot == LOSS_SLOT:
         variable = model.efforts[model.states.index(effect.equation)]
         return EffectLaw(effect, force, variable)
     return EffectLaw(effect, force, force.single_variable(None))

@@ -33,12 +33,12 @@ from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.run_content import DIGITS_OF_TIME, FEWEST_PER_CURVE, MOST_PER_CURVE
 
 MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
-MOST_DOTS = 1_500  # of a force against what it follows
-MOST_RANKED = 12  # candidates that are listed
+MOST_DRAWN_DOTS = 1_500  # of a force against what it follows
+MOST_LISTED = 12  # candidates that are listed
 # Share of the strongest trajectory's force from which on another has it as well.
 STRONG_RUN = 0.5
-# Times that a force is stronger behind its beginning than before: by chance, and where it
-# follows a motion that decays or grows, tenths differ by less.
+# Times that a force is stronger behind its beginning than before; where it follows a
+# motion that decays or grows, tenths differ by less.
 BEGINNING = 3.0
 MOST_FORCES = 4  # equations whose missing force is drawn
 
@@ -47,7 +47,7 @@ def failure_of(diagnosis: Diagnosis, heading: str, unit: str) -> Failure:
     """A diagnosis as a report tells it; ``unit`` is that of the errors."""
     ranking = diagnosis.candidates
     listed = []
-    for _, row in ranking.head(MOST_RANKED).iterrows():
+    for _, row in ranking.head(MOST_LISTED).iterrows():
         listed.append(_ranked(row, unit))
     return Failure(
         heading,
@@ -56,12 +56,12 @@ def failure_of(diagnosis: Diagnosis, heading: str, unit: str) -> Failure:
         tuple(diagnosis.sentences),
         tuple(_sure_forces(diagnosis)),
         tuple(listed),
-        max(len(ranking) - MOST_RANKED, 0),
+        max(len(ranking) - MOST_LISTED, 0),
     )
 
 
 def _sure_forces(diagnosis: Diagnosis) -> list[Force]:
-    forces = []
+    forces: list[Force] = []
     for equation in diagnosis.where["equation"]:
         force = EquationForce.of(diagnosis.analysis, str(equation))
         if not force.is_uncertain and len(forces) < MOST_FORCES:
@@ -138,7 +138,7 @@ def law_of(law: EffectLaw) -> Law:
 
 def _beside(found: Dependence, sentence: str) -> Follows:
     bins = Bins.of(found.z, found.w)
-    step = max(1, len(found.z) // MOST_DOTS)
+    step = max(1, len(found.z) // MOST_DRAWN_DOTS)
     return Follows(
         found.label,
         rounded(found.z[::step]),

@@ -12,7 +12,7 @@ from phsi_opt.study.step import Step
 MOST_DRAWN_SAMPLES = 60_000
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
 FEWEST_PER_CURVE = 120
-MOST_RUNS = 200  # trajectories that are drawn
+MOST_DRAWN_RUNS = 200  # trajectories that are drawn
 DIGITS_OF_TIME = 6  # over the range of a record: a zoomed curve has no steps
 
 
@@ -25,17 +25,17 @@ def runs_of(study: StudyRecord) -> Runs:
         parts.insert(0, ("held out", held_out))
     n_runs = sum(len(part[0].data) for _, part in parts)
     channels = _channels(study)
-    n_curves = max(min(n_runs, MOST_RUNS) * len(channels), 1)
+    n_curves = max(min(n_runs, MOST_DRAWN_RUNS) * len(channels), 1)
     most = int(np.clip(MOST_DRAWN_SAMPLES / n_curves, FEWEST_PER_CURVE, MOST_PER_CURVE))
-    runs = []
+    runs: list[Run] = []
     for name, part in parts:
         for number in range(len(part[0].data)):
-            if len(runs) < MOST_RUNS:
+            if len(runs) < MOST_DRAWN_RUNS:
                 runs.append(_run(name, part, number, most))
     shown = _worst(runs, parts[0][1][0].weights)
     left_out = ""
-    if n_runs > MOST_RUNS:
-        left_out = f"The first {MOST_RUNS} of {n_runs} trajectories are drawn."
+    if n_runs > MOST_DRAWN_RUNS:
+        left_out = f"The first {MOST_DRAWN_RUNS} of {n_runs} trajectories are drawn."
     labels = tuple(_label(step, number) for number, step in _numbered(study))
     sentence = _sentence(study, len(labels))
     unit = study.train.units.get("t", "")

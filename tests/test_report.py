@@ -1,0 +1,396 @@
+"""The HTML report: what it says and in which order, and that nothing can be injected."""
+
+import base64
+import gzip
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.presentation.html_report import html_report, script_json
+from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.report_content import Channel as ReportChannel
+from phsi_opt.presentation.report_content import (
+    ChannelRun,
+    ForceRun,
+    Ranked,
+    Report,
+    Run,
+)
+from phsi_opt.presentation.thinning import rounded, thinned
+from phsi_opt.presentation.units import rate_unit
+from phsi_opt.study.report_content import report_content
+from problems.examples.demo import model as spring
+from problems.examples.friction_spring import table
+
+MOST_BYTES = 6_000_000
+ORDER = ["verdict", "errors", "equations", "runs", "where", "ranked", "checks"]
+HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>$\\x$ {{7*7}}"
+# Colours of texts on the page and on cards, by name in the style sheet.
+TEXT_COLOURS = ["text", "quiet", "link", "good", "look", "bad", "before", "after"]
+
+
+def measurements(runs: int, friction: float = 2.0) -> ph.Measurements:
+    frame = table(5, friction)
+    kept = frame[frame["run"].isin([f"run {i + 1}" for i in range(runs)])]
+    return ph.Measurements.from_dataframe(
+        kept,
+        time="t_s",
+        states={"q": "position_m", "p": None},
+        trajectory="run",
+        units={"q": "m", "p": "kg m/s", "t": "s"},
+    )
+
+
+@pytest.fixture(scope="module")
+def study() -> ph.Study:
+    found = ph.Study(
+        spring(), *measurements(4).split(0.5), effects=["coulomb friction"]
+    )
+    found.auto()
+    return found
+
+
+@pytest.fixture(scope="module")
+def content(study: ph.Study) -> Report:
+    return report_content(study.record)
+
+
+@pytest.fixture(scope="module")
+def page(study: ph.Study, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    assert study.report(path) == path
+    return path.read_text(encoding="utf-8")
+
+
+class Reader(HTMLParser):
+    """Elements, ids and texts of a page, as a browser would see them."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[str] = []
+        self.text = ""
+        self._inside = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._inside = tag
+        if tag == "script":
+            self.scripts.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "script":
+            self.scripts[-1] += data
+        elif self._inside != "style":
+            self.text += data
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.elements if name == tag]
+
+
+def test_the_parts_stand_in_the_order_in_which_one_asks(page: str) -> None:
+    ids = [one["id"] for one in Reader(page).all("section")]
+    assert ids == [*ORDER, "settings"]
+
+
+def test_the_first_screen_says_what_where_since_when_and_what_to_add(
+    content: Report, study: ph.Study
+) -> None:
+    answers = {fact.question: fact.answer for fact in content.headline.facts}
+    assert list(answers) == [
+        "What is wrong",
+        "Where",
+        "Since when",
+        "What to add",
+    ]
+    assert re.search(r"dp/dt lacks a force of rms [\d.]+ N", answers["What is wrong"])
+    assert "equation of p" in answers["Where"]
+    assert "From the start of the record on" in answers["Since when"]
+    assert "Added: coulomb friction on p" in answers["What to add"]
+    assert answers["What to add"].endswith(" N.")
+    assert "lacked coulomb friction on p" in content.headline.sentence
+
+
+def test_verdict_table_and_picture_use_the_same_words(
+    page: str, content: Report, study: ph.Study
+) -> None:
+    text = Reader(page).text
+    verdict = str(study.diagnose().verdict)
+    assert content.headline.status == verdict
+    assert f"<title>Study of q: {verdict}</title>" in page
+    for step in study.history["effect"]:
+        assert step in text
+    last = study.history.iloc[-1]
+    assert f"{last['held_out_rmse']:.4g}" in text and number(last["bic"], 6) in text
+    held_out = [step.held_out for step in content.staircase.steps]
+    assert held_out == list(study.history["held_out_rmse"])
+
+
+def test_the_file_is_small_and_loads_nothing(page: str) -> None:
+    assert len(page.encode()) < MOST_BYTES
+    reader = Reader(page)
+    loaded = []
+    for tag, attributes in reader.elements:
+        for name in ("src", "href", "data", "action", "srcset"):
+            if attributes.get(name) is not None:
+                loaded.append((tag, attributes[name] or ""))
+    assert loaded
+    for tag, address in loaded:
+        assert address.startswith(("#", "data:image/svg+xml;base64,")), tag
+    assert not reader.all("link") and not reader.all("iframe")
+    style = page.split("<style>")[1].split("</style>")[0]
+    assert "url(" not in style and "@import" not in style
+    assert "http:" not in page and "https:" not in page
+
+
+def test_the_chart_library_is_in_the_file_once(page: str) -> None:
+    from plotly.offline import get_plotlyjs
+
+    packed = re.findall(r'id="library">([^<]*)</script>', page)
+    assert len(packed) == 1
+    assert gzip.decompress(base64.b64decode(packed[0])).decode() == get_plotlyjs()
+
+
+def test_every_chart_has_a_picture_with_words_for_paper(page: str) -> None:
+    reader = Reader(page)
+    live = [one for one in reader.all("div") if one.get("class") == "live"]
+    still = [one for one in reader.all("img") if one.get("class") == "still"]
+    # staircase, runs, the law of the friction, and three of the missing force
+    assert len(live) == len(still) == 6
+    for one in still:
+        assert one["alt"] and len(one["alt"]) > 30
+        svg = base64.b64decode((one["src"] or "").split(",")[1]).decode()
+        assert "<svg" in svg
+    assert "@media print" in page and "<noscript>" in page
+
+
+def test_the_page_has_title_landmarks_language_and_headings(page: str) -> None:
+    reader = Reader(page)
+    tags = [tag for tag, _ in reader.elements]
+    for tag in ("title", "main", "header", "nav", "footer", "h1"):
+        assert tags.count(tag) == 1, tag
+    assert reader.all("html")[0]["lang"] == "en"
+    ids = [one["id"] for _, one in reader.elements if "id" in one]
+    assert len(ids) == len(set(ids))
+    for link in reader.all("a"):
+        assert (link["href"] or "")[1:] in ids
+
+
+def test_a_severity_is_said_in_a_word(page: str, content: Report) -> None:
+    assert content.checks
+    items = re.findall(r'<li class="(good|look|bad)"><span class="word">(.*?)<', page)
+    words = {"good": "In order", "look": "Worth a look", "bad": "Not in order"}
+    assert len(items) == len(content.checks)
+    assert all(words[severity] == word for severity, word in items)
+
+
+def test_the_same_study_gives_the_same_file(page: str, study: ph.Study) -> None:
+    again = html_report(
+        report_content(study.record, study._fitting.laws(study.fit, study.added))
+    )
+    assert again == page
+
+
+def test_names_of_the_data_cannot_inject_anything(content: Report) -> None:
+    runs = []
+    for number_of_run, run in enumerate(content.runs.runs):
+        runs.append(replace(run, name=f"{HOSTILE} {number_of_run}"))
+    channels = tuple(replace(one, name=HOSTILE) for one in content.runs.channels)
+    models = tuple(HOSTILE for _ in content.runs.models)
+    failure = content.failures[0]
+    forces = []
+    for force in failure.forces:
+        parts = [replace(run, name=HOSTILE) for run in force.runs]
+        forces.append(replace(force, equation=HOSTILE, label=HOSTILE, runs=parts))
+    ranked = Ranked(HOSTILE, HOSTILE, HOSTILE, 0.5, HOSTILE, HOSTILE, HOSTILE)
+    hostile = replace(
+        content,
+        title=HOSTILE,
+        headline=replace(content.headline, sentence=HOSTILE, status=HOSTILE),
+        runs=replace(content.runs, runs=runs, channels=channels, models=models),
+        failures=(replace(failure, forces=tuple(forces), ranking=(ranked,)),),
+        code=HOSTILE,
+    )
+    reader = Reader(html_report(hostile))
+    assert len(reader.scripts) == 3  # data, chart library, our own
+    data = json.loads(reader.scripts[0])
+    assert data["runs"]["channels"][0]["name"] == HOSTILE
+    assert "<" not in reader.scripts[0]
+    assert HOSTILE in reader.text and "49" not in reader.text.split(HOSTILE)[0][-10:]
+    assert not any("onerror" in attributes for _, attributes in reader.elements)
+    for picture in reader.all("img"):
+        assert (picture["src"] or "").startswith("data:image/svg+xml;base64,")
+        svg = base64.b64decode((picture["src"] or "").split(",")[1]).decode()
+        assert "<script" not in svg and "<img" not in svg
+
+
+def test_a_text_cannot_end_its_script() -> None:
+    text = "</script> <!-- & \u2028"
+    packed = script_json({"name": text})
+    assert "<" not in packed and "&" not in packed and "\u2028" not in packed
+    assert json.loads(packed) == {"name": text}
+
+
+def test_a_study_that_was_not_diagnosed_says_so_and_what_to_do(tmp_path: Path) -> None:
+    asked = ph.Study(spring(), measurements(1))
+    text = asked.report(tmp_path / "one.html").read_text(encoding="utf-8")
+    reader = Reader(text)
+    assert "not diagnosed yet" in reader.text
+    assert "study.diagnose()" in reader.text
+    assert "nothing was held out" in reader.text
+    verdict_and_errors = reader.text.split("Equations, before")[0]
+    assert "None" not in verdict_and_errors and "nan" not in verdict_and_errors.split()
+
+
+@pytest.mark.parametrize(("n_runs", "n_channels"), [(1, 1), (50, 1), (3, 8), (50, 8)])
+def test_one_or_fifty_trajectories_and_eight_channels_with_gaps_come_out_well(
+    content: Report, n_runs: int, n_channels: int
+) -> None:
+    rng = np.random.default_rng(11)
+    channels = tuple(ReportChannel(f"x{k}", "m", 0.1) for k in range(n_channels))
+    runs = []
+    for k in range(n_runs):
+        parts = [_channel_run(rng, 300) for _ in channels]
+        runs.append(Run(f"run {k}", "training", parts))
+    many = replace(
+        content,
+        runs=replace(
+            content.runs, runs=runs, channels=channels, models=("base model",), shown=0
+        ),
+    )
+    text = html_report(many)
+    assert len(text.encode()) < MOST_BYTES
+    reader = Reader(text)
+    data = json.loads(reader.scripts[0])
+    assert len(data["runs"]["runs"]) == n_runs
+    assert None in data["runs"]["runs"][0]["channels"][0]["measured"]
+    named = [f"run {k} (training)" for k in range(n_runs)]
+    assert all(name in reader.text for name in named)
+
+
+def _channel_run(rng: np.random.Generator, n_samples: int) -> ChannelRun:
+    measured = rng.standard_normal(n_samples)
+    measured[20:40] = np.nan
+    shown = np.zeros(n_samples)
+    t = rounded(np.arange(n_samples) / 10, 6)
+    values = rounded(measured)
+    return ChannelRun(t, values, [rounded(shown)], [values], [1.0])
+
+
+def test_where_every_value_is_unknown_the_pictures_are_drawn_still(
+    content: Report,
+) -> None:
+    nothing: list[float | None] = [None, None]
+    channel = ChannelRun([0.0, 1.0], nothing, [nothing], [nothing], [None])
+    channels = tuple(replace(one, noise=None) for one in content.runs.channels)
+    steps = tuple(
+        replace(step, train=None, held_out=None, floor=None, bic=None)
+        for step in content.staircase.steps
+    )
+    force = replace(
+        content.failures[0].forces[0],
+        runs=[ForceRun("a", [0.0, 1.0], nothing, nothing)],
+        shown=0,
+    )
+    empty = replace(
+        content,
+        staircase=replace(content.staircase, steps=steps),
+        runs=replace(
+            content.runs,
+            runs=[Run("a", "training", [channel])],
+            models=("base model",),
+            channels=channels,
+            shown=0,
+        ),
+        failures=(replace(content.failures[0], forces=(force,)),),
+    )
+    assert "not known" in Reader(html_report(empty)).text
+
+
+def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
+    x = np.sin(np.arange(20_000) / 50)
+    x[7_777] = 9.0
+    x[9_000:9_100] = np.nan
+    kept = thinned([x, -x], 400)
+    assert len(kept) <= 400 + 2 + 100  # and one of each bin with a gap
+    assert (np.diff(kept) > 0).all() and kept[0] == 0 and kept[-1] == len(x) - 1
+    assert 7_777 in kept and np.isnan(x[kept]).any()
+    assert np.array_equal(thinned([x[:50]], 400), np.arange(50))
+
+
+def test_numbers_are_rounded_to_what_is_seen() -> None:
+    assert rounded(np.array([1000.123456, np.nan, 1001.0])) == [
+        1000.12346,
+        None,
+        1001.0,
+    ]
+    assert rounded(np.array([np.nan])) == [None]
+    assert rounded(np.zeros(2)) == [0.0, 0.0]
+    assert with_error(1.87766, 0.061) == "1.878 ± 0.061"
+    assert with_error(-49.2, 11.9) == "\N{MINUS SIGN}49 ± 12"
+    assert with_error(2.5, np.nan) == "2.5" and number(None) == "not known"
+
+
+@pytest.mark.parametrize(
+    ("unit", "of_time", "rate"),
+    [
+        ("kg m/s", "s", "N"),
+        ("kg*m/s", "s", "N"),
+        ("N s", "s", "N"),
+        ("kg m^2/s", "s", "N m"),
+        ("m", "s", "m/s"),
+        ("m/s", "s", "m/s^2"),
+        ("V s", "s", "V"),
+        ("J", "s", "W"),
+        ("C", "s", "C/s"),  # coulomb or degree Celsius: nobody knows
+        ("mm", "s", "mm/s"),
+        ("kg m/s", "min", "(kg m/s)/min"),
+        ("", "s", ""),
+        ("m", "", ""),
+    ],
+)
+def test_units_of_rates_are_those_that_people_write(
+    unit: str, of_time: str, rate: str
+) -> None:
+    assert rate_unit(unit, of_time) == rate
+
+
+def test_texts_have_a_contrast_of_four_and_a_half_in_both_modes(page: str) -> None:
+    blocks = re.findall(r"\{\s*(--page:[^}]*)\}", page)
+    assert len(blocks) == 3  # light; dark as the system has it; dark as chosen
+    assert blocks[1].split() == blocks[2].split()
+    for block in blocks:
+        colours = dict(re.findall(r"--(\w+): (#\w{6})", block))
+        for ground in ("page", "card"):
+            for name in TEXT_COLOURS:
+                ratio = _contrast(colours[name], colours[ground])
+                assert ratio >= 4.5, (name, ground, ratio)
+
+
+def _contrast(first: str, second: str) -> float:
+    """Ratio of luminances by the Web Content Accessibility Guidelines 2."""
+    lights = sorted([_luminance(first), _luminance(second)])
+    return (lights[1] + 0.05) / (lights[0] + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear: list[Any] = []
+    for part in parts:
+        is_dark = part <= 0.04045
+        linear.append(part / 12.92 if is_dark else ((part + 0.055) / 1.055) ** 2.4)
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
