@@ -25,7 +25,6 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.tables import text_of_table
 from phsi_opt.study import Study
 from phsi_opt.study_file.study_file import StudyFile
 
@@ -115,7 +114,7 @@ class _Keeper:
         found = tuple(str(one) for one in study.added if one not in self.known)
         history = table_content(study.history)
         content = {"history": history, "found": list(found)}
-        self.tell(Finished(table_text(study.history), content, files, found))
+        self.tell(Finished(str(study.history), content, files, found))
 
     def _aside(self, path: Path, write: Callable[[Path], object]) -> Path:
         """A file beside its place; that of the step before stays until it is whole."""
@@ -189,7 +188,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     unit = f" ({study.unit})" if study.unit else ""
     text = [
         f"Errors of the free run{unit}, step by step:",
-        table_text(study.history),
+        str(study.history),
         "",
         str(study.fit),
         "",
@@ -201,11 +200,6 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
 
 
 # ---- tables and numbers --------------------------------------------------------------
-
-
-def table_text(table: pd.DataFrame) -> str:
-    """A table as text, all of its columns."""
-    return text_of_table(table)
 
 
 def table_content(table: pd.DataFrame) -> list[dict[str, Any]]:
