@@ -411,13 +411,13 @@ def test_a_study_finds_what_is_missing_and_writes_it_down(demo: Path) -> None:
     before = demo.read_text()
     result = run(
         *("study", "--auto", "--max-steps", 1, "--write"),
-        *("--report", "report.md", "--save", "fit.json"),
+        *("--report", "report.html", "--save", "fit.json"),
         at=demo.parent,
     )
     assert result.returncode == ExitCode.DONE, result.stderr
     assert "coulomb friction on p" in result.stdout
-    assert "written: report.md" in result.stderr
-    assert "coulomb friction on p" in demo.with_name("report.md").read_text()
+    assert "written: report.html" in result.stderr
+    assert "coulomb friction on p" in demo.with_name("report.html").read_text()
     names = ph.Fit.load(demo.with_name("fit.json")).names
     assert "coulomb_friction_p" in names
     assert ph.StudyFile.read(demo).steps.added == ("coulomb friction on p",)
@@ -501,18 +501,18 @@ def _living(group: int) -> Iterator[int]:
 
 
 def test_ctrl_c_ends_a_study_soon_and_keeps_the_finished_steps(demo: Path) -> None:
-    arguments = ["study", "--auto", "--save", "fit.json", "--report", "report.md"]
+    arguments = ["study", "--auto", "--save", "fit.json", "--report", "report.html"]
     ended = stopped(demo.parent, "screening", [*arguments, "--json"], signal.SIGINT)
     assert ended.seconds < SOON
     assert ended.code == ExitCode.INTERRUPTED
     content = json.loads(ended.out)
     assert content["interrupted"]
     assert [row["effect"] for row in content["history"]] == ["base model"]
-    assert content["written"] == ["fit.json", "report.md"]
+    assert content["written"] == ["fit.json", "report.html"]
     assert "Traceback" not in ended.err
     assert "written: fit.json" in ended.err
     assert set(ph.Fit.load(demo.with_name("fit.json")).names) == {"k", "c"}
-    assert "base model" in demo.with_name("report.md").read_text()
+    assert "base model" in demo.with_name("report.html").read_text()
     assert left_over(demo.parent) == []
 
 

@@ -20,7 +20,7 @@ from phsi_opt.command_line.output import do, finish, told_errors
 from phsi_opt.errors import DataError
 
 STUDY_NAME = "study.toml"  # written by init, and read where no other is named
-REPORT_NAME = "report.md"  # written by --report without a name
+REPORT_NAME = "report.html"  # written by --report without a name
 LOOPBACK = "127.0.0.1"  # the page is for this machine alone, unless told otherwise
 PORT = 8080
 
