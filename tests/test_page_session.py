@@ -25,6 +25,7 @@ from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Session
 from phsi_opt.page.sessions import Sessions
 from phsi_opt.page.snapshot import force_near
+from phsi_opt.page.snapshot_making import RANGE
 from phsi_opt.page.unknown_names import unknown_names
 from phsi_opt.page.upload_limit import UploadLimit
 from phsi_opt.page.verdict_words import facts_of
@@ -222,6 +223,8 @@ def test_a_study_file_becomes_drafts_and_comes_back(tmp_path: Path) -> None:
 [data]
 files = ["spring.csv"]
 trajectory = "run"
+between = [0, 4]
+decimal = "."
 time = { column = "t_s", unit = "s" }
 [data.states]
 q = { column = "position_m", unit = "m", noise = 0.04 }
@@ -255,6 +258,38 @@ huber = 1.5
     assert again.text() == first.text()
 
 
+def test_a_table_without_header_or_times_is_kept_as_the_study_file_tells_it(
+    tmp_path: Path,
+) -> None:
+    numbers = "\n".join(f"{0.1 * number} {number % 3}" for number in range(30))
+    (tmp_path / "bare.txt").write_text(numbers)
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """
+[data]
+files = ["bare.txt"]
+time = { step = 0.5, unit = "s" }
+states = { x = { column = 1, unit = "V" } }
+[model]
+type = "FirstOrder"
+states = ["x"]
+F = { x = "-a*x" }
+[parameters]
+a = { start = 1.0 }
+"""
+    )
+    folder = tmp_path / "session"
+    folder.mkdir()
+    session = Session(folder, path)
+    assert session.complaints == ()
+    assert session.draft.data is not None
+    assert session.draft.data.step == "0.5"
+    assert [one.column for one in session.draft.data.with_role(STATE)] == [1]
+    (tmp_path / "again.toml").write_text(session.draft.text())
+    again = ph.StudyFile.read(tmp_path / "again.toml")
+    assert again.text() == ph.StudyFile.read(path).text()
+
+
 # ---- the work ------------------------------------------------------------------------
 
 
@@ -284,6 +319,11 @@ def test_a_snapshot_holds_every_run_with_its_missing_force(studied: Session) -> 
         assert force.unit == "N"
         assert run.t[0] <= force.t[0] <= force.t[-1] <= run.t[-1]
         assert "dp/dt lacks" in force_near(force, 1.0)
+
+
+def test_ranges_are_said_as_ranges() -> None:
+    region = RANGE.sub(r"\1 is \2", "q1 -1 to -0.6 or 0.7 to 1, p -2e-05 to 3")
+    assert region == "q1 is -1 to -0.6 or 0.7 to 1, p is -2e-05 to 3"
 
 
 def test_the_exported_script_reproduces_every_step(

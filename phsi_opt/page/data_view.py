@@ -31,9 +31,9 @@ from phsi_opt.page.parts import (
 from phsi_opt.page.session import Session
 
 ABOUT = (
-    "One line per sample, a header line, numbers with decimal points; comma, semicolon "
-    f"or tab between them. At most {in_megabytes(MOST_UPLOADED)} a file. Several files "
-    "with the same columns are several runs."
+    "A table as CSV, text or Excel workbook: one line per sample below a header. At "
+    f"most {in_megabytes(MOST_UPLOADED)} a file. Several files with the same columns "
+    "are several runs."
 )
 DATA_KEYS = ("data", "held_out")
 
@@ -77,9 +77,9 @@ class DataView:
                 on_upload=self._upload,
                 on_rejected=self._rejected,
             )
-            upload.props('accept=".csv,.txt,.tsv,.dat"')
-            ui.label("Drop CSV files here, or").classes("said q-mb-sm")
-            button("Choose CSV files", lambda: upload.run_method("pickFiles"))
+            upload.props('accept=".csv,.txt,.tsv,.dat,.xlsx"')
+            ui.label("Drop tables here, or").classes("said q-mb-sm")
+            button("Choose files", lambda: upload.run_method("pickFiles"))
 
     async def _upload(self, e: events.UploadEventArguments) -> None:
         content = await e.file.read()
@@ -89,7 +89,7 @@ class DataView:
     def _rejected(self) -> None:
         size = in_megabytes(MOST_UPLOADED)
         self._session.upload_error = (
-            f"The file was not taken: a CSV of at most {size} is expected."
+            f"It was not taken: a table of at most {size} is expected."
         )
         self._session.shape += 1
 
@@ -122,6 +122,9 @@ class DataView:
             ui.label(f"{files}: {data.n_samples} samples, {n_runs} runs")
             for column in data.columns:
                 self._column(column)
+            if not data.with_role(TIME):
+                label = "time between lines"
+                self._field(data, "step", label, "14em", "no column has the times")
         with card():
             heading("Held out")
             ui.label("Kept from fitting, to judge by.").classes("faint")
@@ -130,7 +133,7 @@ class DataView:
     def _column(self, column: ColumnDraft) -> None:
         with ui.element("div").classes("fields candidate"):
             with ui.element("div").style("width: 11em"):
-                ui.label(column.column).style("font-weight: 600")
+                ui.label(str(column.column)).style("font-weight: 600")
                 ui.label(", ".join(column.examples)).classes("faint formula")
             roles = ROLES if column.is_numeric else (TIME, RUN, NOT_USED)
             choice(
@@ -144,13 +147,13 @@ class DataView:
                 self._channel(column)
 
     def _channel(self, column: ColumnDraft) -> None:
-        label = column.column
+        label = str(column.column)
         if column.role != TIME:
             self._field(column, "name", f"name of {label}", "9em", "as in formulas")
         self._field(column, "unit", f"unit of {label}", "8em", "m")
         if column.role == STATE:
             hint = "estimated"
-            self._field(column, "noise", f"noise of {label}", "9em", hint)
+            self._field(column, "noise", f"noise of {label}", "14em", hint)
 
     def _field(self, owner: Any, name: str, label: str, width: str, hint: str) -> None:
         async def changed(value: str) -> None:

@@ -31,7 +31,7 @@ class ColumnDraft:
     """One column of the table and what it is.
 
     Attributes:
-        column: its header.
+        column: its header, or its position where there is no header.
         role: one of ``ROLES``.
         name: in formulas, of a state or an input.
         unit: such as "m"; "" where it is unknown.
@@ -40,7 +40,7 @@ class ColumnDraft:
         is_numeric: whether it holds numbers; else it can only name runs.
     """
 
-    column: str
+    column: str | int
     role: str = NOT_USED
     name: str = ""
     unit: str = ""
@@ -72,6 +72,9 @@ class DataDraft:
         held_out: what is kept from fitting.
         hold: what inputs do between samples.
         unmeasured: units of states that nobody measured.
+        step: the time between lines, where no column has the times.
+        further: keys of [data] that the page does not show.
+        further_of_time: keys of its time that the page does not show.
     """
 
     folder: Path
@@ -82,6 +85,9 @@ class DataDraft:
     held_out: HeldOutDraft = field(default_factory=HeldOutDraft)
     hold: str = "linear"
     unmeasured: dict[str, str] = field(default_factory=dict)
+    step: str = ""
+    further: dict[str, Any] = field(default_factory=dict)
+    further_of_time: dict[str, Any] = field(default_factory=dict)
 
     def with_role(self, role: str) -> list[ColumnDraft]:
         """The columns of a role."""
@@ -99,7 +105,7 @@ class DataDraft:
         for known in self.columns:
             if known.role == role and known.name == name:
                 known.role = NOT_USED
-            if known.column == column:
+            if column is not None and str(known.column) == column:
                 known.role = role
                 known.name = name
 

@@ -188,7 +188,7 @@ class ModelView:
         if data is None:
             return
         options = [NOT_MEASURED] if role == STATE else []
-        options += [column.column for column in data.columns if column.is_numeric]
+        options += [str(one.column) for one in data.columns if one.is_numeric]
         known: ColumnDraft | None = data.column_named(role, name)
 
         async def changed(column: str) -> None:
@@ -197,7 +197,7 @@ class ModelView:
             self._session.shape += 1
             await self._checked()
 
-        value = NOT_MEASURED if known is None else known.column
+        value = NOT_MEASURED if known is None else str(known.column)
         if value not in options:
             options.append(value)
         choice(f"column of {name}", options, value, changed, width="12em")

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, StudyFileError
-from phsi_opt.page.drafts import INPUT, DataDraft
+from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
 from phsi_opt.page.gallery import BaseModel
 from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
 from phsi_opt.page.matching import match_states
 from phsi_opt.page.snapshot import Snapshot
-from phsi_opt.page.study_draft import StudyDraft, draft_of
+from phsi_opt.page.study_draft import StudyDraft, draft_of, told_columns
 from phsi_opt.page.table_look import look_at, without_folder
 from phsi_opt.page.worker import (
     ADD,
@@ -41,7 +41,7 @@ from phsi_opt.study_file.study_file import StudyFile
 WORKING_FILE = "working_study.toml"
 CHECKPOINT = "study.checkpoint"
 REPORT_FILE = "report.html"
-NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a CSV file.")
+NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
 
 @dataclass
@@ -109,9 +109,12 @@ class Session:
 
     def _open(self, path: Path) -> None:
         content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        measured = StudyFile.read(path).measurements()
         files = content["data"]["files"]
         listed = [files] if isinstance(files, str) else list(files)
-        data = look_at(path.parent, listed)
+        data = DataDraft(path.parent, listed, n_samples=measured.n_samples)
+        data.runs = [run.name for run in measured.trajectories]
+        data.columns = _columns_of(data, told_columns(content["data"]))
         self.draft = draft_of(content, data)
         self.check()
 
@@ -359,6 +362,19 @@ class Session:
         """End the worker and remove the files."""
         self._end_worker()
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:
+    """The columns of a study file's tables; those that it names where no look helps."""
+    try:
+        columns = look_at(data.folder, data.files).columns
+    except DataError:  # no header, or MATLAB's variables
+        columns = []
+    known = [column.column for column in columns]
+    for one in told:
+        if one not in known:
+            columns.append(ColumnDraft(one))
+    return columns
 
 
 def below(key: str) -> tuple[str, str]:

@@ -1,5 +1,6 @@
 """Snapshots from a study, in the worker."""
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -27,6 +28,8 @@ from phsi_opt.page.snapshot import (
 )
 from phsi_opt.study import Study
 
+# A name and the begin of its first range, as in 'q -1 to -0.6 or 0.7 to 1'.
+RANGE = re.compile(r"\b(?!or\b)([A-Za-z]\w*) (-?[\d.e+-]+ to)")
 # Units of forces as people write them.
 PLAIN_FORCES = {
     "(kg m/s)/s": "N",
@@ -176,7 +179,7 @@ def _where(where: pd.DataFrame, units: Mapping[str, str]) -> str:
     row = where.iloc[0]
     equation = str(row["equation"])
     unit = plain_force_unit(equation, units)
-    region = str(row["state_region"])
+    region = RANGE.sub(r"\1 is \2", str(row["state_region"]))
     place = "everywhere in its range" if region == "everywhere" else f"where {region}"
     strength = f"{row['strength']:.2g}{' ' if unit else ''}{unit}"
     return f"In d{equation}/dt, {place}: a force of rms {strength} is missing."

@@ -14,6 +14,7 @@ from phsi_opt.page.drafts import (
     DEFAULT_SHARE,
     FIRST_ORDER,
     INPUT,
+    NOT_USED,
     RUN,
     RUNS,
     SHARE,
@@ -30,6 +31,8 @@ from phsi_opt.study_file.toml_text import toml_value
 Content = dict[str, Any]
 # Keys of a study file that the page neither shows nor changes.
 KEPT = ("effects", "loss")
+# Keys of [data] that it shows.
+SHOWN = ("files", "trajectory", "hold", "time", "states", "inputs")
 
 
 @dataclass
@@ -83,15 +86,13 @@ def _data(draft: DataDraft, model: ModelDraft, absolute: bool) -> Content:
     files = []
     for file in draft.files:
         files.append(str(draft.folder.absolute() / file) if absolute else file)
-    content: Content = {"files": files}
+    content: Content = {"files": files, **draft.further}
     for column in draft.with_role(RUN):
         content["trajectory"] = column.column
     inputs = _channels(draft, INPUT)
     if inputs:
         content["hold"] = draft.hold
-    content["time"] = {}
-    for column in draft.with_role(TIME):
-        content["time"] = _channel(column)
+    content["time"] = _time(draft)
     states = _channels(draft, STATE)
     for name in model.state_names:
         if name not in states:
@@ -104,8 +105,16 @@ def _data(draft: DataDraft, model: ModelDraft, absolute: bool) -> Content:
     return content
 
 
+def _time(draft: DataDraft) -> Content:
+    """The column of the times, or the time between lines."""
+    for column in draft.with_role(TIME):
+        return {**_channel(column), **draft.further_of_time}
+    step = {"step": _number(draft.step)} if draft.step else {}
+    return {**step, **draft.further_of_time}
+
+
 def _channels(draft: DataDraft, role: str) -> Content:
-    return {one.name or one.column: _channel(one) for one in draft.with_role(role)}
+    return {one.name or str(one.column): _channel(one) for one in draft.with_role(role)}
 
 
 def _channel(column: ColumnDraft) -> Content:
@@ -212,14 +221,16 @@ def draft_of(content: Mapping[str, Any], data: DataDraft) -> StudyDraft:
 
 def _take_data(content: Mapping[str, Any], data: DataDraft) -> None:
     for column in data.columns:
-        column.role = "not used"
+        column.role = NOT_USED
     data.hold = content.get("hold", data.hold)
+    further = dict(content)
+    for name in SHOWN:
+        further.pop(name, None)
+    data.further = further
     by_column = {column.column: column for column in data.columns}
     if "trajectory" in content:
         by_column[content["trajectory"]].role = RUN
-    time = by_column[content["time"]["column"]]
-    time.role = TIME
-    time.unit = content["time"].get("unit", "")
+    _take_time(dict(content["time"]), data, by_column)
     for role, key in ((STATE, "states"), (INPUT, "inputs")):
         for name, channel in content.get(key, {}).items():
             if "column" not in channel:
@@ -230,6 +241,26 @@ def _take_data(content: Mapping[str, Any], data: DataDraft) -> None:
             column.name = name
             column.unit = channel.get("unit", "")
             column.noise = _written(channel.get("noise"))
+
+
+def _take_time(
+    content: Content, data: DataDraft, by_column: Mapping[str | int, ColumnDraft]
+) -> None:
+    if "column" in content:
+        column = by_column[content.pop("column")]
+        column.role = TIME
+        column.unit = content.pop("unit", "")
+    data.step = _written(content.pop("step", None))
+    data.further_of_time = content
+
+
+def told_columns(content: Mapping[str, Any]) -> list[str | int]:
+    """The columns that a section [data] names, each once."""
+    named = [content.get("trajectory"), content["time"].get("column")]
+    for key in ("states", "inputs"):
+        for channel in content.get(key, {}).values():
+            named.append(channel.get("column"))
+    return list(dict.fromkeys(one for one in named if one is not None))
 
 
 def _take_held_out(content: Mapping[str, Any] | None, data: DataDraft) -> None:

@@ -29,7 +29,7 @@ body { background: var(--ground) !important; color: var(--ink); }
 }
 .tiles {
   display: grid; gap: 10px; width: 100%;
-  grid-template-columns: repeat(auto-fill, minmax(250px, 1fr));
+  grid-template-columns: repeat(auto-fill, minmax(300px, 1fr));
 }
 .tile {
   display: flex; flex-direction: column; text-align: left; padding: 10px 12px;
@@ -68,6 +68,7 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
   border-color: var(--line);
 }
 .q-header h1 { white-space: nowrap; }
+.q-footer { padding: 0 !important; }
 .q-footer .page { padding: 4px 12px; min-height: 36px; }
 .q-header { border-bottom: 1px solid var(--line); }
 .q-footer { border-top: 1px solid var(--line); }

@@ -7,12 +7,12 @@ guessed as for a first study file.
 
 from pathlib import Path
 
-from phsi_opt.data.file_opening import text_files
-from phsi_opt.data.tables import Table, numbers_in, table_of_csv
+from phsi_opt.data.tables import Table, numbers_in
 from phsi_opt.data.text_cells import MISSING_CELLS, NUMBER
 from phsi_opt.errors import DataError
 from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
 from phsi_opt.study_file import survey
+from phsi_opt.study_file.file_tables import table_at
 from phsi_opt.study_file.survey import ColumnSurvey
 
 N_EXAMPLES = 3  # cells shown of each column
@@ -46,14 +46,16 @@ def without_folder(said: str, folder: Path) -> str:
 
 def _take_file(draft: DataDraft, file: str) -> None:
     path = draft.folder / file
-    (text,) = text_files(path)
-    table = table_of_csv(text, ())
+    table = table_at(path, ())
     _check_header(table)
     for name in table.frame.columns:
         _check_numbers(table, str(name))
     columns = []
-    for seen in survey.survey(path).columns:
+    surveyed = survey.survey(path)
+    for seen in surveyed.columns:
         columns.append(_column(table, seen))
+    if surveyed.step is not None:
+        draft.step = f"{surveyed.step:g}"
     if not draft.columns:
         draft.columns = columns
     _check_same_columns(draft.columns, columns, table.title)
@@ -112,8 +114,8 @@ def _column(table: Table, seen: ColumnSurvey) -> ColumnDraft:
 def _check_same_columns(
     first: list[ColumnDraft], columns: list[ColumnDraft], title: str
 ) -> None:
-    expected = [column.column for column in first]
-    found = [column.column for column in columns]
+    expected = [str(column.column) for column in first]
+    found = [str(column.column) for column in columns]
     if expected != found:
         raise DataError(
             f"{title} has the columns {', '.join(found)}; expected "
