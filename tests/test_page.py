@@ -120,8 +120,10 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
         page.get_by_role("button", name="Report").click()
     report = tmp_path / download.value.suggested_filename
     download.value.save_as(report)
+    assert report.suffix == ".html"
     page.goto(report.as_uri())
-    expect(page.get_by_text("coulomb friction").first).to_be_visible()
+    expect(page.get_by_role("heading", level=1)).to_be_visible()
+    assert EFFECT in page.inner_text("body")
 
 
 def held_out_error(page: Page, step: int) -> float:

@@ -21,7 +21,7 @@ from types import MappingProxyType
 from typing import Any
 
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
+from phsi_opt.errors import Complaint, PhsiOptError, StudyFileError
 from phsi_opt.model.effect import Effect
 from phsi_opt.page.snapshot import Snapshot
 from phsi_opt.page.snapshot_making import snapshot_of
@@ -163,7 +163,7 @@ class Bench:
         if study is None:
             return Refused("Nothing has been fitted yet; press Fit first.")
         if order.verb == REPORT:
-            return Wrote(str(_report(study, Path(order.what[0]))))
+            return Wrote(str(study.report(order.what[0])))
         if order.verb == ADD:
             for name in order.what:
                 study.add(_effect_named(study, name))
@@ -189,14 +189,6 @@ class Bench:
         fresh.write_bytes(pickled(study))
         os.replace(fresh, self.checkpoint)
         return snapshot_of(study, diagnosis)
-
-
-def _report(study: Study, path: Path) -> Path:
-    """The report; as text where this version writes none that a browser shows."""
-    try:
-        return study.report(path)
-    except DataError:
-        return study.report(path.with_suffix(".md"))
 
 
 def _effect_named(study: Study, name: str) -> Effect:
