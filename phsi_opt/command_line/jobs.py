@@ -23,6 +23,7 @@ from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 from phsi_opt.study import Study
@@ -58,7 +59,7 @@ def run(job: Job, tell: Tell) -> Answer:
         answer = _diagnose_answer(study.diagnose(), job)
     else:
         answer = _study_answer(study, job, file)
-    keeper.step_finished()
+    keeper.step_finished(is_last=True)
     return answer
 
 
@@ -102,19 +103,30 @@ class _Keeper:
             self.step_finished()
         self.tell(Progress(line))
 
-    def step_finished(self) -> None:
+    def step_finished(self, is_last: bool = False) -> None:
         study = self.study
         assert study is not None
         self.n_kept = len(study.steps)
-        files = {}
+        files: dict[Path, Path] = {}
         if self.job.save is not None:
             files[self.job.save] = self._aside(self.job.save, study.fit.save)
         if self.job.report is not None:
-            files[self.job.report] = self._aside(self.job.report, study.report)
+            self._keep_report(self.job.report, study, files, is_last)
         found = tuple(str(one) for one in study.added if one not in self.known)
         history = table_content(study.history)
         content = {"history": history, "found": list(found)}
         self.tell(Finished(str(study.history), content, files, found))
+
+    def _keep_report(
+        self, path: Path, study: Study, files: dict[Path, Path], is_last: bool
+    ) -> None:
+        """A report that fails on the way does not end the study; the last one does."""
+        try:
+            files[path] = self._aside(path, study.report)
+        except SolveError as error:
+            if is_last:
+                raise
+            self.tell(Progress(f"no report of this step: {error}"))
 
     def _aside(self, path: Path, write: Callable[[Path], object]) -> Path:
         """A file beside its place; that of the step before stays until it is whole."""
