@@ -14,6 +14,7 @@ from tests.doc_pages import DOCS, ROOT, agree, first_difference, pages, run_page
 # A page whose files come with the package: what `phsi-opt demo` writes.
 DEMO_DATA = ROOT / "phsi_opt" / "command_line" / "demo_data"
 WITH_DEMO_DATA = ("command_line",)
+RESULT = re.compile(r"`results/(\w+)\.md`")
 LINKED = re.compile(r"\]\(measured/(\w+)\.md")
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
 
@@ -60,20 +61,37 @@ def test_the_data_of_the_pages_are_what_their_script_writes() -> None:
                 np.testing.assert_allclose(kept[column], again[column], atol=2e-3)
 
 
+def text_of_results(names: list[str]) -> str:
+    texts = [(ROOT / "README.md").read_text("utf-8")]
+    for name in names:
+        texts.append((ROOT / "results" / f"{name}.md").read_text("utf-8"))
+    return "\n".join(texts)
+
+
 def test_the_numbers_of_the_gallery_are_those_of_the_pages_it_links() -> None:
     text = (DOCS / "gallery.md").read_text("utf-8")
     sections = text.split("\n## ")[1:]
     n_numbers = 0
     for section in sections:
-        sources = ""
-        for name in LINKED.findall(section):
-            sources += (ROOT / "results" / f"{name}.md").read_text("utf-8")
-        known = set(NUMBER.findall(sources))
+        known = set(NUMBER.findall(text_of_results(LINKED.findall(section))))
         said = re.sub(r"\]\([^)]*\)", "]", section)  # not the paths of links
         numbers = NUMBER.findall(said)
         assert not set(numbers) - known, section.splitlines()[0]
         n_numbers += len(numbers)
     assert n_numbers > 20
+
+
+def test_numbers_beside_the_name_of_a_result_stand_there() -> None:
+    n_numbers = 0
+    for page in sorted((DOCS / "explained").glob("*.md")):
+        for paragraph in page.read_text("utf-8").split("\n\n"):
+            for line in re.split(r"\n- ", paragraph):
+                names = RESULT.findall(line)
+                numbers = NUMBER.findall(line) if names else []
+                known = set(NUMBER.findall(text_of_results(names)))
+                assert not set(numbers) - known, line
+                n_numbers += len(numbers)
+    assert n_numbers >= 4
 
 
 @pytest.mark.parametrize(
