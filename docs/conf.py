@@ -59,10 +59,16 @@ napoleon_use_rtype = False
 
 # Types of other packages have no page here, and nothing is read from the network.
 nitpick_ignore_regex = [
-    ("py:.*", r"(ca|casadi|matplotlib|np|numpy|pandas|pd|scipy|sympy|torch)(\..*)?"),
+    (
+        "py:.*",
+        r"(ca|casadi|markupsafe|matplotlib|np|numpy|pandas|pd|scipy|sympy|torch)(\..*)?",
+    ),
     ("py:.*", r"(abc|ast|collections|enum|functools|os|pathlib|types|typing)(\..*)?"),
     ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
-    ("py:class", r"Axes|Figure|(dict|tuple)\[str"),  # imported for types alone; cut up
+    (
+        "py:class",
+        r"Axes|Dtype|Figure|RenderableType|(dict|tuple)\[str",
+    ),  # imported for types alone; cut up
     ("py:class", r"phsi_opt\..*\.(_\w+|E|Result)"),  # private, and type variables
 ]
 
