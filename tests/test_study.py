@@ -241,6 +241,12 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(
 ) -> None:
     _, ax = plt.subplots()
     assert hidden.compare().plot(ax) is ax
+    upper, lower = ax.figure.axes  # residuals below, with the band of the noise
+    assert upper is ax and lower.get_ylabel() == "residual (m)"
+    assert "noise" in lower.get_legend().get_texts()[0].get_text()
+    free = plt.figure().add_axes((0.1, 0.1, 0.8, 0.8))  # no part of a grid
+    assert hidden.compare().plot(free) is free
+    assert free.get_position().y0 > free.figure.axes[1].get_position().y1
     assert hidden.diagnose().plot().get_xlabel() == "t (s)"
     assert "m" in hidden.plot_history().get_ylabel()
     plt.close("all")
@@ -303,6 +309,50 @@ def test_what_a_study_prints_loses_no_column_and_shows_itself_as_html_and_rich(
         assert column in str(hidden)
         assert f">{column}</th>" in hidden._repr_html_()
     assert hidden.stopped in str(hidden)
+
+
+def test_the_history_is_drawn_with_its_values_and_a_log_axis_over_decades(
+    hidden: ph.Study,
+) -> None:
+    axes = hidden.plot_history()
+    texts = [text.get_text() for text in axes.texts]
+    for error in hidden.history["held_out_rmse"]:
+        assert f"{error:.3g}" in texts
+    assert axes.get_yscale() == "linear"
+    table = hidden.history.assign(train_rmse=[5.0, 0.04], held_out_rmse=[6.0, 0.05])
+    assert plot_history(table).get_yscale() == "log"
+    plt.close("all")
+
+
+def test_the_law_of_the_added_friction_is_a_step_of_its_size(hidden: ph.Study) -> None:
+    _, ax = plt.subplots()
+    assert hidden.plot_effect("coulomb friction", ax=ax) is ax
+    assert ax.get_xlabel() == "velocity dH_dp (m/s)"
+    curve = next(line for line in ax.lines if "mean" in str(line.get_label()))
+    velocity = np.asarray(curve.get_xdata())
+    force = np.asarray(curve.get_ydata())
+    # The estimate smooths the jump; beyond it the friction of 2 N opposes the motion.
+    for side in (-1, 1):
+        beyond = (side * velocity > 0.8) & (side * velocity < 2.5)
+        assert beyond.any()
+        assert abs(side * force[beyond].mean() + 2.0) < 0.6  # 30 %: it is shrunk
+    plt.close("all")
+    with pytest.raises(ph.ModelError, match="were added"):
+        hidden.plot_effect("gap")
+
+
+def test_measured_and_estimated_states_are_drawn_a_panel_each(hidden: ph.Study) -> None:
+    upper = hidden.fit.plot_states(hidden.train)
+    panels = upper.figure.axes
+    assert [panel.get_ylabel() for panel in panels] == ["q (m)", "p"]
+    assert "not measured" in panels[1].get_legend().get_texts()[0].get_text()
+    _, ax = plt.subplots()
+    assert hidden.fit.plot_states(hidden.train, "run 2", ax, "p") is ax
+    plt.close("all")
+    with pytest.raises(ph.DataError, match="were fitted"):
+        hidden.fit.plot_states(hidden.train[:1])
+    with pytest.raises(ph.DataError, match="state='v'"):
+        hidden.fit.plot_states(hidden.train, ax=ax, state="v")
 
 
 def test_measurements_in_which_nothing_moves_are_refused() -> None:

@@ -260,9 +260,11 @@ class Comparison(Summarised):
         return PrintedTable(rows, columns=columns)
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
-        """Draw measurements and free run of one trajectory.
+        """Draw measurements and free run of one trajectory, residuals below them.
 
-        A band covers two standard deviations of what is uncertain in the run.
+        A band covers two standard deviations of what is uncertain in the run; around
+        the residuals' zero, two of the noise. The residuals take a third of the
+        place of the axes.
 
         Args:
             ax: Axes to draw on; None: a new figure.
@@ -296,8 +298,10 @@ class Comparison(Summarised):
             if name in self.data.measured:
                 unit = self.data.units.get(name, "")
                 std_of_state = None if std is None else std[:, k]
+                noise = float(self.sigma[k])
+                shown = simulated[:, k]
                 channels.append(
-                    Channel(name, unit, run.x[:, k], simulated[:, k], std_of_state)
+                    Channel(name, unit, run.x[:, k], shown, std_of_state, noise)
                 )
         return channels
 

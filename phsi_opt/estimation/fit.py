@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit_content import FORMAT, fit_content, fit_parts
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.fit_report import fit_summary, report
@@ -35,7 +36,8 @@ class Fit(FitRecord, Summarised):
       fitted numbers.
     - Motion: ``simulate(t, x0, u)``; the fitted model itself is ``model``, that of one
       trajectory ``model_of(trajectory)``.
-    - Forms: ``print(fit)``, ``plot()``, ``save(path)`` and ``Fit.load(path)``.
+    - Forms: ``print(fit)``, ``plot()``, ``plot_states(data)``, ``save(path)`` and
+      ``Fit.load(path)``.
     - Trust: ``outcome`` says how the solver ended, ``warnings`` what to know before the
       numbers are used.
 
@@ -104,6 +106,35 @@ class Fit(FitRecord, Summarised):
         from phsi_opt.presentation.estimates import plot_estimates
 
         return plot_estimates(self._estimates_table(PLOTTED_LEVEL), PLOTTED_LEVEL, ax)
+
+    def plot_states(
+        self,
+        data: Measurements,
+        trajectory: str | int = 0,
+        ax: "Axes | None" = None,
+        state: str | None = None,
+    ) -> "Axes":
+        """Draw measured and estimated states of one trajectory, a panel each.
+
+        The estimated states obey the model and the measurements alike; those of a free
+        run alone are in ``compare(fit, data).plot()``.
+
+        Args:
+            data: The measurements of the fit.
+            trajectory: Name of the trajectory, or its number, counted from 0.
+            ax: Axes to draw one state on; None: a new figure with all of them.
+            state: The state to draw on ``ax``; default: the first one measured.
+
+        Returns:
+            The axes given, or the uppermost of the new figure.
+
+        Raises:
+            DataError: The data are not those of the fit, the fit was loaded from a
+                file, which has no states, or a name is unknown.
+        """
+        from phsi_opt.estimation.state_pictures import states_picture
+
+        return states_picture(self, data, trajectory, ax, state)
 
     def _estimates_table(self, level: float) -> pd.DataFrame:
         """What a picture shows: a row per estimate with limits, unit, ``at_bound``."""

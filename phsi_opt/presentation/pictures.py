@@ -10,15 +10,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import fill
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
 from phsi_opt.presentation.units import rate_unit
 
 LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
+RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
+STATE_HEIGHT = 1.8  # inches of a panel
 DECADE = 10  # ratio of errors from which on their axis is logarithmic
 N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
@@ -32,6 +36,7 @@ class Channel:
         measured: (n_samples,) measured values, NaN where missing.
         simulated: (n_samples,) what the sensor would show of the free run.
         std: (n_samples,) standard deviation of ``simulated``; None: not known.
+        noise: Standard deviation of the sensor's noise; None: no residuals are drawn.
     """
 
     name: str
@@ -39,6 +44,7 @@ class Channel:
     measured: np.ndarray
     simulated: np.ndarray
     std: np.ndarray | None
+    noise: float | None = None
 
 
 def plot_free_run(
@@ -51,9 +57,10 @@ def plot_free_run(
 ) -> Axes:
     """Measurements and free run of one trajectory, (n_samples,) times ``t``.
 
-    A band covers two standard deviations of the run where they are known.
+    A band covers two standard deviations of the run where they are known. Residuals
+    stand in a panel below, with the band that noise alone leaves.
     """
-    ax = axes_of(ax, (8.0, 3.6))
+    ax = axes_of(ax, (8.0, 4.8))
     for n, channel in enumerate(channels):
         _draw_channel(ax, t, channel, n)
     names = ", ".join(channel.name for channel in channels)
@@ -61,7 +68,50 @@ def plot_free_run(
     ax.set(xlabel=label("t", t_unit), title=title)
     ax.set_ylabel(label(names, unit))
     _finish(ax)
+    if all(channel.noise for channel in channels):
+        _draw_residuals(ax, t, channels, unit)
     return ax
+
+
+def _draw_residuals(
+    ax: Axes, t: np.ndarray, channels: Sequence[Channel], unit: str
+) -> None:
+    """A panel in the lower part of the axes' place.
+
+    One channel is drawn in its unit, several in standard deviations of their noise.
+    """
+    panel = _panel_below(ax)
+    is_alone = len(channels) == 1
+    scale = 1.0
+    for n, channel in enumerate(channels):
+        noise = channel.noise or 1.0
+        scale = noise if is_alone else 1.0
+        residual = (channel.measured - channel.simulated) / noise * scale
+        color = MODEL if n == 0 else f"C{n}"
+        panel.plot(t, residual, ".-", ms=2.5, lw=0.6, color=color)
+    text = "noise, two std. deviations"
+    panel.axhspan(-2 * scale, 2 * scale, color=FLOOR, alpha=0.2, lw=0, label=text)
+    panel.axhline(0, color=BASELINE, lw=0.8)
+    panel.set_ylabel(label("residual", unit if is_alone else "noise std."))
+    panel.set_xlabel(ax.get_xlabel())
+    panel.margins(y=0.35)
+    panel.legend(loc="upper right", frameon=False, fontsize="small")
+    ax.tick_params(axis="x", labelbottom=False)
+    ax.xaxis.label.set_visible(False)  # it stands below the residuals
+
+
+def _panel_below(ax: Axes) -> Axes:
+    """New axes in the lower part of the place that the axes had."""
+    place = ax.get_subplotspec()
+    if place is not None:
+        rows = place.subgridspec(2, 1, height_ratios=(1.0, RESIDUAL_HEIGHT))
+        ax.set_subplotspec(rows[0])
+        return ax.figure.add_subplot(rows[1], sharex=ax)
+    box = ax.get_position()
+    lower = box.height * RESIDUAL_HEIGHT / (1 + RESIDUAL_HEIGHT)
+    ax.set_position((box.x0, box.y0 + lower, box.width, box.height - lower))
+    size = (box.x0, box.y0, box.width, 0.85 * lower)  # a gap between them
+    return ax.figure.add_axes(size, sharex=ax)
 
 
 def _draw_channel(ax: Axes, t: np.ndarray, channel: Channel, n: int) -> None:
@@ -352,3 +402,38 @@ def plot_learned_map(
     ax.set(xlabel=labels[0], ylabel=labels[1])
     ax.legend(frameon=False)
     return ax
+
+
+def plot_states(
+    t: np.ndarray, channels: Sequence[Channel], *, t_unit: str, title: str
+) -> Figure:
+    """Measured and estimated states of one trajectory, a panel each.
+
+    Args:
+        t: (n_samples,) times.
+        channels: The states; one that nobody measured has NaN for its measurements,
+            ``simulated`` is the estimate.
+        t_unit: Unit of the time.
+        title: Over the panels.
+    """
+    size = (8.0, 0.8 + STATE_HEIGHT * len(channels))
+    figure, axes = plt.subplots(
+        len(channels), 1, sharex=True, figsize=size, layout="constrained", squeeze=False
+    )
+    for ax, channel in zip(axes[:, 0], channels, strict=True):
+        draw_state(ax, t, channel)
+    axes[-1, 0].set_xlabel(label("t", t_unit))
+    figure.suptitle(title)
+    return figure
+
+
+def draw_state(ax: Axes, t: np.ndarray, channel: Channel) -> None:
+    """Measurements and estimate of one state over (n_samples,) times on axes."""
+    if np.isfinite(channel.measured).any():
+        ax.plot(t, channel.measured, ".", ms=3, color=MEASURED, label="measured")
+        ax.plot(t, channel.simulated, "-", lw=1.4, color=MODEL, label="estimated")
+    else:
+        text = "estimated (not measured)"
+        ax.plot(t, channel.simulated, "-", lw=1.4, color=MODEL, label=text)
+    ax.set_ylabel(label(channel.name, channel.unit))
+    _finish(ax)

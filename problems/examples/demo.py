@@ -8,13 +8,17 @@ and viscous damping; the measurements hold something more.
 """
 
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
+
+from matplotlib.axes import Axes
 
 import phsi_opt as ph
 from phsi_opt.presentation.report import report_text
 from problems.examples.friction_spring import CSV, NOISE, TRUTH
 from problems.tools.pictures import plt, save
-from problems.tools.provenance import write
+from problems.tools.provenance import RESULTS, write
 
 TRAINING_SHARE = 0.6  # of the runs
 # How the columns of the file are to be read; nobody measured p.
@@ -45,17 +49,23 @@ def model() -> ph.PseudoHamiltonian:
 
 
 def pictures(study: ph.Study, before: ph.Comparison, diagnosis: ph.Diagnosis) -> None:
-    """The four pictures of the story, in results/."""
-    plots = {
+    """The pictures of the story, in results/."""
+    plots: dict[str, Callable[[Axes], object]] = {
         "demo_1_before": before.plot,
         "demo_2_missing_force": diagnosis.plot,
         "demo_3_after": study.compare().plot,
         "demo_4_history": study.plot_history,
+        "demo_5_friction": partial(_draw_effect, study),
     }
     for name, plot in plots.items():
         figure, ax = plt.subplots(figsize=(8.0, 3.8), layout="constrained")
         plot(ax)
         save(figure, f"{name}.png", dpi=110)
+
+
+def _draw_effect(study: ph.Study, ax: Axes) -> None:
+    """The force that is missing without the effect that was found."""
+    study.plot_effect(study.added[0], ax=ax)
 
 
 def beside_the_truth(fit: ph.Fit) -> list[str]:
@@ -91,6 +101,7 @@ def main() -> ph.Study:
     pictures(study, before, diagnosis)
     report = report_text(study.report_sections())
     write("demo.md", f"{report}\nTrue noise: {NOISE:.0%} of the range.")
+    study.report(RESULTS / "demo.html")
     print(f"report and pictures: results/demo*; {time.perf_counter() - began:.0f} s")
     return study
 
