@@ -243,7 +243,7 @@ def test_pictures_use_the_axes_given_and_the_report_is_text(
     assert hidden.compare().plot(ax) is ax
     upper, lower = ax.figure.axes  # residuals below, with the band of the noise
     assert upper is ax and lower.get_ylabel() == "residual (m)"
-    assert "noise" in lower.get_legend().get_texts()[0].get_text()
+    assert "noise" in str(lower.get_legend_handles_labels()[1])
     free = plt.figure().add_axes((0.1, 0.1, 0.8, 0.8))  # no part of a grid
     assert hidden.compare().plot(free) is free
     assert free.get_position().y0 > free.figure.axes[1].get_position().y1
@@ -345,7 +345,7 @@ def test_measured_and_estimated_states_are_drawn_a_panel_each(hidden: ph.Study) 
     upper = hidden.fit.plot_states(hidden.train)
     panels = upper.figure.axes
     assert [panel.get_ylabel() for panel in panels] == ["q (m)", "p"]
-    assert "not measured" in panels[1].get_legend().get_texts()[0].get_text()
+    assert "not measured" in str(panels[1].get_legend_handles_labels()[1])
     _, ax = plt.subplots()
     assert hidden.fit.plot_states(hidden.train, "run 2", ax, "p") is ax
     plt.close("all")

@@ -16,6 +16,11 @@
     drawAll();
   });
 
+  // On paper nothing can be opened: everything is.
+  window.addEventListener("beforeprint", function () {
+    document.querySelectorAll("details").forEach((one) => { one.open = true; });
+  });
+
   try {
     const packed = atob(document.getElementById("library").textContent);
     const bytes = Uint8Array.from(packed, (c) => c.charCodeAt(0));
