@@ -4,12 +4,13 @@ It outlives the page that shows it: a page that is loaded again shows the same s
 Everything that a view may do is a method here; the views only draw what it holds.
 """
 
+import os
 import shutil
 import threading
 import time
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,8 @@ from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.study_file.study_file import StudyFile
 
 WORKING_FILE = "working_study.toml"
+FITTING_FILE = "fitting_study.toml"
+FITTED_FILE = "fitted_study.toml"
 CHECKPOINT = "study.checkpoint"
 REPORT_FILE = "report.html"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
@@ -214,7 +217,8 @@ class Session:
             self.message = "The draft cannot be fitted yet; see what is to correct."
             return
         self._fitting = self.draft.text()
-        path = self._working_file()
+        path = self.folder / FITTING_FILE
+        path.write_text(self.draft.text(absolute=True), encoding="utf-8")
         self._order("Fitting the base model", Order(FIT, (str(path),)))
 
     def diagnose(self) -> None:
@@ -269,6 +273,7 @@ class Session:
         worker = self._worker
         self._worker = None  # what it still says is not listened to
         self.job = None
+        self._fitting = ""
         if worker is not None:
             worker.end()
 
@@ -292,8 +297,7 @@ class Session:
             self._note(message.line)
         elif isinstance(message, Shown):
             self.snapshot = message.snapshot
-            if self._fitting:
-                self.fitted = self._fitting
+            self._keep_fitted()
         elif isinstance(message, Wrote):
             self.report_path = Path(message.path)
         elif isinstance(message, Refused):
@@ -306,6 +310,13 @@ class Session:
         elif message is None:
             self._lose_worker()
         self.version += 1
+
+    def _keep_fitted(self) -> None:
+        """Remember the draft that the first result of a fit belongs to."""
+        if self._fitting:
+            self.fitted = self._fitting
+            self._fitting = ""
+            os.replace(self.folder / FITTING_FILE, self.folder / FITTED_FILE)
 
     def _note(self, line: str) -> None:
         if self.job is not None:
@@ -322,6 +333,7 @@ class Session:
             )
         self._worker = None
         self.job = None
+        self._fitting = ""
 
     # ---- files to take away ----------------------------------------------------------
 
@@ -334,13 +346,11 @@ class Session:
         """
         if self.snapshot is None or self.draft.data is None:
             raise DataError("nothing has been fitted yet; press Fit first.")
-        path = self.folder / "study.toml"
-        path.write_text(self.fitted, encoding="utf-8")
-        if self.draft.data.folder != self.folder:
-            path.write_text(self.draft.text(absolute=True), encoding="utf-8")
-        file = StudyFile.read(path)
+        file = StudyFile.read(self.folder / FITTED_FILE)
         further = [one for one in self.snapshot.added if one not in file.steps.added]
-        return file.with_added(*further)
+        # Files are named as the user named them, not as they lie on this machine.
+        data = replace(file.data, files=tuple(self.draft.data.files))
+        return replace(file.with_added(*further), data=data)
 
     def study_text(self) -> str:
         """The study file, with comments.

@@ -45,7 +45,6 @@ class Shell:
         ui.colors(primary=style.PRIMARY, onprimary=style.ON_PRIMARY)
         ui.add_css(style.CSS)
         self._dark = ui.dark_mode(value=None)
-        ui.link("Skip to the content", "#content").classes("skip")
         self._header()
         first = STUDY_PART if _has_begun(self._session) else DATA_PART
         with (
@@ -64,6 +63,7 @@ class Shell:
 
     def _header(self) -> None:
         with ui.header().classes("items-center justify-between q-py-xs"):
+            ui.link("Skip to the content", "#content").classes("skip")
             heading("phsi_opt", 1)
             with ui.tabs().props("dense no-caps") as self._tabs:
                 for name in (DATA_PART, MODEL_PART, STUDY_PART):
