@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, StudyFileError
+from phsi_opt.page.draft_reading import draft_of, told_columns
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
 from phsi_opt.page.gallery import BaseModel
 from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
 from phsi_opt.page.matching import match_states
 from phsi_opt.page.snapshot import Snapshot
-from phsi_opt.page.study_draft import StudyDraft, draft_of, told_columns
+from phsi_opt.page.study_draft import StudyDraft
 from phsi_opt.page.table_look import look_at, without_folder
 from phsi_opt.page.worker import (
     ADD,
