@@ -125,6 +125,16 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     assert "lacked coulomb friction on p" in content.headline.sentence
 
 
+def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:
+    found = replace(study.record.diagnoses[0], reason="a tie " * 100)
+    record = replace(
+        study.record, steps=study.record.steps[:1], diagnoses={0: found}, stopped=""
+    )
+    sentence = report_content(record).headline.sentence
+    assert sentence.startswith("Missing: named: held-out error")
+    assert len(sentence) < 160 and "Where it fails" in sentence
+
+
 def test_verdict_table_and_picture_use_the_same_words(
     page: str, content: Report, study: ph.Study
 ) -> None:

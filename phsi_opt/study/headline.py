@@ -19,6 +19,7 @@ SEVERITIES = {
     str(Verdict.UNEXPLAINED): BAD,
     NOT_ASKED: LOOK,
 }
+MOST_REASON = 240  # letters that are read in a few seconds
 # Effects whose size has the unit of the missing force of their equation.
 SIZED_AS_FORCES = ("constant force", "coulomb friction", "harmonic force")
 
@@ -71,13 +72,21 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
             return f"{begin} The present model has not been diagnosed."
         if present.verdict == Verdict.NOTHING_MISSING:
             return f"{begin} Now: nothing missing."
-        return f"{begin} Still {present.verdict}: {present.reason}."
+        return f"{begin} Still {_said(present, errors)}"
     if present is None:
         return (
             f"What the model lacks has not been asked yet: {errors}. "
             "Call study.diagnose() or study.auto()."
         )
-    return f"{str(present.verdict).capitalize()}: {present.reason}."
+    said = _said(present, errors)
+    return f"{said[:1].upper()}{said[1:]}"
+
+
+def _said(diagnosis: Diagnosis, errors: str) -> str:
+    """Verdict and reason; a long reason is told further below in the report."""
+    if len(diagnosis.reason) <= MOST_REASON:
+        return f"{diagnosis.verdict}: {diagnosis.reason}."
+    return f"{diagnosis.verdict}: {errors}. The reason stands under Where it fails."
 
 
 def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
