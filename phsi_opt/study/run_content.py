@@ -19,7 +19,7 @@ DIGITS_OF_TIME = 6  # over the range of a record: a zoomed curve has no steps
 def runs_of(study: StudyRecord) -> Runs:
     """The trajectories of both parts, with base model, first step and present model."""
     steps = _shown_steps(study)
-    parts = [(f"training{_mark(study)}", [step.train for step in steps])]
+    parts = [("training", [step.train for step in steps])]
     if study.held_out is not None:
         held_out = [step.held_out for step in steps if step.held_out is not None]
         parts.insert(0, ("held out", held_out))
@@ -40,10 +40,6 @@ def runs_of(study: StudyRecord) -> Runs:
     sentence = _sentence(study, len(labels))
     unit = study.train.units.get("t", "")
     return Runs(unit, channels, labels, runs, shown, sentence, left_out)
-
-
-def _mark(study: StudyRecord) -> str:
-    return "" if study.held_out is not None else " (nothing was held out)"
 
 
 def _numbered(study: StudyRecord) -> list[tuple[int, Step]]:
