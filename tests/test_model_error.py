@@ -931,3 +931,20 @@ def test_noise_that_lasts_from_sample_to_sample_is_not_called_unexplained(
     found = diagnose(fit, data)
     assert found.verdict == Verdict.NOTHING_MISSING
     assert found.base.rmse < 1.1 * found.base.noise_floor
+
+
+def test_parameters_that_cannot_be_told_apart_are_a_note_and_no_error() -> None:
+    shipped = Path(__file__).parents[1] / "docs" / "data" / "spring.csv"
+    data = Measurements.from_csv(
+        shipped, time="t_s", trajectory="run", states={"q": "position_m", "p": None}
+    )
+    energy = formula("k*q**2/2 + p**2/(2*m)", k=Parameter(10.0), m=Parameter(2.0))
+    model = PseudoHamiltonian(
+        states=["q", "p"],
+        S=canonical(1),
+        H=energy,
+        R={"p": formula("c", c=Parameter(1.0))},
+    )
+    fit = identify(model, data)
+    assert any("cannot tell" in note for note in fit.warnings)
+    assert all(np.isnan(error) for error in fit.std_errors.values())

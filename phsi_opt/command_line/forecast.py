@@ -17,7 +17,7 @@ ADDING = "adding"
 MISSING = "missing:"  # the verdict of a diagnosis; "nothing missing" is the last one
 NOTHING_MISSING = "nothing missing"
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
-# each unit) and the measured machines, where single ones differ by a factor of three.
+# each unit); single ones differ by a factor of three.
 SIZES = {FITTING: 1.0, SCREENING: 1.5, REFITTING: 1.5, ADDING: 2.0}
 EXPECTED_REFITS = 3  # of a diagnosis: 1 to 5 singles, and pairs where one is not enough
 MOST_SAID = 99 * 3600.0  # s; beyond that no forecast is worth saying

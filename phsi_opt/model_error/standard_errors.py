@@ -111,14 +111,13 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     try:
         baseline = plain.search.white()
         best = plain.search.found()
+        if best.coordinates is not None:
+            spread = under_disturbances(plain.search, plain.response, best)
+            spreads[Source.DISTURBANCES] = spread
+            found = best.disturbances
         gain = best.log_evidence - baseline.log_evidence
     except (SolveError, np.linalg.LinAlgError):
-        best = Evidence(white, 0.0)
-    if best.coordinates is not None:
-        found = best.disturbances
-        spreads[Source.DISTURBANCES] = under_disturbances(
-            plain.search, plain.response, best
-        )
+        gain = 0.0  # such as a model whose parameters cannot be told apart
     clusters = _clusters(plain)
     if clusters is not None:
         of_clusters = clusters.spread(plain.moving, len(plain.covariance))

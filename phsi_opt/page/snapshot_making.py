@@ -30,15 +30,6 @@ from phsi_opt.study import Study
 
 # A name and the begin of its first range, as in 'q -1 to -0.6 or 0.7 to 1'.
 RANGE = re.compile(r"\b(?!or\b)([A-Za-z]\w*) (-?[\d.e+-]+ to)")
-# Units of forces as people write them.
-PLAIN_FORCES = {
-    "(kg m/s)/s": "N",
-    "(kg m2/s)/s": "N m",
-    "(kg m^2/s)/s": "N m",
-    "N s/s": "N",
-    "C/s": "A",
-    "Wb/s": "V",
-}
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -157,7 +148,7 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
                     run=run.name,
                     part=part,
                     equation=equation,
-                    unit=plain_force_unit(equation, record.data.units),
+                    unit=force_unit(equation, record.data.units),
                     t=t[inside],
                     force=estimate.w[inside, column],
                     std=deviation[inside, column],
@@ -166,19 +157,13 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
     return forces
 
 
-def plain_force_unit(equation: str, units: Mapping[str, str]) -> str:
-    """Unit of a missing force as people write it: N, not (kg m/s)/s."""
-    unit = force_unit(equation, units)
-    return PLAIN_FORCES.get(unit, unit)
-
-
 def _where(where: pd.DataFrame, units: Mapping[str, str]) -> str:
     """The strongest place in words."""
     if not len(where):
         return ""
     row = where.iloc[0]
     equation = str(row["equation"])
-    unit = plain_force_unit(equation, units)
+    unit = force_unit(equation, units)
     region = RANGE.sub(r"\1 is \2", str(row["state_region"]))
     place = "everywhere in its range" if region == "everywhere" else f"where {region}"
     strength = f"{row['strength']:.2g}{' ' if unit else ''}{unit}"
