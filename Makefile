@@ -31,8 +31,9 @@ thesis: $(VENV)/.full ## run every experiment of the thesis (about an hour; ARGS
 compare: $(VENV)/.full ## compare the solver with gradient descent on the systems of the thesis
 	@$(PY) -m problems.thesis.compare $(ARGS)
 
-test: $(VENV)/.full browser ## run the tests
-	@$(PY) -m pytest $(ARGS)
+# The tests of one file share fits, so they stay together; one thread each, since every processor has tests of its own.
+test: $(VENV)/.full browser ## run the tests, on all processors
+	@OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile $(ARGS)
 
 browser: ## install Chromium for the tests of the page, where there is none and apt may be used
 	@if command -v chromium > /dev/null || command -v chromium-browser > /dev/null || \

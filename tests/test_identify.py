@@ -293,4 +293,4 @@ def test_the_package_offers_what_a_user_writes() -> None:
         "PseudoHamiltonian",
         "FirstOrder",
         "PHSILoss",
-    } <= set(vars(phsi_opt))
+    } <= set(dir(phsi_opt))
