@@ -411,3 +411,26 @@ def test_hysteresis_is_not_named_where_nothing_turns_back() -> None:
     assert findings_of(diagnosis) == {frozenset({"viscous damping on p"})}
     (hysteresis,) = [c for c in diagnosis.ranking if c.name == "hysteresis on p"]
     assert "never turns back" in hysteresis.lost
+
+
+def test_losses_that_are_not_told_apart_are_named_as_losses_wherever_they_stand() -> (
+    None
+):
+    case = drawn_case("circuit", 310)
+    fit = ph.identify(case.model, case.train)
+    diagnosis = ph.diagnose(fit, case.train, case.test)
+    (found,) = diagnosis.findings
+    assert {effect.equation for effect in found.effects} == {"q", "flux"}
+    assert "linear resistance on flux" in {str(effect) for effect in found.effects}
+    assert "a loss of energy whose place and law the data do not tell: linear" in str(
+        found
+    )
+
+
+def test_a_law_of_one_number_is_named_for_a_small_force_that_it_explains() -> None:
+    case = drawn_case("starts_off", 301)
+    study = ph.Study(case.model, case.train, held_out=case.test)
+    diagnosis = study.diagnose()
+    (found,) = diagnosis.findings
+    assert "viscous damping on p" in {str(effect) for effect in found.effects}
+    assert found.share > 0.9

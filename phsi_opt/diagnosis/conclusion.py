@@ -15,7 +15,9 @@ from phsi_opt.criteria import (
     EXPLAINED_IF_PROPOSED,
     FORCE_GONE_IF_PARTLY,
     INEXACT_SHARE,
+    LARGE_LAW_SHARE,
     MOST_FAMILIES,
+    SIMPLE_SHARE,
 )
 from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.alike import alike, alike_in_pair
@@ -30,6 +32,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 
 LOSS = "a loss of energy whose law the data do not tell"
+LOSS_SOMEWHERE = "a loss of energy whose place and law the data do not tell"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,10 @@ def conclusion(
     findings = _findings(base, proposed, others)
     change = _change(base, proposed)
     said = " and ".join(str(finding) for finding in findings)
+    share = explained_share(base.judged, done.judged)
     against = _against(base, proposed, findings)
+    if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
+        against = _against_small(base, effects, share, is_all)
     unresolved = unresolved_channels(base.record.data)
     if is_all and unresolved:
         steps = f"the steps of {', '.join(unresolved)}"
@@ -98,11 +104,8 @@ def conclusion(
         return Conclusion(
             Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
         )
-    share = explained_share(base.judged, done.judged)
     percent = f"{100 * share:.0f} % of the squared error above the noise floor"
     remainder = left or Remainder.of(base, proposed.fit)
-    if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
-        against = f"{_inexact(base)}, and more than noise remains"
     if not against and remainder.gone < FORCE_GONE_IF_PARTLY:
         against = f"of the missing force {remainder}"
     if share > EXPLAINED_IF_PARTLY and not against:
@@ -155,14 +158,14 @@ def class_of(effects: Sequence[Effect]) -> str:
     """What a class is called; of many laws of loss that they take energy."""
     joined = families(effects)
     if len(joined) > MOST_FAMILIES and _are_losses(effects):
-        return LOSS
+        places = {effect.equation for effect in effects}
+        return LOSS if len(places) == 1 else LOSS_SOMEWHERE
     return " or ".join(joined)
 
 
 def _are_losses(effects: Sequence[Effect]) -> bool:
-    """Whether all take energy from one state: then they are alike in that."""
-    places = {(effect.slot, effect.equation) for effect in effects}
-    return len(places) == 1 and effects[0].slot == "R"
+    """Whether all take energy from the motion: then they are alike in that."""
+    return all(effect.slot == "R" for effect in effects)
 
 
 def _against(
@@ -179,6 +182,26 @@ def _against(
         if min(size.z for size in sizes) < CLOCK_Z:
             return f"{_inexact(base)}, and with a clock much can be made to fit"
     return unconfirmed(base, proposed.fit, proposed.done.judged, effects)
+
+
+def _against_small(
+    base: DiagnosedModel, effects: Sequence[Effect], share: float, is_all: bool
+) -> str:
+    """Why a force as small as what models err by is not named; empty where it is.
+
+    Args:
+        base: the model that is diagnosed.
+        effects: that are proposed.
+        share: of the squared error above the noise floor that they explain.
+        is_all: whether they leave noise.
+    """
+    are_simple = all(one.n_unknowns == 1 and not one.needs_clock for one in effects)
+    if is_all and (are_simple or share > LARGE_LAW_SHARE):
+        return ""
+    if len(effects) == 1 and are_simple and share > SIMPLE_SHARE:
+        return ""
+    percent = f"{100 * share:.0f} % of the squared error above the noise floor"
+    return f"{_inexact(base)}, and only {percent} is explained"
 
 
 def _inexact(base: DiagnosedModel) -> str:

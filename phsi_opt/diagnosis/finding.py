@@ -36,7 +36,10 @@ class Finding:
         if self.is_name:
             return f"{first} ({size})"
         others = ", ".join(str(effect) for effect in self.effects[1:])
+        where = f" in the equation of {first.equation}"
+        if any(effect.equation != first.equation for effect in self.effects):
+            where = ""
         return (
-            f"{self.family} in the equation of {first.equation}: {first.name} "
-            f"({size}), which the data do not tell from {others}"
+            f"{self.family}{where}: {first.name if where else first} ({size}), which "
+            f"the data do not tell from {others}"
         )

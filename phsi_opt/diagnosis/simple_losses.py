@@ -14,6 +14,7 @@ from phsi_opt.comparison.model_selection import delta_bic, is_like_noise
 from phsi_opt.criteria import BIC_TIE
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.regressed_start import regressed
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -41,7 +42,11 @@ def with_simple_losses(
     """
     result = list(candidates)
     best = _best(result)
-    if best is None or is_like_noise(base.trained) or _leaves_noise(best):
+    if is_like_noise(base.trained):
+        return result
+    if best is None:
+        return _regressed_losses(base, prospects, result, refitted)
+    if _leaves_noise(best):
         return result
     equation = best.effect.equation
     losses = []
@@ -58,6 +63,34 @@ def with_simple_losses(
     for one in losses:
         if one.effect.family == best.effect.family and one.name != best.name:
             result = _again(base, result, refitted, one, best)
+    return result
+
+
+def _regressed_losses(
+    base: DiagnosedModel,
+    prospects: Prospects,
+    candidates: list[Candidate],
+    refitted: Refitted,
+) -> list[Candidate]:
+    """The candidates, and the losses begun where the missing force says.
+
+    For a model that no candidate helps: it may have lost its way.
+    """
+    result = list(candidates)
+    for one in prospects.singles:
+        if not is_simple_loss(one.effect):
+            continue
+        values = regressed(base, one.effect)
+        own = set(values) & set(base.fit.model.entries)
+        start = replace(
+            one,
+            values={name: values[name] for name in values if name not in own},
+            base_values={name: values[name] for name in own},
+            look=None,
+        )
+        another = refitted(start, None)
+        result = [known for known in result if known.name != one.name]
+        result.append(another)
     return result
 
 
