@@ -37,7 +37,8 @@ NONLINEARITY = markdown.paragraph("""
     """)
 CELLS = markdown.paragraph("""
     Of exact intervals: how many coverages would lie within on average if all intervals
-    held with 95 % exactly; of few records they are counted outside by chance.
+    held with 95 % exactly; of few records they are counted outside by chance. Interval
+    meets: of how many coverages the own 95 % interval (Wilson) meets the limits.
     Three numbers in a cell belong to k, R_v and g. n: seeds. Plain likelihood: the
     default's estimates with standard errors that count residuals as white noise.
     Default: `identify` and `Fit.intervals()`. model_error=True: parameters, states and

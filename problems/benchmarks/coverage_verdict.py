@@ -15,6 +15,7 @@ from problems.benchmarks.coverage_summary import (
 )
 from problems.benchmarks.coverage_tables import ASKED_FOR, LAYOUTS, UNDISTURBED
 from problems.tools import markdown
+from problems.tools.intervals import wilson
 
 LOWEST = 92.0  # %, of the coverage that is asked for
 HIGHEST = 97.0
@@ -45,6 +46,15 @@ class Group:
     def n_by_chance(self) -> float:
         """How many would on average if all intervals held with 95 % exactly."""
         return len(self.rows) * chance_within(int(self.rows["n"].max()))
+
+    @property
+    def n_meeting(self) -> int:
+        """Of how many the 95 % interval (Wilson) meets the limits."""
+        meeting = 0
+        for coverage, n in zip(self.rows["coverage"], self.rows["n"], strict=True):
+            lower, upper = wilson(round(coverage / 100 * n), int(n))
+            meeting += 100 * lower <= HIGHEST and 100 * upper >= LOWEST
+        return meeting
 
     @property
     def below(self) -> str:
@@ -96,7 +106,7 @@ def verdict_table(
     rows: pd.DataFrame, scenarios: Sequence[str], truths: Sequence[str] = (PHYSICAL,)
 ) -> str:
     """How many coverages lie within, by method, runs and truth, and which do not."""
-    header = ["method", "runs", "n", "within", "of exact intervals"]
+    header = ["method", "runs", "n", "within", "of exact intervals", "interval meets"]
     header += ["lowest, %", "highest, %"]
     header += ["too low in", "too high in"]
     header += ["truth"] if len(truths) > 1 else []
@@ -107,6 +117,7 @@ def verdict_table(
             line = [group.method, f"{group.layout.runs} x {group.layout.samples}"]
             line += [str(group.rows["n"].iloc[0])]
             line += [f"{group.n_kept} of {len(group.rows)}", f"{group.n_by_chance:.0f}"]
+            line += [f"{group.n_meeting} of {len(group.rows)}"]
             line += [f"{coverage.min():.1f}", f"{coverage.max():.1f}"]
             line += [group.below, group.above]
             line += [truth] if len(truths) > 1 else []
