@@ -16,6 +16,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.regressed_start import regressed
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.effect_size import new_names
@@ -137,9 +138,12 @@ def matched(
     Least squares of the two forces along the states of the fit.
     """
     model = base.fit.model
-    (known,) = new_names(model, effect, fit.names)
+    # The coefficient comes first, then what is known of a law, such as a corner's width.
+    known = new_names(model, effect, fit.names)[0]
     larger = fit.model.with_values({known: 0.0}).add(other)
-    (sought,) = new_names(fit.model, other, larger.entries)
+    grid = base.record.estimate.grid
+    larger = resolve_guesses(larger, grid, np.concatenate(list(fit.states)))
+    sought = new_names(fit.model, other, larger.entries)[0]
     without = _rates(base, larger.with_values({sought: 0.0}), fit)
     of_unit = _rates(base, larger.with_values({sought: 1.0}), fit) - without
     full = fit.model.values[known]
