@@ -138,7 +138,7 @@ def matched(
     Least squares of the two forces along the states of the fit.
     """
     model = base.fit.model
-    # The coefficient comes first, then what is known of a law, such as a corner's width.
+    # The coefficient comes first, then what is known of a law, such as its corner.
     known = new_names(model, effect, fit.names)[0]
     larger = fit.model.with_values({known: 0.0}).add(other)
     grid = base.record.estimate.grid
