@@ -10,6 +10,7 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
 )
 from phsi_opt.criteria import (
+    BESIDE_OTHERS_Z,
     CLOCK_Z,
     EXPLAINED_IF_PARTLY,
     EXPLAINED_IF_PROPOSED,
@@ -89,6 +90,8 @@ def conclusion(
     said = " and ".join(str(finding) for finding in findings)
     share = explained_share(base.judged, done.judged)
     against = _against(base, proposed, findings)
+    if not against and not is_all:
+        against = _against_beside_others(base, proposed)
     if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
         against = _against_small(base, effects, share, is_all)
     unresolved = unresolved_channels(base.record.data)
@@ -182,6 +185,24 @@ def _against(
         if min(size.z for size in sizes) < CLOCK_Z:
             return f"{_inexact(base)}, and with a clock much can be made to fit"
     return unconfirmed(base, proposed.fit, proposed.done.judged, effects)
+
+
+def _against_beside_others(base: DiagnosedModel, proposed: Proposal) -> str:
+    """Why an effect beside others is not named; empty where it is.
+
+    The clearest one of a first step stands beside nothing.
+    """
+    effects = proposed.candidate.effects
+    sizes = [fitted_size(base.fit, proposed.fit, effect) for effect in effects]
+    found = sorted(zip(sizes, effects, strict=True), key=lambda one: one[0].z)
+    beside_others = found if base.is_later else found[:-1]
+    for size, effect in beside_others:
+        if not size.z >= BESIDE_OTHERS_Z:
+            return (
+                f"the size of {effect}, {size}, is not clear enough beside other "
+                "effects, where more than noise is left"
+            )
+    return ""
 
 
 def _against_small(

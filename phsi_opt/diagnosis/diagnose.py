@@ -95,6 +95,7 @@ def diagnose_comparison(
     effects: list[Effect] | None = None,
     loss: MaximumLikelihood | None = None,
     progress: Progress | None = None,
+    is_later: bool = False,
 ) -> Diagnosis:
     """`diagnose` for a fit that was compared before.
 
@@ -106,6 +107,8 @@ def diagnose_comparison(
         judged: the fit on data held out.
         effects: candidates; default: `catalogue` of the model.
         loss, progress: as in `diagnose`.
+        is_later: whether the model has effects that an earlier diagnosis found; what
+            is named beside them must be clearer, unless it leaves noise.
 
     Returns:
         As `diagnose`.
@@ -122,6 +125,7 @@ def diagnose_comparison(
         judged=judged or trained,
         loss=loss,
         say=progress or _silent,
+        is_later=is_later,
     )
     base = from_missing_force(base)
     listed = effects

@@ -23,12 +23,15 @@ class DiagnosedModel:
         judged: the same on the record that judges; ``trained`` where none is held out.
         loss: how larger models are fitted.
         say: called with a line of text as the work goes on.
+        is_later: whether effects were added to it before: what remains beside them may
+            be the error that every model has.
     """
 
     trained: Comparison
     judged: Comparison
     loss: MaximumLikelihood
     say: Callable[[str], None]
+    is_later: bool = False
 
     @property
     def fit(self) -> Fit:

@@ -16,6 +16,8 @@ from phsi_opt.comparison.model_selection import (
     share_of_change,
 )
 from phsi_opt.criteria import (
+    ALONE_SHARE,
+    BESIDE_OTHERS_Z,
     BIC_TIE,
     FALSE_DISCOVERY_RATE,
     FEWER_BESIDE_ALL,
@@ -27,6 +29,7 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.doubts import fitted_size
 from phsi_opt.diagnosis.dry_friction import other_kinds, simplest_dry
 from phsi_opt.diagnosis.ranking import as_refitted, expected, request_of
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
@@ -258,6 +261,8 @@ def _simplest(
     done = best.done
     is_all = is_explained(base.judged, done.trained, done.judged)
     least = SIMPLE_SHARE_BESIDE_ALL if is_all else SIMPLE_SHARE
+    if not is_all and not _is_clear(base, best):
+        least = ALONE_SHARE
     fewer = FEWER_BESIDE_ALL if is_all else 1
     enough = least * explained_share(base.judged, done.judged)
     for candidate in ranked:
@@ -268,6 +273,12 @@ def _simplest(
         if is_simpler and explained_share(base.judged, comparison) > enough:
             best = _single(candidate) or best
     return _by_all_data(base, best, ranked)
+
+
+def _is_clear(base: DiagnosedModel, best: Proposal) -> bool:
+    """Whether the second of a pair is clear; a single effect has none."""
+    sizes = [fitted_size(base.fit, best.fit, one).z for one in best.candidate.effects]
+    return len(sizes) < 2 or min(sizes) >= BESIDE_OTHERS_Z
 
 
 def _by_all_data(

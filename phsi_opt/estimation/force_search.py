@@ -29,6 +29,10 @@ INTEGRATOR = "srk4"
 # Factor on the size of the rates along the estimated states: from a force so large the
 # second search comes down.
 SIZE_OF_SECOND_SEARCH = 10.0
+# Least noise over what neighbouring samples scatter: a force in the equation of a
+# measured position can go through every sample, and the noise would come out as 1e-14.
+# Not more, as steps that are coarse beside the motion scatter by its curvature.
+LEAST_NOISE_BESIDE_SCATTER = 0.01
 
 
 def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
@@ -53,12 +57,12 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
         model = fit.model
         theta = parameter_matrix(model, parameters_of(fit, data))
     guess = initial_noise(data, given)
-    least = quantisation_noise(data)
+    scatter = np.where(is_given, given, initial_noise(data))
+    least = np.maximum(quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter)
     estimate = smoothed(
         model, grid, guess, INTEGRATOR, is_given, theta, least_noise=least
     )
     measured = grid.measured.any(axis=0)
-    scatter = np.where(is_given, given, initial_noise(data))
 
     def is_doubtful(found: ForceEstimate) -> bool:
         return bool(np.any(measured & (found.sigma > DOUBTFUL_NOISE * scatter)))

@@ -174,6 +174,7 @@ class Study(Summarised):
                 effects=choice.candidates(self.model, self.train.units),
                 loss=self._fitting.loss,
                 progress=self._say,
+                is_later=bool(step.added),
             )
             self._considered[key] = choice
             self._keep_better(self._diagnoses[key].fit)
