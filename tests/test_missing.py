@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.sparse import csc_matrix, diags
 
+import phsi_opt as ph
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise
 from phsi_opt.estimation.linearized_force import ForceSolution, LinearizedForce, Sizes
@@ -20,6 +21,7 @@ from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import MissingForce
 from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import SensorOutputs
+from problems.examples.friction_spring import CSV
 
 K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02
 START = ([1.0, 0.0], [-0.8, 0.0], [0.6, 1.5])
@@ -140,3 +142,22 @@ def test_the_whitened_prior_is_an_ornstein_uhlenbeck_process() -> None:
     np.testing.assert_allclose(
         covariance, expected, atol=1e-11
     )  # an inverse of condition 1e3: rounding times that
+
+
+def test_nothing_is_missing_on_data_held_out_beside_a_sharp_corner() -> None:
+    # A search from a generous force does not end beside it.
+    data = ph.Measurements.from_csv(
+        CSV, states={"q": "position_m", "p": None}, time="t_s", trajectory="run"
+    )
+    _, held_out = data.split(0.7)
+    known = {"c": 0.836825, "f": 1.92092, "v0": 0.00493531}
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=39.9625, m=2.5),
+        R={"p": ph.formula("c + f*(dH_dp**4 + v0**4)**(-0.25)", **known)},
+    )
+    compared = ph.compare(model, held_out)
+    assert compared.rmse == pytest.approx(0.0427, abs=0.0005)
+    force = compared.record.estimate.w
+    assert np.sqrt(np.mean(force**2)) < 0.05  # N; the friction is 1.9 N

@@ -67,6 +67,7 @@ class ForceEstimate:
         grid: Nodes, intervals and measurements.
         linear: The problem linearised at the solution, for standard deviations.
         rounded: Widths of corners that were too sharp for the search, by name.
+        has_converged: Whether the last solve ended at an optimum.
     """
 
     x: np.ndarray
@@ -77,6 +78,7 @@ class ForceEstimate:
     grid: Grid
     linear: LinearizedForce
     rounded: dict[str, float] = field(default_factory=dict)
+    has_converged: bool = True
 
 
 def default_prior(model: Model, grid: Grid, point: Point) -> ForcePrior:
@@ -142,7 +144,14 @@ def estimate_force(
             break
     sizes = search.sizes
     return ForceEstimate(
-        x, w, sizes.sigma, sizes.prior, linear.log_evidence(), grid, linear
+        x=x,
+        w=w,
+        sigma=sizes.sigma,
+        prior=sizes.prior,
+        log_evidence=linear.log_evidence(),
+        grid=grid,
+        linear=linear,
+        has_converged=solution.outcome.success,
     )
 
 
@@ -272,6 +281,9 @@ def force_deviation(estimate: ForceEstimate, most: int = MOST_EXACT) -> np.ndarr
 
 # Factors on the width of corners that are too sharp.
 ROUNDER = (1.0, 4.0, 16.0, 64.0)
+# Factor on the force's usual size where no search from it ends well: beside a corner of
+# the user's own, which is not known as one.
+SMALL = 0.01
 
 
 def smoothed(
@@ -289,7 +301,8 @@ def smoothed(
     """States, also unmeasured ones, and missing force at given parameters.
 
     Where a corner of dry friction is too sharp for the search, it is rounded, and the
-    estimate says so.
+    estimate says so: beside one a search may end anywhere between the force it began
+    with and the one that is missing.
 
     Args:
         model: The model; its present values are the parameters unless ``theta`` is
@@ -311,9 +324,13 @@ def smoothed(
     point = first_point(model, grid)
     if theta is not None:
         point = replace(point, theta=theta)
+    usual = prior or default_prior(model, grid, point)
     values = model.values
     widths = {name: values[name] for name in corner_widths(model)}
-    for factor in ROUNDER if widths else ROUNDER[:1]:
+    attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
+    attempts.append((1.0, replace(usual, size=SMALL * usual.size)))
+    unfinished = None
+    for factor, begun in attempts:
         rounded = {}
         if factor != 1:
             rounded = {name: factor * width for name, width in widths.items()}
@@ -325,11 +342,16 @@ def smoothed(
                 sigma,
                 rounds=rounds,
                 known_noise=known_noise,
-                prior=prior,
+                prior=begun,
                 integrator=integrator,
                 least_noise=least_noise,
             )
-            return replace(estimate, rounded=rounded)
         except SolveError as error:
             failure = error
-    raise failure
+            continue
+        if estimate.has_converged:
+            return replace(estimate, rounded=rounded)
+        unfinished = unfinished or replace(estimate, rounded=rounded)
+    if unfinished is None:
+        raise failure
+    return unfinished
