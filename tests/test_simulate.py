@@ -144,3 +144,10 @@ def test_a_solution_that_escapes_to_infinity_is_refused_where_it_ends() -> None:
     model = FirstOrder(states=["x"], F={"x": formula("x**2")})
     with pytest.raises(SolveError, match="cannot be continued beyond t="):
         simulate(model, np.linspace(0.0, 2.0, 21), [1.0])
+
+
+@pytest.mark.parametrize("method", ["LSODA", "RK45"])
+def test_a_solution_that_ends_before_the_first_sample_is_refused(method: str) -> None:
+    model = FirstOrder(states=["x"], F={"x": formula("x**3")})
+    with pytest.raises(SolveError, match="cannot be continued beyond t="):
+        simulate(model, [0.0, 1.0, 2.0], [10.0], method=method)

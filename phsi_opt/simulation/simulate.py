@@ -104,12 +104,13 @@ def _integrated(
             atol=ATOL * size,
             max_step=piece.longest,
         )
-    is_finite = np.all(np.isfinite(found.y))
-    is_whole = found.y.shape[1] >= piece.last - piece.first
-    if not (found.success and is_finite and is_whole):
+    # Where it ends before the first sample, SciPy gives an empty list.
+    y = np.reshape(found.y, (len(x0), -1))
+    is_whole = y.shape[1] >= piece.last - piece.first
+    if not (found.success and is_whole and np.all(np.isfinite(y))):
         furthest = found.t[-1] if len(found.t) else t[piece.first]
         raise _stopped(furthest, found.message)
-    return found.y.T
+    return y.T
 
 
 class _Guarded:
