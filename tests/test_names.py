@@ -434,3 +434,12 @@ def test_a_law_of_one_number_is_named_for_a_small_force_that_it_explains() -> No
     (found,) = diagnosis.findings
     assert "viscous damping on p" in {str(effect) for effect in found.effects}
     assert found.share > 0.9
+
+
+def test_the_second_of_a_pair_must_be_clear_where_more_than_noise_is_left() -> None:
+    case = drawn_case("circuit", 309)
+    fit = ph.identify(case.model, case.train)
+    diagnosis = ph.diagnose(fit, case.train, case.test)
+    # With an error of the sensor beside it, 4.5 standard errors, less is left.
+    (found,) = findings_of(diagnosis)
+    assert found == frozenset({"coil saturation on flux"})
