@@ -229,6 +229,7 @@ def test_init_looks_at_the_columns(
     [
         ("", "is empty"),
         ("a,b\n", "no line below its header"),
+        ("a,b\n1,2\n", "1 line below its header; at least 2"),
         ("t,q\n0,1\n1,2,3\n", "line 3 has 3 cells; expected 2"),
     ],
 )

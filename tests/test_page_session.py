@@ -156,6 +156,23 @@ def test_a_second_table_with_the_same_columns_is_a_second_run(tmp_path: Path) ->
     assert session.draft.data.columns[1].unit == "mm", "what was said of it stays"
 
 
+def test_a_table_with_other_columns_takes_the_place_of_a_wrong_one(
+    tmp_path: Path,
+) -> None:
+    session = Session(tmp_path)
+    session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
+    assert session.upload("b.csv", b"Zeit,Weg\n0,2\n1,1\n2,4\n"), session.upload_error
+    session.close()
+    assert session.draft.data is not None
+    assert session.draft.data.files == ["b.csv"]
+    assert "b.csv has other columns: it takes the place of a.csv" in session.message
+
+
+def test_nothing_can_be_fitted_before_there_are_data(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    assert [one.key for one in session.complaints] == ["data.files"]
+
+
 # ---- the model -----------------------------------------------------------------------
 
 
@@ -188,6 +205,17 @@ def test_columns_become_the_states_of_the_same_unit() -> None:
     assert data.column_named(STATE, "q") is columns[1]
     assert columns[0].role == "not used", "a velocity is no momentum"
     assert data.unmeasured == {"p": "kg m/s"}
+
+
+def test_a_column_that_one_base_model_has_no_state_for_comes_back_with_another() -> (
+    None
+):
+    column = ColumnDraft("x", STATE, "x", "m")
+    data = DataDraft(Path(), ["a.csv"], [column])
+    match_states(data, {"q": "rad", "p": "kg m^2 rad/s"})
+    assert column.role == "not used"
+    match_states(data, {"q": "m", "p": "kg m/s"})
+    assert (column.role, column.name) == (STATE, "q")
 
 
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:

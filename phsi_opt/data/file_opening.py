@@ -138,9 +138,16 @@ def _text(source: Any, title: str) -> str:
     try:
         text = _read(source, "r")
     except UnicodeDecodeError as error:
+        if b"\0" in error.object:
+            raise DataError(
+                f"{title} is no text: it holds zero bytes. A table has lines of "
+                "numbers, such as a .csv file."
+            ) from error
+        byte = error.object[error.start]
         raise DataError(
-            f"{title} is not UTF-8 text ({error}). Save it as 'CSV UTF-8', or give "
-            "the file opened with its encoding: open(path, encoding='latin-1')."
+            f"{title} is not UTF-8 text: byte {error.start} is {byte:#04x}. Save it as "
+            "'CSV UTF-8' in the program it comes from; in Python the file may also be "
+            "given opened with its encoding, open(path, encoding='latin-1')."
         ) from error
     except OSError as error:
         raise _unreadable(title, error) from error

@@ -18,6 +18,7 @@ from phsi_opt.estimation.maximum_likelihood import by_likelihood
 from phsi_opt.estimation.phsi_solve import by_defects
 from phsi_opt.estimation.problem import Loss, Progress, Task, silent
 from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
@@ -106,9 +107,12 @@ def identify_aligned(
     began = time.perf_counter()
     loss = loss or MaximumLikelihood()
     _check_free(model, loss)
+    own = aligned.for_model(model)
+    if start is None:
+        check_rates(model, own.grid)
     task = Task(
         model=model,
-        aligned=aligned.for_model(model),
+        aligned=own,
         l1=l1_weights(l1),
         pruning=pruning,
         settings=settings or SolverSettings(),

@@ -195,6 +195,13 @@ def rhs_function(model: BaseModel) -> ca.Function:
     return arguments.function("rhs", derivative(model, parts), "dx")
 
 
+def energy_function(model: BaseModel) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> H; zero in a model without energy."""
+    arguments = Arguments(model)
+    parts = expressions_at(model, arguments.symbols)
+    return arguments.function("energy", ca.SX(parts.energy), "H")
+
+
 def output_function(model: BaseModel) -> ca.Function:
     """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
     arguments = Arguments(model)

@@ -35,6 +35,7 @@ ABOUT = (
     f"most {in_megabytes(MOST_UPLOADED)} a file. Several files with the same columns "
     "are several runs."
 )
+TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
 DATA_KEYS = ("data", "held_out")
 
 
@@ -77,7 +78,7 @@ class DataView:
                 on_upload=self._upload,
                 on_rejected=self._rejected,
             )
-            upload.props('accept=".csv,.txt,.tsv,.dat,.xlsx"')
+            upload.props(f'accept="{",".join(TABLE_KINDS)}"')
             ui.label("Drop tables here, or").classes("said q-mb-sm")
             button("Choose files", lambda: upload.run_method("pickFiles"))
 
@@ -88,8 +89,9 @@ class DataView:
 
     def _rejected(self) -> None:
         size = in_megabytes(MOST_UPLOADED)
+        kinds = ", ".join(TABLE_KINDS)
         self._session.upload_error = (
-            f"It was not taken: a table of at most {size} is expected."
+            f"It was not taken: only tables ({kinds}) of at most {size} are."
         )
         self._session.shape += 1
 

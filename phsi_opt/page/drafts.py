@@ -38,6 +38,8 @@ class ColumnDraft:
         noise: standard deviation of a state's noise; "" where it is unknown.
         examples: its first cells.
         is_numeric: whether it holds numbers; else it can only name runs.
+        fits_no_state: a state to the user, which the base model that was chosen last
+            has no place for.
     """
 
     column: str | int
@@ -47,6 +49,7 @@ class ColumnDraft:
     noise: str = ""
     examples: tuple[str, ...] = ()
     is_numeric: bool = True
+    fits_no_state: bool = False
 
 
 @dataclass

@@ -10,12 +10,17 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
     """Give the columns of states the names that the model has.
 
     First where the units agree, then in order where one of them is unknown. A column
-    that fits no state is not used; a state without a column counts as not measured.
+    that fits no state is not used, until a base model is chosen that it fits; a state
+    without a column counts as not measured.
 
     Args:
         data: its columns are changed.
         units: of the model's states, by name.
     """
+    for column in data.columns:
+        if column.fits_no_state and column.role == NOT_USED:
+            column.role = STATE
+        column.fits_no_state = False
     columns = data.with_role(STATE)
     free = list(units)
     left = []
@@ -30,6 +35,7 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
         name = _first(column, free, units, _is_open)
         if name is None:
             column.role = NOT_USED
+            column.fits_no_state = True
             continue
         column.name = name
         free.remove(name)

@@ -108,6 +108,8 @@ class Session:
         self._checking = threading.Lock()
         if study_file is not None:
             self._open(study_file)
+        else:
+            self.complaints = self._checked()
 
     # ---- drafts ----------------------------------------------------------------------
 
@@ -152,15 +154,20 @@ class Session:
     def _take_files(self, files: list[str]) -> None:
         """Look at all files; columns that are known keep what was said of them."""
         known = self.draft.data
-        data = look_at(self.folder, files)
-        headers = [column.column for column in data.columns]
+        data = look_at(self.folder, files[-1:])
+        self.message = ""
         if known is not None and known.folder == self.folder:
-            if headers != [column.column for column in known.columns]:
-                data = look_at(self.folder, files[-1:])  # another table altogether
-            else:
+            headers = [column.column for column in data.columns]
+            if headers == [column.column for column in known.columns]:
+                data = look_at(self.folder, files)
                 data.columns = known.columns
                 data.held_out = known.held_out
                 data.unmeasured = known.unmeasured
+            else:
+                self.message = (
+                    f"{files[-1]} has other columns: it takes the place of "
+                    f"{', '.join(known.files)}."
+                )
         self.draft.data = data
         self.check()
 
@@ -251,7 +258,7 @@ class Session:
             return
         label = self.job.label
         self._end_worker()
-        self.message = f"Cancelled: {label}. What was found before is kept."
+        self.message = f"Cancelled: {label}. What was found until then is kept."
         self._ready_worker()
         self.version += 1
 

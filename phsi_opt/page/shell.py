@@ -16,6 +16,11 @@ from phsi_opt.page.session import Session
 from phsi_opt.page.study_view import StudyView
 
 ASK_EVERY = 0.25  # s between looks at the session; faster than a reader notices
+# The next key acts on the part that is shown, and its top is seen.
+FOCUS_CONTENT = """
+window.scrollTo(0, 0);
+document.getElementById('content').focus({preventScroll: true});
+"""
 DATA_PART = "1 Data"
 MODEL_PART = "2 Model"
 STUDY_PART = "3 Study"
@@ -48,7 +53,7 @@ class Shell:
         self._header()
         first = STUDY_PART if _has_begun(self._session) else DATA_PART
         with (
-            ui.element("div").classes("page").props('id="content"'),
+            ui.element("div").classes("page").props('id="content" tabindex="-1"'),
             ui.tab_panels(self._tabs, value=first, animated=False).classes("w-full"),
         ):
             with ui.tab_panel(DATA_PART), ui.column().classes("w-full gap-3"):
@@ -75,10 +80,22 @@ class Shell:
                         on_click=lambda value=value: self._dark.set_value(value),
                     )
                 ui.separator()
-                ui.menu_item("Begin again: forget this study", self._begin_again)
+                ui.menu_item("Begin again: forget this study", self._ask_to_begin_again)
+
+    def _ask_to_begin_again(self) -> None:
+        """Ask first: there is no way back."""
+        with ui.dialog() as dialog, ui.column().classes("card gap-3"):
+            heading("Forget this study?")
+            ui.label("Its table, model and results are deleted from this page.")
+            with ui.row():
+                button("Keep it", dialog.close)
+                button("Forget it", self._begin_again, quiet=True)
+        dialog.open()
 
     def _go(self, part: str) -> None:
+        """Show a part from its top, with the focus there."""
         self._tabs.set_value(part)
+        ui.run_javascript(FOCUS_CONTENT)
 
     def _fit(self) -> None:
         self._session.fit()

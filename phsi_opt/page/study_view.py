@@ -54,9 +54,10 @@ class StudyView:
         if self._session.is_stale:
             with card():
                 ui.label(
-                    "Data or model have changed since this was fitted. Fit again to "
-                    "see what follows."
+                    "Data or model have changed since this was fitted. What follows "
+                    "is of the model as it was."
                 )
+                self._begins("Fit again", self._session.fit, quiet=False)
         self._facts(snapshot)
         with ui.element("div").classes("two w-full"):
             with ui.column().classes("gap-3").style("min-width: 0"):
@@ -70,6 +71,8 @@ class StudyView:
     def _nothing_yet(self) -> None:
         with card():
             heading("Nothing is fitted yet")
+            if self._session.message:
+                alert(self._session.message)
             if self._session.job is not None:
                 ui.label("The first results come in a moment.")
             elif self._session.complaints:

@@ -60,9 +60,19 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
 .track div { position: absolute; inset: 0 auto 0 0; background: #2f7fd6; }
 .track i { position: absolute; top: 0; bottom: 0; width: 3px; background: var(--ink); }
 .candidate { border-top: 1px solid var(--line); padding: 10px 0; width: 100%; }
-:focus-visible { outline: 3px solid var(--strong) !important; outline-offset: 2px; }
+html { scroll-padding: 72px 0 64px; }
+body *:focus-visible, .q-field:has(:focus-visible) {
+  outline: 3px solid var(--strong) !important; outline-offset: 2px;
+}
+.q-field *:focus-visible { outline: none !important; }
 .skip { position: absolute; left: -999px; top: 4px; z-index: 9999; }
-.skip:focus { left: 8px; background: var(--card); color: var(--strong); padding: 6px; }
+a.skip:focus {
+  left: 8px; background: var(--card); color: var(--strong) !important; padding: 6px;
+}
+.q-btn.disabled, .q-btn[disabled] { opacity: 1 !important; }
+.q-btn.disabled, .q-btn[disabled] {
+  background: var(--line) !important; color: var(--faint) !important;
+}
 .q-header, .q-footer {
   background: var(--card) !important; color: var(--ink) !important;
   border-color: var(--line);

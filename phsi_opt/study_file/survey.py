@@ -117,6 +117,11 @@ def survey(path: Path) -> TableSurvey:
     frame = table.frame
     if frame.empty:
         raise DataError(f"{path} has no line below its header.")
+    if len(frame) == 1:
+        raise DataError(
+            f"{path} has 1 line below its header; at least 2 are needed, and a study "
+            "needs many more."
+        )
     headers = [str(column) for column in frame.columns]
     seen = []
     for number, header in enumerate(headers):
