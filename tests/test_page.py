@@ -99,7 +99,8 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     said = facts(page)
     assert f"The model lacks {EFFECT}." in said
     assert "In dp/dt" in said
-    assert "From t = " in said
+    assert "; strongest at t = " in said
+    assert "where p (kg m/s) is" in said
     nothing_is_solved(page)
     error_before = held_out_error(page, step=0)
 

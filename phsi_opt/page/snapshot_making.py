@@ -3,7 +3,6 @@
 import re
 from collections.abc import Mapping
 
-import numpy as np
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
@@ -15,7 +14,6 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.units import force_unit
 from phsi_opt.page.snapshot import (
     HELD_OUT,
-    SURE,
     TRAINING,
     CandidateRow,
     ChannelCurves,
@@ -27,6 +25,7 @@ from phsi_opt.page.snapshot import (
     Snapshot,
 )
 from phsi_opt.study import Study
+from phsi_opt.study.force_content import since_when
 
 # A name and the begin of its first range, as in 'q -1 to -0.6 or 0.7 to 1'.
 RANGE = re.compile(r"\b(?!or\b)([A-Za-z]\w*) (-?[\d.e+-]+ to)")
@@ -56,7 +55,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         warning=step.judged.warning,
         runs=tuple(runs),
         forces=tuple(forces),
-        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, forces),
+        diagnosed=None if diagnosis is None else _diagnosed(diagnosis),
         stopped=study.stopped,
     )
 
@@ -94,17 +93,15 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
     return runs
 
 
-def _diagnosed(diagnosis: Diagnosis, forces: list[ForceCurve]) -> Diagnosed:
-    where = diagnosis.where
-    strongest = str(where["equation"].iloc[0]) if len(where) else ""
+def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
     proposed = tuple(str(effect) for effect in diagnosis.proposed)
     return Diagnosed(
         verdict=str(diagnosis.verdict),
         reason=diagnosis.reason,
         is_missing=diagnosis.verdict != Verdict.NOTHING_MISSING,
         sentences=tuple(diagnosis.sentences),
-        where=_where(where, diagnosis.data.units),
-        since=_since(forces, strongest, diagnosis.data.units.get("t", "")),
+        where=_where(diagnosis.where, diagnosis.data.units),
+        since=since_when(diagnosis),
         proposed=proposed,
         candidates=tuple(_candidates(diagnosis.ranking, proposed)),
     )
@@ -164,28 +161,12 @@ def _where(where: pd.DataFrame, units: Mapping[str, str]) -> str:
     row = where.iloc[0]
     equation = str(row["equation"])
     unit = force_unit(equation, units)
-    region = RANGE.sub(r"\1 is \2", str(row["state_region"]))
+
+    def in_words(found: re.Match[str]) -> str:
+        unit_of = units.get(found[1], "")
+        return f"{found[1]}{f' ({unit_of})' if unit_of else ''} is {found[2]}"
+
+    region = RANGE.sub(in_words, str(row["state_region"]))
     place = "everywhere in its range" if region == "everywhere" else f"where {region}"
     strength = f"{row['strength']:.2g}{' ' if unit else ''}{unit}"
     return f"In d{equation}/dt, {place}: a force of rms {strength} is missing."
-
-
-def _since(forces: list[ForceCurve], strongest: str, t_unit: str) -> str:
-    """From when on the strongest missing force is sure, over the runs."""
-    begins = []
-    n_runs = 0
-    for curve in forces:
-        if curve.equation != strongest or curve.part != TRAINING:
-            continue
-        n_runs += 1
-        sure = np.flatnonzero(np.abs(curve.force) > SURE * curve.std)
-        if len(sure):
-            begins.append((float(curve.t[sure[0]]), curve.run))
-    unit = f" {t_unit}" if t_unit else ""
-    if not begins:
-        return "At no single time; only the whole record shows it."
-    t, run = min(begins)
-    return (
-        f"From t = {t:.3g}{unit} on in {run}; sure at some time in {len(begins)} of "
-        f"{n_runs} training runs."
-    )

@@ -61,18 +61,19 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
 .track i { position: absolute; top: 0; bottom: 0; width: 3px; background: var(--ink); }
 .candidate { border-top: 1px solid var(--line); padding: 10px 0; width: 100%; }
 html { scroll-padding: 72px 0 64px; }
-body *:focus-visible, .q-field:has(:focus-visible) {
-  outline: 3px solid var(--strong) !important; outline-offset: 2px;
+/* Quasar takes outlines away with !important in a layer, which wins: so shadows. */
+:focus-visible { outline: 3px solid var(--strong) !important; outline-offset: 2px; }
+.q-btn:focus-visible, .q-tab:focus-visible, .q-item:focus-visible,
+.q-checkbox:focus-visible, .q-field:has(:focus-visible) .q-field__control {
+  box-shadow: 0 0 0 2px var(--card), 0 0 0 5px var(--strong) !important;
 }
-.q-field *:focus-visible { outline: none !important; }
 .skip { position: absolute; left: -999px; top: 4px; z-index: 9999; }
 a.skip:focus {
-  left: 8px; background: var(--card); color: var(--strong) !important; padding: 6px;
+  left: 8px; background: var(--card); padding: 6px;
+  -webkit-text-fill-color: var(--strong);
 }
-.q-btn.disabled, .q-btn[disabled] { opacity: 1 !important; }
-.q-btn.disabled, .q-btn[disabled] {
-  background: var(--line) !important; color: var(--faint) !important;
-}
+.q-btn.disabled { --q-primary: var(--line); --q-onprimary: var(--ink); }
+.q-btn.disabled { color: var(--ink) !important; }
 .q-header, .q-footer {
   background: var(--card) !important; color: var(--ink) !important;
   border-color: var(--line);

@@ -182,6 +182,8 @@ def since_when(diagnosis: Diagnosis) -> str:
     A beginning is told where the force is several times weaker before it.
     """
     force = EquationForce.of(diagnosis.analysis, None)
+    if force.is_uncertain:
+        return "At no time surely."
     record = force.record
     unit = record.units.get("t", "")
     sizes = []

@@ -93,7 +93,7 @@ def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
     return [
         Fact("What is wrong", _wrong(diagnosis)),
         Fact("Where", _where(diagnosis)),
-        Fact("Since when", _when(diagnosis)),
+        Fact("Since when", since_when(diagnosis)),
         Fact("What to add", _addition(study, diagnosis)),
     ]
 
@@ -124,13 +124,6 @@ def _where(diagnosis: Diagnosis) -> str:
     if cause == NO_PATTERN:
         return f"{place}. No single cause explains it."
     return f"{place}. It {cause}."
-
-
-def _when(diagnosis: Diagnosis) -> str:
-    force = EquationForce.of(diagnosis.analysis, None)
-    if force.is_uncertain:
-        return "At no time surely."
-    return since_when(diagnosis)
 
 
 def _addition(study: StudyRecord, diagnosis: Diagnosis) -> str:
