@@ -1,6 +1,7 @@
 """The page in a real Chromium: a study from the table to the report, and what may go wrong."""
 
 import os
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +22,7 @@ pytestmark = pytest.mark.slow
 SHOWN_WITHIN = 20_000  # ms, for what needs no solve; a busy machine takes its time
 SOLVED_WITHIN = 90_000  # ms
 CANCELLED_WITHIN = 2.0  # s
+CLICKED = re.compile("^At t = ")
 EFFECT = "coulomb friction on p"
 # The framework asks plotly to resize charts of a part that is not shown, in vain.
 HARMLESS = "Resize must be passed a displayed plot div element."
@@ -108,7 +110,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     box = plot.bounding_box()
     assert box is not None
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.3 * box["height"])
-    expect(page.get_by_text("At t = ")).to_contain_text("dp/dt lacks")
+    expect(page.get_by_text(CLICKED)).to_contain_text("dp/dt lacks")
     assert float(page.get_by_label("look at the time").input_value()) > 2.0
 
     page.get_by_role("button", name=f"Add {EFFECT}", exact=True).press("Enter")
