@@ -29,6 +29,8 @@ from phsi_opt.page.snapshot_making import RANGE
 from phsi_opt.page.unknown_names import unknown_names
 from phsi_opt.page.upload_limit import UploadLimit
 from phsi_opt.page.verdict_words import facts_of
+from phsi_opt.page.worker import Order, Shown
+from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.study_file.model_reading import read_model, read_names
 from phsi_opt.study_file.part import Complaints, Part
 from tests.page_tools import bad_table, spring_table
@@ -392,6 +394,27 @@ def test_undo_takes_back_the_step(studied: Session) -> None:
     assert studied.snapshot.diagnosed is not None
     assert studied.snapshot.diagnosed.proposed == ("coulomb friction on p",)
     assert studied.message == ""
+
+
+def test_what_was_added_before_a_cancel_is_said_to_be_added(
+    session: Session, monkeypatch: pytest.MonkeyPatch, studied: Session
+) -> None:
+    told: list[Order] = []
+    monkeypatch.setattr(WorkerHandle, "tell", lambda _, order: told.append(order))
+    assert studied.snapshot is not None
+    for is_shown, said in (
+        (False, "Cancelled: Adding coulomb friction on p."),
+        (True, "Added coulomb friction on p; the search for more was cancelled."),
+    ):
+        session.add(["coulomb friction on p"])  # twice: a second order is taken
+        worker = session._worker
+        assert worker is not None
+        if is_shown:
+            session._receive(worker, Shown(studied.snapshot))
+        session.cancel()
+        assert session.message.startswith(said)
+        assert session.job is None
+    assert len(told) == 2
 
 
 def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> None:

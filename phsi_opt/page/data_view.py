@@ -119,9 +119,9 @@ class DataView:
             return
         with card():
             heading("Columns")
-            n_runs = len(data.runs)
+            runs = "1 run" if len(data.runs) == 1 else f"{len(data.runs)} runs"
             files = ", ".join(data.files)
-            ui.label(f"{files}: {data.n_samples} samples, {n_runs} runs")
+            ui.label(f"{files}: {data.n_samples} samples, {runs}")
             for column in data.columns:
                 self._column(column)
             if not data.with_role(TIME):

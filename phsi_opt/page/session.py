@@ -56,11 +56,16 @@ class Job:
         label: such as "Fitting the base model".
         began: by ``time.monotonic``.
         lines: what the worker said, the oldest first.
+        added: the effects that it adds, in words; "" where it adds none.
+        is_shown: whether the model that it makes is there; what is missing may still
+            be looked for.
     """
 
     label: str
     began: float = field(default_factory=time.monotonic)
     lines: list[str] = field(default_factory=list)
+    added: str = ""
+    is_shown: bool = False
 
     @property
     def seconds(self) -> float:
@@ -235,8 +240,8 @@ class Session:
 
     def add(self, effects: Sequence[str]) -> None:
         """Add effects of the ranking, re-fit, and ask again."""
-        label = f"Adding {' and '.join(effects)}"
-        self._order(label, Order(ADD, tuple(effects)))
+        added = " and ".join(effects)
+        self._order(f"Adding {added}", Order(ADD, tuple(effects)), added)
 
     def undo(self) -> None:
         """Take back the last step."""
@@ -256,17 +261,19 @@ class Session:
         """End the work that goes on, within two seconds; what was found stays."""
         if self.job is None:
             return
-        label = self.job.label
+        message = f"Cancelled: {self.job.label}. What was found until then is kept."
+        if self.job.added and self.job.is_shown:
+            message = f"Added {self.job.added}; the search for more was cancelled."
         self._end_worker()
-        self.message = f"Cancelled: {label}. What was found until then is kept."
+        self.message = message
         self._ready_worker()
         self.version += 1
 
-    def _order(self, label: str, order: Order) -> None:
+    def _order(self, label: str, order: Order, added: str = "") -> None:
         if self.job is not None:
             return
         self.message = ""
-        self.job = Job(label)
+        self.job = Job(label, added=added)
         self._ready_worker().tell(order)
         self.version += 1
 
@@ -306,6 +313,8 @@ class Session:
         elif isinstance(message, Shown):
             self.snapshot = message.snapshot
             self._keep_fitted()
+            if self.job is not None:
+                self.job.is_shown = True
         elif isinstance(message, Wrote):
             self.report_path = Path(message.path)
         elif isinstance(message, Refused):

@@ -133,7 +133,8 @@ class Shell:
             self._line.set_text(self._session.message or _standing(self._session))
             return
         line = job.lines[-1] if job.lines else "starting"
-        self._line.set_text(f"{job.label}: {line}")
+        is_said = line.lower() == job.label.lower()
+        self._line.set_text(job.label if is_said else f"{job.label}: {line}")
         self._seconds.set_text(f"{job.seconds:.0f} s")
 
     def _keep_up(self) -> None:
