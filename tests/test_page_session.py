@@ -396,6 +396,16 @@ def test_undo_takes_back_the_step(studied: Session) -> None:
     assert studied.message == ""
 
 
+def test_refusals_speak_of_the_fields_of_the_page(session: Session) -> None:
+    mass = next(one for one in session.draft.model.parameters if one.name == "m")
+    mass.value = ""
+    said = [complaint_words(one) for one in session.check()]
+    assert "Parameter m: a value that is known needs its number, such as 2.5." in said
+    session.draft.model.states = ""
+    said = [complaint_words(one) for one in session.check()]
+    assert "Field states: expected the names of the states, such as q, p." in said
+
+
 def test_what_was_added_before_a_cancel_is_said_to_be_added(
     session: Session, monkeypatch: pytest.MonkeyPatch, studied: Session
 ) -> None:

@@ -33,6 +33,14 @@ ADVICE = (
         r"the model has it: give \{ column = \"\.\.\.\" \}\.",
         "the model has it: choose a column for it.",
     ),
+    (
+        r"a fixed parameter needs a value: .*",
+        "a value that is known needs its number, such as 2.5.",
+    ),
+    (
+        r"the names of the (states|inputs), such as \[\"(.+?)\", \"(.+?)\"\]\.",
+        r"the names of the \1, such as \2, \3.",
+    ),
 )
 
 
@@ -43,7 +51,9 @@ def complaint_words(complaint: Complaint) -> str:
         said = re.sub(pattern, words, said)
     if not complaint.key:
         return said
-    written = f" ({complaint.value})" if complaint.value else ""
+    value = complaint.value
+    is_field = bool(value) and not value.startswith("{")  # a section's text is no field
+    written = f" ({value})" if is_field else ""
     return f"{place_words(complaint.key)}{written}: {said}"
 
 
