@@ -21,6 +21,8 @@ from phsi_opt.statistics import TINY
 def regressed(base: DiagnosedModel, effect: Effect) -> dict[str, float]:
     """Values of the free parameters that take the place of the missing force w.
 
+    ::
+
         minimise |J (theta - theta_0) - w|^2   within the bounds
 
     with J the derivative of the larger model's rates along the states of w.
