@@ -376,6 +376,34 @@ def test_laws_that_one_run_held_out_hardly_tells_apart_are_a_class() -> None:
     assert found.family == "a loss that grows with speed"
 
 
+def test_a_smaller_law_that_predicts_better_comes_before_one_that_leaves_noise() -> (
+    None
+):
+    case = drawn_case("chamber", 357)
+    assert "linear leak on n" in case.places
+    fit = ph.identify(case.model, case.train)
+    diagnosis = ph.diagnose(fit, case.train, case.test)
+    by_name = {one.name: one for one in diagnosis.ranking}
+    larger = by_name["overflow on n"]
+    smaller = by_name["linear leak on n"]
+    # In training the larger one bends to the error of the model.
+    assert larger.delta_bic < smaller.delta_bic - 6
+    assert smaller.held_out_rmse < 0.5 * larger.held_out_rmse
+    (found,) = findings_of(diagnosis)
+    assert found & case.places
+    assert "overflow on n" not in found
+
+
+def test_a_larger_law_that_is_hardly_ahead_is_named_together_with_the_smaller() -> None:
+    case = drawn_case("chamber", 334)
+    assert case.places == {"turbulent leak on n"}
+    fit = ph.identify(case.model, case.train)
+    diagnosis = ph.diagnose(fit, case.train, case.test)
+    assert findings_of(diagnosis) == {
+        frozenset({"saturating leak on n", "turbulent leak on n"})
+    }
+
+
 def test_the_simplest_losses_are_refitted_before_a_law_is_named() -> None:
     case = drawn_case("pendulum", 106)
     fit = ph.identify(case.model, case.train)

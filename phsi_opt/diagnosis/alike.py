@@ -13,7 +13,13 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
     share_of_change,
 )
-from phsi_opt.criteria import BIC_TIE, REMAINDER_TIE, SIMPLE_SHARE
+from phsi_opt.criteria import (
+    BIC_TIE,
+    LARGER_LAW_MARGIN,
+    REMAINDER_TIE,
+    SIMPLE_SHARE,
+    SIMPLE_SHARE_BESIDE_ALL,
+)
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.remainder import Remainder
@@ -51,6 +57,7 @@ def alike(
             is_tied = _is_within(remainder, base, best, other)
         else:
             is_tied = _is_better_held_out(base, best, other)
+            is_tied = is_tied or _is_simpler_and_close(best, other)
         if is_tied:
             found.append(other.effect)
     return found
@@ -112,6 +119,20 @@ def _is_better_held_out(
     if other.trained is None or other.lost or not is_like_noise(other.trained):
         return False
     return bool(other.held_out_rmse < best.held_out_rmse)
+
+
+def _is_simpler_and_close(best: Candidate, other: Candidate) -> bool:
+    """Whether a smaller law explains nearly as much, and training data hardly object.
+
+    What the larger one gains in training it may owe to model error below the noise.
+    """
+    if other.fit is None or other.lost:
+        return False
+    n_more = best.effect.n_unknowns - other.effect.n_unknowns
+    if n_more < 1 or other.effect.family != best.effect.family:
+        return False
+    is_near = other.delta_bic < best.delta_bic + LARGER_LAW_MARGIN
+    return is_near and other.share > SIMPLE_SHARE_BESIDE_ALL * best.share
 
 
 def _is_worse_held_out(base: DiagnosedModel, best: Candidate, other: Candidate) -> bool:

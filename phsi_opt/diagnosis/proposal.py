@@ -230,7 +230,7 @@ def proposal(
     if best is not None:
         done = best.done
         if is_explained(base.judged, done.trained, done.judged):
-            return best, []
+            return _by_all_data(base, best, ranked), []
     fitted = []
     # What could not be re-fitted alone can hardly be beside another effect.
     failed = []
@@ -286,13 +286,13 @@ def _by_all_data(
 ) -> Proposal:
     """The single effect that training and held-out data together prefer.
 
-    Where it leaves more than noise; by BIC and the deviance of the free run on the data
-    held out, among effects that are no larger.
+    By BIC and the deviance of the free run on the data held out, among effects that are
+    no larger; beside one that leaves noise, among those that are smaller.
     """
     done = best.done
-    is_all = is_explained(base.judged, done.trained, done.judged)
-    if is_all or not base.is_held_out or best.candidate.partner is not None:
+    if not base.is_held_out or best.candidate.partner is not None:
         return best
+    is_all = is_explained(base.judged, done.trained, done.judged)
     share = share_of_change(base.trained, done.trained)
 
     def evidence(fit: Fit, judged: Comparison, effects: Sequence[Effect]) -> float:
@@ -300,7 +300,7 @@ def _by_all_data(
         return bic + share * free_run_deviance(judged)
 
     least = evidence(best.fit, done.judged, best.candidate.effects)
-    size = _n_unknowns(best.candidate)
+    size = _n_unknowns(best.candidate) - is_all
     for candidate in ranked:
         fit, judged = candidate.fit, candidate.comparison
         if fit is None or judged is None or _n_unknowns(candidate) > size:

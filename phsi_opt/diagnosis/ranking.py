@@ -289,10 +289,6 @@ def _ranked(
     return result + [candidate for candidate in refitted if candidate.fit is None]
 
 
-def _handicapped(base: DiagnosedModel, row: _Row) -> _Row:
-    return replace(row, bic=row.bic + base.handicap(row.candidate.effects))
-
-
 def _is_close(row: _Row, best_bic: float) -> bool:
     return not row.candidate.lost and row.bic < best_bic + BIC_TIE
 
