@@ -154,8 +154,8 @@ def _is_within(
 ) -> bool:
     """Whether data held out do not prefer the best, or the rest hides the difference.
 
-    That is asked of laws of one family: their forces differ by less than the force that
-    is missing still.
+    That is asked of laws of one family, and of losses: their forces differ by less than
+    the force that is missing still.
     """
     if other.fit is None or other.lost:
         return False
@@ -163,6 +163,7 @@ def _is_within(
         return False
     if base.is_held_out and not falls_significantly(other.comparison, best.comparison):
         return True
-    if other.effect.family != best.effect.family:
+    are_losses = best.effect.slot == "R" == other.effect.slot
+    if other.effect.family != best.effect.family and not are_losses:
         return False
     return Remainder.of(base, other.fit).after < REMAINDER_TIE * remainder.after
