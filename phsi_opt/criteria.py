@@ -171,9 +171,9 @@ SIMPLE_SHARE = 0.9
 # must have: hysteresis with a gap, six numbers, leaves noise where a damper is missing.
 SIMPLE_SHARE_BESIDE_ALL = 0.95
 FEWER_BESIDE_ALL = 4
-# Difference in BIC by which a law must beat a smaller one of its family that explains
-# that share, to be named alone: for leaks of one number, beside 5 % of model error,
-# laws of two were ahead by 15 to 41.
+# Difference in BIC by which a law must beat a smaller one there that explains that
+# share, to be named alone, unless data held out clearly prefer it: for leaks and
+# dampers of one number, beside 5 % of model error, laws of two were ahead by 15 to 41.
 LARGER_LAW_MARGIN = 30.0
 # Standard errors by which its size must differ from zero where the missing force is as
 # small as models err: waves fitted to a random force had 4 and 5, one that was there,

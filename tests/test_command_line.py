@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 import pytest
 from scipy.io import savemat
@@ -196,11 +197,17 @@ def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> Non
     assert sorted(path.name for path in tmp_path.iterdir()) == ["study.toml"]
 
 
+# A table of fifty lines with one cell that is no number.
+SLIP = "t,q\n" + "".join(f"{i},{i % 7}\n" for i in range(50)).replace(
+    "7,0\n", "7,broken\n", 1
+)
+
+
 @pytest.mark.parametrize(
     ("table", "words"),
     [
         ("t;q [m];u\n0;1;2\n1;2;3\n2;4;3\n", ['column = "q [m]", unit = "m"', 'u = { column = "u" }']),
-        ("q,dt\n1,0.1\n2,\n3,\n", ["time = { step = 0.1 }", "the time between samples"]),
+        ("q,dt\n1,0.1\n2,\n3,\n", ["time = { step = 0.1, unit = \"s\" }", "the time between samples"]),
         ("q\n1\n3\n2\n", ["no column increases from line to line"]),
         ("t,q,c\n0,1,5\n1,2,5\n5,4,5\n6,1,5\n", ["1 gaps, the longest 4", "c: always 5"]),
         ("t,q\n0,1\n1,nan\n2,3\n", ["1 cells missing"]),
@@ -211,6 +218,12 @@ def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> Non
         ("time;q\n0,0;1,5\n0,5;2,5\n1,0;-1,5\n", ["0 to 1, every 0.5, regular", "-1.5 to 2.5"]),
         ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
         ("time,a,a\n0,1,2\n1,2,3\n2,4,1\n", ["a: 2 columns are called so"]),
+        (SLIP, ['q = { column = "q" }', "line 9 holds 'broken': put them right"]),
+        (SLIP.replace("broken", "inf"), ["line 9 holds 'inf'"]),
+        ("t,q\n0,1\n1,2\n1,3\n2,4\n", ['time = { column = "t" }', "line 4 has the time 1 after 1"]),
+        ("t,q\n0,1\n2,2\n1,3\n3,4\n", ["line 4 has the time 1 after 2"]),
+        ("t,q\n0,1\n1,2\n", ["# [data.inputs]", "# between =", "# thinned =", "# trajectory ="]),
+        ("t,q\n0,1\n1,2\n", ['in seconds? add unit = "s"']),
     ],
 )  # fmt: skip
 def test_init_looks_at_the_columns(
@@ -309,16 +322,49 @@ def test_measured_tables_run_after_the_physics_is_filled_in(
     assert json.loads(result.out)["states"] == states
 
 
-def test_init_reads_workbooks_and_says_why_not_matlab(tmp_path: Path) -> None:
+def test_init_reads_workbooks_and_matlab(tmp_path: Path) -> None:
     frame = pd.read_csv(CSV)
     frame.to_excel(tmp_path / "spring.xlsx", index=False)
     study = tmp_path / "study.toml"
     result = said("init", tmp_path / "spring.xlsx", "-o", study)
     assert result.code == ExitCode.DONE, result.err
     assert 'time = { column = "t_s", unit = "s" }  # 0 to 5' in study.read_text()
-    savemat(tmp_path / "log.mat", {"y": [1.0, 2.0]})
-    refused = said("init", tmp_path / "log.mat", "-o", study, "--force")
-    assert "MATLAB's variables" in refused.err
+    log = {"X": np.array([[1.0, 2.0], [3.0, 5.0], [4.0, 1.0], [2.0, 3.0]])}
+    log["u"] = np.array([1.0, 2.0, 4.0, 1.0])
+    savemat(tmp_path / "log.mat", {"t": [0.0, 0.5, 1.0, 1.5], "gain": 2.0, "log": log})
+    result = said("init", tmp_path / "log.mat", "-o", study, "--force")
+    assert result.code == ExitCode.DONE, result.err
+    text = study.read_text()
+    for line in ('time = { column = "t" }', 'column = "log.X(:,2)"', "u = { column"):
+        assert line in text
+    assert "gain" not in text
+    text = text.replace('H = ""', 'H = "log_X_1**2 + log_X_2**2"')
+    study.write_text(text)
+    checked = said("check", study)
+    assert "can be used" in checked.out
+    assert "no unit is given for log_X_1, log_X_2" in checked.out
+    savemat(tmp_path / "none.mat", {"gain": 2.0, "name": "bench"})
+    refused = said("init", tmp_path / "none.mat", "-o", study, "--force")
+    assert "no vector that could be a column" in refused.err
+    assert "'gain' (one number), 'name' (text)" in refused.err
+
+
+def test_check_refuses_formulas_without_a_value_at_the_data(tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    said("init", CSV, "-o", study)
+    text = study.read_text().replace('H = ""', 'H = "k*exp(10000*position)"')
+    study.write_text(text.replace("# m = 2.5", "k = 1.0"))
+    refused = said("check", study)
+    assert refused.code == ExitCode.BAD_INPUT
+    assert "has no finite value at" in refused.err
+
+
+def test_many_lines_suggest_means(tmp_path: Path) -> None:
+    lines = [f"{i / 100},{i % 13}\n" for i in range(12_000)]
+    (tmp_path / "long.csv").write_text("t,q\n" + "".join(lines))
+    said("init", tmp_path / "long.csv", "-o", tmp_path / "study.toml")
+    text = (tmp_path / "study.toml").read_text()
+    assert "# thinned = 6  # so many neighbouring samples become their mean" in text
 
 
 def test_a_survey_sees_runs_and_their_times(tmp_path: Path) -> None:

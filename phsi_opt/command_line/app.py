@@ -55,7 +55,9 @@ Missing = Annotated[
 
 @app.command()
 def init(
-    data: Annotated[list[Path], typer.Argument(help="The table(s), as CSV.")],
+    data: Annotated[
+        list[Path], typer.Argument(help="The table(s): text, .xlsx or .mat.")
+    ],
     study: Annotated[
         Path, typer.Option("--study", "-o", help="Where the study file is written.")
     ] = Path(STUDY_NAME),

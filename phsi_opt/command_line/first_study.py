@@ -26,7 +26,9 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
     try:
         study.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise DataError(f"{study} cannot be written ({error}).") from None
+        raise DataError(
+            f"{study} cannot be written ({error.strerror or error})."
+        ) from None
     needs = _needs(study)
     lines = [f"{study} is written, for {table.n_lines} lines of {files[0]}:"]
     for column in table.columns:

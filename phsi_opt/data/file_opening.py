@@ -140,8 +140,8 @@ def _text(source: Any, title: str) -> str:
     except UnicodeDecodeError as error:
         if b"\0" in error.object:
             raise DataError(
-                f"{title} is no text: it holds zero bytes. A table has lines of "
-                "numbers, such as a .csv file."
+                f"{title} is no text: it holds zero bytes. A table is a text with "
+                "lines of numbers (.csv, .txt), an .xlsx or a .mat file."
             ) from error
         byte = error.object[error.start]
         raise DataError(
@@ -174,7 +174,8 @@ def _bytes(source: Any, title: str) -> bytes:
 
 def _unreadable(title: str, error: OSError) -> DataError:
     return DataError(
-        f"{title} cannot be read ({error}). Check the path and the permissions."
+        f"{title} cannot be read ({error.strerror or error}). Check the path and the "
+        "permissions."
     )
 
 

@@ -50,6 +50,37 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
     return Table(file.title, "row", frame, file.run)
 
 
+def columns_of_mat(file: BinaryFile) -> list[str]:
+    """What could be columns of one table: the vectors of the commonest length.
+
+    Columns of matrices with that many rows are among them, as ``X(:,2)``.
+
+    Raises:
+        DataError: This is no such file, or it holds no vector.
+    """
+    content = _Content.of(_loaded(file), file.title)
+    by_length: dict[int, list[str]] = {}
+    for name, matrix in content.matrices.items():
+        by_length.setdefault(max(matrix.shape), []).extend(_vectors_of(name, matrix))
+    by_length.pop(1, None)
+    if not by_length:
+        raise DataError(
+            f"{file.title} holds no vector that could be a column; it holds: "
+            f"{content.listing()}."
+        )
+    return max(by_length.values(), key=len)
+
+
+def _vectors_of(name: str, matrix: np.ndarray) -> list[str]:
+    """A vector itself, or the vectors of a matrix along its longer side."""
+    n_rows, n_columns = matrix.shape
+    if 1 in matrix.shape:
+        return [name]
+    if n_rows >= n_columns:
+        return [f"{name}(:,{number})" for number in range(1, n_columns + 1)]
+    return [f"{name}({number},:)" for number in range(1, n_rows + 1)]
+
+
 def _loaded(file: BinaryFile) -> Mapping[str, Any]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError

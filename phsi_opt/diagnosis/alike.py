@@ -57,7 +57,7 @@ def alike(
             is_tied = _is_within(remainder, base, best, other)
         else:
             is_tied = _is_better_held_out(base, best, other)
-            is_tied = is_tied or _is_simpler_and_close(best, other)
+            is_tied = is_tied or _is_simpler_and_close(base, best, other)
         if is_tied:
             found.append(other.effect)
     return found
@@ -121,18 +121,26 @@ def _is_better_held_out(
     return bool(other.held_out_rmse < best.held_out_rmse)
 
 
-def _is_simpler_and_close(best: Candidate, other: Candidate) -> bool:
-    """Whether a smaller law explains nearly as much, and training data hardly object.
+def _is_simpler_and_close(
+    base: DiagnosedModel, best: Candidate, other: Candidate
+) -> bool:
+    """Whether a smaller law there explains nearly as much, and the data hardly object.
 
-    What the larger one gains in training it may owe to model error below the noise.
+    What the larger one gains in training it may owe to model error below the noise; so
+    it must do better on the data held out, or be far ahead.
     """
-    if other.fit is None or other.lost:
+    if other.comparison is None or best.comparison is None or other.lost:
         return False
     n_more = best.effect.n_unknowns - other.effect.n_unknowns
-    if n_more < 1 or other.effect.family != best.effect.family:
+    if n_more < 1 or other.effect.equation != best.effect.equation:
         return False
-    is_near = other.delta_bic < best.delta_bic + LARGER_LAW_MARGIN
-    return is_near and other.share > SIMPLE_SHARE_BESIDE_ALL * best.share
+    if not other.share > SIMPLE_SHARE_BESIDE_ALL * best.share:
+        return False
+    if other.delta_bic < best.delta_bic + LARGER_LAW_MARGIN:
+        return True
+    return base.is_held_out and not falls_significantly(
+        other.comparison, best.comparison
+    )
 
 
 def _is_worse_held_out(base: DiagnosedModel, best: Candidate, other: Candidate) -> bool:

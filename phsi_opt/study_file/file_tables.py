@@ -9,7 +9,7 @@ from typing import Any
 
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import binary_files, text_files
-from phsi_opt.data.matlab_tables import table_of_mat
+from phsi_opt.data.matlab_tables import columns_of_mat, table_of_mat
 from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
 from phsi_opt.study_file.sections import READERS, DataSection
@@ -43,3 +43,16 @@ def table_at(
         return table_of_excel(file, wanted, sheet, TextFormat(columns, None, decimal))
     (text,) = text_files(path)
     return table_of_csv(text, wanted, TextFormat(columns, separator, decimal))
+
+
+def whole_table(path: Path) -> Table:
+    """All that a file could mean as a table: of MATLAB's variables those of one length.
+
+    Raises:
+        DataError: it cannot be read as a table.
+    """
+    wanted: list[str] = []
+    if READERS.get(path.suffix.lower()) == "from_mat":
+        (file,) = binary_files(path)
+        wanted = columns_of_mat(file)
+    return table_at(path, wanted)

@@ -19,6 +19,16 @@ from phsi_opt.study_file.survey import (
 from phsi_opt.study_file.toml_text import key_text, text_value, toml_value
 
 HELD_OUT_SHARE = 0.3  # of the runs, or of the time of a single one: the usual
+MANY_LINES = 5_000  # from which a fit takes long, and means are suggested
+ENOUGH_LINES = 2_000
+ABOUT_MEASURED = (
+    "What was measured. Delete what is not used; move inputs to [data.inputs]."
+)
+NO_INPUTS = """\
+# Inputs, known at every sample (a voltage, a pump, the weather): none was recognised.
+# [data.inputs]
+# u = { column = "...", unit = "V" }
+"""
 PHYSICS_SECTION = """\
 # ---- the physics: fill this in ------------------------------------------------------
 # dx/dt = (S - R) grad H + F(x, t, u): H is the energy, R >= 0 the losses, F the forces.
@@ -60,9 +70,7 @@ def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
     sections = [
         _head(table),
         _data(table, named),
-        _channels(
-            table, STATE, "states", "What was measured; delete what is not used."
-        ),
+        _channels(table, STATE, "states", ABOUT_MEASURED),
         _channels(table, INPUT, "inputs", "Inputs, known at every sample."),
         _left_out(table),
         _held_out(table, len(files)),
@@ -96,7 +104,27 @@ def _data(table: TableSurvey, files: list[str]) -> str:
     if table.of_part(INPUT):
         lines.append('hold = "linear"  # between samples; "zero" for a digital output')
     lines.append(_time(table))
+    if not runs:
+        lines.append(
+            '# trajectory = "run"  # the column that names the run of each line'
+        )
+    lines.append(
+        "# between = [0, 20]  # first and last time that are used, of each run"
+    )
+    lines.append(_thinned(table))
     return "\n".join(lines) + "\n"
+
+
+def _thinned(table: TableSurvey) -> str:
+    """The key that makes neighbouring samples their mean, used where lines are many."""
+    if table.n_lines <= MANY_LINES:
+        return "# thinned = 10  # so many neighbouring samples become their mean"
+    number = -(-table.n_lines // ENOUGH_LINES)
+    return (
+        f"# thinned = {number}  # so many neighbouring samples become their mean: with "
+        f"{table.n_lines} lines\n# a fit takes long; a tenth of the shortest period "
+        "may be a sample"
+    )
 
 
 def _time(table: TableSurvey) -> str:
@@ -107,19 +135,22 @@ def _time(table: TableSurvey) -> str:
             content["unit"] = "s"
         elif times[0].unit:
             content["unit"] = times[0].unit
-        return f"time = {toml_value(content)}  # {table.said}"
+        unit = "" if "unit" in content else '; in seconds? add unit = "s"'
+        return f"time = {toml_value(content)}  # {table.said}{unit}"
     if table.step is not None:
-        return f"time = {{ step = {table.step!r} }}  # no column has the times"
+        step = f'{{ step = {table.step!r}, unit = "s" }}'
+        return f"time = {step}  # no column has the times"
     return (
         'time = { column = "" }  # no column increases from line to line: name the one '
-        "with the\n# times, or give the time between samples: time = { step = 0.01 }"
+        "with the\n# times, or give the time between samples: "
+        'time = { step = 0.01, unit = "s" }'
     )
 
 
 def _channels(table: TableSurvey, part: str, what: str, about: str) -> str:
     columns = table.of_part(part)
     if not columns and part == INPUT:
-        return ""
+        return NO_INPUTS
     lines = [f"# {about}", f"[data.{what}]"]
     for column in columns:
         content = {"column": column.column}

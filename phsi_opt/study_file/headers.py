@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from phsi_opt.model.kinds import LENGTHS, PREFIXES, VOLTS, WITH_PREFIX, WITHOUT_PREFIX
 
 IN_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+MATLAB_INDEX = re.compile(r"\S+\((:,\d+|\d+,:)\)")  # such as X(:,2)
 AFTER_STROKE = re.compile(r"^(.*?\S)\s+(?:/|in)\s+(\S+)$")
 TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
 SPELLED = {"sec": "s", "seconds": "s"}
@@ -54,6 +55,8 @@ class Header:
 
 def header_of(text: str) -> Header:
     """The label and the unit of a header."""
+    if MATLAB_INDEX.fullmatch(text):
+        return Header(text, text, "")
     for form in (IN_BRACKETS, AFTER_STROKE):
         found = form.match(text)
         if found and found[1]:

@@ -110,5 +110,5 @@ def _parsed(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         said = f"this is not UTF-8 text ({error}); save it as UTF-8."
     except (OSError, RecursionError) as error:
-        said = f"it cannot be read ({error})."
+        said = f"it cannot be read ({getattr(error, 'strerror', None) or error})."
     raise StudyFileError(path, [Complaint("", "", said)])

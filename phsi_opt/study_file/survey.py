@@ -15,7 +15,7 @@ from phsi_opt.data.checks import checked_names
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
-from phsi_opt.study_file.file_tables import table_at
+from phsi_opt.study_file.file_tables import whole_table
 from phsi_opt.study_file.headers import (
     TIMES,
     Header,
@@ -26,7 +26,6 @@ from phsi_opt.study_file.headers import (
     is_time_word,
     name_from,
 )
-from phsi_opt.study_file.sections import READERS
 
 TIME = "time"
 RUN = "run"
@@ -37,6 +36,8 @@ MOST_RUNS = 1 / 3  # share of the lines that may be different runs
 EVEN_STEPS = 0.01  # share of the median step by which steps of a regular record differ
 GAP_STEPS = 1.5  # median steps from which a step is a gap
 LOOKED_AT = 50  # cells that tell whether a column holds dates
+FEW_BAD = 0.05  # share of the cells up to which text in a column of numbers is a slip
+EXAMPLES = 3  # cells of a column of text that are told
 
 
 @dataclass(frozen=True)
@@ -108,12 +109,7 @@ def survey(path: Path) -> TableSurvey:
     Raises:
         DataError: it cannot be read as a table with a header line.
     """
-    if READERS.get(path.suffix.lower()) == "from_mat":
-        raise DataError(
-            f"{path} holds MATLAB's variables and no table; write the study file by "
-            'hand, with columns such as "y" or "log.y" or "X(:,2)".'
-        )
-    table = table_at(path, ())
+    table = whole_table(path)
     frame = table.frame
     if frame.empty:
         raise DataError(f"{path} has no line below its header.")
@@ -146,24 +142,37 @@ def _looked_at(header: str, cells: pd.Series, headers: list[str]) -> _Seen:
     missing = one.cells.str.lower().isin(MISSING_CELLS).to_numpy()
     one.n_missing = int(missing.sum())
     numbers = pd.to_numeric(one.cells.where(~missing), errors="coerce").to_numpy(float)
-    are_numbers = bool(np.all(np.isfinite(numbers) | missing))
+    is_bad = ~np.isfinite(numbers) & ~missing
     if missing.all():
         return _left_out(one, "empty")
     if headers.count(header) > 1:
         return _left_out(one, f"{headers.count(header)} columns are called so")
     if not header:
         return _left_out(one, "no name in the header")
-    if not are_numbers:
+    if np.sum(is_bad) > FEW_BAD * np.sum(~missing):
         return _left_out(one, _said_of_text(one.cells[~missing]))
+    numbers = np.where(is_bad, np.nan, numbers)
     one.values = numbers
+    one.n_missing += int(np.sum(is_bad))
     low = np.nanmin(numbers)
     high = np.nanmax(numbers)
     if low == high:
         return _left_out(one, f"always {low:g}")
     one.said = f"{low:.4g} to {high:.4g}"
-    if one.n_missing:
-        one.said += f", {one.n_missing} cells missing"
+    if missing.any():
+        one.said += f", {np.sum(missing)} cells missing"
+    if is_bad.any():
+        one.said += f"; {_said_of_bad(one.cells, is_bad)}"
     return one
+
+
+def _said_of_bad(cells: pd.Series, is_bad: np.ndarray) -> str:
+    """The first cell that is no number, with its line, and how many there are."""
+    bad = cells[is_bad]
+    said = f"line {bad.index[0]} holds {bad.iloc[0]!r}"
+    if len(bad) > 1:
+        said += f", and {len(bad) - 1} more are no numbers"
+    return f"{said}: put them right, or leave such cells empty"
 
 
 def _as_text(cell: object) -> str:
@@ -179,8 +188,9 @@ def _left_out(one: _Seen, why: str) -> _Seen:
 def _said_of_text(cells: pd.Series) -> str:
     if _are_dates(cells):
         return "dates"
-    examples = ", ".join(dict.fromkeys(cells[:LOOKED_AT]))
-    return f"text: {examples[:40]}"
+    examples = list(dict.fromkeys(cells[:LOOKED_AT]))
+    more = ", ..." if len(examples) > EXAMPLES else ""
+    return f"text: {', '.join(examples[:EXAMPLES])}{more}"
 
 
 def _are_dates(cells: pd.Series) -> bool:
@@ -213,11 +223,14 @@ def _mark_time(seen: list[_Seen], run: _Seen | None) -> _Seen | None:
         if _is_time(one, run):
             one.part = TIME
             return one
-        if one.part == STATE:
-            one.said += "; no time: it does not increase from line to line"
-            one.part = UNUSED
     for one in seen:
+        if one in named:
+            continue
         if one.said == "dates" or (_may_be_time(one) and _is_time(one, run)):
+            one.part = TIME
+            return one
+    for one in named:
+        if one.part == STATE:
             one.part = TIME
             return one
     return None
@@ -297,6 +310,11 @@ def _said_of_times(time: _Seen | None, run: _Seen | None) -> str:
         return "no column increases from line to line: which one is the time?"
     if time.values is None:
         return "the times are dates"
+    if time.n_missing:
+        return f"{time.said}: every line needs a time"
+    offender = _not_increasing(time, run)
+    if offender:
+        return offender
     steps = _steps(time.values, run)
     typical = float(np.median(steps))
     n_gaps = int(np.sum(steps > GAP_STEPS * typical))
@@ -308,12 +326,32 @@ def _said_of_times(time: _Seen | None, run: _Seen | None) -> str:
     return f"{said}, from {steps.min():.4g} to {steps.max():.4g}"
 
 
+def _not_increasing(time: _Seen, run: _Seen | None) -> str:
+    """The first line whose time is not after that before it; empty: there is none."""
+    for of_run in _of_runs(time.cells, run):
+        values = pd.to_numeric(of_run).to_numpy(float)
+        late = np.flatnonzero(np.diff(values) <= 0)
+        if len(late):
+            i = int(late[0]) + 1
+            return (
+                f"line {of_run.index[i]} has the time {values[i]:g} after "
+                f"{values[i - 1]:g}: put that right; where runs follow each other, "
+                "name their column by trajectory"
+            )
+    return ""
+
+
+def _of_runs(cells: pd.Series, run: _Seen | None) -> list[pd.Series]:
+    """The cells of each run."""
+    if run is None:
+        return [cells]
+    numbers, _ = pd.factorize(run.cells)
+    return [cells[numbers == number] for number in range(numbers.max() + 1)]
+
+
 def _steps(times: np.ndarray, run: _Seen | None) -> np.ndarray:
     """Differences of neighbouring times of each run, (n_steps,)."""
-    if run is None:
-        return np.diff(times)
-    numbers, _ = pd.factorize(run.cells)
-    runs = [times[numbers == number] for number in range(numbers.max() + 1)]
+    runs = _of_runs(pd.Series(times), run)
     return np.concatenate([np.diff(of_run) for of_run in runs])
 
 
