@@ -197,20 +197,14 @@ def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> Non
     assert sorted(path.name for path in tmp_path.iterdir()) == ["study.toml"]
 
 
-# A table of fifty lines with one cell that is no number.
-SLIP = "t,q\n" + "".join(f"{i},{i % 7}\n" for i in range(50)).replace(
-    "7,0\n", "7,broken\n", 1
-)
-
-
 @pytest.mark.parametrize(
     ("table", "words"),
     [
         ("t;q [m];u\n0;1;2\n1;2;3\n2;4;3\n", ['column = "q [m]", unit = "m"', 'u = { column = "u" }']),
         ("q,dt\n1,0.1\n2,\n3,\n", ["time = { step = 0.1, unit = \"s\" }", "the time between samples"]),
         ("q\n1\n3\n2\n", ["no column increases from line to line"]),
-        ("t,q,c\n0,1,5\n1,2,5\n5,4,5\n6,1,5\n", ["1 gaps, the longest 4", "c: always 5"]),
-        ("t,q\n0,1\n1,nan\n2,3\n", ["1 cells missing"]),
+        ("t,q,c\n0,1,5\n1,2,5\n5,4,5\n6,1,5\n", ["1 gap of 4", "c: always 5"]),
+        ("t,q\n0,1\n1,nan\n2,3\n", ["1 cell missing"]),
         ("when,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "when", unit = "s"', "the times are dates"]),
         ("x (m),y (m)\n0,1\n1,2\n", ["no column increases"]),
         ("date,T (degC)\n2020-01-01 00:00,1\n2020-01-01 00:15,2\n", ['column = "date", unit = "s"']),
@@ -218,11 +212,13 @@ SLIP = "t,q\n" + "".join(f"{i},{i % 7}\n" for i in range(50)).replace(
         ("time;q\n0,0;1,5\n0,5;2,5\n1,0;-1,5\n", ["0 to 1, every 0.5, regular", "-1.5 to 2.5"]),
         ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
         ("time,a,a\n0,1,2\n1,2,3\n2,4,1\n", ["a: 2 columns are called so"]),
-        (SLIP, ['q = { column = "q" }', "line 9 holds 'broken': put them right"]),
-        (SLIP.replace("broken", "inf"), ["line 9 holds 'inf'"]),
-        ("t,q\n0,1\n1,2\n1,3\n2,4\n", ['time = { column = "t" }', "line 4 has the time 1 after 1"]),
-        ("t,q\n0,1\n2,2\n1,3\n3,4\n", ["line 4 has the time 1 after 2"]),
-        ("t,q\n0,1\n1,2\n", ["# [data.inputs]", "# between =", "# thinned =", "# trajectory ="]),
+        ("t,q\n0,1\n1,2\n2,3\n", ["# [data.inputs]", "# between = [0, 2]", "# thinned = 2", "# trajectory = "]),
+        ("t,Ta,yref,StepTime(s)\n0,1,2,1\n1,2,3,2\n2,4,1,2\n", ['Ta = { column = "Ta" }  # 1 to 4; perhaps an input', '# Ta = { column', '# inputs = ["Ta"]', "yref: 1 to 3; a set point", "StepTime(s): 1 to 2; in a unit of time"]),
+        ("t,name\n0,a very long name of a thing\n1,b\n2,c\n3,d\n", ['text: "a very long name of ...", "b", "c", ...']),
+        ("t,q\n0,1\n1,broken\n2,3\n3,inf\n4,2\n", ['q = { column = "q" }  # 1 to 3', 'to correct in the file: line 3 holds "broken", no finite number; 1 more']),
+        ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "to correct in the file: line 4 has 1, not after 1 of line 3; 1 more"]),
+        ("t,q\n0,1\n,2\n1,3\n2,4\n", ['time = { column = "t" }', "to correct in the file: line 3 has no time"]),
+        ("q\n1\n3\n2\n", ['# time = { step = 0.01, unit = "s" }']),
         ("t,q\n0,1\n1,2\n", ['in seconds? add unit = "s"']),
     ],
 )  # fmt: skip
@@ -297,6 +293,9 @@ TABLES = {
     "battery_cell/hppc_25c.csv": ("Voltage", []),
     "silverbox/SNLS80mV.csv": ("V2", ["data.time.column"]),
     "quarter_drone/sinal2_degraus_malha_fechada.csv": ("Saida_y", []),
+    "ball_and_hoop/fixedStepSequence.mat": ("y", []),
+    "coupled_drives/drive.mat": ("z1", ["data.time.column"]),
+    "emps/DATA_EMPS.mat": ("qm", []),
 }
 
 
@@ -322,31 +321,94 @@ def test_measured_tables_run_after_the_physics_is_filled_in(
     assert json.loads(result.out)["states"] == states
 
 
-def test_init_reads_workbooks_and_matlab(tmp_path: Path) -> None:
+def test_init_reads_workbooks(tmp_path: Path) -> None:
     frame = pd.read_csv(CSV)
     frame.to_excel(tmp_path / "spring.xlsx", index=False)
     study = tmp_path / "study.toml"
     result = said("init", tmp_path / "spring.xlsx", "-o", study)
     assert result.code == ExitCode.DONE, result.err
     assert 'time = { column = "t_s", unit = "s" }  # 0 to 5' in study.read_text()
-    log = {"X": np.array([[1.0, 2.0], [3.0, 5.0], [4.0, 1.0], [2.0, 3.0]])}
-    log["u"] = np.array([1.0, 2.0, 4.0, 1.0])
-    savemat(tmp_path / "log.mat", {"t": [0.0, 0.5, 1.0, 1.5], "gain": 2.0, "log": log})
-    result = said("init", tmp_path / "log.mat", "-o", study, "--force")
+
+
+def test_init_takes_matlab_vectors_as_columns(tmp_path: Path) -> None:
+    log = {"y": [1.0, 4, 2, 3], "u": [[3.0], [1], [2], [2]], "X": np.eye(4)[:, :2]}
+    savemat(tmp_path / "log.mat", {**log, "Ts": 0.5, "m": 2.0, "who": "me"})
+    study = tmp_path / "study.toml"
+    result = said("init", tmp_path / "log.mat", "-o", study)
     assert result.code == ExitCode.DONE, result.err
+    assert "m: left out; the number 2" in result.out
     text = study.read_text()
-    for line in ('time = { column = "t" }', 'column = "log.X(:,2)"', "u = { column"):
-        assert line in text
-    assert "gain" not in text
-    text = text.replace('H = ""', 'H = "log_X_1**2 + log_X_2**2"')
-    study.write_text(text)
-    checked = said("check", study)
-    assert "can be used" in checked.out
-    assert "no unit is given for log_X_1, log_X_2" in checked.out
-    savemat(tmp_path / "none.mat", {"gain": 2.0, "name": "bench"})
-    refused = said("init", tmp_path / "none.mat", "-o", study, "--force")
-    assert "no vector that could be a column" in refused.err
-    assert "'gain' (one number), 'name' (text)" in refused.err
+    for words in [
+        'time = { step = 0.5, unit = "s" }',
+        'y = { column = "y" }  # 1 to 4',
+        'u = { column = "u" }',
+        'X_2 = { column = "X(:,2)" }',
+        "#   m: the number 2",
+        "#   who: text",
+    ]:
+        assert words in text
+    states = 'states = ["y", "X_1", "X_2"]'
+    assert states in text
+    study.write_text(text.replace('H = ""', 'H = "y**2"'))
+    assert ph.StudyFile.read(study).measurements().n_samples == 4
+    assert "no unit is given for y, X_1, X_2" in said("check", study).out
+
+
+def test_a_matlab_file_without_columns_is_refused_with_what_it_holds(
+    tmp_path: Path,
+) -> None:
+    savemat(tmp_path / "log.mat", {"k": 2.0, "A": np.ones((30, 30)), "name": "x"})
+    result = said("init", tmp_path / "log.mat", "-o", tmp_path / "s.toml")
+    assert result.code == ExitCode.BAD_INPUT
+    assert "'k' (one number), 'A' (30 x 30 numbers), 'name' (text)" in result.err
+
+
+def complained(study: Path) -> list[str]:
+    """The keys of what `check` refuses."""
+    content = json.loads(said("check", study, "--json").out)
+    return [one["key"] for one in content["complaints"]]
+
+
+def test_check_refuses_what_init_said_is_wrong(tmp_path: Path) -> None:
+    table = tmp_path / "data.csv"
+    table.write_text("t,q\n0,1\n1,2\n1,broken\n2,4\n3,5\n")
+    study = tmp_path / "s.toml"
+    result = said("init", table, "-o", study)
+    assert "t: time; line 4 has 1, not after 1 of line 3" in result.out
+    assert 'q: state; line 4 holds "broken", no finite number' in result.out
+    keys = complained(study)
+    assert keys == ["data.time.column", "data.states.q.column", "model.H"]
+    table.write_text("t,q\n0,1\n1,2\n1.5,3\n2,4\n3,5\n")
+    keys = complained(study)
+    assert keys == ["model.H"]
+
+
+def test_many_lines_are_told_with_what_to_do(tmp_path: Path) -> None:
+    lines = "\n".join(f"{i},{i % 7}" for i in range(8000))
+    (tmp_path / "data.csv").write_text(f"t,q\n{lines}\n")
+    result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
+    assert "Many lines take long: see thinned = 4" in result.out
+    text = (tmp_path / "s.toml").read_text()
+    assert "# 8000 lines take long" in text
+    assert "# thinned = 4" in text
+    text = text.replace("# thinned", "thinned").replace('H = ""', 'H = "q**2"')
+    (tmp_path / "s.toml").write_text(text)
+    assert ph.StudyFile.read(tmp_path / "s.toml").measurements().n_samples == 2000
+
+
+@pytest.mark.parametrize("place", ["", "below"])
+def test_init_writes_no_absolute_path_of_a_table_beside_or_below(
+    tmp_path: Path, place: str
+) -> None:
+    (tmp_path / place).mkdir(exist_ok=True)
+    table = tmp_path / place / "data.csv"
+    table.write_text("t,q\n0,1\n1,2\n2,3\n")
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path)
+    said("init", table.absolute(), "-o", link / "s.toml")
+    text = (tmp_path / "s.toml").read_text()
+    assert str(tmp_path) not in text
+    assert f'files = ["{(Path(place) / "data.csv").as_posix()}"]' in text
 
 
 def test_check_refuses_formulas_without_a_value_at_the_data(tmp_path: Path) -> None:
@@ -359,12 +421,36 @@ def test_check_refuses_formulas_without_a_value_at_the_data(tmp_path: Path) -> N
     assert "has no finite value at" in refused.err
 
 
-def test_many_lines_suggest_means(tmp_path: Path) -> None:
-    lines = [f"{i / 100},{i % 13}\n" for i in range(12_000)]
-    (tmp_path / "long.csv").write_text("t,q\n" + "".join(lines))
-    said("init", tmp_path / "long.csv", "-o", tmp_path / "study.toml")
-    text = (tmp_path / "study.toml").read_text()
-    assert "# thinned = 6  # so many neighbouring samples become their mean" in text
+def test_init_says_that_an_encoding_was_guessed(tmp_path: Path) -> None:
+    (tmp_path / "data.csv").write_bytes(
+        "t,Größe [°C]\n0,1\n1,2\n2,3\n".encode("cp1252")
+    )
+    result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
+    assert "not UTF-8 and was read as Windows-1252" in result.out
+    assert 'column = "Größe [°C]", unit = "°C"' in (tmp_path / "s.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("gone.csv", "gone.csv' cannot be read: there is no such file"),
+        ("gone.mat", "gone.mat' cannot be read: there is no such file"),
+        ("folder", "folder' cannot be read: it is a folder"),
+        ("a.npz", "it holds binary data and no text. Tables are read from text"),
+        ("log.mat", "is no MATLAB file that can be read"),
+    ],
+)
+def test_files_that_are_no_tables_are_refused_in_words(
+    tmp_path: Path, name: str, why: str
+) -> None:
+    (tmp_path / "folder").mkdir()
+    np.savez(tmp_path / "a.npz", a=np.ones(3))
+    (tmp_path / "log.mat").write_text("no")
+    result = said("init", tmp_path / name, "-o", tmp_path / "s.toml")
+    assert result.code == ExitCode.BAD_INPUT
+    assert why in result.err
+    assert "Errno" not in result.err
+    assert "open(" not in result.err
 
 
 def test_a_survey_sees_runs_and_their_times(tmp_path: Path) -> None:

@@ -260,14 +260,31 @@ def test_messages_about_a_file_name_the_file(tmp_path: Path) -> None:
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     latin = tmp_path / "latin.csv"
     latin.write_bytes("t,q\n0,1\n# Größe\n".encode("latin-1"))
-    with pytest.raises(DataError, match=r"latin\.csv' is not UTF-8 text"):
-        Measurements.from_csv(latin, time="t", states=["q"])
+    with (
+        latin.open(encoding="utf-8") as opened,
+        pytest.raises(DataError, match=r"latin\.csv' is not UTF-8 text"),
+    ):
+        Measurements.from_csv(opened, time="t", states=["q"])
+    binary = tmp_path / "binary.csv"
+    binary.write_bytes(b"t,q\n0,1\x00\xff\n")
+    with pytest.raises(DataError, match="it holds binary data and no text"):
+        Measurements.from_csv(binary, time="t", states=["q"])
     with pytest.raises(DataError, match=r"missing\.csv' cannot be read"):
         Measurements.from_csv(tmp_path / "missing.csv", time="t", states=["q"])
     with pytest.raises(DataError, match="cannot be read"):
         Measurements.from_csv(tmp_path, time="t", states=["q"])
     with pytest.raises(DataError, match="gives bytes; expected text"):
         Measurements.from_csv(io.BytesIO(b"t,q\n0,1\n1,2\n"), time="t", states=["q"])  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+def test_a_text_is_read_in_the_encodings_of_spreadsheets(
+    tmp_path: Path, encoding: str
+) -> None:
+    path = tmp_path / "data.csv"
+    path.write_bytes("t,Größe\r\n0,1.5\r\n1,2\r\n".encode(encoding))
+    data = Measurements.from_csv(path, time="t", states={"q": "Größe"})
+    assert data.trajectories[0].x[:, 0].tolist() == [1.5, 2.0]
 
 
 @pytest.mark.parametrize(

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from phsi_opt.command_line.job import Answer
+from phsi_opt.data.file_opening import why_not_opened
 from phsi_opt.errors import Complaint, DataError, StudyFileError
-from phsi_opt.study_file.first_text import first_text
+from phsi_opt.study_file.first_text import first_text, thinning_for
 from phsi_opt.study_file.reading import read_contents
-from phsi_opt.study_file.survey import survey
+from phsi_opt.study_file.survey import TableSurvey, survey
 
 
 def first_study(files: list[Path], study: Path, force: bool) -> Answer:
@@ -21,28 +22,43 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
             "--study, or overwrite it with --force."
         )
     table = survey(files[0])
-    folder = study.parent
-    text = first_text(table, files, folder)
+    text = first_text(table, files, study.parent)
     try:
         study.write_text(text, encoding="utf-8")
     except OSError as error:
         raise DataError(
-            f"{study} cannot be written ({error.strerror or error})."
+            f"{study} cannot be written: {why_not_opened(error)}."
         ) from None
     needs = _needs(study)
-    lines = [f"{study} is written, for {table.n_lines} lines of {files[0]}:"]
-    for column in table.columns:
-        if column.column:
-            unit = f" [{column.unit}]" if column.unit else ""
-            lines.append(f"  {column.column}{unit}: {column.part}; {column.said}")
+    lines = _seen(table, study, files)
     lines += ["", "It needs:", *[f"  {need}" for need in needs]]
     lines += ["", f"Then: phsi-opt check {study}"]
     content = {
         "study_file": str(study),
         "columns": [vars(column) for column in table.columns],
+        "further": [vars(variable) for variable in table.further],
         "needs": [vars(need) for need in needs],
     }
     return Answer("\n".join(lines), content)
+
+
+def _seen(table: TableSurvey, study: Path, files: list[Path]) -> list[str]:
+    """What was seen in the table, a line for each column."""
+    lines = [f"{study} is written, for {table.n_lines} lines of {files[0]}:"]
+    if table.encoding:
+        lines.append(f"  ({table.encoding})")
+    for column in table.columns:
+        if column.column:
+            unit = f" [{column.unit}]" if column.unit else ""
+            lines.append(f"  {column.column}{unit}: {column.part}; {column.remark}")
+    for variable in table.further:
+        lines.append(f"  {variable.name}: left out; {variable.said}")
+    n = thinning_for(table)
+    if n > 1:
+        lines.append(
+            f"  Many lines take long: see thinned = {n} in {study}, and between."
+        )
+    return lines
 
 
 def _needs(study: Path) -> tuple[Complaint, ...]:

@@ -3,7 +3,9 @@
 What the content means is the business of `tables`, `excel_tables` and `matlab_tables`.
 """
 
+import codecs
 import os
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +20,15 @@ OTHER_READERS = {  # the files that are no text, by their suffix
     ".xlsm": "from_excel",
     ".mat": "from_mat",
 }
+KINDS_READ = "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat)"
+GUESSED = "its text is not UTF-8 and was read as Windows-1252"
+NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # signs that no text table has
+WHY_NOT_OPENED: dict[type[OSError], str] = {
+    FileNotFoundError: "there is no such file; check the path",
+    IsADirectoryError: "it is a folder; give the path of a file",
+    NotADirectoryError: "a part of its path is no folder; check the path",
+    PermissionError: "access is not permitted; check the permissions",
+}
 
 
 @dataclass(frozen=True)
@@ -28,11 +39,13 @@ class TextFile:
         title: What messages call it: "file 'bench.csv'" or "open file".
         run: The name of its trajectory where no column tells it.
         text: The text, without a byte order mark.
+        remark: What was guessed of its encoding; "" where it is UTF-8 or UTF-16.
     """
 
     title: str
     run: str
     text: str
+    remark: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,11 +70,14 @@ def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
         source: A path, an open text file, or several of them.
 
     Raises:
-        DataError: This is no source, or a file cannot be read as UTF-8 text.
+        DataError: This is no source, or a file cannot be read as text.
     """
     for one, title, run in _titled(source, "an open text file"):
         _check_is_text(one, title)
-        yield TextFile(title, run, _text(one, title))
+        if hasattr(one, "read"):
+            yield TextFile(title, run, _text(one, title))
+        else:
+            yield _decoded(_bytes(one, title), title, run)
 
 
 def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[BinaryFile]:
@@ -135,19 +151,14 @@ def _check_is_text(source: Any, title: str) -> None:
 
 
 def _text(source: Any, title: str) -> str:
+    """The text of an open file."""
     try:
-        text = _read(source, "r")
+        text = source.read()
     except UnicodeDecodeError as error:
-        if b"\0" in error.object:
-            raise DataError(
-                f"{title} is no text: it holds zero bytes. A table is a text with "
-                "lines of numbers (.csv, .txt), an .xlsx or a .mat file."
-            ) from error
         byte = error.object[error.start]
         raise DataError(
-            f"{title} is not UTF-8 text: byte {error.start} is {byte:#04x}. Save it as "
-            "'CSV UTF-8' in the program it comes from; in Python the file may also be "
-            "given opened with its encoding, open(path, encoding='latin-1')."
+            f"{title} is not UTF-8 text: byte {error.start} is {byte:#04x}. Give its "
+            "path, or open it with its encoding: open(path, encoding='latin-1')."
         ) from error
     except OSError as error:
         raise _unreadable(title, error) from error
@@ -159,9 +170,31 @@ def _text(source: Any, title: str) -> str:
     return text.removeprefix("\ufeff")  # the byte order mark which spreadsheets write
 
 
+def _decoded(content: bytes, title: str, run: str) -> TextFile:
+    """A file's text: UTF-8, UTF-16 where it begins so, or else Windows-1252.
+
+    Numbers are the same in all of them; in a text of another encoding the names of
+    columns alone look strange.
+    """
+    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    encodings = {"utf-16": ""} if is_utf_16 else {"utf-8-sig": "", "cp1252": GUESSED}
+    for encoding, remark in encodings.items():
+        try:
+            text = content.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if NO_TEXT.search(text) is None:
+            text = text.replace("\r\n", "\n").replace("\r", "\n")
+            return TextFile(title, run, text, remark)
+    raise DataError(
+        f"{title} is no table: it holds binary data and no text. Tables are read from "
+        f"{KINDS_READ}. Save it as one of these."
+    )
+
+
 def _bytes(source: Any, title: str) -> bytes:
     try:
-        content = _read(source, "rb")
+        content = source.read() if hasattr(source, "read") else _read(source)
     except OSError as error:
         raise _unreadable(title, error) from error
     if not isinstance(content, bytes):
@@ -173,18 +206,20 @@ def _bytes(source: Any, title: str) -> bytes:
 
 
 def _unreadable(title: str, error: OSError) -> DataError:
-    return DataError(
-        f"{title} cannot be read ({error.strerror or error}). Check the path and the "
-        "permissions."
-    )
+    return DataError(f"{title} cannot be read: {why_not_opened(error)}.")
 
 
-def _read(source: Any, mode: str) -> Any:
-    if hasattr(source, "read"):
-        return source.read()
+def why_not_opened(error: OSError) -> str:
+    """Why a file cannot be read or written, in words."""
+    for kind, said in WHY_NOT_OPENED.items():
+        if isinstance(error, kind):
+            return said
+    return error.strerror or str(error)
+
+
+def _read(source: Any) -> bytes:
     if not isinstance(source, str | os.PathLike):
         raise DataError(
             f"source holds a {type(source).__name__}; expected paths or open files."
         )
-    path = Path(source)
-    return path.read_bytes() if mode == "rb" else path.read_text(encoding="utf-8")
+    return Path(source).read_bytes()

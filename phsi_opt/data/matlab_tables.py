@@ -20,6 +20,7 @@ from phsi_opt.data.tables import Table
 from phsi_opt.errors import DataError, did_you_mean
 
 INDEXED = re.compile(r"(?P<name>[\w.]+)\((?P<row>:|\d+),\s*(?P<column>:|\d+)\)")
+MOST_VECTORS = 20  # columns that a matrix has, at most, where it is taken for a table
 REAL_OR_COMPLEX = "biufc"  # the kinds of NumPy's types that hold numbers
 
 
@@ -50,35 +51,85 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
     return Table(file.title, "row", frame, file.run)
 
 
-def columns_of_mat(file: BinaryFile) -> list[str]:
-    """What could be columns of one table: the vectors of the commonest length.
+@dataclass(frozen=True)
+class Variable:
+    """Something in a file that is no column of its table.
 
-    Columns of matrices with that many rows are among them, as ``X(:,2)``.
+    Attributes:
+        name: As in MATLAB; a field as "struct.field".
+        said: What it is: "the number 9.81", "3 x 4 numbers", "text".
+        value: Of a single real number; None for all others.
+    """
+
+    name: str
+    said: str
+    value: float | None = None
+
+
+def table_of_vectors(file: BinaryFile) -> Table:
+    """All vectors of the commonest length, where nobody said which are looked for.
+
+    Of a matrix these are its columns, or its rows where it is wider than high.
+
+    Args:
+        file: A MATLAB file of version 4 to 7.
 
     Raises:
-        DataError: This is no such file, or it holds no vector.
+        DataError: This is no such file, or no vector in it has two numbers; with the
+            names and sizes of what it holds.
     """
     content = _Content.of(_loaded(file), file.title)
-    by_length: dict[int, list[str]] = {}
-    for name, matrix in content.matrices.items():
-        by_length.setdefault(max(matrix.shape), []).extend(_vectors_of(name, matrix))
-    by_length.pop(1, None)
-    if not by_length:
+    vectors = content.vectors()
+    n_rows = _commonest_length(vectors)
+    if n_rows < 2:
         raise DataError(
-            f"{file.title} holds no vector that could be a column; it holds: "
-            f"{content.listing()}."
+            f"{file.title} holds no column of numbers: no vector, and no matrix of few "
+            f"columns, has 2 numbers or more. It holds: {content.listing()}."
         )
-    return max(by_length.values(), key=len)
+    frame = pd.DataFrame({name: v for name, v in vectors.items() if len(v) == n_rows})
+    frame.index = pd.RangeIndex(1, n_rows + 1)
+    return Table(file.title, "row", frame, file.run)
 
 
-def _vectors_of(name: str, matrix: np.ndarray) -> list[str]:
-    """A vector itself, or the vectors of a matrix along its longer side."""
+def further_variables(file: BinaryFile) -> tuple[Variable, ...]:
+    """What `table_of_vectors` leaves out.
+
+    Args:
+        file: A MATLAB file of version 4 to 7.
+
+    Raises:
+        DataError: This is no such file.
+    """
+    content = _Content.of(_loaded(file), file.title)
+    n_rows = _commonest_length(content.vectors())
+    further = []
+    for name, matrix in content.matrices.items():
+        if n_rows not in [len(vector) for vector in _vectors_of(name, matrix).values()]:
+            is_number = matrix.size == 1 and not np.iscomplexobj(matrix)
+            value = float(matrix.item()) if is_number else None
+            said = _size(matrix) if value is None else f"the number {value:g}"
+            further.append(Variable(name, said, value))
+    for name, said in content.others.items():
+        further.append(Variable(name, said))
+    return tuple(further)
+
+
+def _vectors_of(name: str, matrix: np.ndarray) -> dict[str, np.ndarray]:
+    """The columns of a table in a matrix, as they are called in MATLAB."""
     n_rows, n_columns = matrix.shape
-    if 1 in matrix.shape:
-        return [name]
+    if min(n_rows, n_columns) == 1:
+        return {name: matrix.ravel()} if matrix.size > 1 else {}
+    if min(n_rows, n_columns) > MOST_VECTORS:
+        return {}
     if n_rows >= n_columns:
-        return [f"{name}(:,{number})" for number in range(1, n_columns + 1)]
-    return [f"{name}({number},:)" for number in range(1, n_rows + 1)]
+        return {f"{name}(:,{i + 1})": matrix[:, i] for i in range(n_columns)}
+    return {f"{name}({i + 1},:)": matrix[i] for i in range(n_rows)}
+
+
+def _commonest_length(vectors: Mapping[str, np.ndarray]) -> int:
+    """Of lengths that are equally common, the largest; 0 where there is none."""
+    lengths = [len(vector) for vector in vectors.values()]
+    return max(lengths, key=lambda length: (lengths.count(length), length), default=0)
 
 
 def _loaded(file: BinaryFile) -> Mapping[str, Any]:
@@ -153,6 +204,13 @@ class _Content:
                 f"'{name}(1,:)'."
             )
         return matrix.ravel()
+
+    def vectors(self) -> dict[str, np.ndarray]:
+        """All columns that a table could have, (n_rows,) each."""
+        found = {}
+        for name, matrix in self.matrices.items():
+            found.update(_vectors_of(name, matrix))
+        return found
 
     def _indexed(self, name: str, indexed: re.Match[str]) -> np.ndarray:
         matrix = self.matrices[self._full_name(indexed["name"])]

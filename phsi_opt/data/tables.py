@@ -42,6 +42,7 @@ class Table:
         frame: The cells; the index holds the line numbers or the user's row labels.
         run: The name of the trajectory where no column tells it.
         decimal: The sign before decimals in cells of text; None where they show two.
+        remark: What was guessed of the file's encoding; "" where nothing was.
     """
 
     title: str
@@ -49,6 +50,7 @@ class Table:
     frame: pd.DataFrame
     run: str
     decimal: str | None = "."
+    remark: str = ""
 
     def place(self, column: Any, i: int) -> str:
         """The words for the i-th cell of a column."""
@@ -116,7 +118,7 @@ def table_of_csv(
         columns=pd.Index(labels, dtype=object),
         dtype=object,
     )
-    return Table(file.title, "line", frame, file.run, decimal)
+    return Table(file.title, "line", frame, file.run, decimal, file.remark)
 
 
 def _of_header_width(lines: list[Line], width: int, title: str) -> list[Line]:

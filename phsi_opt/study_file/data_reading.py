@@ -7,10 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from phsi_opt.data.checks import HOLDS, checked_names
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.tables import Table, numbers_in
-from phsi_opt.data.times import Times, are_dates
+from phsi_opt.data.times import Times, times_in
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.study_file.file_tables import table_at
 from phsi_opt.study_file.part import Complaints, Part
@@ -238,10 +241,19 @@ def _check_column(
 
 
 def _check_times(table: Table, column: str | int, section: DataSection) -> None:
-    """Refuse times that are no numbers, where they are not dates."""
+    """Refuse times that are neither numbers nor dates, or do not increase."""
     times = Times(column, None, section.start, section.date_format)
-    if not are_dates(table, times):
-        numbers_in(table, column, may_be_missing=False)
+    times_in(table, times, _rows_of_runs(table, section.trajectory))
+
+
+def _rows_of_runs(table: Table, column: str | None) -> list[np.ndarray]:
+    """The row numbers of each run; none where their column cannot be used."""
+    if column is None:
+        return [np.arange(len(table.frame))]
+    if table.frame.columns.tolist().count(column) != 1:
+        return []
+    numbers, _ = pd.factorize(table.frame[column].astype(str).str.strip())
+    return [np.flatnonzero(numbers == n) for n in range(numbers.max() + 1)]
 
 
 def check_held_out(

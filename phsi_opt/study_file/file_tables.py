@@ -1,4 +1,4 @@
-"""The tables of data files as they are found: text or Excel, column by column.
+"""The tables of data files as they are found: text, Excel, MATLAB, column by column.
 
 For looking at columns one by one; `Measurements` has the readers of whole files.
 """
@@ -9,7 +9,12 @@ from typing import Any
 
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import binary_files, text_files
-from phsi_opt.data.matlab_tables import columns_of_mat, table_of_mat
+from phsi_opt.data.matlab_tables import (
+    Variable,
+    further_variables,
+    table_of_mat,
+    table_of_vectors,
+)
 from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
 from phsi_opt.study_file.sections import READERS, DataSection
@@ -23,7 +28,8 @@ def table_at(
     Args:
         path: of the file; its suffix tells what it is.
         wanted: the columns that are looked for.
-        section: what the user said of the table; None: nothing.
+        section: what the user said of the table; None: nothing, and of a MATLAB file
+            all vectors of the commonest length.
 
     Raises:
         DataError: it cannot be read as such a table.
@@ -37,7 +43,7 @@ def table_at(
     reader = READERS.get(path.suffix.lower())
     if reader == "from_mat":
         (file,) = binary_files(path)
-        return table_of_mat(file, wanted)
+        return table_of_vectors(file) if section is None else table_of_mat(file, wanted)
     if reader == "from_excel":
         (file,) = binary_files(path)
         return table_of_excel(file, wanted, sheet, TextFormat(columns, None, decimal))
@@ -45,14 +51,13 @@ def table_at(
     return table_of_csv(text, wanted, TextFormat(columns, separator, decimal))
 
 
-def whole_table(path: Path) -> Table:
-    """All that a file could mean as a table: of MATLAB's variables those of one length.
+def further_in(path: Path) -> tuple[Variable, ...]:
+    """What a file holds beside its table: MATLAB's other variables.
 
     Raises:
-        DataError: it cannot be read as a table.
+        DataError: it cannot be read.
     """
-    wanted: list[str] = []
-    if READERS.get(path.suffix.lower()) == "from_mat":
-        (file,) = binary_files(path)
-        wanted = columns_of_mat(file)
-    return table_at(path, wanted)
+    if READERS.get(path.suffix.lower()) != "from_mat":
+        return ()
+    (file,) = binary_files(path)
+    return further_variables(file)

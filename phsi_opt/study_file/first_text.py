@@ -7,8 +7,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+from phsi_opt.study_file.column_look import DATES
 from phsi_opt.study_file.survey import (
     INPUT,
+    PERHAPS_INPUT,
     RUN,
     STATE,
     TIME,
@@ -18,17 +20,9 @@ from phsi_opt.study_file.survey import (
 )
 from phsi_opt.study_file.toml_text import key_text, text_value, toml_value
 
+MANY_LINES = 5000  # of a run, from which a study takes long
+FEW_LINES = 2000  # of a run, as many or a little more, that thinning leaves then
 HELD_OUT_SHARE = 0.3  # of the runs, or of the time of a single one: the usual
-MANY_LINES = 5_000  # from which a fit takes long, and means are suggested
-ENOUGH_LINES = 2_000
-ABOUT_MEASURED = (
-    "What was measured. Delete what is not used; move inputs to [data.inputs]."
-)
-NO_INPUTS = """\
-# Inputs, known at every sample (a voltage, a pump, the weather): none was recognised.
-# [data.inputs]
-# u = { column = "...", unit = "V" }
-"""
 PHYSICS_SECTION = """\
 # ---- the physics: fill this in ------------------------------------------------------
 # dx/dt = (S - R) grad H + F(x, t, u): H is the energy, R >= 0 the losses, F the forces.
@@ -70,8 +64,8 @@ def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
     sections = [
         _head(table),
         _data(table, named),
-        _channels(table, STATE, "states", ABOUT_MEASURED),
-        _channels(table, INPUT, "inputs", "Inputs, known at every sample."),
+        _states(table),
+        _inputs(table),
         _left_out(table),
         _held_out(table, len(files)),
         f"{PHYSICS_SECTION}{_model(table)}",
@@ -83,17 +77,25 @@ def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
 
 def _relative(file: Path, folder: Path) -> str:
     """The file as the study's folder calls it; absolute where that was meant."""
-    if file.is_absolute() and not file.is_relative_to(folder.resolve()):
+    place = folder.resolve()
+    is_elsewhere = not file.resolve().is_relative_to(place)
+    if file.is_absolute() and is_elsewhere:
         return file.as_posix()
-    return Path(os.path.relpath(file, folder)).as_posix()
+    if is_elsewhere:
+        return Path(os.path.relpath(file, folder)).as_posix()
+    return file.resolve().relative_to(place).as_posix()
 
 
 def _head(table: TableSurvey) -> str:
-    return (
+    lines = [
         f"# A study of {table.path.name}, written by phsi-opt init: guesses, to be put "
-        "right.\n# `phsi-opt check` says what is missing; docs/command_line.md lists "
-        "every key.\n"
-    )
+        "right.",
+        "# `phsi-opt check` says what is missing; docs/command_line.md lists all keys.",
+    ]
+    if table.encoding:
+        lines.append(f"# {table.path.name}: {table.encoding}; save it as UTF-8 where")
+        lines.append("# letters look wrong.")
+    return "\n".join(lines) + "\n"
 
 
 def _data(table: TableSurvey, files: list[str]) -> str:
@@ -103,75 +105,126 @@ def _data(table: TableSurvey, files: list[str]) -> str:
         lines.append(f"trajectory = {text_value(runs[0].column)}  # {runs[0].said}")
     if table.of_part(INPUT):
         lines.append('hold = "linear"  # between samples; "zero" for a digital output')
-    lines.append(_time(table))
+    lines += _time(table)
+    lines.append("# Where it applies, without the # in front:")
     if not runs:
-        lines.append(
-            '# trajectory = "run"  # the column that names the run of each line'
-        )
-    lines.append(
-        "# between = [0, 20]  # first and last time that are used, of each run"
-    )
-    lines.append(_thinned(table))
+        lines.append('# trajectory = "run"  # the column that names each line\'s run')
+    lines += [_between(table), *_thinned(table)]
     return "\n".join(lines) + "\n"
 
 
-def _thinned(table: TableSurvey) -> str:
-    """The key that makes neighbouring samples their mean, used where lines are many."""
-    if table.n_lines <= MANY_LINES:
-        return "# thinned = 10  # so many neighbouring samples become their mean"
-    number = -(-table.n_lines // ENOUGH_LINES)
-    return (
-        f"# thinned = {number}  # so many neighbouring samples become their mean: with "
-        f"{table.n_lines} lines\n# a fit takes long; a tenth of the shortest period "
-        "may be a sample"
-    )
-
-
-def _time(table: TableSurvey) -> str:
+def _time(table: TableSurvey) -> list[str]:
     times = table.of_part(TIME)
     if times:
-        content: dict[str, Any] = {"column": times[0].column}
-        if times[0].said == "dates":
-            content["unit"] = "s"
-        elif times[0].unit:
-            content["unit"] = times[0].unit
-        unit = "" if "unit" in content else '; in seconds? add unit = "s"'
-        return f"time = {toml_value(content)}  # {table.said}{unit}"
+        return _of_column(times[0], table.said)
     if table.step is not None:
         step = f'{{ step = {table.step!r}, unit = "s" }}'
-        return f"time = {step}  # no column has the times"
-    return (
-        'time = { column = "" }  # no column increases from line to line: name the one '
-        "with the\n# times, or give the time between samples: "
-        'time = { step = 0.01, unit = "s" }'
-    )
+        return [f"time = {step}  # no column has the times; in seconds?"]
+    return [
+        'time = { column = "" }  # no column increases from line to line: name the one',
+        "# with the times, or give the time between samples:",
+        '# time = { step = 0.01, unit = "s" }',
+    ]
 
 
-def _channels(table: TableSurvey, part: str, what: str, about: str) -> str:
-    columns = table.of_part(part)
-    if not columns and part == INPUT:
-        return NO_INPUTS
-    lines = [f"# {about}", f"[data.{what}]"]
+def _of_column(time: ColumnSurvey, said: str) -> list[str]:
+    content: dict[str, Any] = {"column": time.column}
+    unit = "s" if time.said == DATES else time.unit
+    if unit:
+        content["unit"] = unit
+    else:
+        said += '; in seconds? add unit = "s"'
+    lines = [f"time = {toml_value(content)}  # {said}"]
+    if time.wrong:
+        lines.append(f"#   to correct in the file: {time.wrong}")
+    return lines
+
+
+def _between(table: TableSurvey) -> str:
+    about = "the part of the times that is used"
+    if table.span is None:
+        return f"# between = [0, 3600]  # {about}; of dates: s from the first"
+    times = [table.span.begin, table.span.end]
+    shown = ", ".join(f"{time:.6g}" for time in times)
+    return f"# between = [{shown}]  # {about}; here: all"
+
+
+def thinning_for(table: TableSurvey) -> int:
+    """How many samples should become one where runs are long; 1 where they are not."""
+    n_lines = table.n_lines // table.n_runs
+    return 1 if n_lines <= MANY_LINES else n_lines // FEW_LINES
+
+
+def _thinned(table: TableSurvey) -> list[str]:
+    n = thinning_for(table)
+    if n == 1:
+        return ["# thinned = 2  # so many neighbouring samples become their mean"]
+    n_lines = table.n_lines // table.n_runs
+    of_run = "lines" if table.n_runs == 1 else "lines in a run"
+    return [
+        f"# {n_lines} {of_run} take long; so many of them can become their mean, which",
+        f"# leaves {n_lines // n}. A sample may be a tenth of the shortest period.",
+        f"# thinned = {n}",
+    ]
+
+
+def _states(table: TableSurvey) -> str:
+    lines = [
+        "# What was measured; delete what is not used, here and in model.states.",
+        "[data.states]",
+        *_channels(table.of_part(STATE)),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _inputs(table: TableSurvey) -> str:
+    inputs = table.of_part(INPUT)
+    if inputs:
+        about = "# Inputs, known at every sample."
+        return "\n".join([about, "[data.inputs]", *_channels(inputs)]) + "\n"
+    lines = [
+        "# Inputs drive the system and are known at every sample: move their lines",
+        "# from the states to here, and their names from model.states to model.inputs.",
+        "# [data.inputs]",
+    ]
+    examples = _channels(_perhaps_inputs(table)) or ['u = { column = "u", unit = "V" }']
+    lines += [f"# {example}" for example in examples]
+    return "\n".join(lines) + "\n"
+
+
+def _perhaps_inputs(table: TableSurvey) -> list[ColumnSurvey]:
+    states = table.of_part(STATE)
+    return [state for state in states if state.said.endswith(PERHAPS_INPUT)]
+
+
+def _channels(columns: list[ColumnSurvey]) -> list[str]:
+    lines = []
     for column in columns:
         content = {"column": column.column}
         if column.unit:
             content["unit"] = column.unit
         entry = f"{key_text(column.name)} = {toml_value(content)}"
         lines.append(f"{entry}  # {column.said}")
-    return "\n".join(lines) + "\n"
+        if column.wrong:
+            lines.append(f"#   to correct in the file: {column.wrong}")
+    return lines
 
 
 def _left_out(table: TableSurvey) -> str:
-    columns = [one for one in table.of_part(UNUSED) if one.column]
-    if not columns:
+    lines = []
+    for column in table.of_part(UNUSED):
+        if column.column:
+            lines.append(f"#   {_on_one_line(column.column)}: {column.said}")
+    for variable in table.further:
+        lines.append(f"#   {variable.name}: {variable.said}")
+    if not lines:
         return ""
-    lines = ["# Columns that are left out:"]
-    lines += [f"#   {_named(one)}: {one.said}" for one in columns]
+    lines.insert(0, "# Left out:")
     return "\n".join(lines) + "\n"
 
 
-def _named(column: ColumnSurvey) -> str:
-    return column.column.replace("\n", " ")
+def _on_one_line(header: str) -> str:
+    return " ".join(header.split())
 
 
 def _held_out(table: TableSurvey, n_files: int) -> str:
@@ -185,8 +238,11 @@ def _model(table: TableSurvey) -> str:
     states = [column.name for column in table.of_part(STATE)]
     inputs = [column.name for column in table.of_part(INPUT)]
     lines = ["[model]", f"states = {toml_value(states)}"]
+    perhaps = [column.name for column in _perhaps_inputs(table)] or ["u"]
     if inputs:
         lines.append(f"inputs = {toml_value(inputs)}")
+    else:
+        lines.append(f"# inputs = {toml_value(perhaps)}")
     lines += [
         "pairs = []",
         'H = ""  # fill in: the energy',

@@ -1,7 +1,8 @@
 """What a column's header tells: a name, a unit, and words such as "time" or "force".
 
 Units stand in brackets ("q [m]", "T (degC)", "Time(s)"), after a stroke ("x / mm"), or
-after the last underscore where it is one ("position_m", "Tempo_s").
+after the last underscore where it is one ("position_m", "Tempo_s"). A column of a
+MATLAB matrix, "X(:,2)", has none.
 """
 
 import re
@@ -10,8 +11,8 @@ from dataclasses import dataclass
 from phsi_opt.model.kinds import LENGTHS, PREFIXES, VOLTS, WITH_PREFIX, WITHOUT_PREFIX
 
 IN_BRACKETS = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-MATLAB_INDEX = re.compile(r"\S+\((:,\d+|\d+,:)\)")  # such as X(:,2)
 AFTER_STROKE = re.compile(r"^(.*?\S)\s+(?:/|in)\s+(\S+)$")
+OF_MATRIX = re.compile(r"([\w.]+)\((?::,\s*)?(\d+)(?:,\s*:)?\)")
 TIMES = frozenset({"s", "sec", "ms", "us", "µs", "min", "h", "seconds", "d"})
 SPELLED = {"sec": "s", "seconds": "s"}
 # Single letters after an underscore that are more often an index than a unit.
@@ -28,6 +29,17 @@ INPUT_WORDS = frozenset(
         *("force", "torque", "current", "heater", "pump", "valve", "throttle", "motor"),
         *("uest", "uval", "drive", "actuator", "thrust"),
     }
+)
+# These may be what drives a system, or what is to be found: only a remark is made.
+PERHAPS_INPUT_WORDS = frozenset(
+    {
+        *("solar", "sun", "irradiance", "radiation", "ghi", "wind", "load", "power"),
+        *("ambient", "outdoor", "outside", "supply", "inflow", "heating", "pulses"),
+        *("disturbance", "ps", "ph", "ta", "thm", "qh"),
+    }
+)
+SET_POINT_WORDS = frozenset(
+    {"setpoint", "reference", "referencia", "referenz", "sollwert", "target", "desired"}
 )
 NUMBERED_INPUT = re.compile(r"u\d+")
 WORD = re.compile(r"[^\W\d_]+\d*")
@@ -55,8 +67,9 @@ class Header:
 
 def header_of(text: str) -> Header:
     """The label and the unit of a header."""
-    if MATLAB_INDEX.fullmatch(text):
-        return Header(text, text, "")
+    of_matrix = OF_MATRIX.fullmatch(text)
+    if of_matrix is not None:
+        return Header(text, f"{of_matrix[1]}_{of_matrix[2]}", "")
     for form in (IN_BRACKETS, AFTER_STROKE):
         found = form.match(text)
         if found and found[1]:
@@ -83,7 +96,8 @@ def is_unit(text: str) -> bool:
 
 def is_time_word(header: Header) -> bool:
     """Whether a header says that it is the time; T is a temperature."""
-    words = header.words
+    field = header.label.rpartition(".")[2]  # of a struct
+    words = [word.lower() for word in WORD.findall(field)]
     if not words or header.label == "T" or header.unit not in ("", *TIMES):
         return False
     return words[0] in TIME_WORDS or (words[-1] in TIME_WORDS and header.unit != "")
@@ -103,6 +117,22 @@ def is_input_word(words: list[str]) -> bool:
     """Whether a header sounds like an input."""
     for word in words:
         if word.rstrip("0123456789") in INPUT_WORDS or NUMBERED_INPUT.fullmatch(word):
+            return True
+    return False
+
+
+def may_be_input_word(words: list[str]) -> bool:
+    """Whether a header may be that of an input, or as well of a state."""
+    return any(word.rstrip("0123456789") in PERHAPS_INPUT_WORDS for word in words)
+
+
+def is_set_point(words: list[str]) -> bool:
+    """Whether a header says that it is what a controller aims at."""
+    if words[:2] == ["set", "point"]:
+        return True
+    for word in words:
+        without_number = word.rstrip("0123456789")
+        if without_number in SET_POINT_WORDS or without_number.endswith("ref"):
             return True
     return False
 

@@ -104,11 +104,7 @@ def read_model(file: Part, reading: ModelReading) -> Model | None:
 
 def _energy(model: Part, reading: ModelReading) -> Dictionary:
     if model.content.get("H", "") in ("", []):
-        said = (
-            'expected the energy as a formula, such as "k*q**2/2 + p**2/(2*m)"; its '
-            "numbers stand in [parameters], losses in R and forces in F, where there "
-            "are any."
-        )
+        said = 'expected the energy as a formula, such as "k*q**2/2 + p**2/(2*m)".'
         model.complaints.add("model.H", said)
         return Dictionary()
     return reading.terms.read(model, "H", "H")

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from phsi_opt.data.file_opening import why_not_opened
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.model.effect import Effect
@@ -108,7 +109,11 @@ def _parsed(path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         said = f"this is not TOML: {error}. Texts stand in quotes, tables as [name]."
     except UnicodeDecodeError as error:
-        said = f"this is not UTF-8 text ({error}); save it as UTF-8."
-    except (OSError, RecursionError) as error:
-        said = f"it cannot be read ({getattr(error, 'strerror', None) or error})."
+        byte = error.object[error.start]
+        line = error.object[: error.start].count(b"\n") + 1
+        said = f"line {line} is not UTF-8 text (byte {byte:#04x}); save it as UTF-8."
+    except OSError as error:
+        said = f"it cannot be read: {why_not_opened(error)}."
+    except RecursionError:
+        said = "it cannot be read: lists or tables lie too deep in each other."
     raise StudyFileError(path, [Complaint("", "", said)])
