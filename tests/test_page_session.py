@@ -8,9 +8,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import phsi_opt as ph
@@ -220,6 +222,51 @@ def test_a_column_that_one_base_model_has_no_state_for_comes_back_with_another()
     assert (column.role, column.name) == (STATE, "q")
 
 
+def test_a_column_that_fits_no_state_is_told_with_its_unit(session: Session) -> None:
+    (pendulum,) = [one for one in GALLERY if one.title == "Pendulum"]
+    session.choose(pendulum)
+    assert session.message.startswith(
+        "position_m in m fits no state of Pendulum (q in rad,"
+    )
+    session.choose(SPRING)
+    assert session.message == ""
+
+
+def test_a_mass_of_the_gallery_is_an_assumption_until_it_is_given(
+    session: Session,
+) -> None:
+    session.choose(SPRING)
+    (mass,) = [one for one in session.draft.model.parameters if one.name == "m"]
+    assert mass.is_assumed
+    assert not any(
+        p.is_assumed for p in session.draft.model.parameters if p is not mass
+    )
+
+
+def test_the_live_check_evaluates_the_formulas_at_the_data(session: Session) -> None:
+    assert session.check() == ()
+    (mass,) = [one for one in session.draft.model.parameters if one.name == "m"]
+    mass.value = "0"
+    (found,) = session.check()
+    assert "has no finite value at" in found.said
+    assert "m = 0" in found.said
+
+
+def test_tables_are_taken_away_one_by_one(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    session.upload("a.csv", b"t,q\n0,1\n1,3\n2,2\n")
+    session.upload("b.csv", b"t,q\n0,2\n1,1\n2,4\n")
+    assert session.draft.data is not None
+    session.draft.data.columns[1].unit = "mm"
+    session.remove_file("a.csv")
+    assert session.draft.data.files == ["b.csv"]
+    assert session.draft.data.columns[1].unit == "mm", "what was said of it stays"
+    session.remove_file("b.csv")
+    session.close()
+    assert session.draft.data is None
+    assert "there is no table yet" in session.complaints[0].said
+
+
 def test_the_live_check_names_what_is_wrong(session: Session) -> None:
     session.draft.model.H = "kk*q**2/2 + p**2/(2*m)"
     session.draft.model.R["p"] = "c*("
@@ -351,6 +398,26 @@ def test_a_snapshot_holds_every_run_with_its_missing_force(studied: Session) -> 
         assert "dp/dt lacks" in force_near(force, 1.0)
 
 
+def test_the_charts_open_where_the_diagnosis_says(studied: Session) -> None:
+    assert studied.snapshot is not None
+    assert studied.snapshot.diagnosed is not None
+    known = studied.snapshot
+    force = known.forces_along(known.runs[1])[0]
+    strong = replace(force, force=np.where(force.t > 3.0, 50.0, force.force))
+    diagnosed = replace(studied.snapshot.diagnosed, equation="p", run="run 2")
+    others = [one for one in known.forces if one is not force]
+    snapshot = replace(known, diagnosed=diagnosed, forces=(*others, strong))
+    studied._show(snapshot)
+    assert snapshot.runs[studied.look.run].title == "run 2, training"
+    assert studied.look.t is not None
+    assert studied.look.t > 3.0
+    nowhere = replace(snapshot, diagnosed=replace(diagnosed, equation="", run=""))
+    studied._show(nowhere)
+    assert studied.look.run == nowhere.worst_run
+    assert studied.look.t is None
+    studied._show(known)
+
+
 def test_ranges_are_said_as_ranges() -> None:
     region = RANGE.sub(r"\1 is \2", "q1 -1 to -0.6 or 0.7 to 1, p -2e-05 to 3")
     assert region == "q1 is -1 to -0.6 or 0.7 to 1, p is -2e-05 to 3"
@@ -414,7 +481,7 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
     assert studied.snapshot is not None
     for is_shown, said in (
         (False, "Cancelled: Adding coulomb friction on p."),
-        (True, "Added coulomb friction on p; the search for more was cancelled."),
+        (True, "Added coulomb friction on p; the search for what is missing was"),
     ):
         session.add(["coulomb friction on p"])  # twice: a second order is taken
         worker = session._worker
@@ -438,7 +505,7 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> No
     assert time.monotonic() - began < ENDS_WITHIN
     assert not is_running(pid)
     assert session.job is None
-    assert session.message.startswith("Cancelled: Fitting the base model")
+    assert session.message.startswith("Fitted; the search for what is missing was")
     assert session.snapshot.diagnosed is None
     session.diagnose()
     wait_for(lambda: session.job is None)

@@ -1,10 +1,12 @@
 """The first part of the page: the table, its columns, what is held out."""
 
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any
 
 from nicegui import events, run, ui
 
+from phsi_opt.data.wording import number_of
 from phsi_opt.page.drafts import (
     AFTER,
     HELD_OUT_WAYS,
@@ -35,6 +37,9 @@ ABOUT = (
     f"most {in_megabytes(MOST_UPLOADED)} a file. Several files with the same columns "
     "are several runs."
 )
+# What the server is told of files that the browser does not even send.
+TELL_REJECTED = """(rejected) => emit(
+  rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
 TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
 DATA_KEYS = ("data", "held_out")
 
@@ -76,8 +81,8 @@ class DataView:
                 max_file_size=MOST_UPLOADED,
                 max_files=MOST_FILES,
                 on_upload=self._upload,
-                on_rejected=self._rejected,
             )
+            upload.on("rejected", self._rejected, js_handler=TELL_REJECTED)
             upload.props(f'accept="{",".join(TABLE_KINDS)}"')
             ui.label("Drop tables here, or").classes("said q-mb-sm")
             button("Choose files", lambda: upload.run_method("pickFiles"))
@@ -87,11 +92,15 @@ class DataView:
         await run.io_bound(self._session.upload, e.file.name, content)
         e.sender.run_method("reset")
 
-    def _rejected(self) -> None:
+    def _rejected(self, e: events.GenericEventArguments) -> None:
         size = in_megabytes(MOST_UPLOADED)
         kinds = ", ".join(TABLE_KINDS)
+        named = []
+        for file in e.args:
+            named.append(f"{file['name']} ({in_megabytes(file['size'])})")
         self._session.upload_error = (
-            f"It was not taken: only tables ({kinds}) of at most {size} are."
+            f"{', '.join(named)} was not taken: only tables ({kinds}) of at most "
+            f"{size}, and at most {MOST_FILES} of them, are."
         )
         self._session.shape += 1
 
@@ -119,9 +128,10 @@ class DataView:
             return
         with card():
             heading("Columns")
-            runs = "1 run" if len(data.runs) == 1 else f"{len(data.runs)} runs"
             files = ", ".join(data.files)
+            runs = number_of(len(data.runs), "run")
             ui.label(f"{files}: {data.n_samples} samples, {runs}")
+            self._files(data)
             for column in data.columns:
                 self._column(column)
             if not data.with_role(TIME):
@@ -131,6 +141,16 @@ class DataView:
             heading("Held out")
             ui.label("Kept from fitting, to judge by.").classes("faint")
             self.held_out()
+
+    def _files(self, data: DataDraft) -> None:
+        """A button for each table that takes it away."""
+        with ui.row().classes("gap-2"):
+            for file in data.files:
+                remove = ui.button(f"Remove {file}", on_click=partial(self._drop, file))
+                remove.props("flat dense")
+
+    async def _drop(self, file: str) -> None:
+        await run.io_bound(self._session.remove_file, file)
 
     def _column(self, column: ColumnDraft) -> None:
         with ui.element("div").classes("fields candidate"):

@@ -146,7 +146,7 @@ def _parameter_draft(name: str, content: Any) -> ParameterDraft:
         _written(further.pop("lower", None)),
         _written(further.pop("upper", None)),
         further.pop("unit", ""),
-        further,
+        further=further,
     )
 
 

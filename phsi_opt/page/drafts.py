@@ -124,6 +124,7 @@ class ParameterDraft:
         lower: least value; "" for none.
         upper: largest value; "" for none.
         unit: such as "N/m".
+        is_assumed: whether a known value is the gallery's, and not the user's.
         further: keys of a study file that the page does not show.
     """
 
@@ -133,6 +134,7 @@ class ParameterDraft:
     lower: str = ""
     upper: str = ""
     unit: str = ""
+    is_assumed: bool = False
     further: dict[str, Any] = field(default_factory=dict)
 
 

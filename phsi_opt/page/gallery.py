@@ -62,7 +62,13 @@ class BaseModel:
 def copied(one: ParameterDraft) -> ParameterDraft:
     """The same parameter as a draft of its own."""
     return ParameterDraft(
-        one.name, one.value, one.is_known, one.lower, one.upper, one.unit
+        one.name,
+        one.value,
+        one.is_known,
+        one.lower,
+        one.upper,
+        one.unit,
+        one.is_assumed,
     )
 
 
@@ -72,7 +78,7 @@ def _free(name: str, start: str, unit: str = "") -> ParameterDraft:
 
 
 def _known(name: str, value: str, unit: str = "") -> ParameterDraft:
-    return ParameterDraft(name, value, is_known=True, unit=unit)
+    return ParameterDraft(name, value, is_known=True, unit=unit, is_assumed=True)
 
 
 SPRING = BaseModel(

@@ -42,6 +42,24 @@ def match_states(data: DataDraft, units: Mapping[str, str]) -> None:
     data.unmeasured = {name: units[name] for name in free}
 
 
+def left_over(data: DataDraft, title: str, units: Mapping[str, str]) -> str:
+    """Which columns fit no state of a model, in a sentence; "" where all do."""
+    left = [one for one in data.columns if one.fits_no_state]
+    if not left:
+        return ""
+    columns = [_with_unit(str(one.column), one.unit) for one in left]
+    states = [_with_unit(name, unit) for name, unit in units.items()]
+    verb = "fits" if len(left) == 1 else "fit"
+    return (
+        f"{', '.join(columns)} {verb} no state of {title} ({', '.join(states)}) by "
+        "its unit and is not used; part 1 can say otherwise."
+    )
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} in {unit}" if unit else name
+
+
 def _first(
     column: ColumnDraft,
     free: list[str],

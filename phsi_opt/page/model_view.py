@@ -21,6 +21,8 @@ from phsi_opt.page.session import Session
 from phsi_opt.page.unknown_names import unknown_names
 
 NOT_MEASURED = "not measured"
+# The tiles are drawn anew a moment after one was chosen.
+FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
 MODEL_TYPES = {
     ENERGY: "energy: dx/dt = (S - R) grad H + F",
     FIRST_ORDER: "first order: dx/dt = F",
@@ -78,7 +80,7 @@ class ModelView:
     def _tile(self, base: BaseModel) -> None:
         is_chosen = base.title == self._draft.title
         tile = ui.element("button").classes("tile").props('type="button"')
-        tile.props(f'aria-pressed="{str(is_chosen).lower()}"')
+        tile.props(f'aria-pressed="{str(is_chosen).lower()}" id="{_tile_id(base)}"')
         if is_chosen:
             tile.classes("chosen")
         with tile:
@@ -90,6 +92,8 @@ class ModelView:
     async def _choose(self, base: BaseModel) -> None:
         self._session.choose(base)
         await self._checked()
+        tile = _tile_id(base)
+        ui.run_javascript(FOCUS_SOON.replace("ID", tile))
 
     @ui.refreshable_method
     def wrong(self) -> None:
@@ -222,12 +226,16 @@ class ModelView:
             known.on_value_change(lambda e: self._set_known(one, bool(e.value)))
             remove = ui.button("Remove", on_click=lambda: self._remove(one))
             remove.props(f'flat aria-label="Remove {name}"')
+            if one.is_assumed:
+                text = f"{name} = {one.value} {one.unit}".rstrip()
+                ui.label(f"{text} is an assumption: give yours.").classes("bad")
 
     def _number(
         self, one: ParameterDraft, field: str, label: str, width: str, hint: str
     ) -> None:
         async def changed(value: str) -> None:
             setattr(one, field, value.strip())
+            one.is_assumed = one.is_assumed and field != "value"
             await self._checked()
 
         text_field(label, getattr(one, field), changed, width=width, hint=hint)
@@ -246,3 +254,7 @@ class ModelView:
         self._draft.parameters.remove(one)
         self.parameters.refresh()
         await self._checked()
+
+
+def _tile_id(base: BaseModel) -> str:
+    return f"base-{GALLERY.index(base)}"

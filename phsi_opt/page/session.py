@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from phsi_opt.errors import Complaint, DataError, StudyFileError
+from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.page.draft_reading import draft_of, told_columns
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
 from phsi_opt.page.gallery import BaseModel
 from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
-from phsi_opt.page.matching import match_states
+from phsi_opt.page.matching import left_over, match_states
 from phsi_opt.page.snapshot import Snapshot
 from phsi_opt.page.study_draft import StudyDraft
 from phsi_opt.page.table_look import look_at, without_folder
@@ -39,6 +40,7 @@ from phsi_opt.page.worker import (
 )
 from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.transcription.alignment import AlignedData
 
 WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
@@ -49,6 +51,21 @@ NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
 
 @dataclass
+class Look:
+    """What the charts show, so that a page that is loaded again shows it too.
+
+    Attributes:
+        run: its number in the snapshot.
+        channel: the state that is drawn; "" for the first.
+        t: the time that is marked; None: none is.
+    """
+
+    run: int = 0
+    channel: str = ""
+    t: float | None = None
+
+
+@dataclass
 class Job:
     """Work that goes on.
 
@@ -56,15 +73,14 @@ class Job:
         label: such as "Fitting the base model".
         began: by ``time.monotonic``.
         lines: what the worker said, the oldest first.
-        added: the effects that it adds, in words; "" where it adds none.
-        is_shown: whether the model that it makes is there; what is missing may still
-            be looked for.
+        done: what it has done once its model is there, in words; "" where it goes on.
+        is_shown: whether this model is there; what is missing may still be looked for.
     """
 
     label: str
     began: float = field(default_factory=time.monotonic)
     lines: list[str] = field(default_factory=list)
-    added: str = ""
+    done: str = ""
     is_shown: bool = False
 
     @property
@@ -87,6 +103,7 @@ class Session:
         job: the work that goes on; None: none does.
         message: how the last job ended where it did not end well; "" else.
         snapshot: the study as it stands; None before the first fit.
+        look: what its charts show.
         fitted: the draft's study file as it was fitted last; "" before.
         report_path: the report that was written last.
         shape: counts changes after which the fields of the drafts are drawn anew.
@@ -102,6 +119,7 @@ class Session:
         self.job: Job | None = None
         self.message = ""
         self.snapshot: Snapshot | None = None
+        self.look = Look()
         self.fitted = ""
         self.report_path: Path | None = None
         self.shape = 0
@@ -176,12 +194,27 @@ class Session:
         self.draft.data = data
         self.check()
 
+    def remove_file(self, name: str) -> None:
+        """Take a table away; with the last one its columns go."""
+        data = self.draft.data
+        if data is None or name not in data.files:
+            return
+        left = [one for one in data.files if one != name]
+        if not left:
+            self.draft.data = None
+            self.check()
+        else:
+            self._take_files(left)
+        self.shape += 1
+
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
         inputs: list[str] = []
+        self.message = ""
         if self.draft.data is not None:
             match_states(self.draft.data, base.units)
             inputs = [one.name for one in self.draft.data.with_role(INPUT)]
+            self.message = left_over(self.draft.data, base.title, base.units)
         self.draft.model = base.drafted(inputs)
         self.draft.added = []
         self.check()
@@ -198,9 +231,13 @@ class Session:
         if self.draft.data is None:
             return (NO_TABLE,)
         try:
-            StudyFile.read(self._working_file())
+            file = StudyFile.read(self._working_file())
+            data = AlignedData.of(file.model(), file.measurements())
+            check_rates(file.model(), data.grid)
         except StudyFileError as error:
             return _named(error.complaints, self.draft.data)
+        except ModelError as error:
+            return (Complaint("model", "", str(error)),)
         return ()
 
     def complaints_about(self, *keys: str) -> list[Complaint]:
@@ -232,7 +269,7 @@ class Session:
         self._fitting = self.draft.text()
         path = self.folder / FITTING_FILE
         path.write_text(self.draft.text(absolute=True), encoding="utf-8")
-        self._order("Fitting the base model", Order(FIT, (str(path),)))
+        self._order("Fitting the base model", Order(FIT, (str(path),)), "Fitted")
 
     def diagnose(self) -> None:
         """Ask what the present model lacks."""
@@ -241,7 +278,7 @@ class Session:
     def add(self, effects: Sequence[str]) -> None:
         """Add effects of the ranking, re-fit, and ask again."""
         added = " and ".join(effects)
-        self._order(f"Adding {added}", Order(ADD, tuple(effects)), added)
+        self._order(f"Adding {added}", Order(ADD, tuple(effects)), f"Added {added}")
 
     def undo(self) -> None:
         """Take back the last step."""
@@ -262,18 +299,18 @@ class Session:
         if self.job is None:
             return
         message = f"Cancelled: {self.job.label}. What was found until then is kept."
-        if self.job.added and self.job.is_shown:
-            message = f"Added {self.job.added}; the search for more was cancelled."
+        if self.job.done and self.job.is_shown:
+            message = f"{self.job.done}; the search for what is missing was cancelled."
         self._end_worker()
         self.message = message
         self._ready_worker()
         self.version += 1
 
-    def _order(self, label: str, order: Order, added: str = "") -> None:
+    def _order(self, label: str, order: Order, done: str = "") -> None:
         if self.job is not None:
             return
         self.message = ""
-        self.job = Job(label, added=added)
+        self.job = Job(label, done=done)
         self._ready_worker().tell(order)
         self.version += 1
 
@@ -311,7 +348,7 @@ class Session:
         if isinstance(message, Said):
             self._note(message.line)
         elif isinstance(message, Shown):
-            self.snapshot = message.snapshot
+            self._show(message.snapshot)
             self._keep_fitted()
             if self.job is not None:
                 self.job.is_shown = True
@@ -327,6 +364,12 @@ class Session:
         elif message is None:
             self._lose_worker()
         self.version += 1
+
+    def _show(self, snapshot: Snapshot) -> None:
+        """Take a new state of the study; its charts open at what it says."""
+        self.snapshot = snapshot
+        channel = self.look.channel
+        self.look = Look(snapshot.first_run, channel, snapshot.first_time)
 
     def _keep_fitted(self) -> None:
         """Remember the draft that the first result of a fit belongs to."""

@@ -21,6 +21,12 @@ FOCUS_CONTENT = """
 window.scrollTo(0, 0);
 document.getElementById('content').focus({preventScroll: true});
 """
+# Where the key that began a solve was redrawn, the focus goes to what came of it.
+FOCUS_VERDICT = """
+if (document.activeElement === document.body) {
+  document.getElementById('verdict')?.focus({preventScroll: true});
+}
+"""
 DATA_PART = "1 Data"
 MODEL_PART = "2 Model"
 STUDY_PART = "3 Study"
@@ -165,6 +171,7 @@ class Shell:
         if now != self._drawn:
             self._drawn = now
             self._study.build.refresh()
+            ui.run_javascript(FOCUS_VERDICT)
 
 
 def _has_begun(session: Session) -> bool:

@@ -158,7 +158,10 @@ class Diagnosed:
         verdict: in one phrase.
         reason: in a sentence.
         is_missing: whether something is missing.
+        is_named: whether what is missing has a name, at least partly.
         sentences: where it fails, an equation each.
+        equation: the one whose missing force is the surest; "" where none is.
+        run: that of the training data in which this force is strongest; "" likewise.
         where: the place where the missing force is strongest, in words.
         since: the time from which it is sure, in words.
         proposed: effects to add next.
@@ -168,7 +171,10 @@ class Diagnosed:
     verdict: str
     reason: str
     is_missing: bool
+    is_named: bool
     sentences: tuple[str, ...]
+    equation: str
+    run: str
     where: str
     since: str
     proposed: tuple[str, ...]
@@ -219,6 +225,25 @@ class Snapshot:
     def judged_part(self) -> str:
         """The part of the data that judges."""
         return TRAINING if self.steps[-1].held_out is None else HELD_OUT
+
+    @property
+    def first_run(self) -> int:
+        """The number of the run that the diagnosis names, else of the worst one."""
+        if self.diagnosed is not None:
+            for number, run in enumerate(self.runs):
+                if (run.name, run.part) == (self.diagnosed.run, TRAINING):
+                    return number
+        return self.worst_run
+
+    @property
+    def first_time(self) -> float | None:
+        """The time of that run at which the missing force stands out most, if any."""
+        if self.diagnosed is None or not self.diagnosed.run:
+            return None
+        for curve in self.forces_along(self.runs[self.first_run]):
+            if curve.equation == self.diagnosed.equation:
+                return float(curve.t[np.argmax(np.abs(curve.force) / curve.std)])
+        return None
 
     @property
     def worst_run(self) -> int:

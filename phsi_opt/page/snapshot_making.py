@@ -11,6 +11,7 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.units import force_unit
 from phsi_opt.page.snapshot import (
     HELD_OUT,
@@ -99,12 +100,22 @@ def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         verdict=str(diagnosis.verdict),
         reason=diagnosis.reason,
         is_missing=diagnosis.verdict != Verdict.NOTHING_MISSING,
+        is_named=bool(diagnosis.findings),
         sentences=tuple(diagnosis.sentences),
+        **_strongest(diagnosis),
         where=_where(diagnosis.where, diagnosis.data.units),
         since=since_when(diagnosis),
         proposed=proposed,
         candidates=tuple(_candidates(diagnosis.ranking, proposed)),
     )
+
+
+def _strongest(diagnosis: Diagnosis) -> dict[str, str]:
+    """Equation and run of the surest missing force; empty where none is sure."""
+    force = EquationForce.of(diagnosis.analysis, None)
+    if force.is_uncertain:
+        return {"equation": "", "run": ""}
+    return {"equation": force.equation, "run": str(force.where["trajectory"])}
 
 
 def _candidates(

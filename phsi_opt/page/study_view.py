@@ -85,7 +85,8 @@ class StudyView:
 
     def _facts(self, snapshot: Snapshot) -> None:
         facts = facts_of(snapshot)
-        with card().props('role="region" aria-label="Verdict"'):
+        verdict = card().props('role="region" aria-label="Verdict"')
+        with verdict.props('id="verdict" tabindex="-1"'):
             if facts is None:
                 self._not_asked(snapshot)
                 return
@@ -124,8 +125,11 @@ class StudyView:
             ui.label(preview).classes("faint")
             return
         proposed = snapshot.diagnosed.proposed
+        nearest = "" if snapshot.diagnosed.is_named else "Nearest, not established: "
+        ui.label(f"{nearest}{add}").style("font-weight: 600")
         ui.label(preview)
-        self._add_button(f"Add {add}", proposed)
+        if not self._session.is_stale:
+            self._add_button(f"Add {add}", proposed)
 
     def _add_button(
         self, label: str, effects: tuple[str, ...], quiet: bool = False
@@ -173,18 +177,26 @@ class StudyView:
             size = f": {row.size}" if row.size else ""
             with ui.row().classes("w-full items-center no-wrap justify-between"):
                 ui.label(f"{row.label}{size}{proposed}").style("font-weight: 600")
-                add = self._add_button("Add", row.effects, quiet=True)
-                add.props(f'dense aria-label="Add {row.label}, of the ranking"')
+                if not self._session.is_stale:
+                    self._add_of_ranking(row)
             left, floor = share_left(snapshot, row)
             with ui.element("div").classes("track").props('aria-hidden="true"'):
                 ui.element("div").style(f"width: {100 * left:.1f}%")
                 ui.element("i").style(f"left: {100 * floor:.1f}%")
             ui.label(preview_words(snapshot, row))
             if row.lost:
-                ui.label(f"Not named: {row.lost}.").classes("faint")
+                ui.label(f"Not proposed: {row.lost}.").classes("faint")
             if row.confusable_with:
                 others = ", ".join(row.confusable_with)
                 ui.label(f"The data do not tell it from {others}.").classes("faint")
+
+    def _add_of_ranking(self, row: CandidateRow) -> None:
+        """The button of a candidate; flat where something speaks against it."""
+        label = "Add anyway" if row.lost else "Add"
+        add = self._add_button(label, row.effects, quiet=True)
+        add.props(f'dense aria-label="{label} {row.label}, of the ranking"')
+        if row.lost:
+            add.props("flat").props(remove="outline")
 
     # ---- the model and the exports ---------------------------------------------------
 

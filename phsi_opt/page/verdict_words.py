@@ -52,9 +52,9 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
 
 def what_is_wrong(diagnosed: Diagnosed) -> str:
     """The verdict as a sentence of its own."""
-    if diagnosed.proposed:
+    if diagnosed.proposed and diagnosed.is_named:
         return f"The model lacks {' and '.join(diagnosed.proposed)}."
-    return "Something is missing that no known effect explains."
+    return "Something is missing that no known effect explains for sure."
 
 
 def preview_words(snapshot: Snapshot, row: CandidateRow) -> str:
