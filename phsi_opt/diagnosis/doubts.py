@@ -48,7 +48,7 @@ def doubt(base: DiagnosedModel, fit: Fit, effects: Sequence[Effect]) -> str:
         names = new_names(base.fit.model, effect, fit.names)
         at_bound = [name for name in names if name in fit.outcome.at_bounds]
         if at_bound:
-            return f"{', '.join(at_bound)} ended at a bound"
+            return f"{_in_words(at_bound)} of {effect} ended at a bound"
         size = fitted_size(base.fit, fit, effect)
         if not size.z >= PROPOSED_Z:
             return f"the size of {effect}, {size}, may as well be zero"
@@ -60,6 +60,15 @@ def doubt(base: DiagnosedModel, fit: Fit, effects: Sequence[Effect]) -> str:
             effort = effort_of(base.fit.model, effect.equation)
             return f"{effort} never turns back, without which {effect} is not shown"
     return ""
+
+
+def _in_words(names: Sequence[str]) -> str:
+    """Parameters of an effect: its size, and inner ones by their own names."""
+    own = []
+    for name in names:
+        _, _, inner = name.partition(".")
+        own.append(inner or "the size")
+    return " and ".join(own)
 
 
 def _turned_share(base: DiagnosedModel, effect: Effect) -> float:

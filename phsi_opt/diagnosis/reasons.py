@@ -61,7 +61,7 @@ def _reason(base: DiagnosedModel, one: Candidate, best: Candidate | None) -> str
         return f"the held-out error {'rises' if rises else 'does not fall'}"
     if not one.p_value < FALSE_DISCOVERY_RATE:
         p_value = min(one.p_value, 1.0)
-        return f"the error falls no more than by chance (p = {p_value:.1g})"
+        return f"the error falls no more than by chance (p-value {p_value:.1g})"
     if best is None:
         return "the error on the data that judge does not fall clearly"
     if one.delta_bic > best.delta_bic:

@@ -27,6 +27,16 @@ if (document.activeElement === document.body) {
   document.getElementById('verdict')?.focus({preventScroll: true});
 }
 """
+# The arrow keys go through the menu, as in any program.
+BY_ARROWS = """(key) => {
+  const step = {ArrowDown: 1, ArrowUp: -1}[key.key];
+  if (!step) return;
+  key.preventDefault();
+  const items = [...key.currentTarget.querySelectorAll('.q-item')];
+  const place = items.indexOf(document.activeElement);
+  const first = step > 0 ? 0 : items.length - 1;
+  items[place < 0 ? first : (place + step + items.length) % items.length].focus();
+}"""
 DATA_PART = "1 Data"
 MODEL_PART = "2 Model"
 STUDY_PART = "3 Study"
@@ -79,7 +89,8 @@ class Shell:
             with ui.tabs().props("dense no-caps") as self._tabs:
                 for name in (DATA_PART, MODEL_PART, STUDY_PART):
                     ui.tab(name)
-            with ui.button("Menu").props("flat color=primary"), ui.menu():
+            with ui.button("Menu").props("flat color=primary"), ui.menu() as menu:
+                menu.on("keydown", js_handler=BY_ARROWS)
                 for value, name in THEMES.items():
                     ui.menu_item(
                         f"Colours: {name}",

@@ -85,7 +85,9 @@ a.skip:focus {
 .q-footer { border-top: 1px solid var(--line); }
 .q-field__label, .q-field__messages, .q-uploader__subtitle { color: var(--faint); }
 .q-field__native, .q-field__input { color: var(--ink); }
-.q-field__native::placeholder { color: var(--faint) !important; opacity: 1; }
+.q-field--float .q-field__native::placeholder {
+  color: var(--faint) !important; opacity: 1;
+}
 .q-tab-panels, .q-tab-panel { background: transparent !important; padding: 0; }
 body.body--dark { --q-primary: #8fc1f7 !important; --q-onprimary: #0d1b2a !important; }
 .drop {

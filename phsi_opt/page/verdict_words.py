@@ -71,8 +71,9 @@ def preview_words(snapshot: Snapshot, row: CandidateRow) -> str:
         return "The error that it would leave is not known."
     change = 100 * (after / before - 1)
     trend = f"{-change:.0f} % less" if change < 0 else f"{change:.0f} % more"
+    which = part.replace(" ", "-").capitalize()
     return (
-        f"{part.capitalize()} error {error_words(snapshot, before)} → "
+        f"{which} error {error_words(snapshot, before)} → "
         f"{error_words(snapshot, after)} ({trend})"
     )
 
