@@ -351,7 +351,7 @@ def test_init_takes_matlab_vectors_as_columns(tmp_path: Path) -> None:
     assert states in text
     study.write_text(text.replace('H = ""', 'H = "y**2"'))
     assert ph.StudyFile.read(study).measurements().n_samples == 4
-    assert "no unit is given for y, X_1, X_2" in said("check", study).out
+    assert "units: none is given for y, X_1, X_2, u" in said("check", study).out
 
 
 def test_a_matlab_file_without_columns_is_refused_with_what_it_holds(
@@ -475,6 +475,34 @@ def test_check_says_what_a_study_file_holds(demo: Path) -> None:
     assert content["free"] == ["k", "c"]
     assert content["measured"] == ["q"]
     assert content["n_held_out"] == 201
+
+
+def test_check_tells_what_is_empty(tmp_path: Path) -> None:
+    (tmp_path / "data.csv").write_text("t,q,u\n0,1,5\n1,2,4\n2,1,4\n3,2,1\n")
+    study = tmp_path / "s.toml"
+    said("init", tmp_path / "data.csv", "-o", study)
+    result = said("check", study)
+    assert result.code == ExitCode.BAD_INPUT
+    for words in [
+        "one thing to correct",
+        "Empty, and may stay so:",
+        "parameters: none yet",
+        'model.R: no losses, such as R = { q = "c" }',
+        'model.F: no forces, such as F = { q = "u" }',
+        "units: none is given for the time, q, u",
+    ]:
+        assert words in result.err
+    study.write_text(study.read_text().replace('H = ""', 'H = "q**2"'))
+    content = json.loads(said("check", study, "--json").out)
+    assert content["exit_code"] == ExitCode.DONE
+    keys = [one.partition(":")[0] for one in content["empty"]]
+    assert keys == ["model.R", "model.F", "model.inputs", "units"]
+
+
+def test_check_of_a_full_study_file_tells_of_nothing_that_is_empty(demo: Path) -> None:
+    assert json.loads(said("check", demo, "--json").out)["empty"] == [
+        'model.F: no forces, such as F = { p = "u" }'
+    ]
 
 
 def test_check_tells_all_errors_at_once_without_a_trace(demo: Path) -> None:

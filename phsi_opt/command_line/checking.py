@@ -1,26 +1,62 @@
-"""``phsi-opt check``: what a study file that can be used says."""
+"""``phsi-opt check``: what a study file says, what is wrong and what is empty."""
 
 from pathlib import Path
 
 from phsi_opt.command_line.job import Answer
+from phsi_opt.command_line.worker import answer_to
 from phsi_opt.data.wording import number_of
+from phsi_opt.errors import Complaint, ModelError, StudyFileError
 from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.study_file.unfilled import unfilled
 from phsi_opt.transcription.alignment import AlignedData
+
+EMPTY = "Empty, and may stay so:"
 
 
 def checked(path: Path) -> Answer:
-    """A summary of a study file.
+    """A summary of a study file, or everything that is wrong with it.
 
     Raises:
-        StudyFileError: something in it cannot be used; with all that is wrong.
-        ModelError: a formula has no value at the measurements.
+        StudyFileError: it cannot be read, or is no TOML.
     """
-    file = StudyFile.read(path)
+    empty = unfilled(path)
+    try:
+        file = StudyFile.read(path)
+        _check_formulas(path, file)
+    except StudyFileError as error:
+        return _with_empty(answer_to(error), empty)
+    return _with_empty(_summary(path, file), empty)
+
+
+def _check_formulas(path: Path, file: StudyFile) -> None:
+    """Refuse formulas without a value at the measurements.
+
+    Raises:
+        StudyFileError: there is one.
+    """
+    train, _ = file.split()
+    model = file.model()
+    try:
+        check_rates(model, AlignedData.of(model, train).grid)
+    except ModelError as error:
+        raise StudyFileError(path, [Complaint("model", "", str(error))]) from None
+
+
+def _with_empty(answer: Answer, empty: tuple[str, ...]) -> Answer:
+    """An answer that tells what stands empty too."""
+    content = {**answer.content, "empty": list(empty)}
+    lines = [answer.text]
+    if empty:
+        lines += ["", EMPTY, *[f"  {one}" for one in empty]]
+    return Answer("\n".join(lines), content, answer.code)
+
+
+def _summary(path: Path, file: StudyFile) -> Answer:
+    """What a study file that can be used holds."""
     train, held_out = file.split()
     model = file.model()
-    check_rates(model, AlignedData.of(model, train).grid)
     n_effects = len(catalogue(model, file.data.units))
     free = ", ".join(model.free) or "none, all values are known"
     judged = "nothing is held out: the training data judge"
@@ -37,10 +73,6 @@ def checked(path: Path) -> Answer:
         f"effects added: {', '.join(file.steps.added) or 'none'}; "
         f"{n_effects} more in the catalogue",
     ]
-    without_unit = [name for name in train.measured if not train.units.get(name)]
-    if without_unit:
-        named = ", ".join(without_unit)
-        text.append(f"no unit is given for {named}: sizes are told without units")
     content = {
         "states": list(model.states),
         "inputs": list(model.inputs),

@@ -162,8 +162,9 @@ def _thinned(table: TableSurvey) -> list[str]:
     n_lines = table.n_lines // table.n_runs
     of_run = "lines" if table.n_runs == 1 else "lines in a run"
     return [
-        f"# {n_lines} {of_run} take long; so many of them can become their mean, which",
-        f"# leaves {n_lines // n}. A sample may be a tenth of the shortest period.",
+        f"# {n_lines} {of_run} take long; use a part of them, or let so many become",
+        f"# their mean, {n_lines // n} then, where a sample stays below a tenth of the "
+        "shortest period:",
         f"# thinned = {n}",
     ]
 

@@ -66,7 +66,7 @@ def read_contents(path: Path) -> Contents:
             that is wrong.
     """
     found = Complaints()
-    file = Part("", _parsed(path), found)
+    file = Part("", tables_of(path), found)
     file.check_known("")
     names = read_names(file)
     data = read_data(file)
@@ -96,7 +96,7 @@ def _in_order(listed: list[Complaint], sections: list[str]) -> list[Complaint]:
     return sorted(listed, key=place)
 
 
-def _parsed(path: Path) -> dict[str, Any]:
+def tables_of(path: Path) -> dict[str, Any]:
     """The tables of a TOML file.
 
     Raises:
