@@ -211,15 +211,19 @@ def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> Non
         ("time,lambda,2nd,sin\n0,1,2,3\n1,2,3,5\n2,4,1,4\n", ["x_lambda = ", "x2nd = ", "x_sin = "]),
         ("time;q\n0,0;1,5\n0,5;2,5\n1,0;-1,5\n", ["0 to 1, every 0.5, regular", "-1.5 to 2.5"]),
         ("0.0 5 1\n0.5 7 2\n1.0 6 5\n", ['column = "0"', 'column = "1"']),
-        ("time,a,a\n0,1,2\n1,2,3\n2,4,1\n", ["a: 2 columns are called so"]),
+        ("time,a,a,b\n0,1,2,1\n1,2,3,2\n2,4,1,1\n", ["a: 2 columns are called so"]),
         ("t,q\n0,1\n1,2\n2,3\n", ["# [data.inputs]", "# between = [0, 2]", "# thinned = 2", "# trajectory = "]),
         ("t,Ta,yref,StepTime(s)\n0,1,2,1\n1,2,3,2\n2,4,1,2\n", ['Ta = { column = "Ta" }  # 1 to 4; perhaps an input', '# Ta = { column', '# inputs = ["Ta"]', "yref: 1 to 3; a set point", "StepTime(s): 1 to 2; in a unit of time"]),
-        ("t,name\n0,a very long name of a thing\n1,b\n2,c\n3,d\n", ['text: "a very long name of ...", "b", "c", ...']),
+        ("t,name,q\n0,a very long name of a thing,1\n1,b,2\n2,c,1\n3,d,2\n", ['text: "a very long name of ...", "b", "c", ...']),
         ("t,q\n0,1\n1,broken\n2,3\n3,inf\n4,2\n", ['q = { column = "q" }  # 1 to 3', 'to correct in the file: line 3 holds "broken", no finite number; 1 more']),
         ("t,q\n0,1\n1,2\n1,3\n0.5,4\n", ['time = { column = "t" }', "to correct in the file: line 4 has 1, not after 1 of line 3; 1 more"]),
         ("t,q\n0,1\n,2\n1,3\n2,4\n", ['time = { column = "t" }', "to correct in the file: line 3 has no time"]),
         ("q\n1\n3\n2\n", ['# time = { step = 0.01, unit = "s" }']),
         ("t,q\n0,1\n1,2\n", ['in seconds? add unit = "s"']),
+        ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
+        ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
+        ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 names no run"]),
+        ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
     ],
 )  # fmt: skip
 def test_init_looks_at_the_columns(
@@ -240,6 +244,11 @@ def test_init_looks_at_the_columns(
         ("a,b\n", "no line below its header"),
         ("a,b\n1,2\n", "1 line below its header; at least 2"),
         ("t,q\n0,1\n1,2,3\n", "line 3 has 3 cells; expected 2"),
+        ("t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
+        (
+            "t,q\n0,1\n1,1\n",
+            "no column of numbers that a state could be: t: 0 to 1; q: always 1",
+        ),
     ],
 )
 def test_a_table_that_cannot_be_read_is_refused_with_its_line(
@@ -328,6 +337,39 @@ def test_init_reads_workbooks(tmp_path: Path) -> None:
     result = said("init", tmp_path / "spring.xlsx", "-o", study)
     assert result.code == ExitCode.DONE, result.err
     assert 'time = { column = "t_s", unit = "s" }  # 0 to 5' in study.read_text()
+
+
+def test_init_takes_the_first_sheet_and_names_the_others(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"t": [0, 1, 2, 3], "q": [1, 2, 1, 3]})
+    with pd.ExcelWriter(tmp_path / "book.xlsx") as book:
+        frame.to_excel(book, sheet_name="day 1", index=False)
+        frame.to_excel(book, sheet_name="day 2", index=False)
+    study = tmp_path / "s.toml"
+    assert (
+        "there are day 2 too" in said("init", tmp_path / "book.xlsx", "-o", study).out
+    )
+    assert 'sheet = "day 1"  # others: "day 2"' in study.read_text()
+    assert complained(study) == ["model.H"]
+
+
+def test_files_of_two_kinds_are_refused_with_the_file(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"t": [0, 1, 2, 3], "q": [1, 2, 1, 3]})
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    frame.to_excel(tmp_path / "b.xlsx", index=False)
+    study = tmp_path / "s.toml"
+    result = said("init", tmp_path / "a.csv", tmp_path / "b.xlsx", "-o", study)
+    words = 'data.files[1] = "b.xlsx": the first file is .csv; give files of one kind'
+    assert words in result.out
+
+
+def test_check_tells_every_wrong_column_of_a_matlab_file(tmp_path: Path) -> None:
+    values = {"t": [0.0, 1, 1, 2], "q": [1.0, np.inf, 2, 3], "v": [1.0, 2, 3, 1]}
+    savemat(tmp_path / "log.mat", values)
+    study = tmp_path / "s.toml"
+    result = said("init", tmp_path / "log.mat", "-o", study)
+    assert 'q: state; row 2 holds "inf", no finite number' in result.out
+    keys = ["data.time.column", "data.states.q.column", "model.H"]
+    assert complained(study) == keys
 
 
 def test_init_takes_matlab_vectors_as_columns(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_a_bad_table_is_refused_with_its_line_and_column(session: Session) -> No
     ("text", "said"),
     [
         ("", "is empty"),
-        ("t,q\n0,1\n1\n", "line 3 has 1 cells; expected 2"),
+        ("t,q\n0,1\n1\n", "line 3 has 1 cell; expected 2"),
         ("t,q,q\n0,1,1\n1,2,2\n", "the header has 'q' twice"),
     ],
 )

@@ -105,7 +105,7 @@ def test_rows_may_be_counted_where_no_column_has_the_times() -> None:
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
-        ("0,1\n1\n", {}, "open file, line 2 has 1 cells; expected 2, as in line 1"),
+        ("0,1\n1\n", {}, "open file, line 2 has 1 cell; expected 2, as in line 1"),
         ("0,1\n1,2\n", {"states": {"q": 2}}, "no column 2; it has 2 columns, counted"),
         ("0,1\n1,2\n", {"states": ["q"]}, r"no column 'q'; .* its columns \[0, '1'\]"),
         ("0,1\n1,x\n", {}, "column 1, line 2: 'x' is not a real number"),
@@ -294,7 +294,7 @@ def test_excel_dates_texts_and_sheets_without_a_header(tmp_path: Path) -> None:
         (
             {"a": [["t", "q"], [0, "1,5"], [1, 2]]},
             {},
-            "row 2: '1,5' .* say decimal=','",
+            "row 2: '1,5' .* say decimal = \",\"",
         ),
         (
             {"a": [["t", "q"], [0, 1], [None, 2]]},

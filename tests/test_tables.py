@@ -180,7 +180,7 @@ def test_names_of_runs_in_a_file_stay_text() -> None:
             't,q\n0,"1,500"\n1,"2,500"\n',
             {},
             "column 'q', line 2: '1,500' is not a real number. "
-            "A comma could stand before decimals or thousands.*decimal=','",
+            'A comma could stand before decimals or thousands.*decimal = ","',
         ),
         (
             "t;q\n0,5;1.234,5\n1,5;2\n",
@@ -199,7 +199,7 @@ def test_names_of_runs_in_a_file_stay_text() -> None:
             "The table has decimal commas: write all decimals in one way",
         ),
         ("t,q\n0,1,1,5\n", {}, "line 2 has 4 cells; expected 2.*decimal commas"),
-        ("t,q\n0,1\n1\n", {}, "line 3 has 1 cells; expected 2, as in the header"),
+        ("t,q\n0,1\n1\n", {}, "line 3 has 1 cell; expected 2, as in the header"),
         (
             "run,t,q\na,0,1\n,1,2\n",
             {"trajectory": "run"},

@@ -45,12 +45,16 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
 def _seen(table: TableSurvey, study: Path, files: list[Path]) -> list[str]:
     """What was seen in the table, a line for each column."""
     lines = [f"{study} is written, for {table.n_lines} lines of {files[0]}:"]
+    if len(table.sheets) > 1:
+        others = ", ".join(table.sheets[1:])
+        lines.append(f"  (of its sheet {table.sheets[0]}; there are {others} too)")
     if table.encoding:
         lines.append(f"  ({table.encoding})")
     for column in table.columns:
         if column.column:
             unit = f" [{column.unit}]" if column.unit else ""
-            lines.append(f"  {column.column}{unit}: {column.part}; {column.remark}")
+            name = " ".join(column.column.split())  # a header may have lines
+            lines.append(f"  {name}{unit}: {column.part}; {column.remark}")
     for variable in table.further:
         lines.append(f"  {variable.name}: left out; {variable.said}")
     n = thinning_for(table)

@@ -61,6 +61,18 @@ def table_of_excel(
     return Table(title, "row", frame, file.run, decimal)
 
 
+def filled_sheets(file: BinaryFile) -> list[str]:
+    """The names of the sheets with content, in the order of the workbook.
+
+    Args:
+        file: The workbook.
+
+    Raises:
+        DataError: This is no workbook.
+    """
+    return [name for name, rows in _sheets(file).items() if rows]
+
+
 def _sheets(file: BinaryFile) -> dict[str, Rows]:
     """The filled rows of all sheets, by the sheets' names."""
     import openpyxl
@@ -120,7 +132,7 @@ def _chosen(sheets: dict[str, Rows], sheet: str | None, title: str) -> str:
     if len(filled) > 1:
         raise DataError(
             f"{title} has several sheets with content: {filled}. "
-            f"Say which one: sheet={filled[0]!r}."
+            f'Say which one: sheet = "{filled[0]}".'
         )
     return filled[0]
 

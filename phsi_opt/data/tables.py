@@ -29,6 +29,7 @@ from phsi_opt.data.text_cells import (
     separator_of,
     without_trailing_empties,
 )
+from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
 
 
@@ -126,8 +127,9 @@ def _of_header_width(lines: list[Line], width: int, title: str) -> list[Line]:
     rows = []
     for line in lines:
         if len(line.cells) < width or any(line.cells[width:]):
+            n_cells = number_of(len(line.cells), "cell")
             raise DataError(
-                f"{title}, line {line.number} has {len(line.cells)} cells; "
+                f"{title}, line {line.number} has {n_cells}; "
                 f"expected {width}, as in the header. Complete or remove the line, or "
                 "lines of text above the table. If its numbers have decimal commas, "
                 "write decimal points, or another separator."
@@ -144,8 +146,9 @@ def _of_one_width(lines: list[Line], title: str) -> list[Line]:
     rows = []
     for line in lines:
         if len(line.cells) < width:
+            n_cells = number_of(len(line.cells), "cell")
             raise DataError(
-                f"{title}, line {line.number} has {len(line.cells)} cells; "
+                f"{title}, line {line.number} has {n_cells}; "
                 f"expected {width}, as in line {widest}. Complete or remove the line."
             )
         rows.append(Line(line.number, line.cells[:width]))
@@ -278,8 +281,8 @@ def _repair(cell: Any, table: Table) -> str:
         return "Convert the column to numbers first (times: seconds since the start)."
     if DECIMAL_COMMA.fullmatch(cell):
         return (
-            "A comma could stand before decimals or thousands here: say decimal=',' "
-            "(from_csv, from_excel) or write decimal points."
+            "A comma could stand before decimals or thousands here: say "
+            'decimal = "," or write decimal points.'
         )
     if table.decimal == "," and DECIMAL_POINT.fullmatch(cell.strip()):
         return "The table has decimal commas: write all decimals in one way."

@@ -208,7 +208,7 @@ def _refused(cell: Any, times: Times) -> str:
         )
     return (
         f"{cell!r} is neither a number nor a date; expected such as {EXAMPLE}. "
-        "Dates in another order: say date_format='%d.%m.%Y %H:%M:%S'."
+        'Dates in another order: say date_format = "%d.%m.%Y %H:%M:%S".'
     )
 
 
@@ -253,5 +253,6 @@ def _check_increasing(
     raise DataError(
         f"{table.place(column, after)} {said(after)} is not after {said(before)} of "
         f"{table.row(before)}; times must increase strictly{clock}. "
-        "Sort the samples or drop the duplicate; several runs need trajectory=..."
+        "Sort the samples or drop the duplicate; where runs follow each other, name "
+        "the column that tells them apart (trajectory)."
     )

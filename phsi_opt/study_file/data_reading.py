@@ -17,7 +17,13 @@ from phsi_opt.data.times import Times, times_in
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.study_file.file_tables import table_at
 from phsi_opt.study_file.part import Complaints, Part
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+from phsi_opt.study_file.sections import (
+    READERS,
+    TEXT_READER,
+    Channel,
+    DataSection,
+    HeldOut,
+)
 
 TIME_KEY = "data.time.column"
 WAYS_HELD_OUT = ("runs", "share", "after")
@@ -180,13 +186,16 @@ def _check_file(
     section: DataSection, path: Path, name: str, key: str, complaints: Complaints
 ) -> None:
     """Look at each column by itself, for the first wrong cell of each."""
-    if section.reader == "from_mat" and path.is_file():
-        return  # the whole reader names what the file holds
     wanted = _wanted(section)
     if not path.is_file():
         said = "there is no such file; paths are relative to the study file."
         complaints.add(key, said, name)
         return
+    if path.suffix.lower() != section.suffix:
+        said = f"the first file is {section.suffix}; give files of one kind."
+        if READERS.get(path.suffix.lower(), TEXT_READER) != section.reader:
+            complaints.add(key, said, name)
+            return
     try:
         table = table_at(path, wanted.values(), section)
     except DataError as error:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from phsi_opt.data.excel_tables import table_of_excel
+from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
 from phsi_opt.data.file_opening import binary_files, text_files
 from phsi_opt.data.matlab_tables import (
     Variable,
@@ -21,7 +21,10 @@ from phsi_opt.study_file.sections import READERS, DataSection
 
 
 def table_at(
-    path: Path, wanted: Iterable[Any], section: DataSection | None = None
+    path: Path,
+    wanted: Iterable[Any],
+    section: DataSection | None = None,
+    sheet: str | None = None,
 ) -> Table:
     """The table of a file.
 
@@ -30,11 +33,12 @@ def table_at(
         wanted: the columns that are looked for.
         section: what the user said of the table; None: nothing, and of a MATLAB file
             all vectors of the commonest length.
+        sheet: of a workbook, where there is no section.
 
     Raises:
         DataError: it cannot be read as such a table.
     """
-    columns = separator = decimal = sheet = None
+    columns = separator = decimal = None
     if section is not None:
         columns = section.columns
         separator = section.separator
@@ -61,3 +65,15 @@ def further_in(path: Path) -> tuple[Variable, ...]:
         return ()
     (file,) = binary_files(path)
     return further_variables(file)
+
+
+def sheets_in(path: Path) -> list[str]:
+    """The sheets of a workbook that have content; none of another file.
+
+    Raises:
+        DataError: it cannot be read.
+    """
+    if READERS.get(path.suffix.lower()) != "from_excel":
+        return []
+    (file,) = binary_files(path)
+    return filled_sheets(file)

@@ -100,9 +100,13 @@ def _head(table: TableSurvey) -> str:
 
 def _data(table: TableSurvey, files: list[str]) -> str:
     lines = ["[data]", f"files = {toml_value(files)}  # {table.n_lines} lines"]
+    if len(table.sheets) > 1:
+        others = ", ".join(map(text_value, table.sheets[1:]))
+        lines.append(f"sheet = {text_value(table.sheets[0])}  # others: {others}")
     runs = table.of_part(RUN)
     if runs:
         lines.append(f"trajectory = {text_value(runs[0].column)}  # {runs[0].said}")
+        lines += _to_correct(runs[0])
     if table.of_part(INPUT):
         lines.append('hold = "linear"  # between samples; "zero" for a digital output')
     lines += _time(table)
@@ -116,7 +120,7 @@ def _data(table: TableSurvey, files: list[str]) -> str:
 def _time(table: TableSurvey) -> list[str]:
     times = table.of_part(TIME)
     if times:
-        return _of_column(times[0], table.said)
+        return _of_column(times[0], table)
     if table.step is not None:
         step = f'{{ step = {table.step!r}, unit = "s" }}'
         return [f"time = {step}  # no column has the times; in seconds?"]
@@ -127,17 +131,22 @@ def _time(table: TableSurvey) -> list[str]:
     ]
 
 
-def _of_column(time: ColumnSurvey, said: str) -> list[str]:
+def _of_column(time: ColumnSurvey, table: TableSurvey) -> list[str]:
+    said = table.said
     content: dict[str, Any] = {"column": time.column}
     unit = "s" if time.said == DATES else time.unit
     if unit:
         content["unit"] = unit
     else:
         said += '; in seconds? add unit = "s"'
-    lines = [f"time = {toml_value(content)}  # {said}"]
-    if time.wrong:
-        lines.append(f"#   to correct in the file: {time.wrong}")
-    return lines
+    if table.date_format:
+        content["date_format"] = table.date_format
+    return [f"time = {toml_value(content)}  # {said}", *_to_correct(time)]
+
+
+def _to_correct(column: ColumnSurvey) -> list[str]:
+    """A comment on a cell that cannot be used; none where all can."""
+    return [f"#   to correct in the file: {column.wrong}"] if column.wrong else []
 
 
 def _between(table: TableSurvey) -> str:
@@ -206,8 +215,7 @@ def _channels(columns: list[ColumnSurvey]) -> list[str]:
             content["unit"] = column.unit
         entry = f"{key_text(column.name)} = {toml_value(content)}"
         lines.append(f"{entry}  # {column.said}")
-        if column.wrong:
-            lines.append(f"#   to correct in the file: {column.wrong}")
+        lines += _to_correct(column)
     return lines
 
 

@@ -5,15 +5,17 @@ is decided by them. The reader of ``phsi_opt.data`` reads the table, so that wha
 seen here can be read later.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import numpy as np
 
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.matlab_tables import Variable
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
 from phsi_opt.study_file.column_look import Seen, columns_of
-from phsi_opt.study_file.file_tables import further_in, table_at
+from phsi_opt.study_file.file_tables import further_in, sheets_in, table_at
 from phsi_opt.study_file.headers import (
     TIMES,
     is_input_word,
@@ -82,6 +84,8 @@ class TableSurvey:
         span: the first and the last time, where they are numbers.
         further: what a MATLAB file holds beside these columns.
         encoding: what was guessed of the text's encoding; "" where nothing was.
+        date_format: how dates are written, where it is not as in ISO 8601.
+        sheets: those of a workbook with content; the first was looked at.
     """
 
     path: Path
@@ -93,6 +97,8 @@ class TableSurvey:
     span: Span | None = None
     further: tuple[Variable, ...] = ()
     encoding: str = ""
+    date_format: str = ""
+    sheets: tuple[str, ...] = ()
 
     def of_part(self, part: str) -> list[ColumnSurvey]:
         """The columns that are one thing."""
@@ -105,7 +111,8 @@ def survey(path: Path) -> TableSurvey:
     Raises:
         DataError: it cannot be read as a table, or has too few lines.
     """
-    table = table_at(path, ())
+    sheets = sheets_in(path)
+    table = table_at(path, (), sheet=sheets[0] if sheets else None)
     n_lines = len(table.frame)
     if n_lines == 0:
         raise DataError(f"{path} has no line below its header.")
@@ -123,10 +130,15 @@ def survey(path: Path) -> TableSurvey:
     step = _step(of_step, further) if time is None else None
     if time is None and step is None:
         time = increasing_column(others, run)
-    parts = _Parts(time, run, of_step)
+    columns = _with_a_state(_named(seen, _Parts(time, run, of_step)))
+    if not any(one.part == STATE for one in columns):
+        listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
+        raise DataError(
+            f"{path} has no column of numbers that a state could be: {listed}."
+        )
     return TableSurvey(
         path=path,
-        columns=_named(seen, parts),
+        columns=columns,
         n_lines=n_lines,
         said=said_of_times(time, run),
         step=step,
@@ -134,16 +146,20 @@ def survey(path: Path) -> TableSurvey:
         span=span_of(time, step, n_lines),
         further=further,
         encoding=table.remark,
+        date_format="" if time is None else time.date_format,
+        sheets=tuple(sheets),
     )
 
 
 def _run_column(seen: list[Seen]) -> Seen | None:
     """The column that names each line's run."""
     for one in seen:
-        n_different = one.cells.nunique()
+        n_different = one.cells[~one.is_missing].nunique()
         is_few = 1 < n_different <= MOST_RUNS * len(one.cells)
-        if is_run_word(one.header.words) and is_few and one.n_missing == 0:
+        if is_run_word(one.header.words) and is_few:
             one.said = f"{n_different} runs"
+            if one.n_missing:
+                one.wrong = f"{one.lines[int(np.argmax(one.is_missing))]} names no run"
             return one
     return None
 
@@ -212,6 +228,18 @@ def _named(seen: list[Seen], parts: _Parts) -> tuple[ColumnSurvey, ...]:
             ColumnSurvey(header.text, part, name, header.unit, one.said, one.wrong)
         )
     return tuple(columns)
+
+
+def _with_a_state(columns: tuple[ColumnSurvey, ...]) -> tuple[ColumnSurvey, ...]:
+    """The columns; inputs become states where there is no other."""
+    if any(one.part == STATE for one in columns):
+        return columns
+    changed = []
+    for one in columns:
+        if one.part == INPUT:
+            one = replace(one, part=STATE, said=f"{one.said}; {PERHAPS_INPUT}")
+        changed.append(one)
+    return tuple(changed)
 
 
 def _free_name(wanted: str, used: set[str]) -> str:

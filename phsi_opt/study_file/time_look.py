@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from phsi_opt.data.wording import number_of
 from phsi_opt.study_file.column_look import Seen
 from phsi_opt.study_file.headers import TIMES, is_step_word, is_time_word
 
@@ -74,7 +75,11 @@ def wrong_time(one: Seen, run: Seen | None) -> str:
         f"{one.lines[after]} has {one.values[after]:.6g}, not after "
         f"{one.values[before]:.6g} of {one.lines[before]}"
     )
-    return said if len(late) == 1 else f"{said}; {len(late) - 1} more such lines"
+    return (
+        said
+        if len(late) == 1
+        else f"{said}; {number_of(len(late) - 1, 'more such line')}"
+    )
 
 
 def _rows_of_runs(one: Seen, run: Seen | None) -> list[np.ndarray]:
