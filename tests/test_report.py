@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.force_analysis.units import frequency_words, with_units
+from phsi_opt.presentation.durations import times_words
 from phsi_opt.presentation.html_report import html_report, script_json
-from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.numbers import number, p_value_words, with_error
 from phsi_opt.presentation.report_content import Channel as ReportChannel
 from phsi_opt.presentation.report_content import (
     ChannelRun,
@@ -28,7 +30,8 @@ from phsi_opt.presentation.report_content import (
 )
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit
-from phsi_opt.study.report_content import report_content
+from phsi_opt.study.force_content import shortened
+from phsi_opt.study.report_content import interval_within, report_content
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 
@@ -123,6 +126,59 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     assert "Added: coulomb friction on p" in answers["What to add"]
     assert answers["What to add"].endswith(" N.")
     assert "lacked coulomb friction on p" in content.headline.sentence
+
+
+def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
+    study: ph.Study,
+) -> None:
+    named = study.record.diagnoses[0]
+    nearest = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
+    still = replace(nearest, proposed=(), reason="nothing else explains it")
+    record = replace(study.record, diagnoses={0: nearest, 1: still}, stopped="")
+    headline = report_content(record).headline
+    assert headline.sentence.startswith(
+        "Not explained. Nearest, added but not established: coulomb friction on p. "
+        "With it, the held-out error fell from"
+    )
+    assert "Still missing: unexplained: nothing else" in headline.sentence
+    answers = {fact.question: fact.answer for fact in headline.facts}
+    assert answers["What is wrong"].startswith(
+        "With coulomb friction on p, the model's dp/dt lacks"
+    )
+    assert "an effect of your own" in answers["What to add"]
+
+
+def test_digits_stop_where_they_say_nothing() -> None:
+    assert p_value_words(6.8e-292) == "below 1e-06"
+    assert p_value_words(0.034) == "0.034"
+    assert shortened("a, b, c, d") == "a, b, c, d"
+    assert shortened("a, b, c, d, e") == "a, b, c and 2 more"
+    damping = ph.Parameter(0.04, lower=0)
+    assert interval_within(damping, -0.12, 0.2) == "0 to 0.2"
+    assert interval_within(damping, 0.01, 0.2) == "0.01 to 0.2"
+    assert interval_within(damping, np.nan, 0.2) == ""
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "said"),
+    [
+        ("0.197 to 0.39", "s", "0.197 to 0.39 s"),
+        ("7.93e+05 to 1.06e+06", "s", "9.18 to 12.3 days"),
+        ("7.93e+05 to 1.06e+06", "ms", "7.93e+05 to 1.06e+06 ms"),
+        ("0 to 1.5e+04", "s", "0 to 4.17 h"),
+        ("4 to 5", "", "4 to 5"),
+    ],
+)
+def test_long_times_are_told_in_hours_and_days(
+    times: str, unit: str, said: str
+) -> None:
+    assert times_words(times, unit) == said
+
+
+def test_a_period_of_a_day_is_told_as_one() -> None:
+    assert frequency_words(1.157e-5, {"t": "s"}) == "with a period of 24 h"
+    assert frequency_words(51.1, {"t": "s"}) == "at 51.1 Hz"
+    assert with_units("q -1 to 0, p 2 to 3", {"q": "m"}) == "q -1 to 0 m, p 2 to 3"
 
 
 def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:

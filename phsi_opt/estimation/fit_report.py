@@ -18,6 +18,9 @@ from phsi_opt.presentation.summary import Part, Summary
 SHOWN_PARAMETERS = ("name", "value", "std_error", "unit")
 IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 
+FEW_DIGITS = 6  # of a constant in a formula that is printed
+LONG_NUMBER = re.compile(r"(?<![\w.])\d+\.\d{7,}(?:e[+-]?\d+)?")
+
 
 def report(fit: FitRecord) -> str:
     """The fit as text, for a terminal.
@@ -50,7 +53,12 @@ def _title(fit: FitRecord) -> str:
 
 def equation_lines(fit: FitRecord) -> list[str]:
     """Structure, terms with their estimates, and fixed parameters; a line each."""
-    return [*structure_rows(fit.model), *_dictionaries(fit), *_fixed(fit)]
+    rows = [*structure_rows(fit.model), *_dictionaries(fit), *_fixed(fit)]
+    return [LONG_NUMBER.sub(_few_digits, row) for row in rows]
+
+
+def _few_digits(found: re.Match[str]) -> str:
+    return f"{float(found[0]):.{FEW_DIGITS}g}"
 
 
 def _remarks(fit: FitRecord) -> list[str]:

@@ -22,9 +22,9 @@ from phsi_opt.force_analysis.piecewise_linear import (
     piecewise_linear_basis,
 )
 from phsi_opt.force_analysis.time_basis import period_of
-from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.presentation.durations import time_words
 from phsi_opt.statistics import TINY
 
 NO_PATTERN = "no clear pattern"
@@ -148,7 +148,7 @@ def _time_words(causes: Causes) -> str:
     period = period_of(force, causes.equation)
     if period is None or period > _longest_run(force):
         return "depends on time: it changes slowly"
-    return f"depends on time: period {period:.3g}{spaced(force.units.get('t', ''))}"
+    return f"depends on time: period {time_words(period, force.units.get('t', ''))}"
 
 
 def _longest_run(force: ForceRecord) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from phsi_opt.presentation.durations import scale_of_time, time_words
 from phsi_opt.presentation.units import rate_unit
 
 
@@ -11,6 +12,23 @@ def frequency_unit(units: Mapping[str, str]) -> str:
     if time == "s":
         return "Hz"
     return f"cycles per {time or 'unit of time'}"
+
+
+def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
+    """A frequency; its period where that is told in minutes, hours or days."""
+    unit = units.get("t", "")
+    if scale_of_time(1 / frequency, unit).size > 1.0:
+        return f"with a period of {time_words(1 / frequency, unit)}"
+    return f"at {frequency:.3g} {frequency_unit(units)}"
+
+
+def with_units(region: str, units: Mapping[str, str]) -> str:
+    """A region in words with the unit behind each range: 'q -1 to -0.6 m, p 2 to 3'."""
+    told = []
+    for part in region.split(", "):
+        name, _, _ = part.partition(" ")
+        told.append(f"{part}{spaced(units.get(name, ''))}")
+    return ", ".join(told)
 
 
 def force_unit(equation: str, units: Mapping[str, str]) -> str:

@@ -12,7 +12,13 @@ from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.energy import EnergyExchange
 from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.localization import EVERYWHERE, THROUGHOUT
-from phsi_opt.force_analysis.units import force_unit, frequency_unit, spaced
+from phsi_opt.force_analysis.units import (
+    force_unit,
+    frequency_words,
+    spaced,
+    with_units,
+)
+from phsi_opt.presentation.durations import times_words
 
 
 def sentences(
@@ -69,11 +75,11 @@ def _place(row: pd.Series, units: Mapping[str, str]) -> str:
     if is_throughout:
         place = "about as strong all the time"
     else:
-        unit = spaced(units.get("t", ""))
-        place = f"strongest in {row['trajectory']}, t = {window}{unit}"
+        times = times_words(window, units.get("t", ""))
+        place = f"strongest in {row['trajectory']}, t = {times}"
     if region != EVERYWHERE:
         mark = ";" if is_throughout else ","
-        place += f"{mark} strong where {region}"
+        place += f"{mark} strong where {with_units(region, units)}"
     if row["frequency"] > 0:
-        place += f"; mostly at {row['frequency']:.3g} {frequency_unit(units)}"
+        place += f"; mostly {frequency_words(float(row['frequency']), units)}"
     return place

@@ -97,15 +97,15 @@ def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
     )
     values = [*judged, *floor, *(step.train for step in steps)]
     layout["yaxis"] = _axis(_label("error", unit))
-    layout["yaxis"].update(_error_axis(values))
+    layout["yaxis"].update(_error_axis(values, len(steps)))
     return _figure(data, layout)
 
 
-def _error_axis(values: Sequence[float]) -> Figure:
-    """From zero; by decades where the errors span more than one."""
+def _error_axis(values: Sequence[float], n_steps: int) -> Figure:
+    """From zero; by decades where the errors of several steps span more than one."""
     largest = max(values)
     smallest = min(values)
-    if smallest > 0 and largest / smallest > 10:
+    if smallest > 0 and largest / smallest > 10 and n_steps > 1:
         low = np.log10(smallest) - 0.2
         return {"type": "log", "range": [low, np.log10(largest) + 0.3]}
     return {"range": [0, 1.25 * largest]}

@@ -7,6 +7,7 @@ on paper, and where no script runs, static pictures stand in place of the charts
 import base64
 import gzip
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -36,6 +37,8 @@ ESCAPES = {
     "\u2029": "\\u2029",
 }
 
+MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
+
 
 @dataclass(frozen=True)
 class ForcePictures:
@@ -57,6 +60,7 @@ def html_report(report: Report) -> str:
     )
     environment.filters["number"] = number
     environment.filters["typeset"] = typeset
+    environment.filters["said"] = said
     template = environment.get_template("report.html.jinja")
     pictures = []
     for failure in report.failures:
@@ -79,6 +83,11 @@ def html_report(report: Report) -> str:
 def typeset(text: str) -> str:
     """A sentence of a terminal as it is printed: ± in place of +-."""
     return text.replace("+-", "\N{PLUS-MINUS SIGN}")
+
+
+def said(text: str) -> str:
+    """A sentence with the minus signs that the numbers of a report have."""
+    return MINUS.sub("\N{MINUS SIGN}", typeset(text))
 
 
 def _pictures_of(force: Force) -> ForcePictures:

@@ -3,6 +3,7 @@
 import math
 
 TEXT_DIGITS = 4  # of a number in a text
+LEAST_P_VALUE = 1e-6  # below which it only says that chance is ruled out
 
 
 def number(value: float | None, digits: int = TEXT_DIGITS) -> str:
@@ -24,3 +25,10 @@ def with_error(value: float, std_error: float) -> str:
     n_decimals = max(n_decimals, 0)
     text = f"{value:.{n_decimals}f}".replace("-", "\N{MINUS SIGN}", 1)
     return f"{text} \N{PLUS-MINUS SIGN} {std_error:.{n_decimals}f}"
+
+
+def p_value_words(p_value: float) -> str:
+    """A p-value with two digits; below a millionth its size says nothing more."""
+    if p_value < LEAST_P_VALUE:
+        return f"below {LEAST_P_VALUE:g}"
+    return f"{p_value:.2g}"

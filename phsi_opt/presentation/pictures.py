@@ -290,7 +290,7 @@ def draw_errors(
     ax.set_xticks(steps, _step_labels(ax, labels))
     ax.set_ylabel(label("free-run rmse", unit))
     ax.set_title("Free-run error after each added effect")
-    _scale_errors(ax, np.concatenate([train, held_out, floor]))
+    _scale_errors(ax, np.concatenate([train, held_out, floor]), len(labels))
     for step, error in zip(steps, judged, strict=True):
         if np.isfinite(error):
             ax.annotate(
@@ -312,14 +312,14 @@ def draw_errors(
     ax.legend(frameon=False, loc="upper right")
 
 
-def _scale_errors(ax: Axes, errors: np.ndarray) -> None:
-    """A logarithmic axis where errors span a decade, else one from zero."""
+def _scale_errors(ax: Axes, errors: np.ndarray, n_steps: int) -> None:
+    """A logarithmic axis where errors of steps span a decade, else one from zero."""
     known = errors[np.isfinite(errors) & (errors > 0)]
     if not len(known):
         return
     least = float(known.min())
     most = float(known.max())
-    if most >= DECADE * least:
+    if most >= DECADE * least and n_steps > 1:
         ax.set_yscale("log")
         ax.set_ylim(least / 2, 3 * most)
     else:

@@ -6,7 +6,8 @@ import pandas as pd
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import FAILING_ERROR, WHITE_ERROR, WHITENESS_LEVEL
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.durations import scale_of_time
+from phsi_opt.presentation.numbers import number, p_value_words
 from phsi_opt.presentation.report_content import BAD, GOOD, LOOK, Check
 from phsi_opt.study.record import StudyRecord
 
@@ -52,7 +53,7 @@ def _whiteness(row: pd.Series) -> Check:
     p_value = float(row["whiteness"])
     if not np.isfinite(p_value):
         return Check(subject, LOOK, "too few samples to compare neighbours")
-    said = f"Ljung and Box's test, p = {p_value:.2g}"
+    said = f"Ljung and Box's test, p-value {p_value_words(p_value)}"
     if p_value >= WHITENESS_LEVEL:
         return Check(subject, GOOD, f"not alike, as white noise has them ({said})")
     is_small = float(row["rmse"]) <= FAILING_ERROR * float(row["noise_floor"])
@@ -64,11 +65,13 @@ def _horizon(row: pd.Series, judged: Comparison, unit_of_time: str) -> Check:
     subject = f"{row['state']}: how long the free run holds"
     horizon = float(row["horizon"])
     shortest = min(float(run.t[-1] - run.t[0]) for run in judged.data.trajectories)
-    unit = spaced(unit_of_time)
+    scale = scale_of_time(shortest, unit_of_time)
+    unit = spaced(scale.unit)
     if horizon >= WHOLE_RECORD * shortest:
         return Check(subject, GOOD, "within the noise to the end of every trajectory")
-    said = f"in the worst trajectory a residual leaves the noise after {horizon:.3g}"
-    return Check(subject, LOOK, f"{said}{unit} of {shortest:.3g}{unit}")
+    said = "in the worst trajectory a residual leaves the noise after "
+    said += f"{horizon / scale.size:.3g} of {shortest / scale.size:.3g}{unit}"
+    return Check(subject, LOOK, said)
 
 
 def _of_fit(study: StudyRecord) -> list[Check]:

@@ -16,6 +16,7 @@ from phsi_opt.force_analysis.state_plots import (
 )
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.presentation.axes import label
+from phsi_opt.presentation.durations import scale_of_time, time_words, times_words
 from phsi_opt.presentation.numbers import number, with_error
 from phsi_opt.presentation.report_content import (
     Failure,
@@ -35,6 +36,7 @@ from phsi_opt.study.run_content import DIGITS_OF_TIME, FEWEST_PER_CURVE, MOST_PE
 MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
 MOST_DRAWN_DOTS = 1_500  # of a force against what it follows
 MOST_LISTED = 12  # candidates that are listed
+MOST_CONFUSED = 3  # effects that are named of those that one is confused with
 # Share of the strongest trajectory's force from which on another has it as well.
 STRONG_RUN = 0.5
 # Times that a force is stronger behind its beginning than before; where it follows a
@@ -72,20 +74,22 @@ def _sure_forces(diagnosis: Diagnosis) -> list[Force]:
 def _force(force: EquationForce) -> Force:
     record = force.record
     names = record.trajectories
-    t_label = label("t", record.units.get("t", ""))
+    scale = scale_of_time(float(record.t.max()), record.units.get("t", ""))
+    t_label = label("t", scale.unit)
     return Force(
         f"d{force.equation}/dt",
         force.force_label(),
         t_label,
         force.sentence,
-        _force_runs(force),
+        _force_runs(force, scale.size),
         names.index(str(force.where["trajectory"])),
         _map(force),
         _follows(force),
     )
 
 
-def _force_runs(force: EquationForce) -> list[ForceRun]:
+def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
+    """The force along each trajectory, times in a unit of so many of the user's."""
     record = force.record
     deviation = deviation_of(record.estimate)[:, force.number]
     share = MOST_FORCE_SAMPLES / len(record.trajectories)
@@ -94,7 +98,7 @@ def _force_runs(force: EquationForce) -> list[ForceRun]:
     for number_of_run, name in enumerate(record.trajectories):
         inside = np.flatnonzero(record.run == number_of_run)
         kept = inside[thinned([force.w[inside]], most)]
-        t = rounded(record.t[kept], DIGITS_OF_TIME)
+        t = rounded(record.t[kept] / size, DIGITS_OF_TIME)
         w = rounded(force.w[kept])
         runs.append(ForceRun(name, t, w, rounded(deviation[kept])))
     return runs
@@ -166,9 +170,17 @@ def _ranked(row: pd.Series, unit: str) -> Ranked:
     places = str(row["equation"]).split(" and ")
     pairs = [f"{name} on {place}" for name, place in zip(names, places, strict=False)]
     size = with_error(float(row["coefficient"]), float(row["std_error"]))
-    confused = str(row["confusable_with"])
+    confused = shortened(str(row["confusable_with"]))
     lost = str(row["lost"])
     return Ranked(" and ".join(pairs), size, explains, share, error, confused, lost)
+
+
+def shortened(listed: str) -> str:
+    """The first few of a list with commas, and how many more there are."""
+    names = listed.split(", ")
+    if len(names) <= MOST_CONFUSED + 1:
+        return listed
+    return f"{', '.join(names[:MOST_CONFUSED])} and {len(names) - MOST_CONFUSED} more"
 
 
 def _known(value: object) -> Number:
@@ -201,11 +213,11 @@ def since_when(diagnosis: Diagnosis) -> str:
     begin = _beginning(force, inside)
     since = "From the start of the record on"
     if begin is not None:
-        since = f"From t = {number(begin, 3)} {unit}".rstrip() + f" of {name} on"
+        since = f"From t = {time_words(begin, unit)} of {name} on"
     window = str(force.where["time_window"])
     if THROUGHOUT in window:
         return f"{since}{runs}, about as strong all the time."
-    strongest = f"strongest at t = {window} {unit}".rstrip()
+    strongest = f"strongest at t = {times_words(window, unit)}"
     of_run = f" of {name}" if len(sizes) > 1 and begin is None else ""
     return f"{since}{runs}; {strongest}{of_run}."
 

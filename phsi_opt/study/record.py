@@ -11,6 +11,8 @@ from phsi_opt.study.history import history_table
 from phsi_opt.study.step import Step
 from phsi_opt.transcription.losses import MaximumLikelihood
 
+STANDARD_DEVIATIONS = "standard deviations"  # unit of errors in several channels
+
 
 @dataclass(frozen=True, eq=False)
 class StudyRecord:
@@ -46,5 +48,5 @@ class StudyRecord:
         """Unit of the errors, that of the channel where one is measured."""
         measured = self.train.measured
         if len(measured) != 1:
-            return "standard deviations"
+            return STANDARD_DEVIATIONS
         return self.train.units.get(measured[0], "")

@@ -9,6 +9,8 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_report import equation_lines
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.presentation.durations import scale_of_time
 from phsi_opt.presentation.numbers import number, with_error
 from phsi_opt.presentation.report_content import (
     Equations,
@@ -23,9 +25,10 @@ from phsi_opt.study.checks import checks_of
 from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.force_content import failure_of, law_of
 from phsi_opt.study.headline import errors_in_words, headline_of
-from phsi_opt.study.record import StudyRecord
+from phsi_opt.study.record import STANDARD_DEVIATIONS, StudyRecord
 from phsi_opt.study.run_content import runs_of
 
+ENDED_AT_BOUND = "at its bound"
 LEVEL = 0.95  # of the intervals: the convention of most tables
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 
@@ -60,6 +63,8 @@ def _staircase(study: StudyRecord) -> Staircase:
         steps.append(error)
     said = errors_in_words(study)
     sentence = f"{said[:1].upper()}{said[1:]}."
+    if study.unit == STANDARD_DEVIATIONS:
+        sentence += " One standard deviation is that of a channel's measurements."
     return Staircase(tuple(steps), study.unit, sentence)
 
 
@@ -80,17 +85,37 @@ def _model(heading: str, fit: Fit) -> Equations:
         interval = ""
         remark = "fixed" if row["fixed"] else ""
         if name in fit.outcome.at_bounds:
-            remark = "at its bound"
+            remark = ENDED_AT_BOUND
         if name in intervals.index:
             lower = float(intervals["ci_lower"][name])
             upper = float(intervals["ci_upper"][name])
-            if np.isfinite(lower):
-                interval = f"{number(lower)} to {number(upper)}"
+            parameter = fit.model.entries[name].parameter
+            interval = interval_within(parameter, lower, upper)
+            if lower < parameter.lower or upper > parameter.upper:
+                remark = remark or "interval cut at its bound"
         if not interval and not remark:
             remark = "no standard error"
         value = with_error(float(row["value"]), float(row["std_error"]))
+        if remark == ENDED_AT_BOUND:
+            nearest = fit.model.entries[name].parameter
+            value = number(_nearest_bound(float(row["value"]), nearest))
         rows.append(ParameterRow(name, value, interval, str(row["unit"]), remark))
     return Equations(heading, tuple(equation_lines(fit)), tuple(rows))
+
+
+def interval_within(parameter: Parameter, lower: float, upper: float) -> str:
+    """An interval in words, as far as the parameter's bounds let it go."""
+    lower = max(lower, parameter.lower)
+    upper = min(upper, parameter.upper)
+    if not np.isfinite([lower, upper]).all():
+        return ""
+    return f"{number(lower)} to {number(upper)}"
+
+
+def _nearest_bound(value: float, parameter: Parameter) -> float:
+    """The bound at which an estimate ended: a solver stops a hair beside it."""
+    bounds = [one for one in (parameter.lower, parameter.upper) if np.isfinite(one)]
+    return min(bounds, key=lambda bound: abs(value - bound), default=value)
 
 
 def _failures(study: StudyRecord) -> tuple[Failure, ...]:
@@ -130,15 +155,15 @@ def _settings(study: StudyRecord) -> tuple[Fact, ...]:
 
 
 def _data(data: Measurements) -> str:
-    unit = data.units.get("t", "")
     lengths = [float(run.t[-1] - run.t[0]) for run in data.trajectories]
-    extent = f"{min(lengths):.4g}"
+    scale = scale_of_time(max(lengths), data.units.get("t", ""))
+    extent = f"{min(lengths) / scale.size:.4g}"
     if max(lengths) > min(lengths):
-        extent += f" to {max(lengths):.4g}"
+        extent += f" to {max(lengths) / scale.size:.4g}"
     n_runs = len(lengths)
     runs = "1 trajectory" if n_runs == 1 else f"{n_runs} trajectories"
     return (
-        f"{runs}, {data.n_samples} samples, {extent} {unit}".rstrip()
+        f"{runs}, {data.n_samples} samples, {extent} {scale.unit}".rstrip()
         + f" each; SHA-256 {data.digest}"
     )
 

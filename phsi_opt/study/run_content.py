@@ -3,6 +3,7 @@
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
+from phsi_opt.presentation.durations import scale_of_time
 from phsi_opt.presentation.report_content import Channel, ChannelRun, Run, Runs
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.study.record import StudyRecord
@@ -27,19 +28,20 @@ def runs_of(study: StudyRecord) -> Runs:
     channels = _channels(study)
     n_curves = max(min(n_runs, MOST_DRAWN_RUNS) * len(channels), 1)
     most = int(np.clip(MOST_DRAWN_SAMPLES / n_curves, FEWEST_PER_CURVE, MOST_PER_CURVE))
+    longest = max(float(run.t[-1]) for run in study.train.trajectories)
+    scale = scale_of_time(longest, study.train.units.get("t", ""))
     runs: list[Run] = []
     for name, part in parts:
         for number in range(len(part[0].data)):
             if len(runs) < MOST_DRAWN_RUNS:
-                runs.append(_run(name, part, number, most))
+                runs.append(_run(name, part, number, most, scale.size))
     shown = _worst(runs, parts[0][1][0].weights)
     left_out = ""
     if n_runs > MOST_DRAWN_RUNS:
         left_out = f"The first {MOST_DRAWN_RUNS} of {n_runs} trajectories are drawn."
     labels = tuple(_label(step, number) for number, step in _numbered(study))
     sentence = _sentence(study, len(labels))
-    unit = study.train.units.get("t", "")
-    return Runs(unit, channels, labels, runs, shown, sentence, left_out)
+    return Runs(scale.unit, channels, labels, runs, shown, sentence, left_out)
 
 
 def _numbered(study: StudyRecord) -> list[tuple[int, Step]]:
@@ -67,8 +69,10 @@ def _channels(study: StudyRecord) -> tuple[Channel, ...]:
     return tuple(channels)
 
 
-def _run(part: str, comparisons: list[Comparison], number: int, most: int) -> Run:
-    """One trajectory with the free runs of all models."""
+def _run(
+    part: str, comparisons: list[Comparison], number: int, most: int, size: float
+) -> Run:
+    """One trajectory with the free runs of all models; ``size``: that of a time."""
     first = comparisons[0]
     run = first.data.trajectories[number]
     channels = []
@@ -76,7 +80,7 @@ def _run(part: str, comparisons: list[Comparison], number: int, most: int) -> Ru
         if name in comparisons[-1].noise:
             # A state with a memory comes behind those of the base model.
             shown = [one.shown[number][:, k] for one in comparisons]
-            channels.append(_channel_run(run.t, run.x[:, k], shown, most))
+            channels.append(_channel_run(run.t / size, run.x[:, k], shown, most))
     return Run(run.name, part, channels)
 
 

@@ -63,7 +63,7 @@
     return lines.map((line) => plain(shortened(line, 2 * width))).join("<br>");
   }
   function layout(extra) {
-    const axis = { gridcolor: faint("line", 0.5), linecolor: color("line"), zerolinecolor: color("quiet"), automargin: true };
+    const axis = { gridcolor: faint("line", 0.5), linecolor: color("line"), zerolinecolor: color("quiet"), automargin: true, exponentformat: "power" };
     const result = {
       paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: color("text"), size: 13, family: "system-ui, sans-serif" },
@@ -109,10 +109,12 @@
     traces.push(curve("floor", "noise floor", { color: color("floor"), dash: "dot" }, "line-ew-open", false));
     const errors = steps.flatMap((step) => [step.train, step.held_out, step.floor]).filter((v) => v !== null && v > 0);
     const most = Math.max(...errors), least = Math.min(...errors);
-    const log = most >= 10 * least;
+    const log = most >= 10 * least && steps.length > 1;
+    const ticks = log ? { dtick: most >= 100 * least ? 1 : "D2" } : {};
+    const unit = content.unit === "standard deviations" ? "std. deviations" : content.unit;
     draw("staircase", traces, {
       xaxis: { tickvals: x, ticktext: labels, range: [-0.3, steps.length - 0.4], zeroline: false },
-      yaxis: { type: log ? "log" : "linear", range: log ? [Math.log10(least / 2), Math.log10(2 * most)] : [0, 1.2 * most], title: { text: withUnit("free-run rmse", content.unit) } },
+      yaxis: Object.assign(ticks, { type: log ? "log" : "linear", range: log ? [Math.log10(least / 2), Math.log10(2 * most)] : [0, 1.2 * most], title: { text: withUnit("error", unit) } }),
     });
   }
 
