@@ -223,6 +223,7 @@ def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> Non
         ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
         ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
         ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 names no run"]),
+        ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['line 2 holds "m", no finite number; if that line has units']),
         ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
     ],
 )  # fmt: skip
@@ -426,16 +427,24 @@ def test_check_refuses_what_init_said_is_wrong(tmp_path: Path) -> None:
 
 
 def test_many_lines_are_told_with_what_to_do(tmp_path: Path) -> None:
-    lines = "\n".join(f"{i},{i % 7}" for i in range(8000))
+    lines = "\n".join(f"{i},{i % 700}" for i in range(8000))
     (tmp_path / "data.csv").write_text(f"t,q\n{lines}\n")
     result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
-    assert "Many lines take long: see thinned = 4" in result.out
+    assert "So many lines take long: see between and thinned in" in result.out
     text = (tmp_path / "s.toml").read_text()
     assert "# 8000 lines take long" in text
     assert "# thinned = 4" in text
     text = text.replace("# thinned", "thinned").replace('H = ""', 'H = "q**2"')
     (tmp_path / "s.toml").write_text(text)
     assert ph.StudyFile.read(tmp_path / "s.toml").measurements().n_samples == 2000
+
+
+def test_no_means_are_suggested_that_lose_what_the_states_do(tmp_path: Path) -> None:
+    lines = "\n".join(f"{i},{i % 7}" for i in range(8000))
+    (tmp_path / "data.csv").write_text(f"t,q\n{lines}\n")
+    result = said("init", tmp_path / "data.csv", "-o", tmp_path / "s.toml")
+    assert "So many lines take long: see between in" in result.out
+    assert "means of neighbours would lose" in (tmp_path / "s.toml").read_text()
 
 
 @pytest.mark.parametrize("place", ["", "below"])

@@ -5,7 +5,7 @@ from pathlib import Path
 from phsi_opt.command_line.job import Answer
 from phsi_opt.data.file_opening import why_not_opened
 from phsi_opt.errors import Complaint, DataError, StudyFileError
-from phsi_opt.study_file.first_text import first_text, thinning_for
+from phsi_opt.study_file.first_text import first_text
 from phsi_opt.study_file.reading import read_contents
 from phsi_opt.study_file.survey import TableSurvey, survey
 
@@ -57,11 +57,9 @@ def _seen(table: TableSurvey, study: Path, files: list[Path]) -> list[str]:
             lines.append(f"  {name}{unit}: {column.part}; {column.remark}")
     for variable in table.further:
         lines.append(f"  {variable.name}: left out; {variable.said}")
-    n = thinning_for(table)
-    if n > 1:
-        lines.append(
-            f"  Many lines take long: see thinned = {n} in {study}, and between."
-        )
+    if table.is_long:
+        keys = "between" if table.thinning == 1 else "between and thinned"
+        lines.append(f"  So many lines take long: see {keys} in {study}.")
     return lines
 
 

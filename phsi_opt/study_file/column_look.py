@@ -23,6 +23,7 @@ DATE_FORMATS = tuple(  # day and month before the year, which ISO 8601 does not 
     for day in ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
     for clock in ("", " %H:%M", " %H:%M:%S", " %H:%M:%S.%f")
 )
+OF_UNITS = "if that line has units, write them into the header: q [m]"
 EXAMPLES = 3  # different texts that are shown of a column of text
 CELL_CHARACTERS = 20  # of a cell
 
@@ -124,7 +125,7 @@ def _wrong_cells(one: Seen, places: np.ndarray) -> str:
     first = int(places[0])
     said = f"{one.lines[first]} holds {_shown(one.cells.iloc[first])}, no finite number"
     if places.size == 1:
-        return said
+        return f"{said}; {OF_UNITS}" if first == 0 else said
     return f"{said}; {number_of(places.size - 1, 'more such cell')}"
 
 

@@ -20,8 +20,6 @@ from phsi_opt.study_file.survey import (
 )
 from phsi_opt.study_file.toml_text import key_text, text_value, toml_value
 
-MANY_LINES = 5000  # of a run, from which a study takes long
-FEW_LINES = 2000  # of a run, as many or a little more, that thinning leaves then
 HELD_OUT_SHARE = 0.3  # of the runs, or of the time of a single one: the usual
 PHYSICS_SECTION = """\
 # ---- the physics: fill this in ------------------------------------------------------
@@ -158,22 +156,23 @@ def _between(table: TableSurvey) -> str:
     return f"# between = [{shown}]  # {about}; here: all"
 
 
-def thinning_for(table: TableSurvey) -> int:
-    """How many samples should become one where runs are long; 1 where they are not."""
-    n_lines = table.n_lines // table.n_runs
-    return 1 if n_lines <= MANY_LINES else n_lines // FEW_LINES
-
-
 def _thinned(table: TableSurvey) -> list[str]:
-    n = thinning_for(table)
-    if n == 1:
-        return ["# thinned = 2  # so many neighbouring samples become their mean"]
+    example = "# thinned = 2  # so many neighbouring samples become their mean"
+    if not table.is_long:
+        return [example]
+    n = table.thinning
     n_lines = table.n_lines // table.n_runs
     of_run = "lines" if table.n_runs == 1 else "lines in a run"
+    if n == 1:
+        return [
+            f"# {n_lines} {of_run} take long; use a part of them (means of neighbours "
+            "would lose",
+            "# much of what the states do).",
+            example,
+        ]
     return [
         f"# {n_lines} {of_run} take long; use a part of them, or let so many become",
-        f"# their mean, {n_lines // n} then, where a sample stays below a tenth of the "
-        "shortest period:",
+        f"# their mean, {n_lines // n} then:",
         f"# thinned = {n}",
     ]
 

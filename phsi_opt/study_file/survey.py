@@ -25,6 +25,7 @@ from phsi_opt.study_file.headers import (
     may_be_input_word,
     name_from,
 )
+from phsi_opt.study_file.thinning_look import is_long, thinning_of
 from phsi_opt.study_file.time_look import (
     Span,
     increasing_column,
@@ -86,6 +87,8 @@ class TableSurvey:
         encoding: what was guessed of the text's encoding; "" where nothing was.
         date_format: how dates are written, where it is not as in ISO 8601.
         sheets: those of a workbook with content; the first was looked at.
+        thinning: how many samples could become their mean, where runs are long and the
+            means keep what the states do; 1 where not.
     """
 
     path: Path
@@ -99,6 +102,12 @@ class TableSurvey:
     encoding: str = ""
     date_format: str = ""
     sheets: tuple[str, ...] = ()
+    thinning: int = 1
+
+    @property
+    def is_long(self) -> bool:
+        """Whether its runs have so many lines that a study takes long."""
+        return is_long(self.n_lines, self.n_runs)
 
     def of_part(self, part: str) -> list[ColumnSurvey]:
         """The columns that are one thing."""
@@ -130,6 +139,7 @@ def survey(path: Path) -> TableSurvey:
     step = _step(of_step, further) if time is None else None
     if time is None and step is None:
         time = increasing_column(others, run)
+    n_runs = 1 if run is None else run.cells.nunique()
     columns = _with_a_state(_named(seen, _Parts(time, run, of_step)))
     if not any(one.part == STATE for one in columns):
         listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
@@ -142,13 +152,26 @@ def survey(path: Path) -> TableSurvey:
         n_lines=n_lines,
         said=said_of_times(time, run),
         step=step,
-        n_runs=1 if run is None else run.cells.nunique(),
+        n_runs=n_runs,
         span=span_of(time, step, n_lines),
         further=further,
         encoding=table.remark,
         date_format="" if time is None else time.date_format,
         sheets=tuple(sheets),
+        thinning=thinning_of(_values_of_states(seen, columns), n_lines, n_runs),
     )
+
+
+def _values_of_states(
+    seen: list[Seen], columns: tuple[ColumnSurvey, ...]
+) -> list[np.ndarray]:
+    """The values of what is surely no input, (n_lines,) each."""
+    values = []
+    for one, column in zip(seen, columns, strict=True):
+        is_state = column.part == STATE and not column.said.endswith(PERHAPS_INPUT)
+        if is_state and one.values is not None:
+            values.append(one.values)
+    return values
 
 
 def _run_column(seen: list[Seen]) -> Seen | None:
