@@ -536,7 +536,7 @@ def test_check_tells_what_is_empty(tmp_path: Path) -> None:
     assert result.code == ExitCode.BAD_INPUT
     for words in [
         "one thing to correct",
-        "Empty, and may stay so:",
+        "Also empty; fill in what applies:",
         "parameters: none yet",
         'model.R: no losses, such as R = { q = "c" }',
         'model.F: no forces, such as F = { q = "u" }',

@@ -12,7 +12,7 @@ from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.unfilled import unfilled
 from phsi_opt.transcription.alignment import AlignedData
 
-EMPTY = "Empty, and may stay so:"
+EMPTY = "Also empty; fill in what applies:"
 
 
 def checked(path: Path) -> Answer:

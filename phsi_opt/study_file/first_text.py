@@ -150,7 +150,9 @@ def _to_correct(column: ColumnSurvey) -> list[str]:
 def _between(table: TableSurvey) -> str:
     about = "the part of the times that is used"
     if table.span is None:
-        return f"# between = [0, 3600]  # {about}; of dates: s from the first"
+        has_dates = any(time.said == DATES for time in table.of_part(TIME))
+        seconds = ", in s from the first" if has_dates else ""
+        return f"# between = [0, 3600]  # {about}{seconds}"
     times = [table.span.begin, table.span.end]
     shown = ", ".join(f"{time:.6g}" for time in times)
     return f"# between = [{shown}]  # {about}; here: all"
