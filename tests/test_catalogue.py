@@ -358,7 +358,7 @@ def test_an_effect_may_be_added_by_the_name_of_any_kind(name: str, kind: Any) ->
 
 def test_what_the_model_has_by_another_name_cannot_be_added_again() -> None:
     tank = storage("hydraulic").add("viscous damping", "x")
-    with pytest.raises(ph.ModelError, match="the model has it already"):
+    with pytest.raises(ph.ModelError, match="has 'linear leak' on x already"):
         tank.add("linear leak", "x")
 
 

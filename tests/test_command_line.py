@@ -29,7 +29,10 @@ from phsi_opt.command_line.forecast import (
     Forecast,
     duration,
 )
+from phsi_opt.command_line.job import GO_THROUGH, Finished, Job, Message
 from phsi_opt.command_line.jobs import plain
+from phsi_opt.command_line.jobs import run as run_job
+from phsi_opt.command_line.progress_display import ProgressDisplay
 from phsi_opt.command_line.worker import answer_to
 from phsi_opt.study_file.headers import (
     header_of,
@@ -582,7 +585,7 @@ def test_add_writes_an_effect_and_keeps_what_the_user_wrote(demo: Path) -> None:
     assert after == before.replace("added = []", 'added = ["coulomb friction on p"]')
     again = said("add", "coulomb friction on p", demo, "-e", "p")
     assert again.code == ExitCode.BAD_INPUT
-    assert "the model has it already" in again.err
+    assert "the model has 'coulomb friction' on p already" in again.err
     assert demo.read_text() == after
 
 
@@ -615,7 +618,7 @@ def test_a_fit_is_saved_and_taken_up_again(demo: Path) -> None:
     )
     assert diagnosed.returncode == ExitCode.MISSING, diagnosed.stderr
     assert json.loads(diagnosed.stdout)["proposed"] == ["coulomb friction on p"]
-    assert "[0:0" in diagnosed.stderr and "left] re-fitting with" in diagnosed.stderr
+    assert "[0:" in diagnosed.stderr and "left] re-fitting with" in diagnosed.stderr
     assert left_over(demo.parent) == []
 
 
@@ -823,6 +826,23 @@ def test_the_page_says_how_to_install_what_it_needs(
     assert 'pip install "phsi_opt[app]"' in result.err
 
 
+def test_a_study_that_breaks_off_says_so_in_its_report(
+    demo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def breaks(*_: object) -> str:
+        raise RuntimeError("a mistake on the way")
+
+    monkeypatch.setattr(ph.Study, "auto", breaks)
+    told: list[Message] = []
+    job = Job(GO_THROUGH, demo, is_auto=True, report=demo.with_name("report.html"))
+    with pytest.raises(RuntimeError):
+        run_job(job, told.append)
+    kept = [one for one in told if isinstance(one, Finished)][-1]
+    report = kept.files[demo.with_name("report.html")].read_text(encoding="utf-8")
+    assert "the study broke off: a mistake on the way. So far: held-out error" in report
+    assert "base model" in kept.text
+
+
 # ---- small parts ---------------------------------------------------------------------
 
 
@@ -852,6 +872,22 @@ def test_the_forecast_falls_to_nothing_as_the_work_goes_on() -> None:
     assert known[-1] < 1.0 < known[0]
     forecast.said(f"{NOTHING_MISSING}: held-out error 0.04")
     assert forecast.left == 0.0
+
+
+def test_a_work_that_takes_long_is_said_to_and_no_time_is_told() -> None:
+    now = 0.0
+    forecast = Forecast(n_diagnoses=1, clock=lambda: now)
+    for line in (f"{FITTING} x", f"{SCREENING} 24", f"{REFITTING} a"):
+        forecast.said(line)
+        now += 1.0
+    assert forecast.left is not None
+    assert not forecast.is_overdue
+    now += 60.0
+    assert forecast.left is None
+    assert forecast.is_overdue
+    assert "longer than expected" in ProgressDisplay(forecast)._times()
+    forecast.said(f"{REFITTING} b")
+    assert forecast.left is not None
 
 
 def test_the_lines_that_the_forecast_waits_for_are_said() -> None:

@@ -20,6 +20,8 @@ NOTHING_MISSING = "nothing missing"
 # each unit); single ones differ by a factor of three.
 SIZES = {FITTING: 1.0, SCREENING: 1.5, REFITTING: 1.5, ADDING: 2.0}
 EXPECTED_REFITS = 3  # of a diagnosis: 1 to 5 singles, and pairs where one is not enough
+# Times its expected length after which a work is said to take longer than expected.
+OVERDUE = 1.5
 MOST_SAID = 99 * 3600.0  # s; beyond that no forecast is worth saying
 
 
@@ -39,9 +41,11 @@ class Forecast:
     n_screened: int = 0
     n_refitted: int = 0
     began: float = field(init=False)
+    current_began: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.began = self.clock()
+        self.current_began = self.began
 
     def said(self, line: str) -> None:
         """Note a line; most say nothing of the progress."""
@@ -62,6 +66,20 @@ class Forecast:
 
     def _finish_current(self) -> None:
         self.done += SIZES.get(self.current, 0.0)
+        self.current_began = self.clock()
+
+    @property
+    def _pace(self) -> float:
+        """Seconds that a unit of the work took so far, the current one left out."""
+        return (self.current_began - self.began) / self.done
+
+    @property
+    def is_overdue(self) -> bool:
+        """Whether the current work takes far longer than others of its kind."""
+        if self.done == 0.0 or not self.current:
+            return False
+        expected = SIZES[self.current] * self._pace
+        return self.clock() - self.current_began > OVERDUE * expected
 
     @property
     def elapsed(self) -> float:
@@ -70,9 +88,13 @@ class Forecast:
 
     @property
     def left(self) -> float | None:
-        """Seconds that are left, roughly; None where nothing is known yet."""
-        if self.done == 0.0:
-            return None  # there is no pace before the first fit
+        """Seconds that are left, roughly; None where that is not known.
+
+        Before the first fit there is no pace; beside a work that takes longer than
+        expected the pace means little.
+        """
+        if self.done == 0.0 or self.is_overdue:
+            return None
         half_done = self.done + SIZES.get(self.current, 0.0) / 2
         remaining = SIZES.get(self.current, 0.0) / 2 + self._expected()
         seconds = remaining * self.elapsed / half_done

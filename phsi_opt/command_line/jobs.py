@@ -58,7 +58,12 @@ def run(job: Job, tell: Tell) -> Answer:
     elif job.kind == kinds.DIAGNOSE:
         answer = _diagnose_answer(study.diagnose(), job)
     else:
-        answer = _study_answer(study, job, file)
+        try:
+            answer = _study_answer(study, job, file)
+        except Exception as error:
+            study.stopped = f"the study broke off: {error}"
+            keeper.step_finished()
+            raise
     keeper.step_finished(is_last=True)
     return answer
 

@@ -5,8 +5,11 @@ Progress, and what went wrong, go to standard error.
 
 import contextlib
 import json
+import shutil
+import sys
+import textwrap
 from collections.abc import Iterator, Mapping
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO
 
 import typer
 
@@ -30,10 +33,23 @@ def finish(answer: Answer, as_json: bool, **further: Any) -> NoReturn:
     if as_json:
         _print_json({**answer.content, **further}, answer.code)
     elif is_done:
-        typer.echo(answer.text)
+        typer.echo(_fitted(answer.text, sys.stdout))
     if not is_done:
-        typer.echo(answer.text, err=True)
+        typer.echo(_fitted(answer.text, sys.stderr), err=True)
     raise typer.Exit(int(answer.code))
+
+
+def _fitted(text: str, stream: TextIO) -> str:
+    """Sentences broken at words where a terminal would break them anywhere."""
+    if not stream.isatty():
+        return text
+    width = shutil.get_terminal_size().columns
+    lines = []
+    for line in text.split("\n"):
+        indent = " " * (len(line) - len(line.lstrip()) + 2)
+        broken = textwrap.wrap(line, width, subsequent_indent=indent)
+        lines += broken if len(line) > width else [line]
+    return "\n".join(lines)
 
 
 def _print_json(content: Mapping[str, Any], code: int) -> None:
@@ -65,6 +81,10 @@ def do(job: Job, as_json: bool) -> NoReturn:
         _interrupted(ended, as_json, notes, further)
     if not as_json:
         typer.echo("\n".join(notes), err=True, nl=bool(notes))
+    if ended.answer.code == ExitCode.FAILED and ended.kept is not None:
+        further = {**ended.kept.content, **further}
+        if not as_json:
+            typer.echo(f"The steps that were finished are kept:\n{ended.kept.text}")
     finish(ended.answer, as_json, **further)
 
 

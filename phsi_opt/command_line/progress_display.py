@@ -63,6 +63,8 @@ class ProgressDisplay:
     def _times(self) -> str:
         left = self.forecast.left
         elapsed = duration(self.forecast.elapsed)
+        if self.forecast.is_overdue:
+            return f"{elapsed}, longer than expected"
         if left is None:
             return elapsed
         return f"{elapsed}, about {duration(left)} left"

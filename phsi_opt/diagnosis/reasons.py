@@ -10,6 +10,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.conclusion import Conclusion
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.proposal import Proposal
+from phsi_opt.diagnosis.reason_words import BY_CHANCE
 
 
 def in_order(
@@ -61,7 +62,7 @@ def _reason(base: DiagnosedModel, one: Candidate, best: Candidate | None) -> str
         return f"the held-out error {'rises' if rises else 'does not fall'}"
     if not one.p_value < FALSE_DISCOVERY_RATE:
         p_value = min(one.p_value, 1.0)
-        return f"the error falls no more than by chance (p-value {p_value:.1g})"
+        return f"{BY_CHANCE} (p-value {p_value:.1g})"
     if best is None:
         return "the error on the data that judge does not fall clearly"
     if one.delta_bic > best.delta_bic:

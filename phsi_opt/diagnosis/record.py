@@ -12,6 +12,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.experiment_design import Separation, separating
 from phsi_opt.diagnosis.finding import Finding
+from phsi_opt.diagnosis.reason_words import brief_reason
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
@@ -291,6 +292,7 @@ class Diagnosis(Summarised):
         if self.base.warning:
             said.append(self.base.warning)
         best = self.candidates[list(PRINTED_COLUMNS)].head(N_PRINTED)
+        best = best.assign(lost=[brief_reason(lost) for lost in best["lost"]])
         return Summary(
             str(self.verdict),
             (

@@ -96,13 +96,13 @@ def effect_named(model: BaseModel, name: str, equation: str | None = None) -> Ef
     """
     if equation is not None:
         model.index(equation, f"equation of effect {name!r}:")
-    there = [e for e in catalogue(model) if equation in (None, e.equation)]
-    found = [effect for effect in there if effect.name == name]
+    own = [e for e in catalogue(model) if equation in (None, e.equation)]
+    found = _called(name, own)
     if not found:
         there = [e for e in every_name(model) if equation in (None, e.equation)]
-        found = [effect for effect in there if effect.name == name]
+        found = _called(name, there)
     if not found:
-        raise ModelError(_not_in_catalogue(name, equation, there))
+        raise ModelError(_not_in_catalogue(model, name, equation, own))
     if len(found) > 1 and equation is None:
         equations = ", ".join(effect.equation for effect in found)
         raise ModelError(
@@ -112,14 +112,34 @@ def effect_named(model: BaseModel, name: str, equation: str | None = None) -> Ef
     return found[0]
 
 
-def _not_in_catalogue(name: str, equation: str | None, there: list[Effect]) -> str:
-    place = "" if equation is None else f" on {equation!r}"
+def _called(name: str, effects: list[Effect]) -> list[Effect]:
+    """Those of a name, in small letters or large ones."""
+    return [effect for effect in effects if effect.name.lower() == name.lower()]
+
+
+def _not_in_catalogue(
+    model: BaseModel, name: str, equation: str | None, there: list[Effect]
+) -> str:
+    place = "" if equation is None else f" on {equation}"
+    if _is_had(model, name, equation):
+        return (
+            f"the model has {name!r}{place} already, or can do the same by its own "
+            "terms; give another effect."
+        )
     names = sorted({effect.name for effect in there})
+    hint = did_you_mean(name, names)
+    where = "this model" if equation is None else f"the equation of {equation}"
     return (
-        f"effect {name!r}{place} is not in the catalogue of this model "
-        "(or the model has it already); "
-        f"available there: {', '.join(names)}.{did_you_mean(name, names)}"
+        f"there is no effect {name!r}{place} in the catalogue.{hint} "
+        f"For {where} there are: {', '.join(names)}."
     )
+
+
+def _is_had(model: BaseModel, name: str, equation: str | None) -> bool:
+    """Whether it would be offered if the model had neither losses nor forces."""
+    bare = replace(model, R={}, F={}) if model.has_energy else replace(model, F={})
+    there = [e for e in every_name(bare) if equation in (None, e.equation)]
+    return bool(_called(name, there))
 
 
 def _in_equations(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:

@@ -79,6 +79,8 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
         if len(present.reason) <= MOST_REASON:
             return f"{begin} Still {present.verdict}: {present.reason}."
         return f"{begin} Still {present.verdict}; why stands under Where it fails."
+    if present is None and study.stopped:
+        return f"What the model lacks is not known: {study.stopped}. So far: {errors}."
     if present is None:
         return (
             f"What the model lacks has not been asked yet: {errors}. "
