@@ -6,8 +6,11 @@ stays as it is: it is coulomb to one and degree Celsius to another.
 
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+# Powers of units, by their names.
+Powers = Mapping[str, float]
+RADIAN = "rad"
 # Units in powers of the base units.
 KNOWN: Mapping[str, Mapping[str, int]] = {
     "kg": {"kg": 1},
@@ -43,6 +46,9 @@ NAMED: Mapping[str, Mapping[str, int]] = {
     "rad/s^2": {"rad": 1, "s": -2},
     "1/s": {"s": -1},
 }
+MECHANICAL = frozenset({"kg", "m", "s", RADIAN})
+# A unit with its power, of any name.
+ANY_FACTOR = re.compile(r"([A-Za-z%\u00b0\u00b5]+)(?:(?:\^|\*\*)?(-?\d))?$")
 # A factor such as "m", "s^2", "m2" or "s**-1"; between two, blanks, "*", "." or "·".
 FACTOR = re.compile(r"([A-Za-z]+)(?:(?:\^|\*\*)?(-?\d))?$")
 FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
@@ -87,3 +93,93 @@ def _without_zeros(powers: Mapping[str, int]) -> dict[str, int]:
         if power:
             kept[base] = power
     return kept
+
+
+def powers_as_written(unit: str) -> Powers | None:
+    """Powers of the units as they are written, of any name; None: not readable."""
+    powers: Counter[str] = Counter()
+    for place, part in enumerate(unit.replace("(", "").replace(")", "").split("/")):
+        sign = 1 if place == 0 else -1
+        for factor in FACTOR_SEPARATORS.split(part.strip()):
+            found = ANY_FACTOR.match(factor)
+            if factor == "1":
+                continue
+            if found is None:
+                return None
+            powers[found[1]] += sign * int(found[2] or 1)
+    return _without_zeros(powers)
+
+
+def powers_in_base_units(unit: str) -> Powers | None:
+    """The same in base units, those that are not known as they are written."""
+    written = powers_as_written(unit)
+    if written is None:
+        return None
+    return _in_base_units(written)
+
+
+def _in_base_units(written: Powers) -> Powers:
+    powers: dict[str, float] = {}
+    for name, exponent in written.items():
+        for base, power in KNOWN.get(name, {name: 1}).items():
+            powers[base] = powers.get(base, 0.0) + exponent * power
+    return {base: power for base, power in powers.items() if power}
+
+
+def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
+    """The unit of a coefficient as people write it: N s/m, kg m^2, degC/h.
+
+    Args:
+        powers: of units.
+        named: units that are kept as they are written where the powers are theirs.
+    """
+    basic = _in_base_units(powers)
+    for unit in named:
+        if unit and powers_in_base_units(unit) == basic:
+            return unit
+    if set(powers) - set(KNOWN) or len(powers) == 1:
+        return _written(powers)
+    if basic.get("kg") and set(basic) <= MECHANICAL:
+        return _mechanical(basic)
+    for unit, known in KNOWN.items():
+        if basic == known:
+            return unit
+    return _written(powers)
+
+
+def _mechanical(basic: Powers) -> str:
+    """By newtons, but for a mass (kg) and an inertia (kg m^2)."""
+    powers = dict(basic)
+    angle = powers.get(RADIAN, 0)
+    if angle > 0:
+        del powers[RADIAN]
+    is_mass = powers["kg"] == 1 and "s" not in powers and powers.get("m", 0) >= 0
+    if is_mass and angle >= -1:
+        powers.pop(RADIAN, None)  # an inertia is kg m^2, whatever its angle is told in
+        return _written(powers)
+    force = powers.pop("kg")
+    powers["N"] = force
+    powers["m"] = powers.get("m", 0) - force
+    powers["s"] = powers.get("s", 0) + 2 * force
+    return _written(powers)
+
+
+def _written(powers: Powers) -> str:
+    above = [_factor(name, power) for name, power in _sorted(powers) if power > 0]
+    below = [_factor(name, -power) for name, power in _sorted(powers) if power < 0]
+    if not below:
+        return " ".join(above)
+    under = below[0] if len(below) == 1 else f"({' '.join(below)})"
+    return f"{' '.join(above) or '1'}/{under}"
+
+
+def _sorted(powers: Powers) -> list[tuple[str, float]]:
+    """Force and mass first, then length, time, angle; others before them."""
+    order = ("N", "kg", "m", "s", RADIAN)
+    known = [(name, powers[name]) for name in order if name in powers]
+    others = [(name, one) for name, one in powers.items() if name not in order]
+    return [*sorted(others), *known]
+
+
+def _factor(name: str, power: float) -> str:
+    return name if power == 1 else f"{name}^{power:.4g}"

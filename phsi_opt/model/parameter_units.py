@@ -1,0 +1,190 @@
+"""Units of parameters, from those of the states, the inputs and the time.
+
+Every term of an equation has the unit of the state over that of the time, terms of a
+sum are of like things, and what stands in an exponential has no unit. The powers of the
+units solve these linear equations, one system for each unit. Where they leave a unit
+open (a momentum that nobody measures) there is none; where they contradict each other
+(a formula with numbers in place of constants of physics, mm beside m), units are put
+into base units, and then each equation is asked by itself.
+"""
+
+from collections.abc import Callable, Mapping
+
+from phsi_opt.model.base import BaseModel
+from phsi_opt.model.dimension_system import solved_dimensions
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.formula_dimensions import Form, Likenesses, product
+from phsi_opt.model.parameters import Parameter, Scan
+from phsi_opt.model.slots import PlacedTerm, place_of
+from phsi_opt.presentation.units import (
+    RADIAN,
+    Powers,
+    coefficient_unit,
+    powers_as_written,
+    powers_in_base_units,
+    rate_unit,
+)
+
+
+def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
+    """The unit of every parameter, "" where it is not known.
+
+    A unit that the model states is kept.
+
+    Args:
+        model: the model.
+        units: by state, input and time, as `Measurements.units`.
+    """
+    known = {name: unit for name, unit in units.items() if unit}
+    found = _solved(model, known)
+    told = {}
+    for name, entry in model.entries.items():
+        parameter = entry.parameter
+        told[name] = parameter.unit
+        if name in found and not _is_stated(parameter):
+            time = known.get("t", "")
+            if isinstance(parameter.guess, Scan) and parameter.guess.variable == "t":
+                told[name] = f"{RADIAN}/{time}" if time else parameter.unit
+            else:
+                equation = known.get(entry.equation, "")
+                rate = rate_unit(equation, time)
+                told[name] = coefficient_unit(found[name], (equation, rate))
+    return told
+
+
+def effect_unit(model: BaseModel, effect: Effect, units: Mapping[str, str]) -> str:
+    """The unit of an effect's size, its first parameter; "" where it is not known.
+
+    Args:
+        model: to which the effect may be added.
+        effect: the effect.
+        units: by state, input and time, as `Measurements.units`.
+    """
+    larger = model.add(effect)
+    told = parameter_units(larger, units)
+    for name in larger.free:
+        if name not in model.entries:
+            return told[name]
+    return ""
+
+
+def _is_stated(parameter: Parameter) -> bool:
+    """Whether a person gave the unit; the catalogue's times are in seconds."""
+    return bool(parameter.unit) and parameter.guess is None
+
+
+def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
+    whole = _Equations(model)
+    whole.say_structure()
+    for placed in model.placed():
+        whole.say_term(placed)
+    for split in (powers_as_written, powers_in_base_units):
+        powers = whole.solution(units, split)
+        if powers is not None:
+            return powers
+    found: dict[str, Powers] = {}
+    for placed in model.placed():
+        if placed.slot != "H":
+            alone = _Equations(model)
+            alone.say_term(placed)
+            for name, one in (alone.solution(units, powers_as_written) or {}).items():
+                found.setdefault(name, one)
+    return found
+
+
+class _Equations:
+    """What a model's structure and terms say of dimensions."""
+
+    def __init__(self, model: BaseModel) -> None:
+        self._model = model
+        self._said = Likenesses()
+
+    def say_structure(self) -> None:
+        """dx_i/dt = dH/dx_j; without an energy efforts are the states."""
+        states = self._model.states
+        for row, state in enumerate(states):
+            if not self._model.has_energy:
+                continue
+            self._said.alike(
+                self._effort(state), product(_one("H"), _one(state), -1.0)
+            )
+            for column, coupling in enumerate(self._model.S[row]):
+                if abs(coupling) == 1.0:
+                    effort = self._effort(states[column])
+                    self._said.alike(effort, self._rate(state))
+
+    def say_term(self, placed: PlacedTerm) -> None:
+        """A term has the unit of its slot."""
+        slot, equation, term = placed
+        place = place_of(slot, equation)
+        names = self._variables(equation)
+        for inner in term.inner:
+            names[inner] = _one(_parameter(term.inner_name(inner, place)))
+        form = self._said.form_of(term.body, names)
+        if not term.is_formula:
+            name = _parameter(term.coefficient_name(place))
+            form = product(form, _one(name))
+        self._said.alike(form, self._slot(slot, equation))
+
+    def _slot(self, slot: str, equation: str) -> Form:
+        if slot == "H":
+            return _one("H")
+        if slot == "sensor":
+            return _one(equation)
+        if slot == "F":
+            return self._rate(equation)
+        return product(self._rate(equation), self._effort(equation), -1.0)
+
+    def _variables(self, equation: str) -> dict[str, Form]:
+        model = self._model
+        names: dict[str, Form] = {}
+        for name in (*model.states, *model.inputs, "t"):
+            names[name] = _one(name)
+        for effort, state in zip(model.efforts, model.states, strict=True):
+            names[effort] = self._effort(state)
+        if equation:
+            for slope, of in zip(model.slopes, model.inputs, strict=True):
+                names[slope] = product(self._rate(equation), _one(of), -1.0)
+        return names
+
+    def _effort(self, state: str) -> Form:
+        return _one(f"effort {state}" if self._model.has_energy else state)
+
+    def _rate(self, state: str) -> Form:
+        return product(_one(state), _one("t"), -1.0)
+
+    def solution(
+        self, units: Mapping[str, str], split: Callable[[str], Powers | None]
+    ) -> dict[str, Powers] | None:
+        """Powers of the units by parameter; None where there is a contradiction."""
+        known = self._known(units, split)
+        found = solved_dimensions(self._said.said, known)
+        if found is None:
+            return None
+        powers = {}
+        for name in self._model.entries:
+            if _parameter(name) in found:
+                powers[name] = found[_parameter(name)]
+        return powers
+
+    def _known(
+        self, units: Mapping[str, str], split: Callable[[str], Powers | None]
+    ) -> dict[str, Powers]:
+        told = dict(units)
+        for name, entry in self._model.entries.items():
+            if _is_stated(entry.parameter):
+                told[_parameter(name)] = entry.parameter.unit
+        known = {}
+        for name, unit in told.items():
+            powers = split(unit)
+            if powers is not None:
+                known[name] = powers
+        return known
+
+
+def _one(name: str) -> Form:
+    return {name: 1.0}
+
+
+def _parameter(name: str) -> str:
+    return f"parameter {name}"
