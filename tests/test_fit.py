@@ -284,7 +284,7 @@ def test_the_picture_says_which_estimates_are_not_to_be_relied_on() -> None:
     covariance[at_bound] = covariance[:, at_bound] = np.nan
     ax = replace(fit, covariance=covariance).plot()
     labels = [text.get_text() for text in ax.get_yticklabels()]
-    assert "R_p = 0.7, at its bound" in labels
+    assert "R_p = 0.7 N s/m, at its bound" in labels
     assert labels[-1].endswith(", no standard error")
     title = ax.get_title().replace("\n", " ")
     assert "2 not told from zero (orange)" in title  # H[q] and eps

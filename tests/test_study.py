@@ -107,7 +107,7 @@ def test_the_diagnosis_tells_where_and_ranks_candidates(hidden: ph.Study) -> Non
     found = base.diagnose()
     assert found.verdict == "missing: named"
     assert found.effects[0].name == "coulomb friction"
-    further = ["confusable_with", "train_rmse", "share", "lost"]
+    further = ["confusable_with", "train_rmse", "share", "lost", "unit"]
     assert list(found.candidates.columns) == [*CANDIDATES, *further]
     assert list(found.where["equation"]) == ["p"]
     assert set(found.missing_force.columns) == {"trajectory", "t", "p", "std_p"}

@@ -33,6 +33,7 @@ from phsi_opt.presentation.summary import (
     text_of_summary,
 )
 from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance
 from phsi_opt.transcription.sensors import outputs_at_samples
@@ -235,6 +236,13 @@ class Comparison(Summarised):
         return float(np.sqrt(np.mean(self.squares)))
 
     @property
+    def error_unit(self) -> str:
+        """Unit of `rmse`, that of the channel where one is measured."""
+        if len(self.data.measured) != 1:
+            return STANDARD_DEVIATIONS
+        return self.data.units.get(self.data.measured[0], "")
+
+    @property
     def noise_floor(self) -> float:
         """What the estimated measurement noise alone leaves, on the scale of `rmse`."""
         y = np.concatenate([run.x for run in self.data.trajectories])
@@ -306,8 +314,10 @@ class Comparison(Summarised):
         return channels
 
     def _summary(self) -> Summary:
+        unit = f" {self.error_unit}" if self.error_unit else ""
         title = (
-            f"Free run against {self.data.n_samples} samples: rmse {self.rmse:.4g}, "
+            f"Free run against {self.data.n_samples} samples: "
+            f"rmse {self.rmse:.4g}{unit}, "
             f"noise floor {self.noise_floor:.4g}"
         )
         parts = [Part(table=self.table)]

@@ -15,7 +15,7 @@ class Candidate:
 
     Attributes:
         effect: what may be missing.
-        coefficient: its size, expected or re-fitted, in the unit of its parameter.
+        coefficient: its size, expected or re-fitted, in ``unit``.
         std_error: of the coefficient.
         values: of its parameters, from which a re-fit starts.
         partner: a second effect beside it.
@@ -28,6 +28,7 @@ class Candidate:
         share: of the squared error above the noise floor that it explains, on the data
             that judge.
         lost: why it is not named; empty for what is.
+        unit: of the coefficient; "" where it is not known.
         was_tried: whether a re-fit was attempted.
         fit: the re-fit; ``trained`` and ``comparison``: its free runs on the training
             record and on the one that judges. None where it was not re-fitted.
@@ -45,6 +46,7 @@ class Candidate:
     held_out_rmse: float = np.nan
     share: float = np.nan
     lost: str = ""
+    unit: str = ""
     was_tried: bool = False
     fit: Fit | None = field(repr=False, default=None)
     trained: Comparison | None = field(repr=False, default=None)

@@ -30,6 +30,7 @@ from phsi_opt.diagnosis.proposal import Proposal
 from phsi_opt.diagnosis.remainder import Remainder, share_of_motion
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect
 
 LOSS = "a loss of energy whose law the data do not tell"
@@ -132,7 +133,8 @@ def _change(base: DiagnosedModel, proposed: Proposal) -> str:
     after = proposed.done.judged
     where = "held-out" if base.is_held_out else "training"
     return (
-        f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g} "
+        f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g}"
+        f"{spaced(after.error_unit)} "
         f"(noise floor {after.noise_floor:.4g})"
     )
 
@@ -147,7 +149,14 @@ def _findings(
         size = fitted_size(base.fit, proposed.fit, effect)
         members = (effect, *others[str(effect)])
         findings.append(
-            Finding(members, class_of(members), size.value, size.std_error, share)
+            Finding(
+                members,
+                class_of(members),
+                size.value,
+                size.std_error,
+                share,
+                size.unit,
+            )
         )
     return tuple(findings)
 
@@ -235,7 +244,7 @@ def _without_effect(base: DiagnosedModel, ranked: Sequence[Candidate]) -> Conclu
     """Nothing is missing, or nothing known explains it."""
     where = "held-out" if base.is_held_out else "training"
     errors = (
-        f"{where} error {base.judged.rmse:.4g}, "
+        f"{where} error {base.judged.rmse:.4g}{spaced(base.judged.error_unit)}, "
         f"noise floor {base.judged.noise_floor:.4g}"
     )
     if is_like_noise(base.trained) and not is_failing(base.judged):

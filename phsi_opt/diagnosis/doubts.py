@@ -6,6 +6,7 @@ else did.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.structure import effort_of
-from phsi_opt.screening.effect_size import Size, new_names, size_of
+from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.second_look import Look, independent_share, second_look
 from phsi_opt.statistics import TINY
 
@@ -36,7 +37,8 @@ def fitted_size(base: Fit, fit: Fit, effect: Effect) -> Size:
     names = new_names(base.model, effect, fit.names)
     places = [fit.names.index(name) for name in names]
     covariance = fit.covariance[np.ix_(places, places)]
-    return size_of(effect, fit.model, names, fit.estimates, covariance)
+    size = size_of(effect, fit.model, names, fit.estimates, covariance)
+    return replace(size, unit=size_unit(base.model, effect, fit.units))
 
 
 def doubt(base: DiagnosedModel, fit: Fit, effects: Sequence[Effect]) -> str:

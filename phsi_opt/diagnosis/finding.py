@@ -13,10 +13,11 @@ class Finding:
         effects: one is a name; several are those that the data cannot tell apart, the
             one that was re-fitted first.
         family: the class in words, such as "a loss that grows with speed".
-        coefficient: of the first one, in the unit of its parameter.
+        coefficient: of the first one, in ``unit``.
         std_error: of the coefficient, under what acts beside the model.
         share: of the squared error above the noise floor that is gone with all that is
             found.
+        unit: of the coefficient; "" where it is not known.
     """
 
     effects: tuple[Effect, ...]
@@ -24,6 +25,7 @@ class Finding:
     coefficient: float
     std_error: float
     share: float
+    unit: str = ""
 
     @property
     def is_name(self) -> bool:
@@ -31,7 +33,8 @@ class Finding:
         return len(self.effects) == 1
 
     def __str__(self) -> str:
-        size = f"{self.coefficient:.4g} +- {self.std_error:.2g}"
+        unit = f" {self.unit}" if self.unit else ""
+        size = f"{self.coefficient:.4g} +- {self.std_error:.2g}{unit}"
         first = self.effects[0]
         if self.is_name:
             return f"{first} ({size})"

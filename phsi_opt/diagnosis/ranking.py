@@ -35,6 +35,7 @@ from phsi_opt.diagnosis.dry_friction import simple_first
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.diagnosis.simple_losses import Refitted, begins_at, with_simple_losses
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.screening.effect_size import size_unit
 from phsi_opt.screening.prospects import Prospect, Prospects
 from phsi_opt.statistics import false_discovery_adjusted
 
@@ -88,6 +89,7 @@ def expected(base: DiagnosedModel, prospects: Prospects, one: Prospect) -> Candi
         partner=one.effects[1] if len(one.effects) > 1 else None,
         coefficient=one.coefficient,
         std_error=one.std_error,
+        unit=size_unit(base.fit.model, one.effect, base.record.data.units),
         values=one.values,
         confusable_with=_alike(prospects, one),
         p_value=one.p_value,

@@ -47,6 +47,7 @@ CANDIDATE_COLUMNS = (
     "train_rmse",
     "share",
     "lost",
+    "unit",
 )
 # Those that are printed; the others would make lines too long to read.
 PRINTED_COLUMNS = (
@@ -54,6 +55,7 @@ PRINTED_COLUMNS = (
     "equation",
     "coefficient",
     "std_error",
+    "unit",
     "delta_bic",
     "held_out_rmse",
     "lost",
@@ -114,9 +116,10 @@ class Diagnosis(Summarised):
         A row per effect, and per pair of effects that was looked at. Columns: effect,
         slot, equation, coefficient, std_error, p_value, delta_bic, held_out_rmse,
         confusable_with, train_rmse, share (of the squared error above the noise floor
-        that it explains, on the data that judge), lost (why it is not named). Numbers
-        are those of the re-fit; of candidates that were not re-fitted they are
-        expected, from Gauss-Newton steps along the larger model.
+        that it explains, on the data that judge), lost (why it is not named), unit (of
+        the coefficient; empty where it is not known). Numbers are those of the re-fit;
+        of candidates that were not re-fitted they are expected, from Gauss-Newton steps
+        along the larger model.
         """
         rows = []
         for candidate in self.ranking:
@@ -135,6 +138,7 @@ class Diagnosis(Summarised):
                     candidate.train_rmse,
                     candidate.share,
                     candidate.lost,
+                    candidate.unit,
                 )
             )
         return PrintedTable(rows, columns=list(CANDIDATE_COLUMNS))

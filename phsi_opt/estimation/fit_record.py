@@ -23,6 +23,7 @@ from phsi_opt.estimation.model_error_table import (
     PriorRow,
 )
 from phsi_opt.model.model import Model
+from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.slots import Entry
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
@@ -119,6 +120,14 @@ class FitRecord(Identified):
         found = np.sqrt(np.diag(self.covariance)).tolist()
         std_errors.update(zip(self.names, found, strict=True))
         return std_errors
+
+    @cached_property
+    def parameter_units(self) -> dict[str, str]:
+        """Unit of every parameter by name, stated or from those of the measurements.
+
+        It is "" where the units of states, inputs and time do not tell it.
+        """
+        return parameter_units(self.model, self.units)
 
     @property
     def correlations(self) -> pd.DataFrame:

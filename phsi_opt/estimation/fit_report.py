@@ -149,7 +149,8 @@ def _term(fit: FitRecord, term: Term, place: str) -> str:
 def _estimate(fit: FitRecord, name: str) -> str:
     """Value +- standard error and unit; of a parameter per trajectory only the mean."""
     parameter = fit.model.entries[name].parameter
-    unit = f" {parameter.unit}" if parameter.unit else ""
+    known = fit.parameter_units[name]
+    unit = f" {known}" if known else ""
     value = f"{fit.values[name]:.6g}"
     if parameter.per_trajectory and fit.by_trajectory:
         return f"{value}{unit}, mean over trajectories"
@@ -163,7 +164,7 @@ def _fixed(fit: FitRecord) -> list[str]:
     rows = []
     for name, entry in fit.model.entries.items():
         if entry.parameter.fixed:
-            value = f"{fit.values[name]:.6g} {entry.parameter.unit}".rstrip()
+            value = f"{fit.values[name]:.6g} {fit.parameter_units[name]}".rstrip()
             rows.append(f"{name} = {value} (fixed)")
     return rows
 

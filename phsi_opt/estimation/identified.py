@@ -61,6 +61,11 @@ class Identified:
         return dict.fromkeys(self.model.entries, np.nan)
 
     @property
+    def parameter_units(self) -> Mapping[str, str]:
+        """Unit of every parameter by name; "" where it is not known."""
+        return {name: one.parameter.unit for name, one in self.model.entries.items()}
+
+    @property
     def parameters(self) -> pd.DataFrame:
         """Table of the parameters, a row each, fixed ones included.
 
@@ -84,7 +89,7 @@ class Identified:
             "std_error": self.std_errors[name],
             "lower": parameter.lower,
             "upper": parameter.upper,
-            "unit": parameter.unit,
+            "unit": self.parameter_units[entry.name],
             "fixed": parameter.fixed,
         }
 

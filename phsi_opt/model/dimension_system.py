@@ -9,7 +9,7 @@ from phsi_opt.model.formula_dimensions import Likeness
 from phsi_opt.presentation.units import RADIAN, Powers
 
 # Rounding errors of powers, which are halves and quarters of whole numbers.
-ROUNDING = 1e-8
+POWER_ROUNDING = 1e-8
 
 
 def solved_dimensions(
@@ -66,8 +66,8 @@ class _System:
 
     def determined(self, rows: np.ndarray) -> np.ndarray:
         """Whether the rows determine each unknown, (n_unknown,)."""
-        resolution = np.linalg.pinv(rows, rcond=ROUNDING) @ rows
-        return np.abs(np.diag(resolution) - 1.0) < ROUNDING
+        resolution = np.linalg.pinv(rows, rcond=POWER_ROUNDING) @ rows
+        return np.abs(np.diag(resolution) - 1.0) < POWER_ROUNDING
 
     def powers_of(self, unit: str) -> dict[str, float] | None:
         """Power of the unit in each quantity it is told of; None: contradiction."""
@@ -76,8 +76,8 @@ class _System:
             kept = np.array([not likeness.is_angle for likeness in self.said])
         rows = self.rows[kept]
         right = self._right(unit)[kept]
-        powers = np.linalg.pinv(rows, rcond=ROUNDING) @ right
-        if np.any(np.abs(rows @ powers - right) > ROUNDING):
+        powers = np.linalg.pinv(rows, rcond=POWER_ROUNDING) @ right
+        if np.any(np.abs(rows @ powers - right) > POWER_ROUNDING):
             return None
         found = {}
         determined = self.determined(rows)

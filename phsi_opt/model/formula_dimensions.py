@@ -89,7 +89,11 @@ class Likenesses:
         return {}
 
     def _operation(
-        self, node: ast.BinOp, left: ast.expr, right: ast.expr, names: Mapping[str, Form]
+        self,
+        node: ast.BinOp,
+        left: ast.expr,
+        right: ast.expr,
+        names: Mapping[str, Form],
     ) -> Form:
         if isinstance(node.op, ast.Pow):
             return self._power(left, right, names)
@@ -100,7 +104,9 @@ class Likenesses:
             return first
         return product(first, second, 1.0 if isinstance(node.op, ast.Mult) else -1.0)
 
-    def _power(self, base: ast.expr, above: ast.expr, names: Mapping[str, Form]) -> Form:
+    def _power(
+        self, base: ast.expr, above: ast.expr, names: Mapping[str, Form]
+    ) -> Form:
         exponent = _plain_number(above)
         form = self._form(base, names)
         if exponent is not None:

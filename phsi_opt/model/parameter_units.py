@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping
 
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.dimension_system import solved_dimensions
-from phsi_opt.model.effect import Effect
 from phsi_opt.model.formula_dimensions import Form, Likenesses, product
 from phsi_opt.model.parameters import Parameter, Scan
 from phsi_opt.model.slots import PlacedTerm, place_of
@@ -52,22 +51,6 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
     return told
 
 
-def effect_unit(model: BaseModel, effect: Effect, units: Mapping[str, str]) -> str:
-    """The unit of an effect's size, its first parameter; "" where it is not known.
-
-    Args:
-        model: to which the effect may be added.
-        effect: the effect.
-        units: by state, input and time, as `Measurements.units`.
-    """
-    larger = model.add(effect)
-    told = parameter_units(larger, units)
-    for name in larger.free:
-        if name not in model.entries:
-            return told[name]
-    return ""
-
-
 def _is_stated(parameter: Parameter) -> bool:
     """Whether a person gave the unit; the catalogue's times are in seconds."""
     return bool(parameter.unit) and parameter.guess is None
@@ -105,9 +88,7 @@ class _Equations:
         for row, state in enumerate(states):
             if not self._model.has_energy:
                 continue
-            self._said.alike(
-                self._effort(state), product(_one("H"), _one(state), -1.0)
-            )
+            self._said.alike(self._effort(state), product(_one("H"), _one(state), -1.0))
             for column, coupling in enumerate(self._model.S[row]):
                 if abs(coupling) == 1.0:
                     effort = self._effort(states[column])

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 # Powers of units, by their names.
 Powers = Mapping[str, float]
 RADIAN = "rad"
+STANDARD_DEVIATIONS = "standard deviations"  # unit of errors in several channels
 # Units in powers of the base units.
 KNOWN: Mapping[str, Mapping[str, int]] = {
     "kg": {"kg": 1},
@@ -46,7 +47,7 @@ NAMED: Mapping[str, Mapping[str, int]] = {
     "rad/s^2": {"rad": 1, "s": -2},
     "1/s": {"s": -1},
 }
-MECHANICAL = frozenset({"kg", "m", "s", RADIAN})
+OF_MECHANICS = frozenset({"kg", "m", "s", RADIAN})
 # A unit with its power, of any name.
 ANY_FACTOR = re.compile(r"([A-Za-z%\u00b0\u00b5]+)(?:(?:\^|\*\*)?(-?\d))?$")
 # A factor such as "m", "s^2", "m2" or "s**-1"; between two, blanks, "*", "." or "·".
@@ -139,7 +140,7 @@ def coefficient_unit(powers: Powers, named: Sequence[str] = ()) -> str:
             return unit
     if set(powers) - set(KNOWN) or len(powers) == 1:
         return _written(powers)
-    if basic.get("kg") and set(basic) <= MECHANICAL:
+    if basic.get("kg") and set(basic) <= OF_MECHANICS:
         return _mechanical(basic)
     for unit, known in KNOWN.items():
         if basic == known:

@@ -7,15 +7,17 @@ import numpy as np
 
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
+from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.statistics import TINY
 
 
 @dataclass(frozen=True)
 class Size:
-    """Size of an effect, in the unit of its coefficient, and its standard error."""
+    """Size of an effect, its standard error, and their unit if it is known."""
 
     value: float
     std_error: float
+    unit: str = ""
 
     @property
     def z(self) -> float:
@@ -23,7 +25,8 @@ class Size:
         return abs(self.value) / max(self.std_error, TINY)
 
     def __str__(self) -> str:
-        return f"{self.value:.3g} +- {self.std_error:.2g}"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.value:.3g} +- {self.std_error:.2g}{unit}"
 
 
 def new_names(base: Model, effect: Effect, known: Iterable[str]) -> list[str]:
@@ -58,10 +61,9 @@ def size_of(
         values: of the parameters, by name.
         covariance: of these parameters, (k, k).
     """
-    linear = [k for k, name in enumerate(names) if model.entries[name].prunable]
-    linear = linear or [0]
     if not names:
         return Size(np.nan, np.nan)
+    linear = _coefficients(model, names)
     found = np.array([values[names[k]] for k in linear])
     within = covariance[np.ix_(linear, linear)]
     if not (is_wave(effect) and len(found) == 2):
@@ -69,3 +71,25 @@ def size_of(
     amplitude = float(np.linalg.norm(found))
     direction = found / max(amplitude, TINY)
     return Size(amplitude, float(np.sqrt(direction @ within @ direction)))
+
+
+def size_unit(base: Model, effect: Effect, units: Mapping[str, str]) -> str:
+    """The unit of an effect's size; "" where it is not known.
+
+    Args:
+        base: the model without the effect.
+        effect: of which.
+        units: by state, input and time, as `Measurements.units`.
+    """
+    larger = base.add(effect)
+    names = new_names(base, effect, larger.free)
+    if not names:
+        return ""
+    chosen = names[_coefficients(larger, names)[-1]]
+    return parameter_units(larger, units)[chosen]
+
+
+def _coefficients(model: Model, names: Sequence[str]) -> list[int]:
+    """Places of the coefficients among parameters; the first where there is none."""
+    places = [k for k, name in enumerate(names) if model.entries[name].prunable]
+    return places or [0]

@@ -15,6 +15,7 @@ from phsi_opt.force_analysis.state_plots import (
     map_variables,
 )
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.axes import label
 from phsi_opt.presentation.durations import scale_of_time, time_words, times_words
 from phsi_opt.presentation.numbers import number, with_error
@@ -170,6 +171,7 @@ def _ranked(row: pd.Series, unit: str) -> Ranked:
     places = str(row["equation"]).split(" and ")
     pairs = [f"{name} on {place}" for name, place in zip(names, places, strict=False)]
     size = with_error(float(row["coefficient"]), float(row["std_error"]))
+    size += spaced(str(row["unit"]))
     confused = shortened(str(row["confusable_with"]))
     lost = str(row["lost"])
     return Ranked(" and ".join(pairs), size, explains, share, error, confused, lost)

@@ -21,8 +21,6 @@ SEVERITIES = {
     NOT_ASKED: LOOK,
 }
 MOST_REASON = 240  # letters that are read in a few seconds
-# Effects whose size has the unit of the missing force of their equation.
-SIZED_AS_FORCES = ("constant force", "coulomb friction", "harmonic force")
 
 
 def headline_of(study: StudyRecord) -> Headline:
@@ -176,9 +174,7 @@ def _addition(study: StudyRecord, diagnosis: Diagnosis) -> str:
     texts = []
     for finding in diagnosis.findings:
         effect = finding.effects[0]
-        unit = ""
-        if effect.name in SIZED_AS_FORCES:
-            unit = spaced(force_unit(effect.equation, diagnosis.data.units))
+        unit = spaced(finding.unit)
         size = with_error(finding.coefficient, finding.std_error)
         text = f"{effect}, {size}{unit}"
         if not finding.is_name:

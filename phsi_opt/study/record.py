@@ -7,11 +7,10 @@ import pandas as pd
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.study.history import history_table
 from phsi_opt.study.step import Step
 from phsi_opt.transcription.losses import MaximumLikelihood
-
-STANDARD_DEVIATIONS = "standard deviations"  # unit of errors in several channels
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,11 +21,12 @@ from phsi_opt.presentation.report_content import (
     Report,
     Staircase,
 )
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.study.checks import checks_of
 from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.force_content import failure_of, law_of
 from phsi_opt.study.headline import errors_in_words, headline_of
-from phsi_opt.study.record import STANDARD_DEVIATIONS, StudyRecord
+from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
 
 ENDED_AT_BOUND = "at its bound"

@@ -1,0 +1,140 @@
+"""Units of parameters: what the equations say of them, as people write it."""
+
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model.model import Model
+from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.presentation.units import coefficient_unit, powers_as_written
+from phsi_opt.screening.effect_size import size_unit
+
+LENGTHS = {"t": "s", "q": "m", "p": "kg m/s", "u": "N"}
+ANGLES = {"t": "s", "q": "rad", "p": "kg m^2/s"}
+HOUSE = {"t": "h", "T": "degC", "outside": "degC", "heating": "W"}
+VOLTS = {"t": "s", "h": "V", "u": "V"}
+
+
+def free(*names: str) -> dict[str, ph.Parameter]:
+    return {name: ph.Parameter(1.0) for name in names}
+
+
+def spring(energy: str = "p**2/(2*m) + k*q**2/2") -> ph.PseudoHamiltonian:
+    names = {"p**2/(2*m) + k*q**2/2": ("m", "k")}.get(energy, ("k",))
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula(energy, **free(*names)),
+        R={},
+        F={"p": ph.formula("u")},
+        inputs=["u"],
+    )
+
+
+def pendulum() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("p**2/(2*J) - w*cos(q)", **free("J", "w")),
+        R=ph.damping("p"),
+        F={},
+    )
+
+
+def house() -> ph.FirstOrder:
+    rate = ph.formula("a*(outside - T) + b*heating", **free("a", "b"))
+    inputs = ["outside", "heating"]
+    return ph.FirstOrder(states=["T"], F={"T": rate}, inputs=inputs, kind="thermal")
+
+
+def tank() -> ph.FirstOrder:
+    rate = ph.formula("a*u", **free("a"))
+    return ph.FirstOrder(states=["h"], F={"h": rate}, inputs=["u"], kind="hydraulic")
+
+
+def test_masses_and_stiffnesses_follow_from_the_states() -> None:
+    assert parameter_units(spring(), LENGTHS) == {"m": "kg", "k": "N/m"}
+    of_angles = {"J": "kg m^2", "w": "N m", "R_p": "N m s/rad"}
+    assert parameter_units(pendulum(), ANGLES) == of_angles
+    assert parameter_units(house(), HOUSE) == {"a": "1/h", "b": "degC/(W h)"}
+
+
+def test_a_measured_force_tells_the_unit_of_a_momentum_that_nobody_measures() -> None:
+    units = {"t": "s", "q": "m", "u": "N"}
+    assert parameter_units(spring(), units) == {"m": "kg", "k": "N/m"}
+
+
+def test_without_any_force_or_momentum_a_mass_has_no_unit_that_is_known() -> None:
+    assert parameter_units(spring(), {"t": "s", "q": "m"}) == {"m": "", "k": ""}
+    assert parameter_units(spring(), {}) == {"m": "", "k": ""}
+
+
+@pytest.mark.parametrize(
+    ("model", "units", "name", "expected"),
+    [
+        (spring(), LENGTHS, "viscous damping", "N s/m"),
+        (spring(), LENGTHS, "coulomb friction", "N"),
+        (spring(), LENGTHS, "quadratic drag", "N s^2/m^2"),
+        (spring(), LENGTHS, "cubic stiffness", "N/m^3"),
+        (spring(), LENGTHS, "position-dependent damping", "N s/m^3"),
+        (spring(), LENGTHS, "drifting force", "N/s"),
+        (spring(), LENGTHS, "harmonic force", "N"),
+        (spring(), LENGTHS, "quadratic input", "1/N"),
+        (spring(), LENGTHS, "input lag", "s"),
+        (spring(), LENGTHS, "input gain", ""),
+        (spring(), LENGTHS, "hysteresis", "N"),
+        (pendulum(), ANGLES, "coulomb friction", "N m"),
+        (pendulum(), ANGLES, "linear stiffness", "N m/rad"),
+        (pendulum(), ANGLES, "quadratic drag", "N m s^2/rad^2"),
+        (house(), HOUSE, "harmonic heat input", "degC/h"),
+        (house(), HOUSE, "quadratic heat loss", "1/(degC h)"),
+        (tank(), VOLTS, "turbulent leak", "V^0.5/s"),
+        (tank(), VOLTS, "constant inflow", "V/s"),
+    ],
+)
+def test_sizes_of_effects_have_the_unit_that_their_equation_gives(
+    model: Model, units: dict[str, str], name: str, expected: str
+) -> None:
+    equation = model.states[-1]
+    effect = effect_named(model, name, equation)
+    assert size_unit(model, effect, units) == expected
+
+
+def test_frequencies_and_lags_are_in_the_unit_of_the_time() -> None:
+    model = house().add("harmonic heat input", "T")
+    assert parameter_units(model, HOUSE)["F_T.omega"] == "rad/h"
+    delayed = effect_named(house(), "input delay of heating", "T")
+    assert size_unit(house(), delayed, HOUSE) == "h"
+
+
+def test_millimetres_are_no_metres_and_keep_their_name() -> None:
+    units = {"t": "s", "q": "mm", "p": "kg mm/s", "u": "kg mm/s^2"}
+    assert parameter_units(spring(), units) == {"m": "kg", "k": "N/m"}
+    mixed = {"t": "s", "q": "mm", "p": "kg m/s", "u": "N"}
+    assert parameter_units(spring(), mixed)["m"] == "kg m/mm"
+    friction = effect_named(spring(), "coulomb friction", "p")
+    assert size_unit(spring(), friction, mixed) == "N"
+
+
+def test_a_number_that_may_have_a_unit_of_its_own_leaves_the_unit_open() -> None:
+    model = spring("p**2/2.7 + k*q**2/2")
+    assert parameter_units(model, LENGTHS) == {"k": "N/m"}
+    hidden = spring("p**2/2 + 9.81*k*q**2/2")
+    assert parameter_units(hidden, LENGTHS) == {"k": ""}
+
+
+def test_a_unit_that_the_model_states_is_kept_and_tells_the_others() -> None:
+    mass = ph.Parameter(1.0, unit="kg")
+    energy = ph.formula("p**2/(2*m) + k*q**2/2", m=mass, k=ph.Parameter(1.0))
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=energy, R={}, F={}
+    )
+    assert parameter_units(model, {"t": "s", "q": "m"}) == {"m": "kg", "k": "N/m"}
+
+
+def test_written_powers_are_read_and_written_alike() -> None:
+    for unit in ("N s/m", "kg m^2", "1/s", "m/s^2", "degC/(W h)", "W", "%"):
+        powers = powers_as_written(unit)
+        assert powers is not None
+        assert coefficient_unit(powers) == unit
+    assert powers_as_written("3 apples") is None
