@@ -123,6 +123,13 @@ def test_a_number_that_may_have_a_unit_of_its_own_leaves_the_unit_open() -> None
     assert parameter_units(hidden, LENGTHS) == {"k": ""}
 
 
+def test_a_number_in_a_sum_may_be_a_length() -> None:
+    law = ph.formula("c/(1 - q)**2", c=ph.Parameter(1.0))
+    model = spring().add(ph.Effect("magnet", "F", "p", law))
+    found = parameter_units(model, LENGTHS)
+    assert found == {"m": "kg", "k": "N/m", "c": "N m^2"}
+
+
 def test_a_unit_that_the_model_states_is_kept_and_tells_the_others() -> None:
     mass = ph.Parameter(1.0, unit="kg")
     energy = ph.formula("p**2/(2*m) + k*q**2/2", m=mass, k=ph.Parameter(1.0))

@@ -26,10 +26,18 @@ OF_ONE_UNIT = ("abs", "min", "max")
 
 @dataclass(frozen=True)
 class Likeness:
-    """A form that has no dimension; an angle's may have that of the radian."""
+    """A form that has no dimension.
+
+    Args:
+        form: the powers of the quantities in it.
+        is_angle: whether it may have the dimension of the radian.
+        is_number: whether a number stands beside it in a sum, as in 1 - q; the number
+            may then have a unit of its own.
+    """
 
     form: Form
     is_angle: bool = False
+    is_number: bool = False
 
 
 @dataclass
@@ -100,7 +108,12 @@ class Likenesses:
         first = self._form(left, names)
         second = self._form(right, names)
         if isinstance(node.op, SUM):
-            self.alike(first, second)
+            has_number = isinstance(left, ast.Constant)
+            has_number = has_number or isinstance(right, ast.Constant)
+            difference = product(first, second, -1.0)
+            self.said.append(Likeness(difference, is_number=has_number))
+            if isinstance(left, ast.Constant):
+                return second
             return first
         return product(first, second, 1.0 if isinstance(node.op, ast.Mult) else -1.0)
 

@@ -61,10 +61,11 @@ def _solved(model: BaseModel, units: Mapping[str, str]) -> dict[str, Powers]:
     whole.say_structure()
     for placed in model.placed():
         whole.say_term(placed)
-    for split in (powers_as_written, powers_in_base_units):
-        powers = whole.solution(units, split)
-        if powers is not None:
-            return powers
+    for numbers_are_pure in (True, False):
+        for split in (powers_as_written, powers_in_base_units):
+            powers = whole.solution(units, split, numbers_are_pure)
+            if powers is not None:
+                return powers
     found: dict[str, Powers] = {}
     for placed in model.placed():
         if placed.slot != "H":
@@ -135,11 +136,17 @@ class _Equations:
         return product(_one(state), _one("t"), -1.0)
 
     def solution(
-        self, units: Mapping[str, str], split: Callable[[str], Powers | None]
+        self,
+        units: Mapping[str, str],
+        split: Callable[[str], Powers | None],
+        numbers_are_pure: bool = True,
     ) -> dict[str, Powers] | None:
         """Powers of the units by parameter; None where there is a contradiction."""
         known = self._known(units, split)
-        found = solved_dimensions(self._said.said, known)
+        said = self._said.said
+        if not numbers_are_pure:
+            said = [likeness for likeness in said if not likeness.is_number]
+        found = solved_dimensions(said, known)
         if found is None:
             return None
         powers = {}
