@@ -380,6 +380,8 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     facts = facts_of(studied.snapshot)
     assert facts is not None
     assert facts.what.startswith("Nothing is missing.")
+    ranked = {row.label: row for row in studied.snapshot.diagnosed.candidates}
+    assert ranked["quadratic drag on p"].size.endswith(" N s^2/m^2")
 
 
 def test_a_snapshot_holds_every_run_with_its_missing_force(studied: Session) -> None:

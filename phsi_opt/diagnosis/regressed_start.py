@@ -8,13 +8,13 @@ parameters are nevertheless a problem of least squares.
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.statistics import TINY
 
 
@@ -45,8 +45,10 @@ def regressed(base: DiagnosedModel, effect: Effect) -> dict[str, float]:
     upper = np.array([one.upper for one in entries]) - now
     slopes = _slopes(model, estimate)[:, places]
     size = np.sqrt(np.mean(slopes**2, axis=0)) + TINY
-    box = (lower * size, np.maximum(upper * size, lower * size + TINY))
-    change = lsq_linear(slopes / size, estimate.w.ravel(), box).x / size
+    lower = lower * size
+    upper = np.maximum(upper * size, lower + TINY)
+    scaled = bounded_least_squares(slopes / size, estimate.w.ravel(), lower, upper)
+    change = scaled / size
     return dict(zip(moving, (now + change).tolist(), strict=True))
 
 

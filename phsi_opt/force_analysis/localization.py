@@ -51,7 +51,7 @@ def located(force: ForceRecord) -> pd.DataFrame:
             "equation": equation,
             "trajectory": force.trajectories[window.run],
             "time_window": window.times,
-            "state_region": strong_region(force, w, force.fit.model.states),
+            "state_region": strong_region(force, w, _own_states(force)),
             "frequency": _frequency(force, w),
             "strength": _rms(w),
             "times_noise": certainty[number],
@@ -59,6 +59,12 @@ def located(force: ForceRecord) -> pd.DataFrame:
         rows.append(row)
     table = PrintedTable(rows)
     return table.sort_values("strength", ascending=False, ignore_index=True)
+
+
+def _own_states(force: ForceRecord) -> list[str]:
+    """The states that are no memory of an effect."""
+    model = force.fit.model
+    return [name for name in model.states if name not in model.memory]
 
 
 def _rms(w: np.ndarray) -> float:

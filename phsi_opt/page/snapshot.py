@@ -119,6 +119,7 @@ class CandidateRow:
         effects: such as ("coulomb friction on p",).
         coefficient: its size.
         std_error: of the coefficient.
+        unit: of both; "" where it is not known.
         train: the training error that it would leave.
         held_out: the error on data held out that it would leave; NaN: not known.
         confusable_with: effects that the data cannot tell from it.
@@ -129,6 +130,7 @@ class CandidateRow:
     effects: tuple[str, ...]
     coefficient: float
     std_error: float
+    unit: str
     train: float
     held_out: float
     confusable_with: tuple[str, ...]
@@ -145,9 +147,10 @@ class CandidateRow:
         """The coefficient with its standard error."""
         if not np.isfinite(self.coefficient):
             return ""
+        unit = f" {self.unit}" if self.unit else ""
         if not np.isfinite(self.std_error):
-            return f"{self.coefficient:.3g}"
-        return f"{self.coefficient:.3g} ± {self.std_error:.2g}"
+            return f"{self.coefficient:.3g}{unit}"
+        return f"{self.coefficient:.3g} ± {self.std_error:.2g}{unit}"
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,7 @@ def _candidates(
                 effects=effects,
                 coefficient=float(candidate.coefficient),
                 std_error=float(candidate.std_error),
+                unit=candidate.unit,
                 train=float(candidate.train_rmse),
                 held_out=float(candidate.held_out_rmse),
                 confusable_with=tuple(map(str, candidate.confusable_with)),

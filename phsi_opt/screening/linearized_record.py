@@ -18,12 +18,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import lsq_linear
 from scipy.sparse import csc_matrix, diags, hstack
 
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.defect_derivatives import DefectLinearization
 from phsi_opt.transcription.elimination import (
@@ -230,8 +230,8 @@ class LinearizedRecord:
         information = self.reduced.information + RIDGE * np.eye(len(free))
         values, vectors = np.linalg.eigh(information)
         root = np.sqrt(np.maximum(values, RIDGE))[:, None] * vectors.T
-        box = (lower, np.maximum(upper, lower + TINY))
-        bounded = lsq_linear(root, root @ free, box).x
+        upper = np.maximum(upper, lower + TINY)
+        bounded = bounded_least_squares(root, root @ free, lower, upper)
         moved = bounded - free
         by_theta = (self.reduced.following @ moved).ravel()
         residual = self.residual - self.from_unknowns @ np.r_[moved, by_theta]

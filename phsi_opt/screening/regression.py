@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.screening.sensitivities import Trial
 from phsi_opt.statistics import TINY
 
@@ -63,7 +63,7 @@ def regression(trial: Trial, trace: np.ndarray, residual: np.ndarray) -> Regress
     z = np.linalg.solve(factor, right / size)
     scaled = np.linalg.solve(factor.T, z)
     if np.any(scaled < lower) or np.any(scaled > upper):
-        box = (lower, np.maximum(upper, lower + TINY))
-        scaled = lsq_linear(factor.T, z, box).x
+        upper = np.maximum(upper, lower + TINY)
+        scaled = bounded_least_squares(factor.T, z, lower, upper)
     c = scaled / size
     return Regression(c, float(2 * c @ right - c @ information @ c), information)
