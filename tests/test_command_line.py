@@ -20,7 +20,12 @@ import phsi_opt as ph
 from phsi_opt.command_line import app as commands
 from phsi_opt.command_line.app import app, with_report_name
 from phsi_opt.command_line.exit_codes import MEANINGS, ExitCode
-from phsi_opt.command_line.forecast import (
+from phsi_opt.command_line.job import GO_THROUGH, Finished, Job, Message
+from phsi_opt.command_line.jobs import plain
+from phsi_opt.command_line.jobs import run as run_job
+from phsi_opt.command_line.progress_display import ProgressDisplay
+from phsi_opt.command_line.worker import answer_to
+from phsi_opt.study.forecast import (
     ADDING,
     FITTING,
     NOTHING_MISSING,
@@ -29,11 +34,6 @@ from phsi_opt.command_line.forecast import (
     Forecast,
     duration,
 )
-from phsi_opt.command_line.job import GO_THROUGH, Finished, Job, Message
-from phsi_opt.command_line.jobs import plain
-from phsi_opt.command_line.jobs import run as run_job
-from phsi_opt.command_line.progress_display import ProgressDisplay
-from phsi_opt.command_line.worker import answer_to
 from phsi_opt.study_file.headers import (
     header_of,
     is_input_word,

@@ -17,6 +17,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.errors import Complaint
+from phsi_opt.force_analysis.localization import THROUGHOUT
 from phsi_opt.page import style
 from phsi_opt.page.complaint_words import complaint_words
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
@@ -24,14 +25,14 @@ from phsi_opt.page.gallery import GALLERY, SPRING, BaseModel
 from phsi_opt.page.limits import MOST_SESSIONS, MOST_UPLOADED
 from phsi_opt.page.matching import match_states
 from phsi_opt.page.serve import is_loopback, serve
-from phsi_opt.page.session import Session
+from phsi_opt.page.session import Job, Session
 from phsi_opt.page.sessions import Sessions
 from phsi_opt.page.snapshot import force_near
-from phsi_opt.page.snapshot_making import RANGE
+from phsi_opt.page.snapshot_making import window_of
 from phsi_opt.page.unknown_names import unknown_names
 from phsi_opt.page.upload_limit import UploadLimit
 from phsi_opt.page.verdict_words import facts_of
-from phsi_opt.page.worker import Order, Shown
+from phsi_opt.page.worker import Order, Refused, Shown
 from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.study_file.model_reading import read_model, read_names
 from phsi_opt.study_file.part import Complaints, Part
@@ -225,11 +226,11 @@ def test_a_column_that_one_base_model_has_no_state_for_comes_back_with_another()
 def test_a_column_that_fits_no_state_is_told_with_its_unit(session: Session) -> None:
     (pendulum,) = [one for one in GALLERY if one.title == "Pendulum"]
     session.choose(pendulum)
-    assert session.message.startswith(
+    assert session.left_over.startswith(
         "position_m in m fits no state of Pendulum (q in rad,"
     )
     session.choose(SPRING)
-    assert session.message == ""
+    assert session.left_over == ""
 
 
 def test_a_mass_of_the_gallery_is_an_assumption_until_it_is_given(
@@ -420,9 +421,72 @@ def test_the_charts_open_where_the_diagnosis_says(studied: Session) -> None:
     studied._show(known)
 
 
-def test_ranges_are_said_as_ranges() -> None:
-    region = RANGE.sub(r"\1 is \2", "q1 -1 to -0.6 or 0.7 to 1, p -2e-05 to 3")
-    assert region == "q1 is -1 to -0.6 or 0.7 to 1, p is -2e-05 to 3"
+def test_the_window_of_the_sentence_is_the_one_that_is_marked() -> None:
+    assert window_of("1 to 1.5") == (1.0, 1.5)
+    assert window_of("-2e-05 to 3") == (-2e-05, 3.0)
+    assert window_of(f"0 to 10{THROUGHOUT}") is None
+
+
+def test_work_says_what_it_does_now_and_how_much_longer() -> None:
+    job = Job("Fitting the base model", done="Fitted")
+    assert job.words == "Fitting the base model: starting"
+    job.say("fitting the base model")
+    assert job.words == "Fitting the base model"
+    job.show()
+    assert job.words == "Fitted; looking for what is missing"
+    job.say("screening 24 candidate effects")
+    assert job.words == (
+        "Fitted; looking for what is missing: screening 24 candidate effects"
+    )
+
+
+def test_a_fit_that_failed_is_told_until_the_draft_changes(session: Session) -> None:
+    session._ready_worker()
+    worker = session._worker
+    assert worker is not None
+    session._receive(worker, Refused("no solution was found"))
+    assert session.failure == "no solution was found"
+    session.check()
+    assert session.failure == ""
+
+
+def test_a_time_beyond_a_record_is_not_of_the_record(studied: Session) -> None:
+    assert studied.snapshot is not None
+    run = studied.snapshot.runs[0]
+    assert run.holds(1.0)
+    assert not run.holds(99.0)
+
+
+def test_a_table_of_a_study_file_is_taken_away_where_it_lies(tmp_path: Path) -> None:
+    for name in ("a.csv", "b.csv"):
+        (tmp_path / name).write_text("t,x\n0,1\n1,3\n2,2\n3,4\n")
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """
+[data]
+files = ["a.csv", "b.csv"]
+time = { column = "t" }
+states = { x = { column = "x" } }
+[model]
+type = "FirstOrder"
+states = ["x"]
+F = { x = "-a*x" }
+[parameters]
+a = { start = 1.0 }
+"""
+    )
+    folder = tmp_path / "session"
+    folder.mkdir()
+    session = Session(folder, path)
+    session.remove_file("a.csv")
+    assert session.upload_error == ""
+    assert session.draft.data is not None
+    assert session.draft.data.files == ["b.csv"]
+    assert len(session.draft.data.runs) == 1
+    session.upload("c.csv", b"t,x\n0,1\n1,3\n2,2\n")
+    session.close()
+    assert session.draft.data.files == ["c.csv"]
+    assert "takes the place of b.csv" in session.message
 
 
 def test_the_exported_script_reproduces_every_step(

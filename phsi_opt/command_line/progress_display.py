@@ -7,7 +7,7 @@ import sys
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from phsi_opt.command_line.forecast import Forecast, duration
+from phsi_opt.study.forecast import Forecast
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -60,17 +60,8 @@ class ProgressDisplay:
         if self._status is not None:
             self._status.update(self._text())
 
-    def _times(self) -> str:
-        left = self.forecast.left
-        elapsed = duration(self.forecast.elapsed)
-        if self.forecast.is_overdue:
-            return f"{elapsed}, longer than expected"
-        if left is None:
-            return elapsed
-        return f"{elapsed}, about {duration(left)} left"
-
     def _plain_text(self) -> str:
-        return f"[{self._times()}] {self.line}"
+        return f"[{self.forecast.words}] {self.line}"
 
     def _text(self) -> str:
         from rich.markup import escape

@@ -17,7 +17,6 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from phsi_opt.command_line.exit_codes import ExitCode
-from phsi_opt.command_line.forecast import Forecast
 from phsi_opt.command_line.job import (
     DIAGNOSE,
     GO_THROUGH,
@@ -28,6 +27,7 @@ from phsi_opt.command_line.job import (
 )
 from phsi_opt.command_line.progress_display import ProgressDisplay
 from phsi_opt.command_line.worker import work
+from phsi_opt.study.forecast import Forecast
 
 REFRESH = 0.2  # s between looks at the pipe; the clock on the screen goes by it
 END_WAIT = 0.5  # s for the system to take a process away that was killed

@@ -6,6 +6,7 @@ there. The field for the time does the same for those who use no mouse.
 
 from nicegui import events, ui
 
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.page import charts
 from phsi_opt.page.parts import card, choice, heading
 from phsi_opt.page.session import Look, Session
@@ -74,7 +75,7 @@ class FitView:
     def _time_field(self) -> None:
         t = self._look.t
         field = ui.number(
-            "look at the time",
+            _labelled("look at the time", self._session.snapshot),
             value=None if t is None else float(f"{t:.6g}"),
             on_change=lambda e: self._look_at(e.value),
         )
@@ -97,15 +98,21 @@ class FitView:
         if t is None:
             return
         with ui.element("div").props('role="status"'):
-            if not run.t[0] <= t <= run.t[-1]:
-                unit = f" {snapshot.t_unit}" if snapshot.t_unit else ""
+            if not run.holds(t):
+                unit = spaced(snapshot.t_unit)
                 ui.label(
                     f"{run.name} was measured from t = {run.t[0]:.4g} to "
                     f"{run.t[-1]:.4g}{unit}; there is nothing at {t:.4g}{unit}."
                 ).classes("bad")
                 return
             for curve in snapshot.forces_along(run):
-                ui.label(force_near(curve, t)).style("font-weight: 600")
+                said = force_near(curve, t, snapshot.t_unit)
+                ui.label(said).style("font-weight: 600")
+
+    def _mark(self, run: RunCurves) -> float | None:
+        """The time that is marked, where the run has it."""
+        t = self._look.t
+        return t if t is not None and run.holds(t) else None
 
     @ui.refreshable_method
     def overlay(self) -> None:
@@ -117,7 +124,7 @@ class FitView:
         self._at_the_mark(snapshot, run)
         name = self._look.channel
         channel = next(one for one in run.channels if one.name == name)
-        figure = charts.free_run(run, channel, snapshot.t_unit, self._look.t)
+        figure = charts.free_run(run, channel, snapshot.t_unit, self._mark(run))
         label = f"Chart: {channel.name} of {run.title}, measured and model"
         plot = ui.plotly(figure).classes("w-full").style(CHART_HEIGHT)
         plot.props(f'role="img" aria-label="{_plain(label)}"')
@@ -131,9 +138,15 @@ class FitView:
         if run is None or snapshot is None:
             return
         curves = snapshot.forces_along(run)
-        figure = charts.missing_force(curves, snapshot.t_unit, self._look.t)
+        figure = charts.missing_force(curves, snapshot.t_unit, self._mark(run))
         plot = ui.plotly(figure).classes("w-full").style(FORCE_HEIGHT)
         plot.props('role="img" aria-label="Chart: the missing force over time"')
+
+
+def _labelled(text: str, snapshot: Snapshot | None) -> str:
+    """A label with the unit of the times."""
+    unit = "" if snapshot is None else snapshot.t_unit
+    return f"{text} ({unit})" if unit else text
 
 
 def _plain(text: str) -> str:

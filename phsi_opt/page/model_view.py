@@ -16,7 +16,15 @@ from phsi_opt.page.drafts import (
     ParameterDraft,
 )
 from phsi_opt.page.gallery import GALLERY, BaseModel
-from phsi_opt.page.parts import button, card, choice, complaints, heading, text_field
+from phsi_opt.page.parts import (
+    alert,
+    button,
+    card,
+    choice,
+    complaints,
+    heading,
+    text_field,
+)
 from phsi_opt.page.session import Session
 from phsi_opt.page.unknown_names import unknown_names
 
@@ -76,6 +84,8 @@ class ModelView:
             with ui.element("div").classes("tiles"):
                 for base in GALLERY:
                     self._tile(base)
+            if self._session.left_over:
+                ui.label(self._session.left_over).classes("bad").props('role="status"')
 
     def _tile(self, base: BaseModel) -> None:
         is_chosen = base.title == self._draft.title
@@ -90,15 +100,18 @@ class ModelView:
         tile.on("click", lambda: self._choose(base))
 
     async def _choose(self, base: BaseModel) -> None:
+        page = ui.context.client  # the tile itself is drawn anew by then
         self._session.choose(base)
         await self._checked()
-        tile = _tile_id(base)
-        ui.run_javascript(FOCUS_SOON.replace("ID", tile))
+        page.run_javascript(FOCUS_SOON.replace("ID", _tile_id(base)))
 
     @ui.refreshable_method
     def wrong(self) -> None:
         """What is wrong with the model; parameters that formulas ask for."""
-        complaints(self._session.complaints, "Model and data can be used.")
+        if self._session.failure:
+            alert(self._session.failure)
+        if self._session.complaints or not self._session.failure:
+            complaints(self._session.complaints, "Model and data can be used.")
         for name in unknown_names(self._draft):
             add = partial(self._add_parameter, name)
             button(f"Make {name} a parameter", add, quiet=True)
@@ -228,7 +241,8 @@ class ModelView:
             remove.props(f'flat aria-label="Remove {name}"')
             if one.is_assumed:
                 text = f"{name} = {one.value} {one.unit}".rstrip()
-                ui.label(f"{text} is an assumption: give yours.").classes("bad")
+                note = ui.label(f"{text} is an assumption: give yours.").classes("bad")
+                note.bind_visibility_from(one, "is_assumed")
 
     def _number(
         self, one: ParameterDraft, field: str, label: str, width: str, hint: str

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.page.draft_reading import draft_of, told_columns
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
-from phsi_opt.page.gallery import BaseModel
+from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
 from phsi_opt.page.matching import left_over, match_states
 from phsi_opt.page.snapshot import Snapshot
@@ -39,6 +39,7 @@ from phsi_opt.page.worker import (
     Wrote,
 )
 from phsi_opt.page.worker_handle import WorkerHandle
+from phsi_opt.study.forecast import Forecast
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.transcription.alignment import AlignedData
 
@@ -47,6 +48,7 @@ FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
 CHECKPOINT = "study.checkpoint"
 REPORT_FILE = "report.html"
+LOOKING = "looking for what is missing"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
 
 
@@ -71,22 +73,40 @@ class Job:
 
     Attributes:
         label: such as "Fitting the base model".
-        began: by ``time.monotonic``.
         lines: what the worker said, the oldest first.
         done: what it has done once its model is there, in words; "" where it goes on.
         is_shown: whether this model is there; what is missing may still be looked for.
+        forecast: of the time that is left.
     """
 
     label: str
-    began: float = field(default_factory=time.monotonic)
     lines: list[str] = field(default_factory=list)
     done: str = ""
     is_shown: bool = False
+    forecast: Forecast = field(default_factory=lambda: Forecast(n_diagnoses=1))
+
+    def say(self, line: str) -> None:
+        """Keep a line of the worker."""
+        self.lines.append(line)
+        del self.lines[:-MOST_LINES]
+        self.forecast.said(line)
+
+    def show(self) -> None:
+        """Note that the model is there; what was said before is of its making."""
+        self.is_shown = True
+        self.lines.clear()
 
     @property
-    def seconds(self) -> float:
-        """Since it began."""
-        return time.monotonic() - self.began
+    def words(self) -> str:
+        """What is done now."""
+        label = self.label
+        if self.done and self.is_shown:
+            label = f"{self.done}; {LOOKING}"
+            if not self.lines:
+                return label
+        line = self.lines[-1] if self.lines else "starting"
+        is_said = line.lower() == label.lower()
+        return label if is_said else f"{label}: {line}"
 
 
 class Session:
@@ -102,6 +122,7 @@ class Session:
         upload_error: why the last file was refused; "" where it was not.
         job: the work that goes on; None: none does.
         message: how the last job ended where it did not end well; "" else.
+        failure: why the last job could not be done; "" where it could.
         snapshot: the study as it stands; None before the first fit.
         look: what its charts show.
         fitted: the draft's study file as it was fitted last; "" before.
@@ -118,6 +139,7 @@ class Session:
         self.upload_error = ""
         self.job: Job | None = None
         self.message = ""
+        self.failure = ""
         self.snapshot: Snapshot | None = None
         self.look = Look()
         self.fitted = ""
@@ -164,7 +186,8 @@ class Session:
             return False
         try:
             path.write_bytes(content)
-            self._take_files([one for one in known if one != file] + [file])
+            files = [one for one in known if one != file] + [file]
+            self._take_files(self.folder, files)
         except DataError as error:
             self.upload_error = str(error)
             _restore(path, before)
@@ -174,21 +197,23 @@ class Session:
         self.shape += 1  # at last: a page may look at any time
         return not self.upload_error
 
-    def _take_files(self, files: list[str]) -> None:
+    def _take_files(self, folder: Path, files: list[str]) -> None:
         """Look at all files; columns that are known keep what was said of them."""
         known = self.draft.data
-        data = look_at(self.folder, files[-1:])
+        data = look_at(folder, files[-1:])
         self.message = ""
-        if known is not None and known.folder == self.folder:
+        if known is not None:
             headers = [column.column for column in data.columns]
-            if headers == [column.column for column in known.columns]:
-                data = look_at(self.folder, files)
+            is_alike = headers == [column.column for column in known.columns]
+            if known.folder == folder and is_alike:
+                data = look_at(folder, files)
                 data.columns = known.columns
                 data.held_out = known.held_out
                 data.unmeasured = known.unmeasured
             else:
+                why = "is a table of its own" if is_alike else "has other columns"
                 self.message = (
-                    f"{files[-1]} has other columns: it takes the place of "
+                    f"{files[-1]} {why}: it takes the place of "
                     f"{', '.join(known.files)}."
                 )
         self.draft.data = data
@@ -200,12 +225,27 @@ class Session:
         if data is None or name not in data.files:
             return
         left = [one for one in data.files if one != name]
+        self.upload_error = ""
+        self.message = ""
         if not left:
             self.draft.data = None
-            self.check()
         else:
-            self._take_files(left)
+            self._keep_files(data, left)
+        self.check()
         self.shape += 1
+
+    def _keep_files(self, data: DataDraft, files: list[str]) -> None:
+        """Fewer files; their columns stay as they are."""
+        try:
+            found = look_at(data.folder, files)
+        except DataError as error:  # it has changed, or is gone
+            self.upload_error = str(error)
+            return
+        data.files = files
+        data.runs = found.runs
+        data.n_samples = found.n_samples
+        held_out = [run for run in data.held_out.runs if run in found.runs]
+        data.held_out.runs = held_out
 
     def choose(self, base: BaseModel) -> None:
         """Begin with an entry of the gallery; columns become its states."""
@@ -214,14 +254,23 @@ class Session:
         if self.draft.data is not None:
             match_states(self.draft.data, base.units)
             inputs = [one.name for one in self.draft.data.with_role(INPUT)]
-            self.message = left_over(self.draft.data, base.title, base.units)
         self.draft.model = base.drafted(inputs)
         self.draft.added = []
         self.check()
         self.shape += 1
 
+    @property
+    def left_over(self) -> str:
+        """Which columns fit no state of the base model, in a sentence; "" for none."""
+        data = self.draft.data
+        for base in GALLERY:
+            if data is not None and base.title == self.draft.model.title:
+                return left_over(data, base.title, base.units)
+        return ""
+
     def check(self) -> tuple[Complaint, ...]:
         """Read the draft as a study file; keep and return what is wrong with it."""
+        self.failure = ""  # what is checked is not what failed any more
         with self._checking:  # checks run beside each other, and write one file
             self.complaints = self._checked()
         self.version += 1
@@ -236,7 +285,7 @@ class Session:
             check_rates(file.model(), data.grid)
         except StudyFileError as error:
             return _named(error.complaints, self.draft.data)
-        except ModelError as error:
+        except PhsiOptError as error:
             return (Complaint("model", "", str(error)),)
         return ()
 
@@ -286,13 +335,13 @@ class Session:
 
     def auto(self) -> None:
         """Add while an effect is significant."""
-        self._order("Adding until nothing is left", Order(AUTO))
+        self._order("Adding until nothing is left", Order(AUTO), n_diagnoses=2)
 
     def report(self) -> None:
         """Write the report; ``report_path`` is set when it is there."""
         self.report_path = None
         path = self.folder / REPORT_FILE
-        self._order("Writing the report", Order(REPORT, (str(path),)))
+        self._order("Writing the report", Order(REPORT, (str(path),)), n_diagnoses=0)
 
     def cancel(self) -> None:
         """End the work that goes on, within two seconds; what was found stays."""
@@ -306,11 +355,14 @@ class Session:
         self._ready_worker()
         self.version += 1
 
-    def _order(self, label: str, order: Order, done: str = "") -> None:
+    def _order(
+        self, label: str, order: Order, done: str = "", n_diagnoses: int = 1
+    ) -> None:
         if self.job is not None:
             return
         self.message = ""
-        self.job = Job(label, done=done)
+        self.failure = ""
+        self.job = Job(label, done=done, forecast=Forecast(n_diagnoses))
         self._ready_worker().tell(order)
         self.version += 1
 
@@ -351,11 +403,12 @@ class Session:
             self._show(message.snapshot)
             self._keep_fitted()
             if self.job is not None:
-                self.job.is_shown = True
+                self.job.show()
         elif isinstance(message, Wrote):
             self.report_path = Path(message.path)
         elif isinstance(message, Refused):
             self.message = message.message
+            self.failure = message.message
             self.complaints = message.complaints or self.complaints
         elif isinstance(message, Done):
             self.job = None
@@ -380,8 +433,7 @@ class Session:
 
     def _note(self, line: str) -> None:
         if self.job is not None:
-            self.job.lines.append(line)
-            del self.job.lines[:-MOST_LINES]
+            self.job.say(line)
 
     def _lose_worker(self) -> None:
         """The process ended by itself, for want of memory perhaps."""

@@ -59,7 +59,7 @@ class Shell:
         self._study = StudyView(session)
         self._shape = session.shape
         self._version = session.version
-        self._drawn: tuple[object, object] = (session.snapshot, session.is_stale)
+        self._drawn = self._to_draw()
 
     def build(self) -> None:
         """Draw everything and keep up with the session."""
@@ -134,7 +134,7 @@ class Shell:
             self._spinner = ui.spinner(size="22px").props('aria-hidden="true"')
             self._line = ui.label().style("flex: 1; min-width: 0")
             self._line.props('role="status" aria-live="polite"')
-            self._seconds = ui.label()
+            self._times = ui.label().style("white-space: nowrap")
             self._cancel = button("Cancel", self._end_job)
         self._show_status()
 
@@ -144,15 +144,13 @@ class Shell:
 
     def _show_status(self) -> None:
         job = self._session.job
-        for part in (self._spinner, self._seconds, self._cancel):
+        for part in (self._spinner, self._times, self._cancel):
             part.set_visibility(job is not None)
         if job is None:
             self._line.set_text(self._session.message or _standing(self._session))
             return
-        line = job.lines[-1] if job.lines else "starting"
-        is_said = line.lower() == job.label.lower()
-        self._line.set_text(job.label if is_said else f"{job.label}: {line}")
-        self._seconds.set_text(f"{job.seconds:.0f} s")
+        self._line.set_text(job.words)
+        self._times.set_text(job.forecast.words)
 
     def _keep_up(self) -> None:
         """Draw anew what has changed since the last look."""
@@ -171,18 +169,22 @@ class Shell:
         self._study.deliver()
 
     def _show_changes(self) -> None:
-        session = self._session
         self._show_status()
         self._data.wrong.refresh()
         self._model.show_check()
         self._study.show_job()
-        now: tuple[object, object] = (session.snapshot, session.is_stale)
-        if session.snapshot is None:
-            now = (session.job, session.complaints)
+        now = self._to_draw()
         if now != self._drawn:
             self._drawn = now
             self._study.build.refresh()
             ui.run_javascript(FOCUS_VERDICT)
+
+    def _to_draw(self) -> tuple[object, ...]:
+        """What the third part is drawn from."""
+        session = self._session
+        if session.snapshot is None:
+            return session.job, session.complaints, session.failure
+        return session.snapshot, session.is_stale, session.failure
 
 
 def _has_begun(session: Session) -> bool:

@@ -7,6 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from phsi_opt.force_analysis.units import spaced
+from phsi_opt.presentation.durations import time_words
+from phsi_opt.presentation.numbers import with_error
+
 TRAINING = "training"
 HELD_OUT = "held out"
 # Standard deviations beyond which the missing force counts as sure, at one time.
@@ -77,6 +81,10 @@ class RunCurves:
         """Such as 'run 3, held out'."""
         return f"{self.name}, {self.part}"
 
+    def holds(self, t: float) -> bool:
+        """Whether a time lies within the record."""
+        return bool(self.t[0] <= t <= self.t[-1])
+
     @property
     def misfit(self) -> float:
         """Mean squared residual in variances of the noise, of the worst channel."""
@@ -144,13 +152,10 @@ class CandidateRow:
 
     @property
     def size(self) -> str:
-        """The coefficient with its standard error."""
-        if not np.isfinite(self.coefficient):
-            return ""
-        unit = f" {self.unit}" if self.unit else ""
-        if not np.isfinite(self.std_error):
-            return f"{self.coefficient:.3g}{unit}"
-        return f"{self.coefficient:.3g} ± {self.std_error:.2g}{unit}"
+        """The coefficient with its standard error; "" where it has none."""
+        if not np.isfinite(self.coefficient) or not np.isfinite(self.std_error):
+            return ""  # it ended at a bound
+        return f"{with_error(self.coefficient, self.std_error)}{spaced(self.unit)}"
 
 
 @dataclass(frozen=True)
@@ -165,6 +170,7 @@ class Diagnosed:
         sentences: where it fails, an equation each.
         equation: the one whose missing force is the surest; "" where none is.
         run: that of the training data in which this force is strongest; "" likewise.
+        window: of this run, from when to when it is strongest; None: at no time.
         where: the place where the missing force is strongest, in words.
         since: the time from which it is sure, in words.
         proposed: effects to add next.
@@ -178,6 +184,7 @@ class Diagnosed:
     sentences: tuple[str, ...]
     equation: str
     run: str
+    window: tuple[float, float] | None
     where: str
     since: str
     proposed: tuple[str, ...]
@@ -240,12 +247,16 @@ class Snapshot:
 
     @property
     def first_time(self) -> float | None:
-        """The time of that run at which the missing force stands out most, if any."""
+        """The time of that run at which the missing force stands out most, if any.
+
+        It lies within the window that the diagnosis names, where it names one.
+        """
         if self.diagnosed is None or not self.diagnosed.run:
             return None
+        window = self.diagnosed.window or (-np.inf, np.inf)
         for curve in self.forces_along(self.runs[self.first_run]):
             if curve.equation == self.diagnosed.equation:
-                return float(curve.t[np.argmax(np.abs(curve.force) / curve.std)])
+                return strongest_within(curve, *window)
         return None
 
     @property
@@ -265,15 +276,24 @@ class Snapshot:
         return found
 
 
-def force_near(curve: ForceCurve, t: float) -> str:
+def strongest_within(curve: ForceCurve, begin: float, end: float) -> float:
+    """The time at which a force is surest, in a part of its run."""
+    sureness = np.abs(curve.force) / curve.std
+    inside = (curve.t >= begin) & (curve.t <= end)
+    if inside.any():
+        sureness = np.where(inside, sureness, -1.0)
+    return float(curve.t[np.argmax(sureness)])
+
+
+def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
     """What an equation lacks at a time, in a sentence."""
     place = int(np.argmin(np.abs(curve.t - t)))
     force = curve.force[place]
     std = curve.std[place]
-    unit = f" {curve.unit}" if curve.unit else ""
     is_sure = abs(force) > SURE * std
     sure = "sure" if is_sure else "not told from zero"
     return (
-        f"At t = {curve.t[place]:.4g}, d{curve.equation}/dt lacks "
-        f"{force:.3g} ± {std:.2g}{unit} ({sure})."
+        f"At t = {time_words(curve.t[place], t_unit)} of {curve.run}, "
+        f"d{curve.equation}/dt lacks {with_error(force, std)}{spaced(curve.unit)} "
+        f"({sure})."
     )

@@ -1,7 +1,7 @@
 """Snapshots from a study, in the worker."""
 
-import re
 from collections.abc import Mapping
+from typing import Any
 
 import pandas as pd
 
@@ -12,7 +12,8 @@ from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.units import force_unit
+from phsi_opt.force_analysis.localization import EVERYWHERE, THROUGHOUT
+from phsi_opt.force_analysis.units import force_unit, spaced, with_units
 from phsi_opt.page.snapshot import (
     HELD_OUT,
     TRAINING,
@@ -25,11 +26,11 @@ from phsi_opt.page.snapshot import (
     RunCurves,
     Snapshot,
 )
+from phsi_opt.presentation import numbers
+from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.study import Study
 from phsi_opt.study.force_content import since_when
-
-# A name and the begin of its first range, as in 'q -1 to -0.6 or 0.7 to 1'.
-RANGE = re.compile(r"\b(?!or\b)([A-Za-z]\w*) (-?[\d.e+-]+ to)")
+from phsi_opt.study.headline import SIZED_AS_FORCES
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -106,27 +107,46 @@ def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         where=_where(diagnosis.where, diagnosis.data.units),
         since=since_when(diagnosis),
         proposed=proposed,
-        candidates=tuple(_candidates(diagnosis.ranking, proposed)),
+        candidates=tuple(_candidates(diagnosis, proposed)),
     )
 
 
-def _strongest(diagnosis: Diagnosis) -> dict[str, str]:
-    """Equation and run of the surest missing force; empty where none is sure."""
+def _strongest(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Equation, run and window of the surest missing force; empty where none is."""
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
-        return {"equation": "", "run": ""}
-    return {"equation": force.equation, "run": str(force.where["trajectory"])}
+        return {"equation": "", "run": "", "window": None}
+    return {
+        "equation": force.equation,
+        "run": str(force.where["trajectory"]),
+        "window": window_of(str(force.where["time_window"])),
+    }
 
 
-def _candidates(
-    ranking: tuple[Candidate, ...], proposed: tuple[str, ...]
-) -> list[CandidateRow]:
+def window_of(times: str) -> tuple[float, float] | None:
+    """Begin and end of a window in words; None where it is the whole record."""
+    found = RANGE_OF_TIMES.search(times)
+    if found is None or THROUGHOUT in times:
+        return None
+    return float(found[1]), float(found[2])
+
+
+def _unit_of(candidate: Candidate, units: Mapping[str, str]) -> str:
+    """The unit of a candidate's size, where it is that of a force."""
+    effect = candidate.effects[0]
+    if effect.name not in SIZED_AS_FORCES:
+        return ""
+    return force_unit(effect.equation, units)
+
+
+def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[CandidateRow]:
     rows = []
-    for candidate in ranking:
+    for candidate in diagnosis.ranking:
         effects = tuple(str(effect) for effect in candidate.effects)
         rows.append(
             CandidateRow(
                 effects=effects,
+                unit=_unit_of(candidate, diagnosis.data.units),
                 coefficient=float(candidate.coefficient),
                 std_error=float(candidate.std_error),
                 unit=candidate.unit,
@@ -172,13 +192,10 @@ def _where(where: pd.DataFrame, units: Mapping[str, str]) -> str:
         return ""
     row = where.iloc[0]
     equation = str(row["equation"])
-    unit = force_unit(equation, units)
-
-    def in_words(found: re.Match[str]) -> str:
-        unit_of = units.get(found[1], "")
-        return f"{found[1]}{f' ({unit_of})' if unit_of else ''} is {found[2]}"
-
-    region = RANGE.sub(in_words, str(row["state_region"]))
-    place = "everywhere in its range" if region == "everywhere" else f"where {region}"
-    strength = f"{row['strength']:.2g}{' ' if unit else ''}{unit}"
-    return f"In d{equation}/dt, {place}: a force of rms {strength} is missing."
+    region = str(row["state_region"])
+    place = "everywhere in its range"
+    if region != EVERYWHERE:
+        place = f"strong where {with_units(region, units)}"
+    strength = numbers.number(float(row["strength"]), 3)
+    unit = spaced(force_unit(equation, units))
+    return f"In d{equation}/dt, {place}: a force of rms {strength}{unit} is missing."

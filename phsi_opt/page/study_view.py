@@ -12,9 +12,20 @@ from phsi_opt.page.fit_view import FitView
 from phsi_opt.page.parts import alert, button, card, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.snapshot import CandidateRow, Snapshot
-from phsi_opt.page.verdict_words import facts_of, preview_words, share_left
+from phsi_opt.page.verdict_words import (
+    facts_of,
+    preview_words,
+    proposed_size,
+    share_left,
+)
 
 N_SHOWN = 5  # candidates that are shown at once
+# A button that may not be pressed loses the focus; it goes to what comes of the work.
+FOCUS_ON = """setTimeout(() => {
+  const now = document.activeElement;
+  if (now === document.body || now.disabled)
+    document.getElementById('verdict')?.focus({preventScroll: true});
+}, 400)"""
 STAIRCASE_HEIGHT = "height: 280px"
 
 
@@ -37,8 +48,13 @@ class StudyView:
             one.set_enabled(self._session.job is None)
 
     def _begins(self, label: str, then: Callable[[], Any], quiet: bool) -> ui.button:
-        """A button that begins work."""
-        made = button(label, then, quiet)
+        """A button that begins work; it rests meanwhile, and the focus goes on."""
+
+        def begin() -> None:
+            then()
+            ui.run_javascript(FOCUS_ON)
+
+        made = button(label, begin, quiet)
         made.set_enabled(self._session.job is None)
         self._resting.append(made)
         return made
@@ -51,6 +67,8 @@ class StudyView:
         if snapshot is None:
             self._nothing_yet()
             return
+        if self._session.failure:
+            alert(self._session.failure)
         if self._session.is_stale:
             with card():
                 ui.label(
@@ -125,8 +143,9 @@ class StudyView:
             ui.label(preview).classes("faint")
             return
         proposed = snapshot.diagnosed.proposed
+        size = proposed_size(snapshot)
         nearest = "" if snapshot.diagnosed.is_named else "Nearest, not established: "
-        ui.label(f"{nearest}{add}").style("font-weight: 600")
+        ui.label(f"{nearest}{add}{size}").style("font-weight: 600")
         ui.label(preview)
         if not self._session.is_stale:
             self._add_button(f"Add {add}", proposed)

@@ -78,6 +78,12 @@ def preview_words(snapshot: Snapshot, row: CandidateRow) -> str:
     )
 
 
+def proposed_size(snapshot: Snapshot) -> str:
+    """The size of what is proposed, behind a comma; "" where it is not known."""
+    row = None if snapshot.diagnosed is None else _proposed(snapshot.diagnosed)
+    return f", {row.size}" if row is not None and row.size else ""
+
+
 def error_words(snapshot: Snapshot, value: float) -> str:
     """An error with its unit."""
     unit = f" {snapshot.unit}" if snapshot.unit else ""

@@ -87,6 +87,15 @@ class Forecast:
         return self.clock() - self.began
 
     @property
+    def words(self) -> str:
+        """How long it takes already, and how much longer where that is known."""
+        elapsed = duration(self.elapsed)
+        if self.is_overdue:
+            return f"{elapsed}, longer than expected"
+        left = self.left
+        return elapsed if left is None else f"{elapsed}, about {duration(left)} left"
+
+    @property
     def left(self) -> float | None:
         """Seconds that are left, roughly; None where that is not known.
 
