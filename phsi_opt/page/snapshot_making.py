@@ -30,7 +30,6 @@ from phsi_opt.presentation import numbers
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.study import Study
 from phsi_opt.study.force_content import since_when
-from phsi_opt.study.headline import SIZED_AS_FORCES
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -131,14 +130,6 @@ def window_of(times: str) -> tuple[float, float] | None:
     return float(found[1]), float(found[2])
 
 
-def _unit_of(candidate: Candidate, units: Mapping[str, str]) -> str:
-    """The unit of a candidate's size, where it is that of a force."""
-    effect = candidate.effects[0]
-    if effect.name not in SIZED_AS_FORCES:
-        return ""
-    return force_unit(effect.equation, units)
-
-
 def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[CandidateRow]:
     rows = []
     for candidate in diagnosis.ranking:
@@ -146,7 +137,7 @@ def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[Candida
         rows.append(
             CandidateRow(
                 effects=effects,
-                unit=_unit_of(candidate, diagnosis.data.units),
+                unit=candidate.unit,
                 coefficient=float(candidate.coefficient),
                 std_error=float(candidate.std_error),
                 unit=candidate.unit,
