@@ -6,7 +6,6 @@ from typing import Any
 import pandas as pd
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.missing_force import force_deviation
