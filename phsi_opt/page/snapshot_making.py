@@ -136,7 +136,6 @@ def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[Candida
         rows.append(
             CandidateRow(
                 effects=effects,
-                unit=candidate.unit,
                 coefficient=float(candidate.coefficient),
                 std_error=float(candidate.std_error),
                 unit=candidate.unit,
