@@ -23,9 +23,8 @@ from phsi_opt.command_line.exit_codes import MEANINGS, ExitCode
 from phsi_opt.command_line.job import GO_THROUGH, Finished, Job, Message
 from phsi_opt.command_line.jobs import plain
 from phsi_opt.command_line.jobs import run as run_job
-from phsi_opt.command_line.progress_display import ProgressDisplay
 from phsi_opt.command_line.worker import answer_to
-from phsi_opt.study.forecast import (
+from phsi_opt.presentation.forecast import (
     ADDING,
     FITTING,
     NOTHING_MISSING,
@@ -885,7 +884,7 @@ def test_a_work_that_takes_long_is_said_to_and_no_time_is_told() -> None:
     now += 60.0
     assert forecast.left is None
     assert forecast.is_overdue
-    assert "longer than expected" in ProgressDisplay(forecast)._times()
+    assert "longer than expected" in forecast.words
     forecast.said(f"{REFITTING} b")
     assert forecast.left is not None
 

@@ -187,7 +187,7 @@ def test_an_effect_of_the_catalogue_can_be_added_by_its_name() -> None:
     [
         (
             ("coulom friction", "p"),
-            r"'coulom friction' on 'p' .* Did you mean 'coulomb friction'\?",
+            r"'coulom friction' on p .* Did you mean 'coulomb friction'\?",
         ),
         (("coulom friction",), r"Did you mean 'coulomb friction'\?"),
         (("sensor offset",), r"can act in several equations: q, p; say which"),

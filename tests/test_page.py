@@ -73,6 +73,7 @@ def prepare(page: Page, content: bytes) -> None:
     page.get_by_role("tab", name="2 Model").click()
     page.get_by_role("button", name="Spring A mass").click()
     page.get_by_label("known value of m").fill("2.5")
+    expect(page.get_by_text("is an assumption: give yours")).to_have_count(0)
     expect(page.get_by_text("Model and data can be used.")).to_be_visible()
 
 

@@ -35,10 +35,10 @@ def test_the_story_ends_as_the_demonstration_did(readme: str) -> None:
     assert f"held-out error {before:.4f} -> {after:.4f} m" in readme
     assert f"noise floor {floor:.4f} m" in readme
     assert f"held out: {before:.3f} m, while the noise is {floor:.3f} m" in readme
-    friction = re.search(r"on p \(([\d.]+) \+- ([\d.]+)\)", text)
+    friction = re.search(r"on p \(([\d.]+) \+- ([\d.]+) N\)", text)
     assert friction is not None
     size, error = float(friction[1]), float(friction[2])
-    assert f"on p ({size:.2f} +- {error:.2f}; true: {TRUTH['f']:g})" in readme
+    assert f"on p ({size:.2f} +- {error:.2f} N; true: {TRUTH['f']:g} N)" in readme
 
 
 def test_the_draws_of_the_demonstration(readme: str) -> None:

@@ -7,7 +7,7 @@ import sys
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from phsi_opt.study.forecast import Forecast
+from phsi_opt.presentation.forecast import Forecast
 
 if TYPE_CHECKING:
     from rich.status import Status

@@ -27,7 +27,7 @@ from phsi_opt.command_line.job import (
 )
 from phsi_opt.command_line.progress_display import ProgressDisplay
 from phsi_opt.command_line.worker import work
-from phsi_opt.study.forecast import Forecast
+from phsi_opt.presentation.forecast import Forecast
 
 REFRESH = 0.2  # s between looks at the pipe; the clock on the screen goes by it
 END_WAIT = 0.5  # s for the system to take a process away that was killed

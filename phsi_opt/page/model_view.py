@@ -31,6 +31,8 @@ from phsi_opt.page.unknown_names import unknown_names
 NOT_MEASURED = "not measured"
 # The tiles are drawn anew a moment after one was chosen.
 FOCUS_SOON = "setTimeout(() => document.getElementById('ID')?.focus(), 400)"
+# A remark that goes leaves its place, so that no button moves from under a click.
+STAYING_PLACE = "min-height: 1.5em"
 MODEL_TYPES = {
     ENERGY: "energy: dx/dt = (S - R) grad H + F",
     FIRST_ORDER: "first order: dx/dt = F",
@@ -241,8 +243,9 @@ class ModelView:
             remove.props(f'flat aria-label="Remove {name}"')
             if one.is_assumed:
                 text = f"{name} = {one.value} {one.unit}".rstrip()
-                note = ui.label(f"{text} is an assumption: give yours.").classes("bad")
-                note.bind_visibility_from(one, "is_assumed")
+                said = f"{text} is an assumption: give yours."
+                note = ui.label(said).classes("bad w-full").style(STAYING_PLACE)
+                note.bind_text_from(one, "is_assumed", lambda it: said if it else "")
 
     def _number(
         self, one: ParameterDraft, field: str, label: str, width: str, hint: str

@@ -39,7 +39,7 @@ from phsi_opt.page.worker import (
     Wrote,
 )
 from phsi_opt.page.worker_handle import WorkerHandle
-from phsi_opt.study.forecast import Forecast
+from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.transcription.alignment import AlignedData
 
