@@ -6,11 +6,9 @@ from phsi_opt.command_line.job import Answer
 from phsi_opt.command_line.worker import answer_to
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import Complaint, ModelError, StudyFileError
-from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.unfilled import unfilled
-from phsi_opt.transcription.alignment import AlignedData
 
 EMPTY = "Also empty; fill in what applies:"
 
@@ -24,24 +22,13 @@ def checked(path: Path) -> Answer:
     empty = unfilled(path)
     try:
         file = StudyFile.read(path)
-        _check_formulas(path, file)
+        file.check_formulas()
     except StudyFileError as error:
         return _with_empty(answer_to(error), empty)
-    return _with_empty(_summary(path, file), empty)
-
-
-def _check_formulas(path: Path, file: StudyFile) -> None:
-    """Refuse formulas without a value at the measurements.
-
-    Raises:
-        StudyFileError: there is one.
-    """
-    train, _ = file.split()
-    model = file.model()
-    try:
-        check_rates(model, AlignedData.of(model, train).grid)
     except ModelError as error:
-        raise StudyFileError(path, [Complaint("model", "", str(error))]) from None
+        wrong = StudyFileError(path, [Complaint("model", "", str(error))])
+        return _with_empty(answer_to(wrong), empty)
+    return _with_empty(_summary(path, file), empty)
 
 
 def _with_empty(answer: Answer, empty: tuple[str, ...]) -> Answer:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
-from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.page.draft_reading import draft_of, told_columns
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
 from phsi_opt.page.gallery import GALLERY, BaseModel
@@ -41,7 +40,6 @@ from phsi_opt.page.worker import (
 from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.transcription.alignment import AlignedData
 
 WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
@@ -280,9 +278,7 @@ class Session:
         if self.draft.data is None:
             return (NO_TABLE,)
         try:
-            file = StudyFile.read(self._working_file())
-            data = AlignedData.of(file.model(), file.measurements())
-            check_rates(file.model(), data.grid)
+            StudyFile.read(self._working_file()).check_formulas()
         except StudyFileError as error:
             return _named(error.complaints, self.draft.data)
         except PhsiOptError as error:

@@ -7,7 +7,6 @@ import pandas as pd
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.study.history import history_table
 from phsi_opt.study.step import Step
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -45,7 +44,4 @@ class StudyRecord:
     @property
     def unit(self) -> str:
         """Unit of the errors, that of the channel where one is measured."""
-        measured = self.train.measured
-        if len(measured) != 1:
-            return STANDARD_DEVIATIONS
-        return self.train.units.get(measured[0], "")
+        return self.last.train.error_unit

@@ -12,6 +12,7 @@ from typing import Self
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError
+from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
@@ -22,6 +23,7 @@ from phsi_opt.study_file.sections import DataSection, HeldOut
 from phsi_opt.study_file.study_script import study_script
 from phsi_opt.study_file.study_text import study_text
 from phsi_opt.study_file.written_data import joined, section_of, write_table
+from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 UNWRITTEN = "measurements.csv"  # called so until it is known beside which file it lies
@@ -210,6 +212,17 @@ class StudyFile:
             DataError: something in the files cannot be used.
         """
         return self._measured
+
+    def check_formulas(self) -> None:
+        """Refuse formulas without a finite value at the training measurements.
+
+        Raises:
+            ModelError: there is one.
+            DataError: something in the files cannot be used.
+        """
+        train, _ = self.split()
+        model = self.model()
+        check_rates(model, AlignedData.of(model, train).grid)
 
     def split(self) -> tuple[Measurements, Measurements | None]:
         """The measurements to fit, and those to judge by; None where none are held out.
