@@ -172,6 +172,17 @@ def test_init_writes_a_study_file_and_says_what_it_needs(tmp_path: Path) -> None
     assert [one.key for one in caught.value.complaints] == ["model.H"]
 
 
+def test_init_refuses_a_further_file_that_is_no_run_of_the_same(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("t,q\n0,1\n1,2\n2,1\n")
+    (tmp_path / "b.csv").write_text("t,v\n0,1\n1,2\n2,1\n")
+    study = tmp_path / "study.toml"
+    result = said("init", tmp_path / "a.csv", tmp_path / "b.csv", "--study", study)
+    assert result.code == ExitCode.BAD_INPUT
+    assert "has other columns than" in " ".join(result.err.split())
+    assert "q, v stand in one of them alone" in " ".join(result.err.split())
+    assert not study.exists()
+
+
 def test_init_overwrites_nothing_unless_it_is_forced(tmp_path: Path) -> None:
     study = tmp_path / "study.toml"
     study.write_text("mine")
@@ -595,6 +606,14 @@ def test_add_refuses_what_is_unknown_and_says_what_was_meant(demo: Path) -> None
     assert "Did you mean 'coulomb friction'?" in result.err
     assert demo.read_text() == before
     assert list(demo.parent.glob("*.bak")) == []
+
+
+def test_add_names_the_states_where_the_equation_is_none_of_them(demo: Path) -> None:
+    result = said("add", "coulomb friction", demo, "-e", "v")
+    assert result.code == ExitCode.BAD_INPUT
+    assert "'v' is not a state of the model; its states are q, p" in " ".join(
+        result.err.split()
+    )
 
 
 # ---- fit, compare, diagnose, study ---------------------------------------------------

@@ -99,12 +99,15 @@ def test_a_held_input_keeps_the_value_of_the_sample_before(steps: int) -> None:
     np.testing.assert_array_equal(grid.u1, expected)
 
 
-def test_a_defect_is_named_by_trajectory_interval_and_row() -> None:
+def test_a_defect_is_named_by_trajectory_times_and_row() -> None:
     grid = grid_of(data(), 2)
     label = grid.interval_label(2)
-    assert label(0) == "trajectory=0, interval=0, row=0"
-    assert label(2 * 10 + 1) == "trajectory=1, interval=0, row=1"
-    assert label(2 * 15) == "trajectory=1, interval=5, row=0"
+    t = grid.t[grid.begin]
+    assert label(0).startswith(f"trajectory 1, t = {t[0]:g} to ")
+    assert label(0).endswith("row 1")
+    assert label(2 * 10 + 1).startswith(f"trajectory 2, t = {t[10]:g} to ")
+    assert label(2 * 10 + 1).endswith("row 2")
+    assert label(2 * 15).startswith(f"trajectory 2, t = {t[15]:g} to ")
 
 
 # ---- defects

@@ -25,7 +25,7 @@ from phsi_opt.page.gallery import GALLERY, SPRING, BaseModel
 from phsi_opt.page.limits import MOST_SESSIONS, MOST_UPLOADED
 from phsi_opt.page.matching import match_states
 from phsi_opt.page.serve import is_loopback, serve
-from phsi_opt.page.session import Job, Session
+from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.sessions import Sessions
 from phsi_opt.page.snapshot import force_near
 from phsi_opt.page.snapshot_making import window_of
@@ -419,6 +419,21 @@ def test_the_charts_open_where_the_diagnosis_says(studied: Session) -> None:
     assert studied.look.run == nowhere.worst_run
     assert studied.look.t is None
     studied._show(known)
+
+
+def test_after_a_step_the_charts_stay_where_the_user_looked(studied: Session) -> None:
+    assert studied.snapshot is not None
+    known = studied.snapshot
+    before = studied.look
+    looked = Look(run=1, t=2.0)
+    studied.look = looked
+    studied.job = Job("Adding an effect", compares=True)
+    studied._show(known)
+    assert studied.look is looked
+    studied.job = None
+    studied._show(known)
+    assert studied.look == Look(known.first_run, "", known.first_time)
+    studied.look = before
 
 
 def test_the_window_of_the_sentence_is_the_one_that_is_marked() -> None:

@@ -19,7 +19,12 @@ import phsi_opt as ph
 from phsi_opt.force_analysis.units import frequency_words, with_units
 from phsi_opt.presentation.durations import times_words
 from phsi_opt.presentation.html_report import html_report, script_json
-from phsi_opt.presentation.numbers import number, p_value_words, with_error
+from phsi_opt.presentation.numbers import (
+    estimate_text,
+    number,
+    p_value_words,
+    with_error,
+)
 from phsi_opt.presentation.report_content import Channel as ReportChannel
 from phsi_opt.presentation.report_content import (
     ChannelRun,
@@ -115,17 +120,18 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
 ) -> None:
     answers = {fact.question: fact.answer for fact in content.headline.facts}
     assert list(answers) == [
-        "What is wrong",
-        "Where",
+        "What was wrong",
+        "Where it was",
         "Since when",
-        "What to add",
+        "What was added",
     ]
-    assert re.search(r"dp/dt lacks a force of rms [\d.]+ N", answers["What is wrong"])
-    assert "equation of p" in answers["Where"]
+    assert re.search(r"dp/dt lacked a force of rms [\d.]+ N", answers["What was wrong"])
+    assert "equation of p" in answers["Where it was"]
     assert "From the start of the record on" in answers["Since when"]
-    assert "Added: coulomb friction on p" in answers["What to add"]
-    assert answers["What to add"].endswith(" N.")
+    assert answers["What was added"].startswith("Coulomb friction on p, ")
+    assert answers["What was added"].endswith(" N.")
     assert "lacked coulomb friction on p" in content.headline.sentence
+    assert content.headline.sentence.endswith("Now nothing is missing.")
 
 
 def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
@@ -137,10 +143,10 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
     record = replace(study.record, diagnoses={0: nearest, 1: still}, stopped="")
     headline = report_content(record).headline
     assert headline.sentence.startswith(
-        "Not explained. Nearest, added but not established: coulomb friction on p. "
+        "Not established: coulomb friction on p was added as the nearest. "
         "With it, the held-out error fell from"
     )
-    assert "Still missing: unexplained: nothing else" in headline.sentence
+    assert "no effect of the catalogue explains" in headline.sentence
     answers = {fact.question: fact.answer for fact in headline.facts}
     assert answers["What is wrong"].startswith(
         "With coulomb friction on p, the model's dp/dt lacks"
@@ -153,7 +159,12 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert p_value_words(0.034) == "0.034"
     assert shortened("a, b, c, d") == "a, b, c, d"
     assert shortened("a, b, c, d, e") == "a, b, c and 2 more"
+    assert estimate_text(39.9871, 0.104) == "39.99 +- 0.1"
+    assert estimate_text(1.87766, 0.0612) == "1.878 +- 0.061"
+    assert estimate_text(0.00402, 0.006) == "0.004 +- 0.006"
+    assert estimate_text(2.5, np.nan) == "2.5"
     damping = ph.Parameter(0.04, lower=0)
+    assert damping.nearest_bound(9.6e-19) == 0
     assert interval_within(damping, -0.12, 0.2) == "0 to 0.2"
     assert interval_within(damping, 0.01, 0.2) == "0.01 to 0.2"
     assert interval_within(damping, np.nan, 0.2) == ""

@@ -375,7 +375,7 @@ def test_cells_that_were_not_visited_are_blank_and_colours_are_symmetric(
     assert 0 < np.ma.count_masked(values) < values.size
     low, high = mesh.get_clim()
     assert low == -high == -np.ma.max(np.ma.abs(values))
-    assert ax.get_ylabel() == "velocity dH_dp (m/s)"
+    assert ax.get_ylabel() == "velocity dH_dp = dq/dt (m/s)"
 
 
 @pytest.mark.usefixtures("closing")

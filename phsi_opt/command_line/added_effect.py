@@ -21,6 +21,8 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
     if equation is not None and not name.endswith(f"{ON}{equation}"):
         asked = f"{name}{ON}{equation}"
     model = file.model()
+    if equation is not None:
+        model.index(equation, "--equation")
     effect = meant_effect(model, asked, file.own_effects)
     larger = model.add(effect)
     added = add_effects(path, [str(effect)])

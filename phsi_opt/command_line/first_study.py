@@ -22,6 +22,8 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
             "--study, or overwrite it with --force."
         )
     table = survey(files[0])
+    for further in files[1:]:
+        _check_alike(table, survey(further))
     text = first_text(table, files, study.parent)
     try:
         study.write_text(text, encoding="utf-8")
@@ -40,6 +42,19 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
         "needs": [vars(need) for need in needs],
     }
     return Answer("\n".join(lines), content)
+
+
+def _check_alike(first: TableSurvey, other: TableSurvey) -> None:
+    """Refuse a further file that is no further run of the same measurement."""
+    known = [column.column for column in first.columns]
+    found = [column.column for column in other.columns]
+    if sorted(known) != sorted(found):
+        differ = sorted(set(known) ^ set(found))
+        raise DataError(
+            f"{other.path} has other columns than {first.path}: {', '.join(differ)} "
+            "stand in one of them alone. Files of one study are runs of the same "
+            "machine with the same columns; give one kind of file, or rename them."
+        )
 
 
 def _seen(table: TableSurvey, study: Path, files: list[Path]) -> list[str]:

@@ -27,6 +27,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.structure import effort_of
+from phsi_opt.presentation.durations import time_words
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.second_look import Look, independent_share, second_look
 from phsi_opt.statistics import TINY
@@ -52,12 +53,15 @@ def doubt(base: DiagnosedModel, fit: Fit, effects: Sequence[Effect]) -> str:
         if at_bound:
             return f"{_in_words(at_bound)} of {effect} ended at a bound"
         size = fitted_size(base.fit, fit, effect)
+        if not np.isfinite(size.std_error):
+            return f"the data do not tell the size of {effect}"
         if not size.z >= PROPOSED_Z:
             return f"the size of {effect}, {size}, may as well be zero"
         if is_wave(effect):
             period = _period(fit, names)
             if period * LEAST_PERIODS > longest_duration(base.record.data):
-                return f"its period, {period:.3g}, is longer than the record shows"
+                told = time_words(period, base.record.data.units.get("t", ""))
+                return f"its period, {told}, is longer than the record shows"
         if effect.name == HYSTERESIS and _turned_share(base, effect) < LEAST_TURNED:
             effort = effort_of(base.fit.model, effect.equation)
             return f"{effort} never turns back, without which {effect} is not shown"

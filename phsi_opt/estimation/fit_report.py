@@ -13,6 +13,7 @@ from phsi_opt.model.equation_text import dictionary_at, structure_rows
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Term
 from phsi_opt.model_error.standard_errors import Source
+from phsi_opt.presentation.numbers import estimate_text
 from phsi_opt.presentation.summary import Part, Summary
 
 SHOWN_PARAMETERS = ("name", "value", "std_error", "unit")
@@ -151,13 +152,12 @@ def _estimate(fit: FitRecord, name: str) -> str:
     parameter = fit.model.entries[name].parameter
     known = fit.parameter_units[name]
     unit = f" {known}" if known else ""
-    value = f"{fit.values[name]:.6g}"
+    value = fit.values[name]
     if parameter.per_trajectory and fit.by_trajectory:
-        return f"{value}{unit}, mean over trajectories"
-    std_error = fit.std_errors[name]
-    if np.isfinite(std_error):
-        return f"{value} +- {std_error:.2g}{unit}"
-    return f"{value}{unit}"
+        return f"{value:.6g}{unit}, mean over trajectories"
+    if name in fit.outcome.at_bounds:
+        return f"{parameter.nearest_bound(value):.6g}{unit}, at its bound"
+    return f"{estimate_text(value, fit.std_errors[name])}{unit}"
 
 
 def _fixed(fit: FitRecord) -> list[str]:

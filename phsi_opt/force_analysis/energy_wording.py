@@ -39,7 +39,7 @@ def energy_sentence(causes: Causes) -> str:
     for kind, share in contributions.items():
         least = NAMED_CAUSE if kind in CAUSES else MOSTLY_PARAMETERS
         if share > least:
-            parts.append(f"{_words(causes, kind)} ({100 * share:.0f} %)")
+            parts.append(f"{_words(causes, kind)} ({100 * share:.0f} % of it)")
     return (", and ".join(parts) + _tie(causes)) or NO_PATTERN
 
 

@@ -10,7 +10,7 @@ from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import CONSTANT, variables
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.units import force_unit
+from phsi_opt.force_analysis.units import force_unit, with_units
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
 
@@ -139,4 +139,14 @@ class EquationForce:
         positions = position_of_momentum(model)
         if state not in positions:
             return f"effort {name}"
-        return label(f"velocity {name}", force_unit(positions[state], units))
+        position = positions[state]
+        return label(f"velocity {name} = d{position}/dt", force_unit(position, units))
+
+    def region_words(self, region: str) -> str:
+        """A region of `strong_region` with the unit behind each range."""
+        model = self.record.fit.model
+        units = dict(self.record.units)
+        for momentum, position in position_of_momentum(model).items():
+            effort = model.efforts[model.states.index(momentum)]
+            units[effort] = force_unit(position, units)
+        return with_units(region, units)

@@ -70,6 +70,19 @@ def map_variables(force: EquationForce) -> tuple[str, ...]:
     return tuple(usual if is_usual else pair)
 
 
+def region_words(force: EquationForce) -> str:
+    """Where over position and velocity, or the states, a force is strong, in words.
+
+    Such as 'strong where q -1 to -0.6 m'; memories of effects are left out.
+    """
+    memory = force.record.fit.model.memory
+    names = [name for name in map_variables(force) if name not in memory]
+    region = strong_region(force.record, force.w, names)
+    if region == EVERYWHERE:
+        return "all over the visited states"
+    return f"strong where {force.region_words(region)}"
+
+
 @dataclass(frozen=True, eq=False)
 class ForceMap:
     """Mean missing force in cells of two variables.
@@ -143,8 +156,8 @@ def map_title(force: EquationForce, names: tuple[str, ...]) -> str:
         return f"{begin} no missing force is sure"
     region = strong_region(force.record, force.w, names)
     if region == EVERYWHERE:
-        return f"{begin} no region of the states stands out"
-    return f"{begin} the missing force is strong where {region}"
+        return f"{begin} the missing force acts all over the visited states"
+    return f"{begin} the missing force is strong where {force.region_words(region)}"
 
 
 def plot_dependence(
@@ -242,8 +255,13 @@ def dependence_title(force: EquationForce, variable: str) -> str:
     if force.is_uncertain:
         return f"d{equation}/dt: no missing force is sure"
     share = force.share_of(variable)
-    predicted = f"{variable} ({100 * share:.0f} % predicted)"
+    predicted = f"{variable}, which predicts {100 * max(share, 0.0):.0f} % of it"
     if share >= CLEAR_PATTERN:
         return f"The force in d{equation}/dt follows {predicted}"
-    constant = "is constant, what varies " if force.is_constant else ""
-    return f"The force in d{equation}/dt {constant}hardly follows {predicted}"
+    if force.is_constant:
+        begin = f"The force in d{equation}/dt is constant; what varies hardly follows"
+        return f"{begin} {variable}"
+    return (
+        f"The force in d{equation}/dt follows no single variable clearly: the best, "
+        f"{variable}, predicts {100 * max(share, 0.0):.0f} % of it"
+    )

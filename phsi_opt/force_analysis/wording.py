@@ -64,7 +64,7 @@ def _pattern(cause: str, best: pd.Series | None) -> str:
     if best is None or best["share"] < CLEAR_PATTERN:
         return pattern
     percent = f"{100 * best['share']:.0f} %"
-    return f"{pattern} Best predicted from {best['variable']} ({percent})."
+    return f"{pattern} Best predicted from {best['variable']}: {percent} of it."
 
 
 def _place(row: pd.Series, units: Mapping[str, str]) -> str:

@@ -106,6 +106,11 @@ class Parameter:
         self._check_bounds()
         self._check_choices()
 
+    def nearest_bound(self, value: float) -> float:
+        """The bound at which an estimate ended: a solver stops a hair beside it."""
+        bounds = [one for one in (self.lower, self.upper) if np.isfinite(one)]
+        return min(bounds, key=lambda bound: abs(value - bound), default=value)
+
     def _check_bounds(self) -> None:
         if not self.lower <= self.upper:
             raise ModelError(

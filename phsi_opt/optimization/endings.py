@@ -59,7 +59,8 @@ IPOPT_ENDINGS = (
         "Maximum_Iterations_Exceeded",
         False,
         "the iteration limit was reached before an optimum",
-        "Raise max_iterations, or give starting values nearer to the solution.",
+        "Give starting values nearer to the solution, or allow more iterations "
+        "(ph.SolverSettings(max_iterations=...)).",
     ),
     Ending(
         "Restoration_Failed",
@@ -138,5 +139,5 @@ def _ending_by_time(status: str, max_seconds: float, what: str) -> Ending:
         status,
         False,
         f"the time limit of {max_seconds:g} s ended {what}",
-        "Raise max_seconds, or use fewer samples.",
+        "Use fewer samples, or allow more time (ph.SolverSettings(max_seconds=...)).",
     )

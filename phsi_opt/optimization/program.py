@@ -92,8 +92,8 @@ class Program:
         return {name: values[block.slice] for name, block in self.variables.items()}
 
     def name_of(self, index: int, blocks: Mapping[str, Block]) -> str:
-        """Name of one entry, such as 'defect[trajectory=2, interval=17]'."""
+        """Name of one entry, such as 'defect (trajectory 2, t = 1.7 to 1.8, row 1)'."""
         for block in blocks.values():
             if block.start <= index < block.stop:
-                return f"{block.name}[{block.label(index - block.start)}]"
+                return f"{block.name} ({block.label(index - block.start)})"
         raise IndexError(f"no block has the entry {index}.")

@@ -17,7 +17,7 @@ Figure = dict[str, Any]
 # Contrast to white and to #16191d at least 3:1, as WCAG asks of graphics.
 MEASURED_COLOR = "#7a828c"
 MODEL_COLOR = "#2f7fd6"
-FORCE_COLOR = "#c8611a"
+OTHER_COLOR = "#c8611a"
 FLOOR_COLOR = "#3b8f5a"
 MARK_COLOR = "#b5459e"
 BAND_OPACITY = 0.22
@@ -38,7 +38,7 @@ def free_run(
     data = [
         _curve(t, channel.measured, "measured", MEASURED_COLOR, mode="markers"),
         _curve(t, channel.shown, "model", MODEL_COLOR),
-        _curve(t, channel.residual, "residual", FORCE_COLOR, yaxis="y2"),
+        _curve(t, channel.residual, "residual", MODEL_COLOR, yaxis="y2"),
     ]
     layout = _layout(_label("time", t_unit))
     upper_part = [RESIDUAL_PART + RESIDUAL_GAP, 1]
@@ -56,7 +56,7 @@ def missing_force(
 ) -> Figure:
     """The missing force of one run with two standard deviations, an equation each."""
     data: list[Figure] = []
-    colors = (FORCE_COLOR, MODEL_COLOR, FLOOR_COLOR, MARK_COLOR)
+    colors = (MODEL_COLOR, OTHER_COLOR, FLOOR_COLOR, MARK_COLOR)
     for number, curve in enumerate(curves):
         color = colors[number % len(colors)]
         data += _banded(curve, color)
@@ -291,6 +291,17 @@ def _mark(layout: Figure, t: float | None) -> None:
     """A vertical line at the time that is looked at."""
     if t is None:
         return
+    note = {
+        "text": "the time looked at",
+        "xref": "x",
+        "yref": "paper",
+        "x": t,
+        "y": 1,
+        "yanchor": "bottom",
+        "showarrow": False,
+        "font": {"size": 12},
+    }
+    layout.setdefault("annotations", []).append(note)
     layout.setdefault("shapes", []).append(
         {
             "type": "line",

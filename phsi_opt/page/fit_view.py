@@ -57,7 +57,7 @@ class FitView:
                 choice("channel", names, self._look.channel, self._set_channel)
             self._time_field()
         ui.label(
-            "Click where it fails to see the missing force there; drag to zoom, "
+            "Click into a chart to see the missing force there; drag to zoom, "
             "double-click to see all."
         ).classes("faint")
 
@@ -141,6 +141,7 @@ class FitView:
         figure = charts.missing_force(curves, snapshot.t_unit, self._mark(run))
         plot = ui.plotly(figure).classes("w-full").style(FORCE_HEIGHT)
         plot.props('role="img" aria-label="Chart: the missing force over time"')
+        plot.on("plotly_click", self._click)
 
 
 def _labelled(text: str, snapshot: Snapshot | None) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Awaitable, Callable
 from functools import partial
-from typing import Any
 
 from nicegui import ui
 
@@ -45,18 +44,13 @@ class ModelView:
     Args:
         session: whose draft it is.
         checked: called after every change of the draft.
-        fit: begins to fit.
     """
 
     def __init__(
-        self,
-        session: Session,
-        checked: Callable[[], Awaitable[None]],
-        fit: Callable[[], Any],
+        self, session: Session, checked: Callable[[], Awaitable[None]]
     ) -> None:
         self._session = session
         self._checked = checked
-        self._fit = fit
 
     @property
     def _draft(self) -> ModelDraft:
@@ -68,14 +62,6 @@ class ModelView:
         self.fields()
         with card():
             self.wrong()
-            self._fit_button = button("Fit", self._fit)
-        self.show_check()
-
-    def show_check(self) -> None:
-        """What the last check said; the button stays, so that no click is lost."""
-        self.wrong.refresh()
-        can_fit = not self._session.complaints and self._session.job is None
-        self._fit_button.set_enabled(can_fit)
 
     @ui.refreshable_method
     def gallery(self) -> None:

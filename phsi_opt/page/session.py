@@ -74,6 +74,7 @@ class Job:
         lines: what the worker said, the oldest first.
         done: what it has done once its model is there, in words; "" where it goes on.
         is_shown: whether this model is there; what is missing may still be looked for.
+        compares: whether it changes a model whose charts are shown already.
         forecast: of the time that is left.
     """
 
@@ -81,6 +82,7 @@ class Job:
     lines: list[str] = field(default_factory=list)
     done: str = ""
     is_shown: bool = False
+    compares: bool = False
     forecast: Forecast = field(default_factory=lambda: Forecast(n_diagnoses=1))
 
     def say(self, line: str) -> None:
@@ -358,7 +360,9 @@ class Session:
             return
         self.message = ""
         self.failure = ""
-        self.job = Job(label, done=done, forecast=Forecast(n_diagnoses))
+        compares = order.verb in (ADD, AUTO, UNDO)
+        forecast = Forecast(n_diagnoses)
+        self.job = Job(label, done=done, compares=compares, forecast=forecast)
         self._ready_worker().tell(order)
         self.version += 1
 
@@ -415,8 +419,14 @@ class Session:
         self.version += 1
 
     def _show(self, snapshot: Snapshot) -> None:
-        """Take a new state of the study; its charts open at what it says."""
+        """Take a new state of the study.
+
+        Charts of a base model open at what is said of it. After a further step they
+        stay where they were: the reader compares before and after.
+        """
         self.snapshot = snapshot
+        if self.job is not None and self.job.compares:
+            return
         channel = self.look.channel
         self.look = Look(snapshot.first_run, channel, snapshot.first_time)
 

@@ -55,7 +55,7 @@ class Shell:
         self._session = session
         self._begin_again = begin_again
         self._data = DataView(session, self._checked, lambda: self._go(MODEL_PART))
-        self._model = ModelView(session, self._checked, self._fit)
+        self._model = ModelView(session, self._checked)
         self._study = StudyView(session)
         self._shape = session.shape
         self._version = session.version
@@ -136,6 +136,7 @@ class Shell:
             self._line.props('role="status" aria-live="polite"')
             self._times = ui.label().style("white-space: nowrap")
             self._cancel = button("Cancel", self._end_job)
+            self._begin = button("Fit", self._fit)
         self._show_status()
 
     def _end_job(self) -> None:
@@ -144,6 +145,8 @@ class Shell:
 
     def _show_status(self) -> None:
         job = self._session.job
+        self._begin.set_visibility(_can_begin(self._session))
+        self._begin.set_enabled(not self._session.complaints)
         for part in (self._spinner, self._times, self._cancel):
             part.set_visibility(job is not None)
         if job is None:
@@ -171,7 +174,7 @@ class Shell:
     def _show_changes(self) -> None:
         self._show_status()
         self._data.wrong.refresh()
-        self._model.show_check()
+        self._model.wrong.refresh()
         self._study.show_job()
         now = self._to_draw()
         if now != self._drawn:
@@ -194,14 +197,29 @@ def _has_begun(session: Session) -> bool:
     return session.draft.data is not None and not session.complaints
 
 
+def _can_begin(session: Session) -> bool:
+    """Whether there is a draft that was not fitted as it is."""
+    if session.job is not None or session.draft.data is None:
+        return False
+    is_new = session.snapshot is None or session.is_stale or bool(session.failure)
+    return is_new and bool(session.draft.model.states)
+
+
 def _standing(session: Session) -> str:
     """What to do next, where nothing goes on."""
     if session.snapshot is not None:
-        return "Nothing is being solved."
+        return "Ready: nothing is at work."
     if session.draft.data is None:
         return "Begin with the measurements: part 1."
     if not session.draft.model.states:
-        return "Then the model: part 2."
+        return "Next, the model: part 2."
     if session.complaints:
         return f"To correct: {len(session.complaints)}; part 2 says what."
-    return "Data and model can be used: press Fit."
+    said = "Data and model can be used: press Fit."
+    assumed = []
+    for one in session.draft.model.parameters:
+        if one.is_assumed:
+            assumed.append(f"{one.name} = {one.value} {one.unit}".rstrip())
+    if assumed:
+        said += f" Assumed, not measured: {', '.join(assumed)}."
+    return said

@@ -293,7 +293,7 @@ def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
     is_sure = abs(force) > SURE * std
     sure = "sure" if is_sure else "not told from zero"
     return (
-        f"At t = {time_words(curve.t[place], t_unit)} of {curve.run}, "
+        f"At t = {time_words(t, t_unit)} of {curve.run}, "
         f"d{curve.equation}/dt lacks {with_error(force, std)}{spaced(curve.unit)} "
         f"({sure})."
     )

@@ -1,6 +1,5 @@
 """Snapshots from a study, in the worker."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import pandas as pd
@@ -11,8 +10,9 @@ from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import EVERYWHERE, THROUGHOUT
-from phsi_opt.force_analysis.units import force_unit, spaced, with_units
+from phsi_opt.force_analysis.localization import THROUGHOUT
+from phsi_opt.force_analysis.state_plots import region_words
+from phsi_opt.force_analysis.units import force_unit, spaced
 from phsi_opt.page.snapshot import (
     HELD_OUT,
     TRAINING,
@@ -102,7 +102,7 @@ def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         is_named=bool(diagnosis.findings),
         sentences=tuple(diagnosis.sentences),
         **_strongest(diagnosis),
-        where=_where(diagnosis.where, diagnosis.data.units),
+        where=_where(EquationForce.of(diagnosis.analysis, None)),
         since=since_when(diagnosis),
         proposed=proposed,
         candidates=tuple(_candidates(diagnosis, proposed)),
@@ -175,16 +175,13 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
     return forces
 
 
-def _where(where: pd.DataFrame, units: Mapping[str, str]) -> str:
-    """The strongest place in words."""
-    if not len(where):
-        return ""
-    row = where.iloc[0]
-    equation = str(row["equation"])
-    region = str(row["state_region"])
-    place = "everywhere in its range"
-    if region != EVERYWHERE:
-        place = f"strong where {with_units(region, units)}"
-    strength = numbers.number(float(row["strength"]), 3)
-    unit = spaced(force_unit(equation, units))
-    return f"In d{equation}/dt, {place}: a force of rms {strength}{unit} is missing."
+def _where(force: EquationForce) -> str:
+    """The surest missing force with its place in words."""
+    if force.is_uncertain:
+        return "No equation, time or region stands out."
+    strength = numbers.number(float(force.where["strength"]), 3)
+    unit = spaced(force_unit(force.equation, force.record.units))
+    return (
+        f"In d{force.equation}/dt, {region_words(force)}: a force of rms "
+        f"{strength}{unit} is missing."
+    )

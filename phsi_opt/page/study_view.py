@@ -18,6 +18,7 @@ from phsi_opt.page.verdict_words import (
     proposed_size,
     share_left,
 )
+from phsi_opt.presentation.numbers import said
 
 N_SHOWN = 5  # candidates that are shown at once
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
@@ -47,12 +48,18 @@ class StudyView:
         for one in self._resting:
             one.set_enabled(self._session.job is None)
 
-    def _begins(self, label: str, then: Callable[[], Any], quiet: bool) -> ui.button:
-        """A button that begins work; it rests meanwhile, and the focus goes on."""
+    def _begins(
+        self, label: str, then: Callable[[], Any], quiet: bool, *, redraws: bool = True
+    ) -> ui.button:
+        """A button that begins work; it rests meanwhile.
+
+        The focus goes on to what is drawn anew, where anything is.
+        """
 
         def begin() -> None:
             then()
-            ui.run_javascript(FOCUS_ON)
+            if redraws:
+                ui.run_javascript(FOCUS_ON)
 
         made = button(label, begin, quiet)
         made.set_enabled(self._session.job is None)
@@ -96,8 +103,7 @@ class StudyView:
             elif self._session.complaints:
                 ui.label("Give the measurements and the model first: parts 1 and 2.")
             else:
-                ui.label("Data and model can be used.")
-                button("Fit", self._session.fit)
+                ui.label("Data and model can be used: press Fit, below.")
 
     # ---- the first screen ------------------------------------------------------------
 
@@ -170,7 +176,10 @@ class StudyView:
             with ui.row():
                 if len(snapshot.steps) > 1:
                     self._begins("Undo the last step", self._session.undo, True)
-                self._begins("Add until nothing is left", self._session.auto, True)
+                diagnosed = snapshot.diagnosed
+                if diagnosed is None or diagnosed.is_missing:
+                    auto = self._session.auto
+                    self._begins("Add until nothing is left", auto, True)
 
     def _ranking(self, snapshot: Snapshot) -> None:
         diagnosed = snapshot.diagnosed
@@ -204,7 +213,7 @@ class StudyView:
                 ui.element("i").style(f"left: {100 * floor:.1f}%")
             ui.label(preview_words(snapshot, row))
             if row.lost:
-                ui.label(f"Not proposed: {row.lost}.").classes("faint")
+                ui.label(f"Not proposed: {said(row.lost)}.").classes("faint")
             if row.confusable_with:
                 others = ", ".join(row.confusable_with)
                 ui.label(f"The data do not tell it from {others}.").classes("faint")
@@ -232,9 +241,9 @@ class StudyView:
             if snapshot.diagnosed is not None:
                 with ui.expansion("What the diagnosis says").classes("w-full"):
                     ui.label(snapshot.diagnosed.verdict).style("font-weight: 600")
-                    ui.label(snapshot.diagnosed.reason)
+                    ui.label(said(snapshot.diagnosed.reason))
                     for sentence in snapshot.diagnosed.sentences:
-                        ui.label(sentence)
+                        ui.label(said(sentence))
             if snapshot.stopped:
                 ui.label(f"The automatic study stopped: {snapshot.stopped}")
 
@@ -242,7 +251,7 @@ class StudyView:
         with card().classes("last"):
             heading("Take it away")
             with ui.row():
-                self._begins("Report", self._report, False)
+                self._begins("Report", self._report, False, redraws=False)
                 button("Study file", self._study_file, quiet=True)
                 button("Python script", self._script, quiet=True)
             ui.label(

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from phsi_opt.page.snapshot import CandidateRow, Diagnosed, Snapshot
+from phsi_opt.presentation.numbers import said
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,13 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
     if not diagnosed.is_missing:
         left = error_words(snapshot, snapshot.steps[-1].judged)
         floor = error_words(snapshot, snapshot.steps[-1].floor)
+        reason = said(diagnosed.reason)
         return Facts(
             f"Nothing is missing. The error is {left}, the noise floor {floor}.",
             "No place stands out: what is left looks like noise.",
             "At no time.",
             "",
-            diagnosed.reason,
+            f"{reason[:1].upper()}{reason[1:]}.",
         )
     row = _proposed(diagnosed)
     preview = "" if row is None else preview_words(snapshot, row)

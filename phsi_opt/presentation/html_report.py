@@ -7,7 +7,6 @@ on paper, and where no script runs, static pictures stand in place of the charts
 import base64
 import gzip
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -17,7 +16,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.numbers import number, said, typeset
 from phsi_opt.presentation.report_content import Force, Report
 from phsi_opt.presentation.report_pictures import (
     follows_picture,
@@ -36,8 +35,6 @@ ESCAPES = {
     "\u2028": "\\u2028",
     "\u2029": "\\u2029",
 }
-
-MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 
 
 @dataclass(frozen=True)
@@ -78,16 +75,6 @@ def html_report(report: Report) -> str:
         data=script_json(_chart_data(report)),
         library=Markup(_packed_library()),
     )
-
-
-def typeset(text: str) -> str:
-    """A sentence of a terminal as it is printed: ± in place of +-."""
-    return text.replace("+-", "\N{PLUS-MINUS SIGN}")
-
-
-def said(text: str) -> str:
-    """A sentence with the minus signs that the numbers of a report have."""
-    return MINUS.sub("\N{MINUS SIGN}", typeset(text))
 
 
 def _pictures_of(force: Force) -> ForcePictures:

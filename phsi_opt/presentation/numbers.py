@@ -1,8 +1,10 @@
 """Numbers as a reader wants them: few digits, the error behind its value."""
 
 import math
+import re
 
 TEXT_DIGITS = 4  # of a number in a text
+MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 LEAST_P_VALUE = 1e-6  # below which it only says that chance is ruled out
 
 
@@ -27,8 +29,32 @@ def with_error(value: float, std_error: float) -> str:
     return f"{text} \N{PLUS-MINUS SIGN} {std_error:.{n_decimals}f}"
 
 
+def estimate_text(value: float, std_error: float) -> str:
+    """Value and standard error of an equation, in signs that can be typed.
+
+    The value ends with the second digit of its error; further ones say nothing.
+    """
+    if not math.isfinite(std_error):
+        return f"{value:.6g}"
+    if std_error <= 0 or not math.isfinite(value):
+        return f"{value:.6g} +- {std_error:.2g}"
+    size = max(abs(value), std_error)
+    n_digits = math.floor(math.log10(size)) - math.floor(math.log10(std_error)) + 2
+    return f"{value:.{n_digits}g} +- {std_error:.2g}"
+
+
 def p_value_words(p_value: float) -> str:
     """A p-value with two digits; below a millionth its size says nothing more."""
     if p_value < LEAST_P_VALUE:
         return f"below {LEAST_P_VALUE:g}"
     return f"{p_value:.2g}"
+
+
+def typeset(text: str) -> str:
+    """A sentence of a terminal as it is printed: ± in place of +-."""
+    return text.replace("+-", "\N{PLUS-MINUS SIGN}")
+
+
+def said(text: str) -> str:
+    """A sentence with the minus signs that the numbers of a report have."""
+    return MINUS.sub("\N{MINUS SIGN}", typeset(text))

@@ -72,13 +72,12 @@ class Staircase:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A parameter: value, 95 % interval ("" where not known), unit, and a remark."""
+    """A parameter: value, unit, and 95 % interval or why there is none."""
 
     name: str
     value: str
     interval: str
     unit: str
-    remark: str
 
 
 @dataclass(frozen=True)

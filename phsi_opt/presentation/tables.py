@@ -76,8 +76,12 @@ class Column:
     @property
     def narrow_width(self) -> int:
         """Characters that it takes where its header is broken into lines."""
-        pieces = HEADER_PIECE.findall(self.header)
-        return max([1, *map(len, pieces), *map(len, self.cells)])
+        return max([self.longest_piece, *map(len, self.cells)])
+
+    @property
+    def longest_piece(self) -> int:
+        """Characters of the longest piece of the header that is not broken."""
+        return max([1, *map(len, HEADER_PIECE.findall(self.header))])
 
 
 def columns_of(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> list[Column]:
@@ -229,7 +233,8 @@ def _fitted(columns: list[Column], width: int) -> list[int]:
     while _total(widths) > width:
         widest = -1
         for number, column in enumerate(columns):
-            can_shrink = not column.is_number and widths[number] > LEAST_TEXT
+            least = max(LEAST_TEXT, column.longest_piece)
+            can_shrink = not column.is_number and widths[number] > least
             if can_shrink and (widest < 0 or widths[number] > widths[widest]):
                 widest = number
         if widest < 0:

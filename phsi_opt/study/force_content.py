@@ -134,8 +134,8 @@ def _follows(force: EquationForce) -> Follows | None:
 def law_of(law: EffectLaw) -> Law:
     """The law of an effect, to be drawn against what it follows."""
     sentence = (
-        f"What d{law.force.equation}/dt lacks where {law.effect} is left out of the "
-        "present model and all other values stay"
+        f"The law that was added: what d{law.force.equation}/dt lacks where "
+        f"{law.effect} is left out of the present model and all other values stay"
     )
     follows = _beside(law.dependence, sentence)
     return Law(law.title, law.force.force_label(), follows)

@@ -1,11 +1,13 @@
 """The first screen of a report: the verdict, what is wrong, where, since when."""
 
+import numpy as np
+
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import EVERYWHERE
-from phsi_opt.force_analysis.units import force_unit, spaced, with_units
+from phsi_opt.force_analysis.state_plots import region_words
+from phsi_opt.force_analysis.units import force_unit, frequency_words, spaced
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.numbers import number, with_error
 from phsi_opt.presentation.report_content import BAD, GOOD, LOOK, Fact, Headline
@@ -21,6 +23,20 @@ SEVERITIES = {
     NOT_ASKED: LOOK,
 }
 MOST_REASON = 240  # letters that are read in a few seconds
+NEAR_SAMPLING = 0.2  # cycles per sample from which on a force is as fast as the samples
+# What is said of a model to which effects were added.
+NOW = {
+    Verdict.NOTHING_MISSING: "Now nothing is missing.",
+    Verdict.NAMED: "Something more is missing, and it is named below.",
+    Verdict.PARTLY_NAMED: "More is missing; a part of it is named below.",
+    Verdict.UNEXPLAINED: (
+        "Something is still missing that no effect of the catalogue explains; why "
+        "stands under Where it fails."
+    ),
+}
+# The questions of the first screen: of what is missing, and of what was.
+PRESENT = ("What is wrong", "Where", "Since when", "What to add")
+PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 
 
 def headline_of(study: StudyRecord) -> Headline:
@@ -72,11 +88,7 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
         begin = _said_of_added(study, present, errors)
         if present is None:
             return f"{begin} The present model has not been diagnosed."
-        if present.verdict == Verdict.NOTHING_MISSING:
-            return f"{begin} Now: nothing missing."
-        if len(present.reason) <= MOST_REASON:
-            return f"{begin} Still {present.verdict}: {present.reason}."
-        return f"{begin} Still {present.verdict}; why stands under Where it fails."
+        return f"{begin} {NOW[present.verdict]}"
     if present is None and study.stopped:
         return f"What the model lacks is not known: {study.stopped}. So far: {errors}."
     if present is None:
@@ -90,7 +102,7 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
 
 def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -> str:
     """What was added, with how sure it is, and what that did to the errors."""
-    nearest = _nearest(study)
+    nearest = _unestablished(study)
     is_all = present is not None and present.verdict == Verdict.NOTHING_MISSING
     sure: list[str] = []
     unsure: list[str] = []
@@ -98,15 +110,17 @@ def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -
         is_sure = is_all or str(effect) not in nearest
         (sure if is_sure else unsure).append(str(effect))
     with_them = "With it" if len(study.last.added) == 1 else "With them"
-    lacked = (
-        f"The base model lacked {' and '.join(sure)}." if sure else "Not explained."
-    )
+    said = []
+    if sure:
+        said.append(f"The base model lacked {' and '.join(sure)}.")
     if unsure:
-        lacked += f" Nearest, added but not established: {' and '.join(unsure)}."
-    return f"{lacked} {with_them}, the {errors}."
+        verb = "was" if len(unsure) == 1 else "were"
+        nearest_ones = f"{' and '.join(unsure)} {verb} added as the nearest"
+        said.append(f"Not established: {nearest_ones}.")
+    return f"{' '.join(said)} {with_them}, the {errors}."
 
 
-def _nearest(study: StudyRecord) -> set[str]:
+def _unestablished(study: StudyRecord) -> set[str]:
     """Effects that were proposed as the nearest, and never established."""
     proposed: set[str] = set()
     established: set[str] = set()
@@ -125,16 +139,19 @@ def _said(diagnosis: Diagnosis, errors: str) -> str:
 
 
 def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
-    return [
-        Fact("What is wrong", _wrong(study, diagnosis)),
-        Fact("Where", _where(diagnosis)),
-        Fact("Since when", since_when(diagnosis)),
-        Fact("What to add", _addition(study, diagnosis)),
-    ]
+    is_past = diagnosis is not study.diagnoses.get(len(study.steps) - 1)
+    answers = (
+        _wrong(study, diagnosis, is_past),
+        _where(diagnosis),
+        since_when(diagnosis),
+        _addition(study, diagnosis, is_past),
+    )
+    questions = PAST if is_past else PRESENT
+    return [Fact(*pair) for pair in zip(questions, answers, strict=True)]
 
 
-def _wrong(study: StudyRecord, diagnosis: Diagnosis) -> str:
-    """What the model that was diagnosed lacks, and how much of it."""
+def _wrong(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
+    """What the model that was diagnosed lacks, or lacked, and how much of it."""
     added: tuple[Effect, ...] = ()
     for number_of_step, known in study.diagnoses.items():
         if known is diagnosis:
@@ -147,7 +164,16 @@ def _wrong(study: StudyRecord, diagnosis: Diagnosis) -> str:
     size = f"rms {number(float(force.where['strength']), 3)}{unit}"
     if force.is_uncertain:
         return f"The residuals show it; no missing force is sure ({size})."
-    return f"{whose} d{force.equation}/dt lacks a force of {size}."
+    verb = "lacked" if is_past else "lacks"
+    said = f"{whose} d{force.equation}/dt {verb} a force of {size}"
+    frequency = float(force.where["frequency"])
+    if frequency * float(np.median(force.record.h)) > NEAR_SAMPLING:
+        told = frequency_words(frequency, force.record.units)
+        said += (
+            f", most of it {told}, near the sampling rate: an error of the sensor "
+            "looks so, rather than a force"
+        )
+    return f"{said}."
 
 
 def _where(diagnosis: Diagnosis) -> str:
@@ -155,12 +181,7 @@ def _where(diagnosis: Diagnosis) -> str:
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
         return "No equation, time or region stands out."
-    region = str(force.where["state_region"])
-    place = f"In the equation of {force.equation}"
-    if region == EVERYWHERE:
-        place += ", all over the visited states"
-    else:
-        place += f", strong where {with_units(region, force.record.units)}"
+    place = f"In the equation of {force.equation}, {region_words(force)}"
     energy = diagnosis.analysis.energy
     causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
     cause = causes[force.equation]
@@ -169,8 +190,11 @@ def _where(diagnosis: Diagnosis) -> str:
     return f"{place}. It {cause}."
 
 
-def _addition(study: StudyRecord, diagnosis: Diagnosis) -> str:
+def _addition(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
     """What to add, or what was added since."""
+    added = {str(effect) for effect in study.last.added}
+    if is_past and not added >= set(map(str, diagnosis.proposed)):
+        return f"{', '.join(sorted(added)) or 'Nothing'}."
     texts = []
     for finding in diagnosis.findings:
         effect = finding.effects[0]
@@ -188,9 +212,6 @@ def _addition(study: StudyRecord, diagnosis: Diagnosis) -> str:
             "No effect of the catalogue explains enough: an effect of your own may, "
             "or other data that show more."
         )
-    added = study.last.added
-    if added and set(map(str, diagnosis.proposed)) <= set(map(str, added)):
-        return f"Added: {'; '.join(texts)}."
     text = "; ".join(texts)
     return f"{text[:1].upper()}{text[1:]}."
 

@@ -28,9 +28,14 @@ from phsi_opt.study.force_content import failure_of, law_of
 from phsi_opt.study.headline import errors_in_words, headline_of
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
+from phsi_opt.study.step import Step
 
 ENDED_AT_BOUND = "at its bound"
 LEVEL = 0.95  # of the intervals: the convention of most tables
+# Errors over the noise floor: of training data that are fitted to the noise, and of
+# data held out that are not foretold.
+NEAR_FLOOR = 1.1
+FAR_ABOVE_FLOOR = 2.0
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 
 
@@ -64,9 +69,23 @@ def _staircase(study: StudyRecord) -> Staircase:
         steps.append(error)
     said = errors_in_words(study)
     sentence = f"{said[:1].upper()}{said[1:]}."
+    if _only_follows(study.last):
+        sentence += (
+            " On training data the last model is at or below the noise floor: it "
+            "follows what it was fitted to, and does not foretell the rest."
+        )
     if study.unit == STANDARD_DEVIATIONS:
         sentence += " One standard deviation is that of a channel's measurements."
     return Staircase(tuple(steps), study.unit, sentence)
+
+
+def _only_follows(step: Step) -> bool:
+    """Whether a model fits its training data to the noise, and no other data."""
+    if step.held_out is None:
+        return False
+    floor = step.judged.noise_floor
+    is_fitted = step.train.rmse < NEAR_FLOOR * floor
+    return is_fitted and step.held_out.rmse > FAR_ABOVE_FLOOR * floor
 
 
 def _equations(study: StudyRecord) -> tuple[Equations, ...]:
@@ -93,14 +112,15 @@ def _model(heading: str, fit: Fit) -> Equations:
             parameter = fit.model.entries[name].parameter
             interval = interval_within(parameter, lower, upper)
             if lower < parameter.lower or upper > parameter.upper:
-                remark = remark or "interval cut at its bound"
+                remark = remark or "cut at its bound"
         if not interval and not remark:
             remark = "no standard error"
         value = with_error(float(row["value"]), float(row["std_error"]))
         if remark == ENDED_AT_BOUND:
-            nearest = fit.model.entries[name].parameter
-            value = number(_nearest_bound(float(row["value"]), nearest))
-        rows.append(ParameterRow(name, value, interval, str(row["unit"]), remark))
+            parameter = fit.model.entries[name].parameter
+            value = number(parameter.nearest_bound(float(row["value"])))
+        known = ", ".join(one for one in (interval, remark) if one)
+        rows.append(ParameterRow(name, value, known, str(row["unit"])))
     return Equations(heading, tuple(equation_lines(fit)), tuple(rows))
 
 
@@ -111,12 +131,6 @@ def interval_within(parameter: Parameter, lower: float, upper: float) -> str:
     if not np.isfinite([lower, upper]).all():
         return ""
     return f"{number(lower)} to {number(upper)}"
-
-
-def _nearest_bound(value: float, parameter: Parameter) -> float:
-    """The bound at which an estimate ended: a solver stops a hair beside it."""
-    bounds = [one for one in (parameter.lower, parameter.upper) if np.isfinite(one)]
-    return min(bounds, key=lambda bound: abs(value - bound), default=value)
 
 
 def _failures(study: StudyRecord) -> tuple[Failure, ...]:

@@ -99,17 +99,17 @@ class Grid:
     def interval_label(self, n_rows: int) -> Callable[[int], str]:
         """Labels of values that stand in ``n_rows`` rows per interval.
 
-        Such as 'trajectory=2, interval=17, row=0'; intervals count from the beginning
-        of their trajectory.
+        Such as 'trajectory 3, t = 1.7 to 1.8, row 1': trajectories and rows are counted
+        from one.
         """
         trajectory = self.trajectory[self.begin]
-        number = self.begin - self.first[trajectory]
 
         def label(place: int) -> str:
             interval, row = divmod(place, n_rows)
+            begin = self.begin[interval]
             return (
-                f"trajectory={trajectory[interval]}, "
-                f"interval={number[interval]}, row={row}"
+                f"trajectory {trajectory[interval] + 1}, "
+                f"t = {self.t[begin]:g} to {self.t[begin + 1]:g}, row {row + 1}"
             )
 
         return label
@@ -117,13 +117,14 @@ class Grid:
     def node_label(self, n_rows: int) -> Callable[[int], str]:
         """Labels of values that stand in ``n_rows`` rows per node.
 
-        Such as 'trajectory=2, t=0.5, state=0'.
+        Such as 'trajectory 3, t = 0.5, state 1'.
         """
 
         def label(place: int) -> str:
             node, row = divmod(place, n_rows)
             return (
-                f"trajectory={self.trajectory[node]}, t={self.t[node]:g}, state={row}"
+                f"trajectory {self.trajectory[node] + 1}, t = {self.t[node]:g}, "
+                f"state {row + 1}"
             )
 
         return label

@@ -110,7 +110,7 @@
     const errors = steps.flatMap((step) => [step.train, step.held_out, step.floor]).filter((v) => v !== null && v > 0);
     const most = Math.max(...errors), least = Math.min(...errors);
     const log = most >= 10 * least && steps.length > 1;
-    const ticks = log ? { dtick: most >= 100 * least ? 1 : "D2" } : {};
+    const ticks = log ? { dtick: most >= 100 * least ? 1 : "D2", minorloglabels: "complete", tickformat: least > 1e-4 ? "~g" : "" } : {};
     const unit = content.unit === "standard deviations" ? "std. deviations" : content.unit;
     draw("staircase", traces, {
       xaxis: { tickvals: x, ticktext: labels, range: [-0.3, steps.length - 0.4], zeroline: false },
