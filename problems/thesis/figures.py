@@ -153,7 +153,7 @@ def trajectories(system: System, results: ByKind) -> Figure:
         ax.set_title(label, fontsize=9, color=COLOURS[label])
     for ax in axes[-1]:
         ax.set_xlabel(system.states[i])
-    axes[0, 0].set(xlim=_around(truth[:, i], 0.2), ylim=_around(truth[:, j], 0.2))
+    axes[0, 0].set(xlim=around(truth[:, i], 0.2), ylim=around(truth[:, j], 0.2))
     start = ", ".join(f"{value:g}" for value in example.start)
     outside = ""
     if system.name == "schrodinger":
@@ -165,7 +165,7 @@ def trajectories(system: System, results: ByKind) -> Figure:
     return _saved(fig, f"{system.name}_trajectory.png", caption)
 
 
-def _around(values: np.ndarray, margin: float) -> tuple[float, float]:
+def around(values: np.ndarray, margin: float) -> tuple[float, float]:
     """Limits of an axis: the range of the values and a share of it at both ends."""
     low = values.min()
     high = values.max()
@@ -277,7 +277,7 @@ def _levels(ax: plt.Axes, system: System, results: Results, example: Example) ->
         if x is not None:
             level = x[:, TANK_4]
             ax.plot(t, level, color=COLOURS[label], lw=width / 1.5, label=label)
-    ax.set(ylim=_around(truth, 0.25), xlabel="time t", ylabel="level of tank 4")
+    ax.set(ylim=around(truth, 0.25), xlabel="time t", ylabel="level of tank 4")
 
 
 def _leak_over_levels(ax: plt.Axes, noisy: ph.Measurements, results: Results) -> None:
