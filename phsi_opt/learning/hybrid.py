@@ -1,13 +1,13 @@
 """The hybrid: a dictionary for H and R, a neural network for a force without a formula.
 
-    dx/dt = (S - R) grad H(x) + F(x),    F_k(x) = network(x) in the forced equations k
+    dx/dt = (S - R) grad H(x) + F(x, t, u),    F_k = network in the forced equations k
 
 The dictionary is identified by the solver and the network is trained in torch, in
 turns, each with the other's latest estimate, on one and the same loss: the defects of
-SRK4. A turn is
+an integrator. A turn is
 
-1. the program for H and R, with the force of the network as an input at the two stages
-   of every step;
+1. the program for H and R, with the force of the network as an input at the stages of
+   every step (`transcription.stages`);
 2. the network on what is left of the forced equations at these stages (Adam);
 3. its last layer once more, exactly, by least squares together with every coefficient
    of H and R: what the dictionary can explain is shared out as the joint loss wants it,
@@ -28,7 +28,6 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_forced
 from phsi_opt.estimation.pruning import Pruning
-from phsi_opt.learning.force_signals import with_force
 from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
@@ -53,6 +52,7 @@ def hybrid(
     l1: dict[str, float] | float | None = None,
     pruning: Pruning | None = None,
     *,
+    integrator: str = "srk4",
     seed: int = 0,
     max_turns: int = 20,
     tolerance: float = 1e-3,
@@ -70,6 +70,7 @@ def hybrid(
         force: where the force acts, what it depends on, how it is trained.
         l1: weights of ``|coefficient|``, as for `identify`.
         pruning: of terms, from the third turn on, when the network has taken its part.
+        integrator: the scheme of the defects, as that of `PHSILoss`.
         seed: of the network's first weights and of the order of the batches.
         max_turns: limit of the turns.
         tolerance: relative change of a coefficient below which it does not move.
@@ -77,12 +78,12 @@ def hybrid(
 
     Raises:
         DataError: if data and model do not match.
-        ModelError: for unknown names, or without torch.
+        ModelError: for unknown names or integrators, or without torch.
         SolveError: if the solver fails.
     """
     began = time.perf_counter()
     record = aligned(model, data)
-    problem = HybridProblem.of(model, record, force)
+    problem = HybridProblem.of(model, record, force, integrator)
     estimate = _Estimate(model, problem.no_force())
     turns = []
     converged = False
@@ -124,7 +125,7 @@ class _Estimate:
 
     Attributes:
         model: the dictionary's, without the force, with its latest values.
-        at_stages: (n_intervals, 2, n_equations), the force at the stages.
+        at_stages: (n_intervals, n_stages, n_equations), the force at the stages.
         fit: of the dictionary beside the force; None before the first turn.
         force: the network; None before the first turn.
     """
@@ -146,10 +147,10 @@ def _dictionary_fit(
     return identify_forced(
         problem.forced(before.model),
         data,
-        PHSILoss(),
+        PHSILoss(problem.scheme),
         l1,
         pruning,
-        layout=lambda grid: with_force(problem.grid, before.at_stages),
+        layout=lambda grid: problem.with_force(before.at_stages),
         start=before.fit,
     )
 
@@ -169,7 +170,9 @@ def _with_force(
     data = problem.training_set(model, before.at_stages)
     start = before.force
     if start is None:
-        start = untrained(problem.settings, problem.rows, problem.columns, data.stages)
+        start = untrained(
+            model, problem.settings, problem.rows, problem.columns, data.stages
+        )
     trained = train(problem.settings, start, data, schedule)
     trained = problem.with_best_output(trained, model, data)
     return _Estimate(model, problem.at_stages(trained, data.stages), fit, trained)

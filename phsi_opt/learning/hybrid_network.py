@@ -4,11 +4,16 @@ A trained force is a list of matrices and needs no torch. Its training is in
 `network_training`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import DataError, ModelError, did_you_mean
+from phsi_opt.model.model import Model
+
+TIME = "t"  # the name of the time among the variables
 
 # (weight (n_out, n_in), bias (n_out,)) of every layer
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
@@ -16,11 +21,11 @@ Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 
 @dataclass(frozen=True)
 class NeuralForce:
-    """A force that is a network of states (thesis Section 6.4).
+    """A force that is a network of states, inputs and time (thesis Section 6.4).
 
     Args:
         equations: states in whose equations it acts.
-        variables: states that it depends on; None: all.
+        variables: states, inputs or "t" that it depends on; None: all states.
         hidden: sizes of its ReLU layers (the thesis: three of 100).
         epochs: passes over the data in the first turn; later turns, which begin with a
             trained network, take a quarter of them.
@@ -44,11 +49,12 @@ class NeuralForce:
     weight_decay: float = 3.0
 
     def __post_init__(self) -> None:
-        for name in ("equations", "variables"):
+        expected = {"equations": "states", "variables": "states, inputs or 't'"}
+        for name, words in expected.items():
             given = getattr(self, name)
             if given is not None and (isinstance(given, str) or not given):
                 raise ModelError(
-                    f"{name}={given!r} of NeuralForce must be a tuple of states, "
+                    f"{name}={given!r} of NeuralForce must be a tuple of {words}, "
                     "such as ('p',)."
                 )
         possible = all(isinstance(size, int) and size >= 1 for size in self.hidden)
@@ -67,15 +73,17 @@ class NeuralForce:
 
 @dataclass(frozen=True, eq=False)
 class TrainedForce:
-    """A trained network: force(x) for states x.
+    """A trained network: force(x, t, u) for states x, times t and inputs u.
 
-    It knows nothing beyond the data: outside the range of its training its variables
-    are held at the edge.
+    It knows nothing beyond the data: outside the range of its training its variables,
+    the time included, are held at the edge.
 
     Attributes:
         equations: states in whose equations it acts.
-        columns: numbers of the states that it depends on.
+        columns: numbers of its variables among ``names``.
         rows: numbers of the equations.
+        names: states, inputs and "t", of the model.
+        n_states: number of the states among the names.
         shift: (n_variables,), subtracted from the variables.
         spread: (n_variables,), by which they are then divided.
         seen: (2, n_variables), least and largest value in training.
@@ -85,21 +93,91 @@ class TrainedForce:
     equations: tuple[str, ...]
     columns: tuple[int, ...]
     rows: tuple[int, ...]
+    names: tuple[str, ...]
+    n_states: int
     shift: np.ndarray
     spread: np.ndarray
     seen: np.ndarray
     layers: Layers
 
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """The force (n_samples, n_equations) at states x (n_samples, n_states)."""
-        weights, bias = self.layers[-1]
-        return self.features(x) @ weights.T + bias
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of what it depends on."""
+        return tuple(self.names[column] for column in self.columns)
 
-    def features(self, x: np.ndarray) -> np.ndarray:
-        """Output of the last hidden layer, (n_samples, n_features)."""
-        variables = np.atleast_2d(x)[:, self.columns]
+    def __call__(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
+        """The force, (n_samples, n_equations).
+
+        Args:
+            x: states (n_samples, n_states).
+            t: times (n_samples,), if it depends on the time.
+            u: inputs (n_samples, n_inputs), if it depends on one.
+
+        Raises:
+            DataError: if t or u is needed and not given.
+        """
+        return self.at(self._rows_of(np.atleast_2d(x), t, u))
+
+    def at(self, rows: np.ndarray) -> np.ndarray:
+        """The force, (n_samples, n_equations), where rows (n_samples, n_names) hold
+        what is named.
+        """
+        weights, bias = self.layers[-1]
+        return self.features(rows) @ weights.T + bias
+
+    def _rows_of(self, x: np.ndarray, t: Any, u: Any) -> np.ndarray:
+        n_inputs = len(self.names) - self.n_states - 1
+        parts = [
+            x,
+            self._given(u, "u", self.names[self.n_states : -1], (len(x), n_inputs)),
+            self._given(t, TIME, (TIME,), (len(x), 1)),
+        ]
+        return np.hstack(parts)
+
+    def _given(
+        self, values: Any, argument: str, names: Sequence[str], shape: tuple[int, int]
+    ) -> np.ndarray:
+        """Inputs or times in the shape of rows; zeros where nothing depends on them."""
+        needed = [name for name in self.variables if name in names]
+        if values is not None:
+            return np.broadcast_to(np.reshape(values, (-1, shape[1])), shape)
+        if needed:
+            raise DataError(
+                f"the force depends on {needed[0]!r}; give {argument} beside x."
+            )
+        return np.zeros(shape)
+
+    def features(self, rows: np.ndarray) -> np.ndarray:
+        """Output of the last hidden layer, (n_samples, n_features), at rows as in
+        `at`.
+        """
+        variables = rows[:, self.columns]
         inside = np.clip(variables, *self.seen)
         z = (inside - self.shift) / self.spread
         for weights, bias in self.layers[:-1]:
             z = np.maximum(z @ weights.T + bias, 0.0)
         return z
+
+
+def known_names(model: Model) -> tuple[str, ...]:
+    """What a force of a model may depend on: states, inputs, and the time "t"."""
+    return (*model.states, *model.inputs, TIME)
+
+
+def variable_columns(model: Model, variables: Sequence[str]) -> tuple[int, ...]:
+    """Numbers of variables among `known_names`.
+
+    Raises:
+        ModelError: if one is none of them.
+    """
+    names = known_names(model)
+    columns = []
+    for variable in variables:
+        if variable not in names:
+            raise ModelError(
+                f"variable of NeuralForce {variable!r} is not a state, an input or the "
+                f"time 't' of the model; expected one of {', '.join(names)}."
+                f"{did_you_mean(str(variable), names)}"
+            )
+        columns.append(names.index(variable))
+    return tuple(columns)

@@ -14,11 +14,15 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.json_file import read_json
 from phsi_opt.learning.force_signals import without_signals
-from phsi_opt.learning.hybrid_network import TrainedForce
+from phsi_opt.learning.hybrid_network import (
+    TrainedForce,
+    known_names,
+    variable_columns,
+)
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
-from phsi_opt.simulation.simulate import simulate
+from phsi_opt.simulation.simulate import simulate_forced
 from phsi_opt.transcription.alignment import aligned
 
 FORMAT = "phsi_opt hybrid 1"
@@ -66,12 +70,13 @@ class Hybrid(Identified):
             x0: states (n_states,) at t[0].
             u: inputs (n_samples, n_inputs) at t; None for a model without inputs.
         """
-        return simulate(self.model, t, x0, u, hold=self.hold, force=self._added)
+        return simulate_forced(self.model, t, x0, u, self._added, hold=self.hold)
 
-    def _added(self, t: float, x: np.ndarray) -> np.ndarray:
+    def _added(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """What the network adds to dx/dt, (n_states,)."""
+        inputs = np.asarray(u)[: self.model.n_inputs]
         total = np.zeros(self.model.n_states)
-        total[list(self.force.rows)] = self.force(x)[0]
+        total[list(self.force.rows)] = self.force.at(np.r_[x, inputs, t][None])[0]
         return total
 
     def without_force(self) -> Fit:
@@ -80,8 +85,7 @@ class Hybrid(Identified):
 
     def equations(self) -> list[str]:
         """The right-hand sides; the network appears by its name."""
-        names = [self.model.states[i] for i in self.force.columns]
-        inside = ", ".join(names)
+        inside = ", ".join(self.force.variables)
         lines = super().equations()
         for row in self.force.rows:
             lines[row] += f" + network_{self.model.states[row]}({inside})"
@@ -109,15 +113,19 @@ class Hybrid(Identified):
             raise ModelError(
                 f"the network depends on {len(self.force.columns)} variables; "
                 "only a force of one can be distilled. "
-                "Give NeuralForce(variables=...) one state."
+                "Give NeuralForce(variables=...) one name."
             )
         column = self.force.columns[0]
         runs = aligned(self.model, data).trajectories
-        x = np.concatenate([run.x for run in runs])
-        x = x[np.isfinite(x).all(axis=1)]
-        bodies, terms = _hinges(self.model.states[column], x[:, column], knots)
+        known = [np.column_stack([run.x, run.u, run.t]) for run in runs]
+        visited = np.concatenate(known)
+        visited = visited[np.isfinite(visited).all(axis=1)]
+        name = self.force.variables[0]
+        bodies, terms = _hinges(name, visited[:, column], knots)
         scale = np.sqrt(np.mean(terms**2, axis=0))
-        scaled = np.linalg.lstsq(terms / scale, self.force(x), rcond=DEPENDENT)[0]
+        scaled = np.linalg.lstsq(
+            terms / scale, self.force.at(visited), rcond=DEPENDENT
+        )[0]
         coefficients = scaled / scale[:, None]
         found = {}
         for equation, column_of in zip(
@@ -146,7 +154,7 @@ class Hybrid(Identified):
         layers = [[weights.tolist(), bias.tolist()] for weights, bias in force.layers]
         return {
             "equations": list(force.equations),
-            "variables": [self.model.states[i] for i in force.columns],
+            "variables": list(force.variables),
             "shift": force.shift.tolist(),
             "spread": force.spread.tolist(),
             "seen": force.seen.tolist(),
@@ -225,8 +233,10 @@ def _force_from(
     variables = stored["variables"]
     force = TrainedForce(
         equations=equations,
-        columns=tuple(model.index(n, "variable of the network") for n in variables),
+        columns=variable_columns(model, variables),
         rows=tuple(model.index(n, "equation of the network") for n in equations),
+        names=known_names(model),
+        n_states=model.n_states,
         shift=np.array(stored["shift"], dtype=float),
         spread=np.array(stored["spread"], dtype=float),
         seen=np.array(stored["seen"], dtype=float),

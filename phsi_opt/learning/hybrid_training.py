@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
+from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce, known_names
+from phsi_opt.model.model import Model
 from phsi_opt.optimization.torch_threads import one_thread
 
 # Least scale of a variable or a target: keeps quotients finite where it is constant.
@@ -26,12 +27,15 @@ class TrainingSet:
     """What a force must be at the stages of the steps.
 
     Attributes:
-        stages: states (n_intervals, 2, n_states) at the stages of SRK4.
-        target: (n_intervals, n_equations), the mean of the force over the two stages.
+        stages: (n_intervals, n_stages, n_names), states, inputs and time at the stages
+            of the integrator.
+        weights: of the stages, (n_stages,); their sum is 1.
+        target: (n_intervals, n_equations), the mean of the force over the stages.
         folds: (n_intervals,), number of the fold of every interval.
     """
 
     stages: np.ndarray
+    weights: np.ndarray
     target: np.ndarray
     folds: np.ndarray
 
@@ -46,24 +50,36 @@ class Schedule:
 
 
 def untrained(
+    model: Model,
     settings: NeuralForce,
     rows: tuple[int, ...],
     columns: tuple[int, ...],
-    x: np.ndarray,
+    stages: np.ndarray,
 ) -> TrainedForce:
     """The force before training: no layers, the scale of its variables from the data.
 
     Args:
+        model: whose states, inputs and time it may depend on.
         settings: of the force.
         rows: numbers of its equations.
-        columns: numbers of the states that it depends on.
-        x: states (n_intervals, 2, n_states).
+        columns: numbers of its variables, as those of `TrainedForce`.
+        stages: as those of `TrainingSet`.
     """
-    variables = x[:, :, columns]
+    variables = stages[:, :, columns]
     shift = variables.mean(axis=(0, 1))
     spread = np.maximum(variables.std(axis=(0, 1)), LEAST_SCALE)
     seen = _range(variables)
-    return TrainedForce(settings.equations, columns, rows, shift, spread, seen, ())
+    return TrainedForce(
+        equations=settings.equations,
+        columns=columns,
+        rows=rows,
+        names=known_names(model),
+        n_states=model.n_states,
+        shift=shift,
+        spread=spread,
+        seen=seen,
+        layers=(),
+    )
 
 
 def _range(variables: np.ndarray) -> np.ndarray:
@@ -79,7 +95,8 @@ def train(
     """Minimise the mean squared difference between the force's mean and the target.
 
     AdamW (Loshchilov and Hutter 2019) with a learning rate that falls along a cosine.
-    The epoch is kept that predicts the fold `LEFT_OUT` best, which is left out.
+    The epoch is kept that predicts the fold `LEFT_OUT` best, which is left out; the
+    start counts as an epoch.
 
     Args:
         settings: of the force.
@@ -108,41 +125,53 @@ def train(
         else:
             sizes = [len(before.columns), *settings.hidden, len(before.rows)]
             layers = _random_layers(sizes, generator)
-        folds = torch.tensor(data.folds)
-        arrays = _descended(layers, z, y, folds, settings, schedule, generator)
+        batches = _Batches(
+            z, torch.tensor(data.weights), y, torch.tensor(data.folds), generator
+        )
+        arrays = _descended(layers, batches, settings, schedule)
     weights, bias = arrays[-1]
     arrays[-1] = (weights * scale[:, None], bias * scale)
     return replace(before, seen=_range(variables), layers=tuple(arrays))
 
 
+@dataclass(frozen=True, eq=False)
+class _Batches:
+    """Tensors of a training: variables, weights of the stages, targets and folds, and
+    the generator of the order.
+    """
+
+    z: Any
+    weights: Any
+    y: Any
+    folds: Any
+    generator: Any
+
+
 def _descended(
-    layers: TorchLayers,
-    z: Any,
-    y: Any,
-    folds: Any,
-    settings: NeuralForce,
-    schedule: Schedule,
-    generator: Any,
+    layers: TorchLayers, data: _Batches, settings: NeuralForce, schedule: Schedule
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """The layers of the epoch with the least error on the fold that is left out."""
     import torch
 
     def error(chosen: Any) -> Any:
-        mean = _forward(layers, z[chosen]).mean(dim=1)
-        return torch.mean((mean - y[chosen]) ** 2)
+        at_stages = _forward(layers, data.z[chosen])
+        mean = (data.weights[:, None] * at_stages).sum(dim=1)
+        return torch.mean((mean - data.y[chosen]) ** 2)
 
-    used = torch.nonzero(folds != LEFT_OUT).ravel()
-    left_out = torch.nonzero(folds == LEFT_OUT).ravel()
+    used = torch.nonzero(data.folds != LEFT_OUT).ravel()
+    left_out = torch.nonzero(data.folds == LEFT_OUT).ravel()
     parameters = [array for layer in layers for array in layer]
     optimiser = torch.optim.AdamW(
         parameters, lr=schedule.rate, weight_decay=settings.weight_decay
     )
     n_steps = schedule.epochs * -(-len(used) // settings.batch)
     rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, n_steps)
-    least = np.inf
+    # Where it starts counts too: no turn leaves the force worse than it was there.
+    with torch.no_grad():
+        least = float(error(left_out))
     best = _arrays(layers)
     for _ in range(schedule.epochs):
-        order = used[torch.randperm(len(used), generator=generator)]
+        order = used[torch.randperm(len(used), generator=data.generator)]
         for chosen in order.split(settings.batch):
             optimiser.zero_grad()
             error(chosen).backward()

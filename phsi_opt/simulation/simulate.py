@@ -19,6 +19,7 @@ from phsi_opt.errors import DataError, SolveError
 from phsi_opt.model.model import Model
 
 Input = Callable[[float], np.ndarray]  # of the time
+Force = Callable[[float, np.ndarray, np.ndarray], np.ndarray]  # of t, x, u
 RTOL = 1e-8
 ATOL = 1e-10  # relative to the size of the starting state
 SMALLEST_START = 1e-3  # size of the starting state below which ATOL falls no more
@@ -51,6 +52,35 @@ def simulate(
 
     Returns:
         (n_samples, n_states).
+
+    Raises:
+        DataError: wrong shapes, times or numbers.
+        SolveError: the solution cannot be continued.
+    """
+    added = None if force is None else partial(_of_state_and_time, force)
+    return simulate_forced(model, t, x0, u, added, hold=hold, method=method)
+
+
+def simulate_forced(
+    model: Model,
+    t: Any,
+    x0: Any,
+    u: Any,
+    force: Force | None,
+    *,
+    hold: str = "linear",
+    method: str = "LSODA",
+) -> np.ndarray:
+    """`simulate` with a force that may depend on the inputs.
+
+    Args:
+        model: as in `simulate`.
+        t: as in `simulate`.
+        x0: as in `simulate`.
+        u: as in `simulate`.
+        force: function (t, x, u) -> (n_states,) that is added to dx/dt.
+        hold: as in `simulate`.
+        method: as in `simulate`.
 
     Raises:
         DataError: wrong shapes, times or numbers.
@@ -232,12 +262,21 @@ def _constant(value: np.ndarray, at: float) -> np.ndarray:
 
 def _with_force(
     f: Callable[..., np.ndarray],
-    force: Callable[..., np.ndarray],
+    force: Force,
     at: float,
     x: np.ndarray,
     u: np.ndarray,
 ) -> np.ndarray:
-    return f(at, x, u) + force(at, x)
+    return f(at, x, u) + force(at, x, u)
+
+
+def _of_state_and_time(
+    force: Callable[[float, np.ndarray], np.ndarray],
+    at: float,
+    x: np.ndarray,
+    u: np.ndarray,
+) -> np.ndarray:
+    return force(at, x)
 
 
 def _right_hand_side(

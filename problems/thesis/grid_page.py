@@ -145,7 +145,7 @@ def page(table: pd.DataFrame, readings: pd.DataFrame, n_tests: int) -> str:
     """The grids as text."""
     lines = ["# L1 and pruning (thesis Section 6.5)", "", "![grids](grids.png)", ""]
     lines += [_introduction(n_tests), ""]
-    lines += grid_verdicts.section(readings)
+    lines += grid_verdicts.section(table, readings)
     for name, rows in table.groupby("system", sort=False):
         system = SYSTEMS[str(name)]
         lines += [f"## {system.title}", ""]

@@ -65,14 +65,17 @@ def wide(system: System) -> System:
 
 
 AS_HERE = "as in the grids"
+SUM = "sum of squares (Eq. 5.6)"
+WIDE = "starts within +-1 (text)"
+WIDE_SUM = "starts within +-1, sum of squares"
 READINGS = (
     Reading(AS_HERE),
     Reading("first pruned at 2P (code)", first_pruned=2),
-    Reading("sum of squares (Eq. 5.6)", is_sum=True),
+    Reading(SUM, is_sum=True),
 )
 OF_THE_TEXT = (
-    Reading("starts within +-1 (text)", changed=wide),
-    Reading("starts within +-1, sum of squares", is_sum=True, changed=wide),
+    Reading(WIDE, changed=wide),
+    Reading(WIDE_SUM, is_sum=True, changed=wide),
 )
 
 

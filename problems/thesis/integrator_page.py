@@ -9,12 +9,14 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.transcription.integrators import INTEGRATORS
+from problems.thesis.integrator_paths import COLOURS, caption, file_of
 from problems.tools import markdown
 from problems.tools.pictures import plt, save
 
 Tables = dict[str, pd.DataFrame]
-COLOURS = dict(zip(INTEGRATORS, ("C3", "C1", "C0", "C2"), strict=True))
 BEST = "srk4"  # what the others are compared with
+HYBRID = "Tanks, neural leak"
+ENDS = {"Henon-Heiles": 10.0, HYBRID: 1.0}  # of the trajectories drawn
 ORDER_WITHIN = 0.1  # the slope over the last halving still holds terms of higher order
 # "two orders of magnitude" between Euler and the best: thesis, Appendix A
 THESIS_EULER = 100
@@ -31,7 +33,10 @@ def text(found: Tables, limits: str) -> str:
     for name, head in _heads(found["fits"]).items():
         parts += [f"## {head}", "", *markdown.frame(found[name])]
     parts += ["![errors by integrator and noise](integrators.png)", ""]
-    return "\n".join([*parts, _caption(found["fits"])])
+    parts += [_caption(found["fits"]), ""]
+    for title, end in ENDS.items():
+        parts += [f"![{title}]({file_of(title)})", "", caption(title, end), ""]
+    return "\n".join(parts)
 
 
 def _heads(fits: pd.DataFrame) -> dict[str, str]:
@@ -70,6 +75,7 @@ def reading(found: Tables) -> list[str]:
     for system, part in found["fits"].groupby("system", sort=False):
         said.append(f"{system}: {'; '.join(_at_noise(part))}.")
     said.append(_of_euler(found["medians"]))
+    said.append(_of_ranks(found["medians"]))
     return said
 
 
@@ -154,6 +160,22 @@ def _of_euler(medians: pd.DataFrame) -> str:
     )
 
 
+def _of_ranks(medians: pd.DataFrame) -> str:
+    """The order of the integrators in the hybrid, beside what the thesis says."""
+    said = []
+    part = medians[medians["system"] == HYBRID]
+    for noise, rows in part.groupby("noise", sort=False):
+        ordered = rows.sort_values("l2")["integrator"]
+        said.append(f"{', '.join(ordered)} at noise {noise:g}")
+    if not said:
+        return ""
+    return (
+        f"With the neural leak, from the best to the worst: {'; '.join(said)}. (The "
+        "thesis: SRK4 before RK4 and midpoint, these before Euler; the symmetric ones "
+        "do well with much noise.)"
+    )
+
+
 # --- the figure
 
 
@@ -164,7 +186,7 @@ def figure(fits: pd.DataFrame) -> None:
     """
     systems = list(dict.fromkeys(fits["system"]))
     fig, axes = plt.subplots(
-        2, len(systems), figsize=(9.0, 6.4), layout="constrained", squeeze=False
+        2, len(systems), figsize=(11.5, 6.4), layout="constrained", squeeze=False
     )
     for column, title in enumerate(systems):
         part = fits[fits["system"] == title]

@@ -9,32 +9,36 @@ tanks)::
     henon_heiles | 200 x 10             | 0.1  | 1e-5, 1e-3, 0.01 | 20, t = 0 to 1
     tanks        |  60 x 50             | 0.01 | 0, 0.01, 0.05    | 10, t = 0 to 0.5
 
-The leak of the tanks has its known form here (its size free); in the thesis it is a
-neural network.
+The leak of the tanks is a neural network, as in the thesis, trained by the hybrid with
+the same integrator as the dictionary; beside it, with its known form (its size free).
 
     python -m problems.thesis.integrators [--quick]
 """
 
 from dataclasses import dataclass, field, replace
-from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
+from phsi_opt.learning.hybrid import Hybrid, hybrid
+from phsi_opt.learning.hybrid_network import NeuralForce
 from phsi_opt.transcription.integrators import INTEGRATORS
+from problems.thesis.figures import EXAMPLES, INSIDE, Example, simulated
+from problems.thesis.integrator_orders import orders, symmetry
 from problems.thesis.integrator_page import Tables, figure, text
+from problems.thesis.integrator_paths import Paths, Truth, draw
 from problems.thesis.systems import (
     LEAK_SLOPE,
     SYSTEMS,
     System,
-    closed_tanks,
     known_leak,
     tank_model,
 )
 from problems.tools import markdown
 from problems.tools.command_line import flag
-from problems.tools.provenance import write
+from problems.tools.provenance import RESULTS, write
 
 SEEDS = range(5)
 TANK_SEEDS = range(1)  # minutes per fit
@@ -43,12 +47,12 @@ TANK_SEEDS = range(1)  # minutes per fit
 LEAST = {"H": 1e-3}
 PRUNING = ph.Pruning(0.05, significance=0.01)
 TANK_SETTINGS = ph.SolverSettings(max_iterations=100)
-HALVINGS = (1, 2, 4, 8)
-LENGTHS = {"henon_heiles": 1.0, "tanks": 0.5}  # of the exact records
+TANK_EXAMPLE = replace(INSIDE, end=1.0)  # twice the training time
+N_SAMPLES = 501  # of a trajectory that is drawn
 LIMITS = markdown.paragraph(f"""
-    Limits. The tanks have fewer draws; their leak has its known form, where the thesis
-    trains a network; and they have an L1 weight of {LEAST["H"]:g} on H, which
-    Henon-Heiles has not, because the square of the sum of the levels moves nothing.
+    Limits. The tanks have fewer draws, and an L1 weight of {LEAST["H"]:g} on H, which
+    Henon-Heiles has not, because the square of the sum of the levels moves nothing. A
+    hybrid that still moves after its last turn counts as not solved.
     """)
 
 
@@ -64,6 +68,15 @@ class Case:
     l1: dict[str, float] = field(default_factory=dict)
     settings: ph.SolverSettings = field(default_factory=ph.SolverSettings)
     seeds: range = SEEDS
+    force: NeuralForce | None = None
+    max_turns: int = 20
+
+    @property
+    def title(self) -> str:
+        """Name in tables and figures."""
+        if self.system.name != "tanks":
+            return self.system.title
+        return "Tanks, neural leak" if self.force else "Tanks, leak of known form"
 
 
 @dataclass(frozen=True)
@@ -83,9 +96,21 @@ class Worth:
 def cases(quick: bool = False) -> tuple[Case, ...]:
     """Henon-Heiles and the tanks; ``quick``: few trajectories of the first."""
     if quick:
-        return (_oscillator(n_trajectories=15, noise=(1e-5, 0.01), n_tests=3),)
-    oscillator = _oscillator(200, (1e-5, 1e-3, 0.01), n_tests=20)
-    tanks = Case(
+        oscillator = _oscillator(n_trajectories=15, noise=(1e-5, 0.01), n_tests=3)
+        return oscillator, _quick_tanks()
+    known = _tanks()
+    network = replace(
+        known,
+        model=tank_model(),
+        truth=dict(SYSTEMS["tanks"].truth),
+        force=NeuralForce(("mu4",), ("mu4",)),
+    )
+    return _oscillator(200, (1e-5, 1e-3, 0.01), n_tests=20), network, known
+
+
+def _tanks() -> Case:
+    """The leak with its known form."""
+    return Case(
         replace(SYSTEMS["tanks"], n_steps=50, test_time=0.5),
         tank_model(known_leak()),
         {**SYSTEMS["tanks"].truth, "slope": LEAK_SLOPE},
@@ -95,7 +120,21 @@ def cases(quick: bool = False) -> tuple[Case, ...]:
         settings=TANK_SETTINGS,
         seeds=TANK_SEEDS,
     )
-    return oscillator, tanks
+
+
+def _quick_tanks() -> Case:
+    """Few trajectories with a small network, and too few turns to settle."""
+    tanks = _tanks()
+    return replace(
+        tanks,
+        system=replace(tanks.system, n_trajectories=6),
+        model=tank_model(),
+        truth=dict(SYSTEMS["tanks"].truth),
+        noise=(0.0,),
+        n_tests=1,
+        force=NeuralForce(("mu4",), ("mu4",), hidden=(10,), epochs=10),
+        max_turns=3,
+    )
 
 
 def _oscillator(n_trajectories: int, noise: tuple[float, ...], n_tests: int) -> Case:
@@ -108,108 +147,44 @@ def _oscillator(n_trajectories: int, noise: tuple[float, ...], n_tests: int) -> 
     return Case(system, system.model(), dict(system.truth), noise, n_tests)
 
 
-# --- order and symmetry
-
-
-def orders(n: int = 10) -> pd.DataFrame:
-    """Rms defect of the true right-hand side on exact data at h, h/2, h/4 and h/8.
-
-    The order is the slope over the last halving.
-    """
-    closed = replace(SYSTEMS["tanks"], title="Tanks, leak shut", rhs=closed_tanks)
-    rows = []
-    for system in (SYSTEMS["henon_heiles"], SYSTEMS["tanks"], closed):
-        n_steps = round(LENGTHS[system.name] / system.step)
-        shortened = replace(system, n_steps=n_steps)
-        exact = shortened.data(0, noise=0.0, n=n, refine=HALVINGS[-1])
-        rows += [_order_row(system, name, exact) for name in INTEGRATORS]
-    return pd.DataFrame(rows)
-
-
-def _order_row(
-    system: System, integrator: str, exact: ph.Measurements
-) -> dict[str, object]:
-    defects = {
-        k: _rms_defect(system, integrator, exact, every=HALVINGS[-1] // k)
-        for k in HALVINGS
-    }
-    row = {"system": system.title, "integrator": integrator, "h": system.step}
-    row |= {f"h/{k}": size for k, size in defects.items()}
-    order = np.log2(defects[HALVINGS[-2]] / defects[HALVINGS[-1]])
-    return row | {"order": order}
-
-
-def _rms_defect(
-    system: System, integrator: str, data: ph.Measurements, every: int
-) -> float:
-    psi = INTEGRATORS[integrator].psi
-    total = 0.0
-    count = 0
-    for run in data.trajectories:
-        t = run.t[::every]
-        x = run.x[::every]
-        for i in range(len(t) - 1):
-            h = t[i + 1] - t[i]
-            increment = psi(partial(_at, system, t[i], h), x[i], x[i + 1], h)
-            defect = (x[i + 1] - x[i]) / h - increment
-            total += float(defect @ defect)
-            count += 1
-    return float(np.sqrt(total / count))
-
-
-def _at(system: System, t: float, h: float, x: np.ndarray, c: float) -> np.ndarray:
-    return system.rhs(t + c * h, x)
-
-
-def symmetry(n: int = 20) -> pd.DataFrame:
-    """Largest relative change of Psi when the ends are swapped and h -> -h.
-
-    Over the first steps of ``n`` noisy trajectories of all four systems.
-    """
-    rows = []
-    for name, scheme in INTEGRATORS.items():
-        changes = [
-            _change_when_swapped(system, name, run)
-            for system in SYSTEMS.values()
-            for run in system.data(0, n=n).trajectories
-        ]
-        row = {"integrator": name, "symmetric": scheme.symmetric}
-        rows.append(row | {"largest change": max(0.0, *changes)})
-    return pd.DataFrame(rows)
-
-
-def _change_when_swapped(system: System, integrator: str, run: ph.Trajectory) -> float:
-    psi = INTEGRATORS[integrator].psi
-    x0, x1 = run.x[:2]
-    t0, t1 = run.t[:2]
-    there = psi(partial(_at, system, t0, t1 - t0), x0, x1, t1 - t0)
-    back = psi(partial(_at, system, t1, t0 - t1), x1, x0, t0 - t1)
-    return float(np.linalg.norm(there - back) / np.linalg.norm(there))
-
-
 # --- models found with each integrator
 
 
-def fits(case: Case, seeds: range) -> pd.DataFrame:
-    """A row per noise, seed and integrator with what the model is worth."""
+def fits(case: Case, seeds: range, paths: Paths) -> pd.DataFrame:
+    """A row per noise, seed and integrator with what the model is worth; the
+    trajectories of the first seed's models are added to ``paths``.
+    """
     t, truth = case.system.tests(case.n_tests)
     rows = []
     for noise in case.noise:
         for seed in seeds:
             data = case.system.data(seed, noise)
             for name in INTEGRATORS:
-                worth = _worth(case, _fitted(case, data, name), t, truth)
-                key = {"system": case.system.title, "noise": noise, "seed": seed}
+                fit = _fitted(case, data, name)
+                worth = _worth(case, fit, t, truth)
+                if seed == seeds[0]:
+                    paths.found[case.title, noise, name] = _path(case, fit)
+                key = {"system": case.title, "noise": noise, "seed": seed}
                 rows.append({**key, "integrator": name, **vars(worth)})
                 print(
-                    f"... {case.system.title} noise {noise:g} seed {seed} {name}: "
+                    f"... {case.title} noise {noise:g} seed {seed} {name}: "
                     f"l2 {worth.l2:.3g}, coefficient {worth.coefficient:.3g}",
                     flush=True,
                 )
     return pd.DataFrame(rows)
 
 
-def _fitted(case: Case, data: ph.Measurements, integrator: str) -> ph.Fit:
+def _fitted(case: Case, data: ph.Measurements, integrator: str) -> Any:
+    if case.force is not None:
+        return hybrid(
+            case.model,
+            data,
+            case.force,
+            case.l1,
+            PRUNING,
+            integrator=integrator,
+            max_turns=case.max_turns,
+        )
     return ph.identify(
         case.model,
         data,
@@ -221,7 +196,31 @@ def _fitted(case: Case, data: ph.Measurements, integrator: str) -> ph.Fit:
     )
 
 
-def _worth(case: Case, fit: ph.Fit, t: np.ndarray, truth: np.ndarray) -> Worth:
+def _path(case: Case, fit: Any) -> np.ndarray | None:
+    """The trajectory of the example; None where it diverges."""
+    example = example_of(case.system)
+    x: np.ndarray | None = simulated(fit, times_of(example), example.start)
+    return x
+
+
+def example_of(system: System) -> Example:
+    """The start of the thesis' figures, to beyond the training time."""
+    return EXAMPLES.get(system.name, TANK_EXAMPLE)
+
+
+def times_of(example: Example) -> np.ndarray:
+    """Times of the trajectories that are drawn, (n_samples,)."""
+    return np.linspace(0.0, example.end, N_SAMPLES)
+
+
+def _is_solved(fit: Any) -> bool:
+    """Whether the program was solved, and in a hybrid, neither part moves any more."""
+    if isinstance(fit, Hybrid):
+        return fit.fit.outcome.success and fit.converged
+    return bool(fit.outcome.success)
+
+
+def _worth(case: Case, fit: Any, t: np.ndarray, truth: np.ndarray) -> Worth:
     """``truth``: (n_tests, n_samples, n_states) at the times ``t``."""
     found = set(fit.values) - {"limit"}  # of the leak, which is known
     errors = [
@@ -237,14 +236,14 @@ def _worth(case: Case, fit: ph.Fit, t: np.ndarray, truth: np.ndarray) -> Worth:
         coefficient=max(errors),
         spurious=len(found - set(case.truth)),
         missed=len(set(case.truth) - found),
-        solved=fit.outcome.success,
+        solved=_is_solved(fit),
         seconds=fit.seconds,
     )
 
 
-def _free_run(fit: ph.Fit, t: np.ndarray, x0: np.ndarray) -> np.ndarray:
+def _free_run(fit: Any, t: np.ndarray, x0: np.ndarray) -> np.ndarray:
     try:
-        return fit.simulate(t, x0)
+        return np.asarray(fit.simulate(t, x0))
     except ph.SolveError:
         return np.full((len(t), len(x0)), np.inf)
 
@@ -265,7 +264,14 @@ def main(quick: bool = False) -> Tables:
     """
     order_table = orders(1 if quick else 10)
     symmetry_table = symmetry(3 if quick else 20)
-    parts = [fits(case, range(1) if quick else case.seeds) for case in cases(quick)]
+    paths = Paths()
+    parts = []
+    for case in cases(quick):
+        example = example_of(case.system)
+        t = times_of(example)
+        truth = case.system.solve(np.array(example.start), t)
+        paths.truths[case.title] = Truth(case.system, t, truth)
+        parts.append(fits(case, range(1) if quick else case.seeds, paths))
     fit_table = pd.concat(parts, ignore_index=True)
     found = {
         "orders": order_table,
@@ -277,6 +283,8 @@ def main(quick: bool = False) -> Tables:
     print(page)
     if not quick:
         figure(fit_table)
+        draw(paths)
+        fit_table.to_csv(RESULTS / "thesis/integrators.csv", index=False)
         write("thesis/integrators.md", page)
     return found
 
