@@ -127,7 +127,7 @@ def _quick_tanks() -> Case:
     tanks = _tanks()
     return replace(
         tanks,
-        system=replace(tanks.system, n_trajectories=6),
+        system=replace(tanks.system, n_trajectories=4),
         model=tank_model(),
         truth=dict(SYSTEMS["tanks"].truth),
         noise=(0.0,),
