@@ -1,5 +1,5 @@
 """Every experiment of the thesis, two at a time; the timed comparison comes last and
-alone.
+alone, and after it the table of docs/thesis.md.
 
     python -m problems.thesis.run_all [--quick]
 """
@@ -21,6 +21,7 @@ SCRIPTS = (
     "regularization",
 )
 TIMED = "compare"
+LAST = "side_by_side"  # reads the pages of the others
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def main() -> int:
     print(f"{', '.join(SCRIPTS)}, then {TIMED}; the results go to results/", flush=True)
     with ThreadPoolExecutor(2) as pool:
         outcomes = list(pool.map(run, SCRIPTS))
-    outcomes.append(run(TIMED))
+    outcomes += [run(TIMED), run(LAST)]
     return sum(outcome.return_code != 0 for outcome in outcomes)
 
 
