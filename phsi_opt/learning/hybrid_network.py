@@ -13,7 +13,7 @@ import numpy as np
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 
-TIME = "t"  # the name of the time among the variables
+TIME_NAME = "t"  # of the time among the variables
 
 # (weight (n_out, n_in), bias (n_out,)) of every layer
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
@@ -119,8 +119,10 @@ class TrainedForce:
         return self.at(self._rows_of(np.atleast_2d(x), t, u))
 
     def at(self, rows: np.ndarray) -> np.ndarray:
-        """The force, (n_samples, n_equations), where rows (n_samples, n_names) hold
-        what is named.
+        """The force, (n_samples, n_equations), at rows of states, inputs and time.
+
+        Args:
+            rows: (n_samples, n_names), a column per name.
         """
         weights, bias = self.layers[-1]
         return self.features(rows) @ weights.T + bias
@@ -130,7 +132,7 @@ class TrainedForce:
         parts = [
             x,
             self._given(u, "u", self.names[self.n_states : -1], (len(x), n_inputs)),
-            self._given(t, TIME, (TIME,), (len(x), 1)),
+            self._given(t, TIME_NAME, (TIME_NAME,), (len(x), 1)),
         ]
         return np.hstack(parts)
 
@@ -148,8 +150,10 @@ class TrainedForce:
         return np.zeros(shape)
 
     def features(self, rows: np.ndarray) -> np.ndarray:
-        """Output of the last hidden layer, (n_samples, n_features), at rows as in
-        `at`.
+        """Output of the last hidden layer, (n_samples, n_features).
+
+        Args:
+            rows: (n_samples, n_names), as those of `at`.
         """
         variables = rows[:, self.columns]
         inside = np.clip(variables, *self.seen)
@@ -161,7 +165,7 @@ class TrainedForce:
 
 def known_names(model: Model) -> tuple[str, ...]:
     """What a force of a model may depend on: states, inputs, and the time "t"."""
-    return (*model.states, *model.inputs, TIME)
+    return (*model.states, *model.inputs, TIME_NAME)
 
 
 def variable_columns(model: Model, variables: Sequence[str]) -> tuple[int, ...]:

@@ -67,7 +67,7 @@ def untrained(
         settings: of the force.
         rows: numbers of its equations.
         columns: numbers of its variables, as those of `TrainedForce`.
-        stages: as those of `TrainingSet`.
+        stages: (n_intervals, n_stages, n_names), as those of `TrainingSet`.
     """
     variables = stages[:, :, columns]
     shift = variables.mean(axis=(0, 1))

@@ -53,7 +53,7 @@ def _heads(fits: pd.DataFrame) -> dict[str, str]:
 def _draws(fits: pd.DataFrame) -> str:
     """Number of noise draws of every system."""
     counts = fits.groupby("system", sort=False)["seed"].nunique()
-    return ", ".join(f"{system}: {count}" for system, count in counts.items())
+    return "; ".join(f"{system}: {count}" for system, count in counts.items())
 
 
 def _caption(fits: pd.DataFrame) -> str:
@@ -186,7 +186,7 @@ def figure(fits: pd.DataFrame) -> None:
     """
     systems = list(dict.fromkeys(fits["system"]))
     fig, axes = plt.subplots(
-        2, len(systems), figsize=(11.5, 6.4), layout="constrained", squeeze=False
+        2, len(systems), figsize=(11.5, 6.8), layout="constrained", squeeze=False
     )
     for column, title in enumerate(systems):
         part = fits[fits["system"] == title]
@@ -195,7 +195,7 @@ def figure(fits: pd.DataFrame) -> None:
             axes[row, column].set_ylabel(label if column == 0 else "")
         axes[0, column].set_title(title)
         axes[1, column].set_xlabel(
-            "standard deviation of the noise (units of the states)"
+            "standard deviation of the noise\n(units of the states)"
         )
     handles, names = axes[0, 0].get_legend_handles_labels()
     fig.legend(handles, names, loc="outside lower center", ncols=4, frameon=False)
