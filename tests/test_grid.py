@@ -165,3 +165,19 @@ def test_intervals_that_are_left_out_take_their_defects_with_them() -> None:
     np.testing.assert_array_equal(
         fewer, np.array(defects(made, grid, "rk4", x.T, made.theta))[:, keep]
     )
+
+
+@pytest.mark.parametrize("only", [None, [1]])
+def test_defects_of_known_states_are_those_of_the_symbols(only: list[int] | None) -> None:
+    model = FirstOrder(["x"], F={"x": formula("-a*x + b*x**3", a=0.5, b=0.2)})
+    model = model.with_values({"a": 0.5, "b": 0.2})
+    rng = np.random.default_rng(1)
+    t = np.cumsum(0.1 + 0.05 * rng.random(AT_ONCE + 7))
+    record = Measurements.from_arrays([t], [rng.normal(size=(len(t), 1))], states=["x"])
+    grid = grid_of(record)
+    theta = np.array([0.4, 0.3])[: len(model.free)]
+    found = KnownDefects(model, grid, "srk4", only=only).at(theta)
+    d = defects(model, grid, "srk4", ca.DM(grid.y.T), theta)
+    slopes = defect_jacobian(model, grid, "srk4", only)(grid.y.T, theta)
+    np.testing.assert_allclose(found.d, np.array(d).T, rtol=1e-13)
+    np.testing.assert_allclose(found.slopes, np.array(slopes), rtol=1e-12)

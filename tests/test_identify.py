@@ -260,7 +260,7 @@ def test_a_solve_that_is_cut_short_raises_and_says_what_to_do() -> None:
     )
     data = Measurements.from_arrays([t], [x], states=["q", "v"])
     with pytest.raises(
-        SolveError, match=r"iteration limit was reached.*Raise max_iterations"
+        SolveError, match=r"iteration limit was reached.*allow more iterations"
     ):
         identify(model, data, PHSILoss(), settings=SolverSettings(max_iterations=1))
     fit = identify(

@@ -192,6 +192,54 @@ def test_the_gauss_newton_hessian_is_the_product_of_the_residual_jacobian() -> N
     np.testing.assert_allclose(hessian, np.triu(jacobian.T @ jacobian), atol=1e-8)
 
 
+@pytest.mark.parametrize("weight", [0.0, 0.3])
+def test_dense_residuals_lead_where_the_same_in_symbols_lead(weight: float) -> None:
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(40, 3))
+    b = A @ np.array([1.0, 0.0, -2.0]) + 0.1 * rng.normal(size=40)
+
+    def evaluate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        curved = A @ x + 0.1 * x[0] ** 2 - b
+        slopes = A.copy()
+        slopes[:, 0] += 0.2 * x[0]
+        return curved, slopes
+
+    def program(is_dense: bool) -> Program:
+        build = Assembly()
+        scale = np.array([2.0, 0.5, 10.0])
+        x = build.variable("x", np.zeros(3), -1.5, 5.0, scale)
+        if is_dense:
+            build.dense_residual(evaluate, 40, 0.7, scale)
+        else:
+            build.residual(0.7 * (ca.DM(A) @ x + 0.1 * x[0] ** 2 - ca.DM(b)))
+        if weight:
+            build.l1("x", x, np.full(3, weight), np.zeros(3), scale)
+        return build.finish()
+
+    dense = ipopt.solve(program(is_dense=True))
+    symbolic = ipopt.solve(program(is_dense=False))
+    np.testing.assert_allclose(dense.values["x"], symbolic.values["x"], atol=1e-8)
+    assert dense.values["x"][2] == pytest.approx(-1.5)
+    assert dense.outcome.objective == pytest.approx(symbolic.outcome.objective)
+    np.testing.assert_allclose(dense.residual, symbolic.residual, atol=1e-8)
+    of_dense = dense.kkt.hessian.toarray()
+    np.testing.assert_allclose(of_dense, symbolic.kkt.hessian.toarray(), atol=1e-8)
+
+
+def test_residuals_and_slopes_are_computed_once_at_a_point() -> None:
+    calls = []
+
+    def evaluate(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        calls.append(x.copy())
+        return x - 1.0, np.eye(2)
+
+    build = Assembly()
+    build.variable("x", np.zeros(2))
+    build.dense_residual(evaluate, 2, 1.0, np.ones(2))
+    ipopt.solve(build.finish())
+    assert len(calls) == len(np.unique(calls, axis=0))
+
+
 def slow_to_solve() -> Program:
     """Rosenbrock's valley, which takes more than one iteration."""
     build = Assembly()

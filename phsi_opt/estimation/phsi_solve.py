@@ -19,6 +19,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -49,13 +50,16 @@ class PHSIEstimate(Estimate):
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Sandwich covariance: neighbouring defects share a noisy sample."""
+        used = self._used
+        known = KnownDefects(self.model, used, self.loss.integrator)
         return uncertainty.of_defects(
             self.model,
-            self._used,
+            used,
             self.loss.integrator,
             self.theta,
             self.point.theta_scale,
             self.solution.outcome.at_bounds,
+            known.at(self.theta),
         )
 
     @property
@@ -73,11 +77,22 @@ class PHSISolver:
     grid: Grid
 
     def solve(
-        self, model: Model, theta: np.ndarray, l1: dict[str, float]
+        self,
+        model: Model,
+        theta: np.ndarray,
+        l1: dict[str, float],
+        known: PHSIEstimate | None = None,
     ) -> PHSIEstimate:
-        """One solve from ``theta`` (n_free,)."""
-        used = complete_intervals(model, self.grid)
-        point = first_point(model, used, theta)
+        """One solve from ``theta`` (n_free,).
+
+        ``known``: an estimate of a larger model, whose sizes are taken.
+        """
+        if known is None:
+            point = first_point(model, complete_intervals(model, self.grid), theta)
+        else:
+            kept = [known.model.free.index(name) for name in model.free]
+            sizes = known.point.theta_scale[kept]
+            point = replace(known.point, theta=theta, theta_scale=sizes)
         program = self.loss.program(model, self.grid, point, l1)
         solution = solve(program, self.task.settings, raise_on_failure=False)
         n_free = len(model.free)
@@ -102,7 +117,7 @@ class PHSISolver:
         l1: dict[str, float],
     ) -> PHSIEstimate:
         """`solve` from ``theta`` (n_free,); the states are the data anyway."""
-        return self.solve(model, theta, l1)
+        return self.solve(model, theta, l1, known)
 
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:

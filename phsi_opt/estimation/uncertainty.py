@@ -17,9 +17,9 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defect_derivatives import defect_slopes
-from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.known_defects import DefectSlopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +121,7 @@ def of_defects(
     theta: np.ndarray,
     scale: np.ndarray,
     at_bounds: tuple[str, ...],
+    found: DefectSlopes,
 ) -> Uncertainty:
     """Sandwich covariance of the PHSI loss.
 
@@ -140,10 +141,11 @@ def of_defects(
         theta: (n_free,) estimates.
         scale: (n_free,) size of each parameter.
         at_bounds: Names of the parameters that ended at a bound.
+        found: The defects there, and their slopes in the parameters.
     """
     n_theta = len(theta)
     y = np.nan_to_num(grid.y)
-    in_theta = np.array(defect_jacobian(model, grid, scheme)(y.T, theta)) * scale
+    in_theta = found.slopes * scale
     jacobian = in_theta.reshape(grid.n_intervals, model.n_states, -1)
     slopes = defect_slopes(model, grid, scheme, y, theta)
 
@@ -155,8 +157,7 @@ def of_defects(
 
     noise_to_square = np.mean(slopes.at_begin**2, axis=0)
     noise_to_square = noise_to_square + np.mean(slopes.at_end**2, axis=0)
-    d = np.array(defects(model, grid, scheme, y.T, theta)).T
-    variance, _ = nnls(noise_to_square, np.mean(d**2, axis=0))
+    variance, _ = nnls(noise_to_square, np.mean(found.d**2, axis=0))
 
     weighted = gathered * np.sqrt(variance)[None, :, None]
     weighted = weighted.reshape(-1, n_theta)

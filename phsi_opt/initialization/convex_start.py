@@ -9,6 +9,7 @@ must be known; what to do where they are not is the business of `identify`.
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import cvxpy as cp
@@ -23,10 +24,10 @@ from phsi_opt.initialization.frequency_scan import (
 )
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
-from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.interval_map import argument_symbols
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
 
 LEAST_NORM = 1e-12  # of a coefficient's column: below it the scale is that of one
@@ -134,6 +135,10 @@ class _ConvexStart:
     l1: Mapping[str, float]
     groups: Sequence[Sequence[int]]
 
+    @cached_property
+    def _defects(self) -> KnownDefects:
+        return KnownDefects(self.model, self.grid, STARTING_SCHEME)
+
     def improved(self, theta: np.ndarray, rounds: int) -> np.ndarray:
         """Theta with every group at its optimum, found so many times in turn."""
         for _ in range(rounds):
@@ -155,12 +160,10 @@ class _ConvexStart:
 
     def _least_squares(self, theta: np.ndarray, group: list[int]) -> _LeastSquares:
         """The squared defects, linearised; exact where they are linear in the group."""
-        model = self.model
         grid = self.grid
-        slopes = defect_jacobian(model, grid, STARTING_SCHEME)(grid.y.T, theta)
-        jacobian = np.array(slopes)[:, group]
-        at_theta = defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), theta)
-        d = np.array(at_theta).T.ravel()
+        known = self._defects.at(theta)
+        jacobian = known.slopes[:, group]
+        d = known.d.ravel()
         is_usable = np.isfinite(jacobian).all(axis=1) & np.isfinite(d)
         jacobian = jacobian[is_usable]
         weight = np.sqrt(1 / (mean_square_rate(grid) * grid.n_intervals))

@@ -17,9 +17,10 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.slots import place_of
 from phsi_opt.statistics import local_maxima
-from phsi_opt.transcription.defects import defect_jacobian, defects
+from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
+from phsi_opt.transcription.known_defects import KnownDefects
 
 N_STARTS = 3  # frequencies of the scan that are tried
 MOST_FREQUENCIES = 4000  # of one scan: each of them costs a least-squares problem
@@ -177,15 +178,14 @@ def _best_frequencies(
     for i, name in enumerate(model.free):
         if model.entries[name].prunable and i not in others:
             start[i] = 0.0
-    d = defects(model, grid, STARTING_SCHEME, ca.DM(grid.y.T), start)
-    slopes = defect_jacobian(model, grid, STARTING_SCHEME)(grid.y.T, start)
-    remainder = _Remainder.of(np.array(d).T.ravel(), np.array(slopes)[:, others])
-    wave_slopes = defect_jacobian(model, grid, STARTING_SCHEME, amplitudes)
+    known = KnownDefects(model, grid, STARTING_SCHEME, only=others).at(start)
+    remainder = _Remainder.of(known.d.ravel(), known.slopes)
+    waves = KnownDefects(model, grid, STARTING_SCHEME, only=amplitudes)
     tried = frequency_grid(grid, _values_at_nodes(model, grid, scan.variable, start))
     explained = np.zeros(len(tried))
     for k, omega in enumerate(tried):
-        columns = wave_slopes(grid.y.T, with_entry(start, frequency, omega))
-        explained[k] = remainder.explained_by(np.array(columns))
+        of_wave = waves.at(with_entry(start, frequency, omega))
+        explained[k] = remainder.explained_by(of_wave.slopes)
     peaks = np.flatnonzero(local_maxima(explained))
     best_first = peaks[np.argsort(-explained[peaks])]
     return [float(omega) for omega in tried[best_first[:N_STARTS]]]

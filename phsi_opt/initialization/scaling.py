@@ -13,9 +13,9 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.defects import defect_jacobian
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import output_slopes, outputs
@@ -205,8 +205,8 @@ def _equation_strength(
     """Largest effect of each parameter on an equation, in units of its rate."""
     rate = _rate_size(grid, x)
     rate = np.where(rate > 0, rate, x_scale)
-    jacobian = np.array(defect_jacobian(model, grid, STARTING_SCHEME)(x.T, theta))
-    slopes = jacobian.reshape(grid.n_intervals, -1, len(theta))
+    known = KnownDefects(model, grid, STARTING_SCHEME, x).at(theta)
+    slopes = known.slopes.reshape(grid.n_intervals, -1, len(theta))
     n_finite = np.maximum(np.isfinite(slopes).sum(axis=0), 1)
     mean_square = np.nansum(slopes**2, axis=0) / n_finite
     per_equation = np.sqrt(mean_square) / rate[:, None]

@@ -109,9 +109,10 @@ class Solver:
         }
         options = _options(program, hessian, self.limits)
         self._ipopt = ca.nlpsol("program", "ipopt", problem, options)
-        self._residual = ca.Function(
-            "residual", [program.z, program.settings], [program.residual]
-        )
+        if program.dense is None:
+            self._residual = ca.Function(
+                "residual", [program.z, program.settings], [program.residual]
+            )
 
     def solve(
         self,
@@ -158,9 +159,13 @@ class Solver:
             set_to: values of ``program.settings``.
             outcome: of the solve that led there.
         """
-        residual = np.array(self._residual(z, set_to)).ravel()
         values = self.program.values(z)
         kkt = self.kkt(z, set_to)
+        dense = self.program.dense
+        if dense is None:
+            residual = np.array(self._residual(z, set_to)).ravel()
+        else:
+            residual = dense.at(z).residual
         return Solution(values, z, residual, outcome, kkt)
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
@@ -220,7 +225,11 @@ def _options(
     program: Program, hessian: ca.Function, settings: SolverSettings
 ) -> dict[str, Any]:
     """The options of CasADi's interface, and in them those of IPOPT."""
+    known: dict[str, Any] = {}
+    if program.dense is not None:
+        known = {"grad_f": program.dense.gradient, "no_nlp_grad": True}
     return {
+        **known,
         "hess_lag": hessian,
         "jac_g": program.jacobian,
         "print_time": False,

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import ModelError
-from phsi_opt.optimization.gauss_newton import DenseGaussNewton
+from phsi_opt.optimization.gauss_newton import DenseLeastSquares, Evaluation
 from phsi_opt.optimization.program import Block, Program
 
 Label = Callable[[int], str]
@@ -44,6 +44,16 @@ class _Expression:
 
 
 @dataclass(frozen=True, eq=False)
+class _Dense:
+    """Residuals with dense slopes in the first block of variables."""
+
+    evaluate: Evaluation
+    n_residuals: int
+    factor: float
+    scale: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class _Constraints:
     """A block of constraints with their bounds."""
 
@@ -67,7 +77,8 @@ class Assembly:
 
     _variables: list[_Variables] = field(default_factory=list)
     _constraints: list[_Constraints] = field(default_factory=list)
-    _residuals: list[_Expression] = field(default_factory=list)
+    _residuals: list[ca.MX] = field(default_factory=list)
+    _dense: _Dense | None = None
     _linear: list[ca.MX] = field(default_factory=list)
     _settings: list[_Setting] = field(default_factory=list)
     _curvature: Curvature | None = None
@@ -161,12 +172,23 @@ class Assembly:
             )
         )
 
-    def residual(self, expression: ca.MX, jacobian: Jacobian | None = None) -> None:
-        """Add 1/2 sum(expression^2) to the objective.
+    def residual(self, expression: ca.MX) -> None:
+        """Add 1/2 sum(expression^2) to the objective."""
+        self._residuals.append(ca.vec(expression))
 
-        ``jacobian(z)`` where the caller knows a cheaper one.
+    def dense_residual(
+        self, evaluate: Evaluation, n_residuals: int, factor: float, scale: np.ndarray
+    ) -> None:
+        """Add 1/2 sum((factor r)^2), the only residuals of the program.
+
+        Args:
+            evaluate: unscaled values of the first block of variables (n_first,) -> r
+                (n_residuals,) and its slopes (n_residuals, n_first).
+            n_residuals: number of them.
+            factor: of all residuals.
+            scale: (n_first,) of the block.
         """
-        self._residuals.append(_Expression(ca.vec(expression), jacobian))
+        self._dense = _Dense(evaluate, n_residuals, factor, np.asarray(scale))
 
     def cost(self, expression: ca.MX) -> None:
         """Add a cost that is linear in the variables."""
@@ -198,27 +220,35 @@ class Assembly:
         Objective, constraints and derivatives are functions of the scaled variables.
         """
         z = ca.MX.sym("z", self._variables[-1].block.stop)
-        columns = [expression.column for expression in self._residuals]
-        residual = self._in_terms_of(z, columns)
+        residual = self._in_terms_of(z, self._residuals)
         linear = self._in_terms_of(z, self._linear)
         columns = [constraints.expression.column for constraints in self._constraints]
         g = self._in_terms_of(z, columns)
-        cost = ca.sum1(linear) if self._linear else 0
+        cost = ca.sum1(linear) if self._linear else ca.MX(0)
         symbols = [setting.symbol for setting in self._settings]
         settings = ca.vertcat(ca.MX(0, 1), *symbols)
         variables = self._variables
         constraints = self._constraints
+        objective = ca.sumsqr(residual) / 2 + cost
+        dense = self._least_squares(z, settings, cost, g.numel())
+        if dense is None:
+            hessian = self._hessian(z, settings, residual, g.numel())
+        else:
+            residual = dense.residual(z, settings)
+            objective = dense.objective(z, settings)
+            hessian = dense.hessian
         return Program(
             variables=_by_name(variables),
             constraints=_by_name(constraints),
             z=z,
             settings=settings,
             set_to=_stacked(self._settings, "value"),
-            objective=ca.sumsqr(residual) / 2 + cost,
+            objective=objective,
             residual=residual,
             g=g,
             jacobian=self._jacobian(z, settings, g),
-            hessian=self._hessian(z, settings, residual, g.numel()),
+            hessian=hessian,
+            dense=dense,
             exact=self._exact(z, settings, residual, g.numel()),
             start=_stacked(variables, "start"),
             scale=_stacked(variables, "scale"),
@@ -234,12 +264,7 @@ class Assembly:
         """
         if not columns:
             return ca.MX(0, 1)
-        symbols = []
-        parts = []
-        for variables in self._variables:
-            symbols.append(variables.symbol)
-            parts.append(z[variables.block.slice])
-        return ca.graph_substitute([ca.vertcat(*columns)], symbols, parts)[0]
+        return ca.graph_substitute([ca.vertcat(*columns)], *self._parts_of(z))[0]
 
     def _jacobian(self, z: ca.MX, settings: ca.MX, g: ca.MX) -> ca.Function:
         rows = [ca.MX(0, z.numel())]
@@ -249,13 +274,36 @@ class Assembly:
             rows.append(ca.jacobian(part, z) if known is None else known(z))
         return ca.Function("jac_g", [z, settings], [g, ca.vertcat(*rows)])
 
+    def _least_squares(
+        self, z: ca.MX, settings: ca.MX, cost: ca.MX, n_constraints: int
+    ) -> DenseLeastSquares | None:
+        """The residuals with their dense slopes, where they were given."""
+        dense = self._dense
+        if dense is None:
+            return None
+        slope = ca.Function("cost", [z], [ca.densify(ca.gradient(cost, z))])
+        return DenseLeastSquares(
+            dense.evaluate,
+            dense.n_residuals,
+            dense.factor,
+            dense.scale,
+            np.array(slope(np.zeros(z.numel()))).ravel(),
+            (settings.numel(), n_constraints),
+        )
+
+    def _parts_of(self, z: ca.MX) -> tuple[list[ca.MX], list[ca.MX]]:
+        """The blocks' symbols, and the slices of z that stand for them."""
+        symbols = []
+        parts = []
+        for variables in self._variables:
+            symbols.append(variables.symbol)
+            parts.append(z[variables.block.slice])
+        return symbols, parts
+
     def _hessian(
         self, z: ca.MX, settings: ca.MX, residual: ca.MX, n_constraints: int
     ) -> ca.Function:
         """The Gauss-Newton Hessian, upper triangle."""
-        known = [r.jacobian(z) for r in self._residuals if r.jacobian is not None]
-        if len(known) == len(self._residuals):
-            return DenseGaussNewton(z, ca.vertcat(*known), n_constraints)
         factor = ca.MX.sym("factor")
         multipliers = ca.MX.sym("lam", n_constraints)
         slope = ca.jacobian(residual, z)

@@ -9,13 +9,12 @@ stays small where the sampling is coarse. Arrays are still rows (n_nodes, n_stat
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,16 +137,35 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
         steps: a number, or per trajectory an array (n_samples - 1,) with the number for
             each gap between samples.
     """
-    if isinstance(steps, int):
-        counts = [np.full(run.n_samples - 1, steps) for run in data.trajectories]
-    else:
-        counts = list(steps)
-    runs = []
-    offset = 0
-    for number, run in enumerate(data.trajectories):
-        runs.append(_run_grid(run, data.hold, counts[number], number, offset))
-        offset += runs[-1].n_nodes
-    return _joined(runs)
+    runs = data.trajectories
+    lengths = np.array([run.n_samples for run in runs])
+    last_sample = np.cumsum(lengths) - 1
+    # Nodes at each sample and in the gap behind it.
+    n_nodes = np.ones(int(lengths.sum()), dtype=int)
+    has_gap = np.ones(len(n_nodes), dtype=bool)
+    has_gap[last_sample] = False
+    n_nodes[has_gap] = steps if isinstance(steps, int) else np.concatenate(steps)
+    places = _NodePlaces.of(n_nodes, last_sample)
+    t = places.interpolated(np.concatenate([run.t for run in runs]))
+    is_sample = places.fraction == 0
+    x = np.concatenate([run.x for run in runs])
+    y = np.full((len(t), x.shape[1]), np.nan)
+    y[is_sample] = x
+    u = np.concatenate([run.u for run in runs])
+    u = u[places.left] if data.hold == "zero" else places.interpolated(u)
+    trajectory = np.repeat(np.arange(len(runs)), lengths)[places.left]
+    begin = np.flatnonzero(np.diff(trajectory) == 0)
+    return Grid(
+        t=t,
+        y=y,
+        trajectory=trajectory,
+        sample=is_sample,
+        begin=begin,
+        h=t[begin + 1] - t[begin],
+        u0=u[begin],
+        u1=u[begin] if data.hold == "zero" else u[begin + 1],
+        u=u,
+    )
 
 
 def steps_per_gap(grid: Grid) -> list[np.ndarray]:
@@ -173,64 +191,40 @@ def interpolate_at_nodes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     Returns:
         (n_nodes, ...); at a sample its own value.
     """
-    places = _NodePlaces.of(steps)
-    fraction = places.fraction.reshape(-1, *[1] * (values.ndim - 1))
-    right = np.minimum(places.left + 1, len(values) - 1)
-    return (1 - fraction) * values[places.left] + fraction * values[right]
+    n_nodes = np.append(steps, 1)
+    return _NodePlaces.of(n_nodes, np.array([len(steps)])).interpolated(values)
 
 
 @dataclass(frozen=True, eq=False)
 class _NodePlaces:
-    """Where the nodes of one trajectory stand among its samples.
+    """Where nodes stand among the samples of trajectories, one after the other.
 
     Attributes:
-        left: (n_nodes,) sample to the left of each node; the last node's is itself.
-        fraction: (n_nodes,) share of the gap that lies between the two.
+        left: (n_nodes,) sample to the left of each node, or at it.
+        right: (n_nodes,) the next sample; that of a trajectory's last is itself.
+        fraction: (n_nodes,) share of the gap that lies between left and node.
     """
 
     left: np.ndarray
+    right: np.ndarray
     fraction: np.ndarray
 
     @classmethod
-    def of(cls, steps: np.ndarray) -> "_NodePlaces":
-        left = np.repeat(np.arange(len(steps)), steps)
-        first_of_gap = np.cumsum(steps) - steps
-        fraction = (np.arange(len(left)) - first_of_gap[left]) / steps[left]
-        return cls(np.r_[left, len(steps)], np.r_[fraction, 0.0])
+    def of(cls, n_nodes: np.ndarray, last_sample: np.ndarray) -> "_NodePlaces":
+        """Places of the nodes.
 
+        Args:
+            n_nodes: (n_samples,) nodes at each sample and in the gap behind it.
+            last_sample: (n_trajectories,) number of each trajectory's last sample.
+        """
+        left = np.repeat(np.arange(len(n_nodes)), n_nodes)
+        first = np.cumsum(n_nodes) - n_nodes
+        fraction = (np.arange(len(left)) - first[left]) / n_nodes[left]
+        next_sample = np.arange(1, len(n_nodes) + 1)
+        next_sample[last_sample] = last_sample
+        return cls(left, next_sample[left], fraction)
 
-def _run_grid(
-    run: Trajectory, hold: str, steps: np.ndarray, number: int, offset: int
-) -> Grid:
-    """The grid of one trajectory, whose nodes count from ``offset``."""
-    places = _NodePlaces.of(steps)
-    t = interpolate_at_nodes(run.t, steps)
-    is_sample = places.fraction == 0
-    y = np.full((len(t), run.x.shape[1]), np.nan)
-    y[is_sample] = run.x
-    if hold == "zero":
-        u = run.u[places.left]
-        u1 = u[:-1]
-    else:
-        u = interpolate_at_nodes(run.u, steps)
-        u1 = u[1:]
-    return Grid(
-        t=t,
-        y=y,
-        trajectory=np.full(len(t), number),
-        sample=is_sample,
-        begin=offset + np.arange(len(t) - 1),
-        h=np.diff(t),
-        u0=u[:-1],
-        u1=u1,
-        u=u,
-    )
-
-
-def _joined(runs: Sequence[Grid]) -> Grid:
-    """The grids of several trajectories as one."""
-    arrays = {}
-    for field in fields(Grid):
-        parts = [getattr(run, field.name) for run in runs]
-        arrays[field.name] = np.concatenate(parts)
-    return Grid(**arrays)
+    def interpolated(self, values: np.ndarray) -> np.ndarray:
+        """Values (n_samples, ...) at the nodes, linearly."""
+        fraction = self.fraction.reshape(-1, *[1] * (values.ndim - 1))
+        return (1 - fraction) * values[self.left] + fraction * values[self.right]

@@ -25,9 +25,10 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.transcription.defect_constraint import DefectConstraint
-from phsi_opt.transcription.defects import defect_jacobian, defects
+from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.loss_blocks import (
     ThetaVariable,
     measurement_residual,
@@ -70,21 +71,12 @@ class PHSILoss:
         used = complete_intervals(model, grid)
         size = mean_square_rate(used)
         weight = np.sqrt(2 / (size * used.n_intervals))
-        slopes = defect_jacobian(model, used, self.integrator)
-        scale = ca.DM(point.theta_scale)
-        n_theta = len(model.free)
-
-        def jacobian(z: ca.MX) -> ca.MX:
-            values = z[:n_theta] * scale
-            in_theta = weight * slopes(used.y.T, values) @ ca.diag(scale)
-            in_slacks = ca.MX(in_theta.size1(), z.numel() - n_theta)
-            return ca.horzcat(in_theta, in_slacks)
-
         build = Assembly()
         one_trajectory = Theta.of(model, ("",))
         theta = ThetaVariable.added_to(build, one_trajectory, point)
-        d = defects(model, used, self.integrator, ca.DM(used.y.T), theta.values)
-        build.residual(weight * d, jacobian)
+        known = KnownDefects(model, used, self.integrator)
+        n_defects = used.n_intervals * model.n_states
+        build.dense_residual(known.residual_at, n_defects, weight, point.theta_scale)
         theta.add_l1(build, l1, 1 / size)
         return build.finish()
 

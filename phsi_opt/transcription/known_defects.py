@@ -1,0 +1,92 @@
+"""Defects of known states in numbers: a function of the parameters alone."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from phsi_opt.model.model import Model
+from phsi_opt.optimization.evaluated import Evaluated
+from phsi_opt.transcription.defects import defect
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.interval_map import argument_symbols, interval_arguments
+
+# Intervals in one call: a map over all of a long record takes longer to make than to
+# evaluate, one over a few is called too often.
+AT_ONCE = 500
+
+
+@dataclass(frozen=True, eq=False)
+class DefectSlopes:
+    """Defects at some values of the parameters, and their slopes there.
+
+    Attributes:
+        d: (n_intervals, n_states) defects.
+        slopes: (n_intervals * n_states, n_chosen), a row per interval and equation.
+    """
+
+    d: np.ndarray
+    slopes: np.ndarray
+
+
+class KnownDefects:
+    """Defects of all intervals between known states, and their slopes in parameters.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals.
+        scheme: name of the integrator.
+        x: (n_nodes, n_states) states at the nodes; None: ``grid.y``.
+        only: places of the parameters in ``model.free`` that get a column, in this
+            order; None: all.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        grid: Grid,
+        scheme: str,
+        x: np.ndarray | None = None,
+        only: list[int] | None = None,
+    ) -> None:
+        chosen = list(range(len(model.free))) if only is None else only
+        self._n_states = model.n_states
+        self._n_chosen = len(chosen)
+        self._n_intervals = grid.n_intervals
+        self._size = max(min(grid.n_intervals, AT_ONCE), 1)
+        together = _with_slopes(model, scheme, chosen)
+        self._evaluated = Evaluated(together.map(self._size))
+        states = grid.y if x is None else x
+        self._parts = []
+        arguments = [np.asarray(one).T for one in interval_arguments(grid, states.T)]
+        for begin in range(0, grid.n_intervals, self._size):
+            inside = np.arange(begin, begin + self._size)
+            inside = np.minimum(inside, grid.n_intervals - 1)  # the last one is filled
+            self._parts.append([one[inside].ravel() for one in arguments])
+
+    def at(self, theta: np.ndarray) -> DefectSlopes:
+        """Defects and slopes for parameters theta (n_free,)."""
+        n_padded = len(self._parts) * self._size
+        d = np.empty((n_padded, self._n_states))
+        slopes = np.empty((n_padded, self._n_states * self._n_chosen))
+        repeated = np.tile(theta, self._size)
+        for number, part in enumerate(self._parts):
+            place = slice(number * self._size, (number + 1) * self._size)
+            d[place], slopes[place] = self._evaluated(*part, repeated)
+        n = self._n_intervals
+        in_rows = slopes[:n].reshape(n * self._n_states, self._n_chosen)
+        return DefectSlopes(d[:n], in_rows)
+
+    def residual_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Defects (n_defects,) and slopes (n_defects, n_chosen), for a program."""
+        found = self.at(theta)
+        return found.d.ravel(), found.slopes
+
+
+def _with_slopes(model: Model, scheme: str, chosen: list[int]) -> ca.Function:
+    """A function of one interval: its defect, and the slopes of each equation."""
+    function = defect(model, scheme)
+    arguments = argument_symbols(function)
+    d = function(*arguments)
+    slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
+    return ca.Function("with_slopes", arguments, [d, ca.vec(slopes)])
