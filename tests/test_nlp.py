@@ -216,8 +216,8 @@ def test_dense_residuals_lead_where_the_same_in_symbols_lead(weight: float) -> N
             build.l1("x", x, np.full(3, weight), np.zeros(3), scale)
         return build.finish()
 
-    dense = ipopt.solve(program(is_dense=True))
-    symbolic = ipopt.solve(program(is_dense=False))
+    dense = solve(program(is_dense=True))
+    symbolic = solve(program(is_dense=False))
     np.testing.assert_allclose(dense.values["x"], symbolic.values["x"], atol=1e-8)
     assert dense.values["x"][2] == pytest.approx(-1.5)
     assert dense.outcome.objective == pytest.approx(symbolic.outcome.objective)
@@ -236,7 +236,7 @@ def test_residuals_and_slopes_are_computed_once_at_a_point() -> None:
     build = Assembly()
     build.variable("x", np.zeros(2))
     build.dense_residual(evaluate, 2, 1.0, np.ones(2))
-    ipopt.solve(build.finish())
+    solve(build.finish())
     assert len(calls) == len(np.unique(calls, axis=0))
 
 

@@ -114,8 +114,7 @@ def candidate_frequencies(
     if beside_others == beside_all:
         scans = [beside_all]
     found: list[float] = []
-    for beside in scans:
-        best = _best_frequencies(model, grid, theta, beside, scan)
+    for best in _best_frequencies(model, grid, theta, scans, scan):
         found += best[: N_STARTS - 1]
     return list(dict.fromkeys(found))
 
@@ -164,31 +163,46 @@ def _best_frequencies(
     model: Model,
     grid: Grid,
     theta: np.ndarray,
-    beside: Sequence[int],
+    besides: Sequence[Sequence[int]],
     scan: FrequencyScan,
-) -> list[float]:
+) -> list[list[float]]:
     """The frequencies with the deepest minima of the squared defects, the best first.
 
-    The amplitudes and the linear terms ``beside`` are free.
+    For each of several sets of linear terms that are free beside the amplitudes. These
+    enter linearly, so that their columns are the same beside all of them.
     """
     frequency = model.free.index(scan.name)
     amplitudes = [model.free.index(name) for name in scan.amplitudes]
-    others = [i for i in beside if i not in amplitudes]
+    remainders = []
+    for beside in besides:
+        others = [i for i in beside if i not in amplitudes]
+        start = _without_others(model, theta, others)
+        known = KnownDefects(model, grid, STARTING_SCHEME, only=others).at(start)
+        remainders.append(_Remainder.of(known.d.ravel(), known.slopes))
+    waves = KnownDefects(model, grid, STARTING_SCHEME, only=amplitudes)
+    start = _without_others(model, theta, [])
+    tried = frequency_grid(grid, _values_at_nodes(model, grid, scan.variable, start))
+    explained = np.zeros((len(besides), len(tried)))
+    for k, omega in enumerate(tried):
+        columns = waves.at(with_entry(start, frequency, omega)).slopes
+        explained[:, k] = [one.explained_by(columns) for one in remainders]
+    found = []
+    for of_one in explained:
+        peaks = np.flatnonzero(local_maxima(of_one))
+        best_first = peaks[np.argsort(-of_one[peaks])]
+        found.append(tried[best_first[:N_STARTS]].tolist())
+    return found
+
+
+def _without_others(
+    model: Model, theta: np.ndarray, others: Sequence[int]
+) -> np.ndarray:
+    """Theta (n_free,) with the coefficients of terms at zero but for ``others``."""
     start = theta.copy()
     for i, name in enumerate(model.free):
         if model.entries[name].prunable and i not in others:
             start[i] = 0.0
-    known = KnownDefects(model, grid, STARTING_SCHEME, only=others).at(start)
-    remainder = _Remainder.of(known.d.ravel(), known.slopes)
-    waves = KnownDefects(model, grid, STARTING_SCHEME, only=amplitudes)
-    tried = frequency_grid(grid, _values_at_nodes(model, grid, scan.variable, start))
-    explained = np.zeros(len(tried))
-    for k, omega in enumerate(tried):
-        of_wave = waves.at(with_entry(start, frequency, omega))
-        explained[k] = remainder.explained_by(of_wave.slopes)
-    peaks = np.flatnonzero(local_maxima(explained))
-    best_first = peaks[np.argsort(-explained[peaks])]
-    return [float(omega) for omega in tried[best_first[:N_STARTS]]]
+    return start
 
 
 def _values_at_nodes(
