@@ -105,6 +105,7 @@ N_LOOKED_PAIRS = 6
 # Re-fits of effects whose second look did not settle, at most: on six measured sets
 # half of the time went to such.
 N_UNSETTLED_REFITS = 2
+N_UNSETTLED_PAIRS = 1  # the same of pairs
 # Misfit on data held out, over that of the base model, from which an effect is not
 # re-fitted: one that is right lowers it.
 HELD_OUT_RISE = 1.1

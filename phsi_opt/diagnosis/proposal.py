@@ -24,6 +24,7 @@ from phsi_opt.criteria import (
     HELD_OUT_RISE,
     N_PAIR_REFITS,
     N_PAIR_RIVALS,
+    N_UNSETTLED_PAIRS,
     SIMPLE_SHARE,
     SIMPLE_SHARE_BESIDE_ALL,
 )
@@ -117,9 +118,13 @@ class _Search:
     def pairs(self, singles: Sequence[Prospect], most: int) -> list[Prospect]:
         """The pairs that leave least and do not raise the error on data held out."""
         found = []
+        n_unsettled = 0
         for pair in self.prospects.pairs(singles, self.base.judging_record):
             self.looked.append(expected(self.base, self.prospects, pair))
-            if not pair.held_out > HELD_OUT_RISE * self.base.judged_misfit:
+            n_unsettled += pair.look is None
+            is_hopeless = pair.look is None and n_unsettled > N_UNSETTLED_PAIRS
+            rises = pair.held_out > HELD_OUT_RISE * self.base.judged_misfit
+            if not rises and not is_hopeless:
                 found.append(pair)
         return found[:most]
 

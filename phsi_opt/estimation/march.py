@@ -1,11 +1,14 @@
 """Solutions of a model on a grid: from a starting state interval by interval.
 
 In every interval the scheme's defect is solved for the state at the end by Newton's
-method, in compiled chunks of `MARCH_CHUNK` intervals. This is implicit integration with
+method, in compiled chunks of intervals: a few steps first, which are enough from a
+guess that is near, and CasADi's own method with its line search where they are not.
+This is implicit integration with
 the very scheme of the likelihood, so that its defects vanish to `FEASIBLE`; it judges
 nothing and chooses no step size.
 """
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -14,9 +17,12 @@ import numpy as np
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.interval_map import argument_symbols
 
 FEASIBLE = 1e-7  # scaled defect up to which an interval is solved
-MARCH_CHUNK = 200  # intervals per call of the compiled march
+MARCH_CHUNK = 200  # intervals per call of the compiled march, at most
+QUICK_STEPS = 4  # of Newton's method before its line search is called for
+SOLVED = 1e-10  # scaled defect at which those few steps have converged
 # Its own line search keeps Newton's method from going to and fro over a corner.
 NEWTON = {
     "abstol": 1e-10,
@@ -45,16 +51,23 @@ class March:
         self.grid = grid
         self.scheme = scheme
         self.scale = scale
+        longest = int(np.bincount(grid.trajectory[grid.begin]).max(initial=1))
+        self.chunk = min(MARCH_CHUNK, longest)
 
     @cached_property
     def quick(self) -> ca.Function:
-        """From state to state by Newton's method from the guesses."""
-        return self._compiled(is_careful=False)
+        """From state to state by a few steps of Newton's method from the guesses."""
+        return self._accumulated(self._few_steps())
+
+    @cached_property
+    def searching(self) -> ca.Function:
+        """The same with a line search and as many steps as it takes."""
+        return self._accumulated(self._newton(is_careful=False))
 
     @cached_property
     def careful(self) -> ca.Function:
         """The same, in the intervals in which that fails also from the state before."""
-        return self._compiled(is_careful=True)
+        return self._accumulated(self._newton(is_careful=True))
 
     def states(
         self, run: int, guess: np.ndarray, theta: np.ndarray
@@ -73,10 +86,12 @@ class March:
         n_intervals = len(guess) - 1
         states = guess.copy()
         last = guess[0]
-        for first in range(0, n_intervals, MARCH_CHUNK):
-            size = min(MARCH_CHUNK, n_intervals - first)
-            chunk = columns[:, first : first + MARCH_CHUNK]
-            ends = _ends(self.quick, last, chunk, size)
+        for first in range(0, n_intervals, self.chunk):
+            size = min(self.chunk, n_intervals - first)
+            chunk = columns[:, first : first + self.chunk]
+            ends = _ends(self.quick, last, chunk, size, SOLVED)
+            if ends is None:
+                ends = _ends(self.searching, last, chunk, size)
             if ends is None:
                 ends = _ends(self.careful, last, chunk, size)
             if ends is None:
@@ -92,7 +107,7 @@ class March:
         grid = self.grid
         intervals = np.flatnonzero(grid.trajectory[grid.begin] == run)
         n_intervals = len(intervals)
-        n_filled = -(-n_intervals // MARCH_CHUNK) * MARCH_CHUNK
+        n_filled = -(-n_intervals // self.chunk) * self.chunk
         place = np.minimum(np.arange(n_filled), n_intervals - 1)
         filled = intervals[place]
         return np.vstack(
@@ -106,45 +121,94 @@ class March:
             ]
         )
 
-    def _compiled(self, is_careful: bool) -> ca.Function:
-        """CasADi function (x, [guess, t, h, u0, u1, theta] of `MARCH_CHUNK` intervals)
-        -> the states at their ends, and defects.
+    def _accumulated(self, interval: ca.Function) -> ca.Function:
+        """(x, [guess, t, h, u0, u1, theta] of a chunk of intervals) -> the states at
+        their ends, and defects.
+        """
+        return interval.mapaccum(self.chunk)
+
+    def _few_steps(self) -> ca.Function:
+        """One interval by `QUICK_STEPS` steps, all written out."""
+        one = _Interval.of(self.model, self.scheme, self.scale)
+        slope = ca.jacobian(one.scaled, one.end)
+        moved = one.end - ca.solve(slope, one.scaled)
+        step = ca.Function("step", [one.end, one.given], [moved])
+        left = ca.Function("left", [one.end, one.given], [one.left])
+        x = ca.SX.sym("x", self.model.n_states)
+        column = ca.SX.sym("column", one.n_column)
+        known = ca.vertcat(x, column[self.model.n_states :])
+        end = column[: self.model.n_states]
+        for _ in range(QUICK_STEPS):
+            end = step(end, known)
+        return ca.Function("interval", [x, column], [end, left(end, known)])
+
+    def _newton(self, is_careful: bool) -> ca.Function:
+        """One interval by CasADi's method.
 
         On the wrong side of a corner Newton's method may end where nothing is solved;
         ``is_careful`` begins it once more at the state before, where a body that sticks
         stays.
         """
         n_states = self.model.n_states
-        one = defect(self.model, self.scheme)
-        symbols = [
-            ca.SX.sym(one.name_in(i), one.size1_in(i)) for i in range(one.n_in())
-        ]
-        x0, x1, *rest = symbols
-        h = rest[1]
-        scaled = one(*symbols) * h / ca.DM(self.scale)
-        given = ca.vertcat(x0, *rest)
-        problem = {"x": x1, "p": given, "g": scaled}
+        one = _Interval.of(self.model, self.scheme, self.scale)
+        problem = {"x": one.end, "p": one.given, "g": one.scaled}
         newton = ca.rootfinder("end", "newton", problem, NEWTON)
-        size = ca.Function("left", [x1, given], [ca.norm_inf(scaled)])
-
+        left = ca.Function("left", [one.end, one.given], [one.left])
         x = ca.MX.sym("x", n_states)
-        column = ca.MX.sym("column", ca.vertcat(x1, *rest).numel())
+        column = ca.MX.sym("column", one.n_column)
         known = ca.vertcat(x, column[n_states:])
         end = newton(x0=column[:n_states], p=known)["x"]
         if is_careful:
             again = newton(x0=x, p=known)["x"]
-            end = ca.if_else(size(end, known) < FEASIBLE, end, again, True)
-        interval = ca.Function("interval", [x, column], [end, size(end, known)])
-        return interval.mapaccum(MARCH_CHUNK)
+            end = ca.if_else(left(end, known) < FEASIBLE, end, again, True)
+        return ca.Function("interval", [x, column], [end, left(end, known)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Interval:
+    """Symbols of one interval.
+
+    Attributes:
+        end: the state at its end.
+        given: the state at its beginning, t, h, u0, u1 and theta.
+        scaled: the defect there, scaled.
+    """
+
+    end: ca.SX
+    given: ca.SX
+    scaled: ca.SX
+
+    @classmethod
+    def of(cls, model: Model, scheme: str, scale: np.ndarray) -> "_Interval":
+        """Of a model by a scheme, ``scale`` (n_states,) of its states."""
+        one = defect(model, scheme)
+        x0, x1, *rest = argument_symbols(one)
+        h = rest[1]
+        scaled = one(x0, x1, *rest) * h / ca.DM(scale)
+        return cls(x1, ca.vertcat(x0, *rest), scaled)
+
+    @property
+    def left(self) -> ca.SX:
+        """The largest scaled defect."""
+        return ca.norm_inf(self.scaled)
+
+    @property
+    def n_column(self) -> int:
+        """Number of values that the march is given of an interval."""
+        return int(self.given.numel())
 
 
 def _ends(
-    march: ca.Function, x: np.ndarray, columns: np.ndarray, size: int
+    march: ca.Function,
+    x: np.ndarray,
+    columns: np.ndarray,
+    size: int,
+    tolerance: float = FEASIBLE,
 ) -> np.ndarray | None:
     """The states at the ends of the first ``size`` intervals, where all of them are
-    solved.
+    solved, to a scaled defect below the tolerance.
     """
     ends, left = march(x, columns)
     # Not so where they are not finite.
-    is_solved = np.all(left.full().ravel()[:size] < FEASIBLE)
+    is_solved = np.all(left.full().ravel()[:size] < tolerance)
     return ends.full().T[:size] if is_solved else None

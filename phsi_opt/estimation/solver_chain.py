@@ -14,6 +14,7 @@ import numpy as np
 from phsi_opt.estimation.feasible_path import FeasiblePath
 from phsi_opt.estimation.problem import Progress
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.endings import PATH_STATUSES
 from phsi_opt.optimization.ipopt import Solution, Solver
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import (
@@ -41,8 +42,10 @@ NOISE_FREE_DEFECT = 1e-8
 
 NEXT_WAYS = {
     GAUSS_NEWTON: WAYS,
-    EXACT: (EXACT, FEASIBLE_PATH),
-    FEASIBLE_PATH: (FEASIBLE_PATH, GAUSS_NEWTON, EXACT),
+    EXACT: (EXACT, GAUSS_NEWTON, FEASIBLE_PATH),
+    # From where the path ended the exact Hessian takes a few iterations, where
+    # Gauss-Newton's goes to and fro (EMPS, 9 re-fits).
+    FEASIBLE_PATH: (FEASIBLE_PATH, EXACT, GAUSS_NEWTON),
 }
 IN_WORDS = {
     GAUSS_NEWTON: "with the Gauss-Newton Hessian",
@@ -151,6 +154,8 @@ class SolverChain:
                 break
             status = solution.outcome.status
             self._say(f"not solved ({status}); again {IN_WORDS[way]}")
+            if status in PATH_STATUSES and np.isfinite(solution.outcome.objective):
+                z = solution.z  # it obeys the model and is lower than where it began
             solver = self._solver(way)
             other = solver.solve(z, sigma, raise_on_failure=False)
             if other.outcome.success or way != FEASIBLE_PATH:

@@ -211,6 +211,7 @@ class Solver:
             objective=float(result["f"]),
             infeasibility=violation.size,
             at_bounds=at_bounds(self.program, z),
+            is_exact=self.is_exact,
         )
 
     def _ending(self, status: str, stats: Mapping[str, Any]) -> Ending:

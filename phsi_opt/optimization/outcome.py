@@ -7,7 +7,7 @@ it is raised as an error is decided elsewhere.
 from dataclasses import dataclass
 
 from phsi_opt.optimization.endings import ITERATION_LIMITS, PATH_STATUSES, TIME_LIMITS
-from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
+from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, GAUSS_NEWTON
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,7 @@ class Outcome:
         objective: its value at the point.
         infeasibility: largest violation of a scaled constraint.
         at_bounds: names of the parameters that ended at one of their bounds.
+        is_exact: whether the exact Hessian led there.
     """
 
     success: bool
@@ -35,12 +36,14 @@ class Outcome:
     objective: float
     infeasibility: float
     at_bounds: tuple[str, ...] = ()
+    is_exact: bool = False
 
     @property
     def way(self) -> str:
         """How a solution like it is to be sought first, one of `WAYS`."""
-        is_along_solutions = self.success and self.status in PATH_STATUSES
-        return FEASIBLE_PATH if is_along_solutions else GAUSS_NEWTON
+        if self.success and self.status in PATH_STATUSES:
+            return FEASIBLE_PATH
+        return EXACT if self.success and self.is_exact else GAUSS_NEWTON
 
     @property
     def is_out_of_iterations(self) -> bool:
