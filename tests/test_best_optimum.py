@@ -84,7 +84,7 @@ def test_the_warning_of_large_residuals_names_what_helps(
 ) -> None:
     fit = ph.identify(from_start(1.0), swinging)
     (said,) = [w for w in fit.warnings if "neighbouring samples scatter" in w]
-    assert "window= of one or two periods" in said
+    assert "a window of one or two periods" in said
     assert "starts=5" not in said
 
 

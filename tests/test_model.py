@@ -203,6 +203,21 @@ def test_an_effect_that_cannot_be_added_is_refused(
         spring().add(*arguments)
 
 
+def test_what_is_built_serves_all_values_of_unknown_parameters() -> None:
+    model = PseudoHamiltonian(
+        states=["q", "p"],
+        S=canonical(1),
+        H=formula("k*q**2/2 + p**2/(2*m)", k=Parameter(3.0), m=2.0),
+    )
+    moved = model.with_values({"k": 5.0})
+    assert moved.rhs() is model.rhs()
+    assert moved.function("k*q") is model.function("k*q")
+    heavier = model.with_values({"m": 4.0})
+    assert heavier.rhs() is not model.rhs()
+    rates = heavier.rhs()([1.0, 2.0], [], 0.0, heavier.theta)
+    np.testing.assert_allclose(np.array(rates).ravel(), [0.5, -3.0])
+
+
 def test_a_model_cannot_be_changed_and_can_be_pickled() -> None:
     model = spring()
     with pytest.raises(FrozenInstanceError):

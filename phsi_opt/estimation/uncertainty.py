@@ -19,7 +19,7 @@ from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defect_derivatives import defect_slopes
 from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import DefectSlopes
+from phsi_opt.transcription.known_defects import ParameterSlopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def of_defects(
     theta: np.ndarray,
     scale: np.ndarray,
     at_bounds: tuple[str, ...],
-    found: DefectSlopes,
+    found: ParameterSlopes,
 ) -> Uncertainty:
     """Sandwich covariance of the PHSI loss.
 

@@ -6,10 +6,10 @@ dx/dt = F(x, t, u). Both are frozen records (``base``) that keep their CasADi fu
 here knows of data, losses or solvers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self
+from typing import Any, Self, TypeVar, cast
 
 import casadi as ca
 import numpy as np
@@ -30,6 +30,8 @@ from phsi_opt.model.symbolic import (
 )
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.presentation.summary import Summarised, Summary, text_of_summary
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,26 +101,46 @@ class Model(BaseModel, Summarised):
 
     def rhs(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> dx/dt, theta in the order of `free`."""
-        return self._rhs
-
-    @cached_property
-    def _rhs(self) -> ca.Function:
-        return rhs_function(self)
+        return self.built("rhs", lambda: rhs_function(self))
 
     def output(self) -> ca.Function:
         """CasADi function (x, u, t, theta) -> what the sensors show of the states x."""
-        return self._output
-
-    @cached_property
-    def _output(self) -> ca.Function:
-        return output_function(self)
+        return self.built("output", lambda: output_function(self))
 
     def function(self, *formulas: str) -> ca.Function:
         """CasADi function (x, u, t, theta) -> values of the formulas, as one column.
 
         The formulas know the states, the inputs, t, the efforts and the parameters.
         """
-        return formulas_function(self, formulas)
+        key = ("formulas", *formulas)
+        return self.built(key, lambda: formulas_function(self, formulas))
+
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """A new model with the named parameters set.
+
+        Raises:
+            ModelError: there is no such parameter.
+        """
+        changed = super().with_values(values)
+        if not any(self.entries[name].parameter.fixed for name in values):
+            # Parameters that are not known are arguments of what was built.
+            vars(changed)["_built"] = self._built
+        return changed
+
+    def built(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What is made of the formulas, once for all values of unknown parameters.
+
+        Args:
+            key: under which it is kept.
+            make: makes it.
+        """
+        if key not in self._built:
+            self._built[key] = make()
+        return cast("T", self._built[key])
+
+    @cached_property
+    def _built(self) -> dict[Hashable, object]:
+        return {}
 
 
 @dataclass(frozen=True, kw_only=True)

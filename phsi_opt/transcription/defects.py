@@ -72,6 +72,11 @@ def defect(model: Model, scheme: str, n_moving: int | None = None) -> ca.Functio
     Raises:
         ModelError: there is no integrator of that name.
     """
+    key = ("defect", scheme, n_moving)
+    return model.built(key, lambda: _defect(model, scheme, n_moving))
+
+
+def _defect(model: Model, scheme: str, n_moving: int | None) -> ca.Function:
     n_states = model.n_states
     rhs = model.rhs()
     psi = integrator(scheme).psi

@@ -6,12 +6,17 @@ meet CasADi's columns (n_states, n_nodes).
 """
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from phsi_opt.transcription.grid import Grid
+
+# Mapped functions that are kept: those of one model and its next neighbours. Each
+# takes some memory per interval.
+MOST_KEPT = 16
 
 
 def argument_symbols(function: ca.Function) -> list[ca.SX]:
@@ -52,11 +57,17 @@ def map_intervals(
     shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
     n_intervals = len(grid.begin)
     if len(shape) < 2 or shape[1] == 1:
-        shared = [function.n_in() - 1]  # theta is one and the same for all intervals
-        mapped = function.map("mapped", "serial", n_intervals, shared, [])
-        return mapped(*arguments, theta)
+        return _mapped(function, n_intervals, True)(*arguments, theta)
     by_interval = theta[:, grid.trajectory[grid.begin].tolist()]
-    return function.map(n_intervals, "serial")(*arguments, by_interval)
+    return _mapped(function, n_intervals, False)(*arguments, by_interval)
+
+
+@lru_cache(MOST_KEPT)
+def _mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
+    """The function in n columns; the last argument may be one and the same for all."""
+    if is_shared:
+        return function.map("mapped", "serial", n, [function.n_in() - 1], [])
+    return function.map(n, "serial")
 
 
 def map_nodes(function: ca.Function, grid: Grid, x: Any, theta: Any) -> Any:

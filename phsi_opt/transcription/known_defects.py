@@ -17,7 +17,7 @@ AT_ONCE = 500
 
 
 @dataclass(frozen=True, eq=False)
-class DefectSlopes:
+class ParameterSlopes:
     """Defects at some values of the parameters, and their slopes there.
 
     Attributes:
@@ -64,7 +64,7 @@ class KnownDefects:
             inside = np.minimum(inside, grid.n_intervals - 1)  # the last one is filled
             self._parts.append([one[inside].ravel() for one in arguments])
 
-    def at(self, theta: np.ndarray) -> DefectSlopes:
+    def at(self, theta: np.ndarray) -> ParameterSlopes:
         """Defects and slopes for parameters theta (n_free,)."""
         n_padded = len(self._parts) * self._size
         d = np.empty((n_padded, self._n_states))
@@ -75,7 +75,7 @@ class KnownDefects:
             d[place], slopes[place] = self._evaluated(*part, repeated)
         n = self._n_intervals
         in_rows = slopes[:n].reshape(n * self._n_states, self._n_chosen)
-        return DefectSlopes(d[:n], in_rows)
+        return ParameterSlopes(d[:n], in_rows)
 
     def residual_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Defects (n_defects,) and slopes (n_defects, n_chosen), for a program."""

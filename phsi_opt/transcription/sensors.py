@@ -86,19 +86,23 @@ def outputs_at_samples(
 
 def output_slopes(model: Model, grid: Grid, x: np.ndarray, theta: Any) -> OutputSlopes:
     """Slopes of `outputs` at every node, for states (n_nodes, n_states)."""
-    sensors = model.output()
+    slopes = model.built("output slopes", lambda: _slopes_of(model.output()))
+    by_state, by_parameter = map_nodes(slopes, grid, ca.DM(x.T), theta)
+    shape = (grid.n_nodes, model.n_states, -1)
+    return OutputSlopes(
+        np.array(by_state).T.reshape(shape), np.array(by_parameter).T.reshape(shape)
+    )
+
+
+def _slopes_of(sensors: ca.Function) -> ca.Function:
+    """The slopes of a function in the states and in the parameters, transposed."""
     arguments = argument_symbols(sensors)
     state, _, _, parameters = arguments
     shown = sensors(*arguments)
     in_state = ca.densify(ca.jacobian(shown, state).T)
     in_parameters = ca.densify(ca.jacobian(shown, parameters).T)
     both = [ca.vec(in_state), ca.vec(in_parameters)]
-    slopes = ca.Function("slopes", arguments, both)
-    by_state, by_parameter = map_nodes(slopes, grid, ca.DM(x.T), theta)
-    shape = (grid.n_nodes, model.n_states, -1)
-    return OutputSlopes(
-        np.array(by_state).T.reshape(shape), np.array(by_parameter).T.reshape(shape)
-    )
+    return ca.Function("slopes", arguments, both)
 
 
 def output_slopes_in_theta(
