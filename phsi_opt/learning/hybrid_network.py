@@ -33,6 +33,9 @@ class NeuralForce:
         learning_rate: of AdamW in the first turn.
         weight_decay: of AdamW, strong enough to keep noise out of the features.
 
+    A force of the time wants five trajectories or more: with fewer, what is left out to
+    judge it is a stretch of time.
+
     The epoch that is kept, and the weight of the squared output weights in the last
     layer, are those that predict trajectories best which were left out.
 

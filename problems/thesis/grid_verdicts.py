@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from problems.thesis.grid_points import GRIDS, SPARSITY
+from problems.thesis.grid_points import GRIDS, OF_LEVELS, SPARSITY
 from problems.thesis.grid_readings import AS_HERE, SUM, WIDE, WIDE_SUM
 from problems.thesis.systems import SYSTEMS
 from problems.tools import markdown
@@ -59,7 +59,7 @@ def section(table: pd.DataFrame, readings: pd.DataFrame) -> list[str]:
         "",
         "All rows of the readings; price: see above.",
         "",
-        *markdown.frame(readings.drop(columns="seconds")),
+        *markdown.frame(readings.drop(columns=["seconds", OF_LEVELS])),
     ]
 
 
