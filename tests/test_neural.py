@@ -303,6 +303,8 @@ def test_a_force_of_time_and_input_is_found_simulated_and_saved(tmp_path: Path) 
     assert np.abs(run - unseen.x).max() < 0.1 * np.abs(unseen.x).max()
     with pytest.raises(ph.DataError, match="depends on 't'; give t beside x"):
         both.force(unseen.x, u=unseen.u)
+    with pytest.raises(ph.DataError, match=r"t has shape \(2,\); expected \(41, 1\)"):
+        both.force(unseen.x, [0.0, 1.0], unseen.u)
     both.save(tmp_path / "hybrid.json")
     again = Hybrid.load(tmp_path / "hybrid.json")
     assert np.array_equal(again.simulate(unseen.t, unseen.x[0], unseen.u), run)

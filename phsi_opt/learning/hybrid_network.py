@@ -117,7 +117,7 @@ class TrainedForce:
             u: inputs (n_samples, n_inputs), if it depends on one.
 
         Raises:
-            DataError: if t or u is needed and not given.
+            DataError: if t or u is needed and not given, or has another shape.
         """
         return self.at(self._rows_of(np.atleast_2d(x), t, u))
 
@@ -144,13 +144,18 @@ class TrainedForce:
     ) -> np.ndarray:
         """Inputs or times in the shape of rows; zeros where nothing depends on them."""
         needed = [name for name in self.variables if name in names]
-        if values is not None:
-            return np.broadcast_to(np.reshape(values, (-1, shape[1])), shape)
-        if needed:
+        if values is None and needed:
             raise DataError(
                 f"the force depends on {needed[0]!r}; give {argument} beside x."
             )
-        return np.zeros(shape)
+        if values is None:
+            return np.zeros(shape)
+        if np.size(values) != shape[0] * shape[1]:
+            raise DataError(
+                f"{argument} has shape {np.shape(values)}; expected {shape}, a row per "
+                "row of x."
+            )
+        return np.reshape(np.asarray(values, dtype=float), shape)
 
     def features(self, rows: np.ndarray) -> np.ndarray:
         """Output of the last hidden layer, (n_samples, n_features).
