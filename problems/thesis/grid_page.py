@@ -42,7 +42,7 @@ class Truth:
     x: np.ndarray
 
 
-# Error of the levels, as a share of that of all states, below which the rest circulates.
+# Share of the error of all states; where the levels have less, the rest circulates.
 MOSTLY_FLOWS = 0.2
 CIRCULATES = "What is left are flows around the loops of pipes, which change no level."
 
