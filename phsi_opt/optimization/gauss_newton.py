@@ -42,7 +42,9 @@ class Slopes:
 
 
 class DenseLeastSquares:
-    """1/2 |r(z)|^2 + c'z with a dense Jacobian in the first of the variables.
+    """Half the squares of r(z), plus c'z, with a dense Jacobian.
+
+    The Jacobian has entries in the first of the variables alone.
 
     Args:
         evaluate: unscaled first variables (n_first,) -> residuals (n_residuals,) and
