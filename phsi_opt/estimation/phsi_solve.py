@@ -19,7 +19,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import KnownDefects
+from phsi_opt.transcription.known_defects import ParameterSlopes
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -51,7 +51,10 @@ class PHSIEstimate(Estimate):
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Sandwich covariance: neighbouring defects share a noisy sample."""
         used = self._used
-        known = KnownDefects(self.model, used, self.loss.integrator)
+        dense = self.program.dense
+        assert dense is not None, "the program of a PHSILoss"
+        defects, slopes = dense.unscaled(self.solution.z)
+        found = ParameterSlopes(defects.reshape(-1, self.model.n_states), slopes)
         return uncertainty.of_defects(
             self.model,
             used,
@@ -59,7 +62,7 @@ class PHSIEstimate(Estimate):
             self.theta,
             self.point.theta_scale,
             self.solution.outcome.at_bounds,
-            known.at(self.theta),
+            found,
         )
 
     @property

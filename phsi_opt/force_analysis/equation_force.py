@@ -143,10 +143,15 @@ class EquationForce:
         return label(f"velocity {name} = d{position}/dt", force_unit(position, units))
 
     def region_words(self, region: str) -> str:
-        """A region of `strong_region` with the unit behind each range."""
+        """A region of `strong_region` with units, velocities called by that name."""
         model = self.record.fit.model
         units = dict(self.record.units)
+        velocities = []
         for momentum, position in position_of_momentum(model).items():
             effort = model.efforts[model.states.index(momentum)]
             units[effort] = force_unit(position, units)
-        return with_units(region, units)
+            velocities.append(effort)
+        told = with_units(region, units)
+        for velocity in velocities:
+            told = told.replace(f"{velocity} ", f"velocity {velocity} ")
+        return told

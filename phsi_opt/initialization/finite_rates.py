@@ -51,6 +51,8 @@ def check_rates(model: Model, grid: Grid) -> None:
             rates = np.asarray(resolved.rhs()(*arguments))
             energy = np.asarray(energy_function(resolved)(*arguments))
             is_bad &= ~np.isfinite(np.vstack([rates, energy]))
+            if not is_bad.any():
+                return
     names = [*(f"the equation of {state}" for state in model.states), "the energy H"]
     for name, of_name in zip(names, is_bad, strict=True):
         places = np.flatnonzero(of_name)

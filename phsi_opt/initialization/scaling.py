@@ -29,6 +29,9 @@ N_SENSOR_SLOPES = 50  # nodes at which those of the sensors are averaged
 # Share of a parameter's own value below which its size does not fall: far from its
 # start, in units of its effect, it would meet the solver as a huge number.
 LEAST_SHARE = 1e-3
+# Share of it above which that of a parameter inside a term does not rise: a frequency
+# whose wave starts with no amplitude shows no effect, and would go anywhere.
+MOST_SHARE = 1e3
 
 
 def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Point:
@@ -118,7 +121,11 @@ def theta_scale(
         strength = np.maximum(strength, in_sensors)
     own_size = np.where(np.abs(theta) > 0, np.abs(theta), 1.0)
     scale = np.where(strength > 0, 1 / np.maximum(strength, TINY), own_size)
-    return np.maximum(scale, LEAST_SHARE * np.abs(theta))
+    most = np.full(len(theta), np.inf)
+    for place, name in enumerate(model.free):
+        if theta[place] != 0 and not model.entries[name].prunable:
+            most[place] = MOST_SHARE * abs(theta[place])
+    return np.clip(scale, LEAST_SHARE * np.abs(theta), most)
 
 
 def _interpolated(grid: Grid) -> np.ndarray:

@@ -89,6 +89,11 @@ class DenseLeastSquares:
             self._z = first.copy()
         return self._kept
 
+    def unscaled(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and slopes at z (n_variables,) as they were evaluated."""
+        slopes = self.at(z)
+        return slopes.residual / self._factor, slopes.columns
+
     def value(self, z: np.ndarray) -> float:
         """The objective at z (n_variables,)."""
         residual = self.at(z).residual

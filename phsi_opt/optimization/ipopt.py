@@ -10,7 +10,7 @@ its linear systems.
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -18,6 +18,7 @@ import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.optimization.endings import Ending, ending_of_ipopt
+from phsi_opt.optimization.nearby_optimum import nearby_optimum
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
@@ -31,6 +32,17 @@ SETTLING = 8
 LEVEL_DEVIANCE = 0.05
 HOLDING = 1e-5
 VIOLATED = 1e-6  # scaled violation beyond which a failure names the constraint
+# From an optimum with its multipliers: no centring that would lead away from it first.
+CONFIRMING = {
+    "warm_start_init_point": "yes",
+    "mu_strategy": "monotone",
+    "mu_init": 1e-9,
+    "warm_start_bound_push": 1e-12,
+    "warm_start_bound_frac": 1e-12,
+    "warm_start_slack_bound_push": 1e-12,
+    "warm_start_slack_bound_frac": 1e-12,
+    "warm_start_mult_bound_push": 1e-12,
+}
 AT_BOUND = 1e-6  # scaled distance up to which a parameter is at its bound
 
 
@@ -107,8 +119,9 @@ class Solver:
             "f": program.objective,
             "g": program.g,
         }
-        options = _options(program, hessian, self.limits)
-        self._ipopt = ca.nlpsol("program", "ipopt", problem, options)
+        self._problem = problem
+        self._options = _options(program, hessian, self.limits)
+        self._ipopt = ca.nlpsol("program", "ipopt", problem, self._options)
         if program.dense is None:
             self._residual = ca.Function(
                 "residual", [program.z, program.settings], [program.residual]
@@ -131,25 +144,59 @@ class Solver:
             SolveError: it ended without an optimum, and ``raise_on_failure``.
             KeyboardInterrupt: the user interrupted IPOPT.
         """
+        if start is None and set_to is None:
+            confirmed = self._confirmed()
+            if confirmed is not None:
+                return confirmed
         program = self.program
         set_to = program.set_to if set_to is None else set_to
+        begin = {"x0": program.start if start is None else start, "p": set_to}
+        z, outcome = self._run(self._ipopt, begin)
+        if raise_on_failure and not outcome.success:
+            raise SolveError(f"The solver failed: {outcome}")
+        return self.solution(z, set_to, outcome)
+
+    def _confirmed(self) -> Solution | None:
+        """What IPOPT makes of an optimum that is found fast, where there is one."""
+        program = self.program
         began = time.perf_counter()
-        result = self._ipopt(
-            x0=program.start if start is None else start,
-            p=set_to,
+        near = nearby_optimum(program, self.limits)
+        if near is None:
+            return None
+        of_ipopt = {**self._options["ipopt"], **CONFIRMING}
+        options = {**self._options, "ipopt": of_ipopt}
+        ipopt = ca.nlpsol("confirmed", "ipopt", self._problem, options)
+        begin = {
+            "x0": near.z,
+            "p": program.set_to,
+            "lam_x0": near.of_bounds,
+            "lam_g0": near.of_constraints,
+        }
+        z, outcome = self._run(ipopt, begin)
+        if not outcome.success:
+            return None
+        seconds = time.perf_counter() - began
+        iterations = near.steps + outcome.iterations
+        outcome = replace(outcome, seconds=seconds, iterations=iterations)
+        return self.solution(z, program.set_to, outcome)
+
+    def _run(
+        self, ipopt: ca.Function, begin: dict[str, np.ndarray]
+    ) -> tuple[np.ndarray, Outcome]:
+        """Scaled variables where IPOPT ends, and how it ended."""
+        program = self.program
+        began = time.perf_counter()
+        result = ipopt(
+            **begin,
             lbx=program.lower,
             ubx=program.upper,
             lbg=program.g_lower,
             ubg=program.g_upper,
         )
-        seconds = time.perf_counter() - began
-        outcome = self._outcome(result, seconds)
+        outcome = self._outcome(ipopt.stats(), result, time.perf_counter() - began)
         if outcome.status == "User_Requested_Stop":
             raise KeyboardInterrupt
-        if raise_on_failure and not outcome.success:
-            raise SolveError(f"The solver failed: {outcome}")
-        z = np.array(result["x"]).ravel()
-        return self.solution(z, set_to, outcome)
+        return np.array(result["x"]).ravel(), outcome
 
     def solution(self, z: np.ndarray, set_to: np.ndarray, outcome: Outcome) -> Solution:
         """What is known at a point, together with how it was found.
@@ -190,8 +237,9 @@ class Solver:
         jacobian = program.jacobian(z, set_to)[1]
         return KKT(hessian, jacobian.sparse().tocsc())
 
-    def _outcome(self, result: Mapping[str, ca.DM], seconds: float) -> Outcome:
-        stats = self._ipopt.stats()
+    def _outcome(
+        self, stats: Mapping[str, Any], result: Mapping[str, ca.DM], seconds: float
+    ) -> Outcome:
         status = str(stats["return_status"])
         ending = self._ending(status, stats)
         violation = _largest_violation(self.program, np.array(result["g"]).ravel())

@@ -1,0 +1,133 @@
+"""The optimum that is found fast is the one that IPOPT finds from further away."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.initialization.scaling import MOST_SHARE, theta_scale
+from phsi_opt.optimization import ipopt
+from phsi_opt.optimization.nearby_optimum import NearbyOptimum, nearby_optimum
+from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.transcription.grid import grid_of
+from problems.thesis.systems import SYSTEMS
+
+AGREE = 1e-8  # relative, of the loss
+PRUNING = ph.Pruning(0.05, significance=0.01)
+SETTINGS = SolverSettings()
+
+
+def identified(name: str, n_trajectories: int) -> ph.Fit:
+    system = replace(SYSTEMS[name], n_trajectories=n_trajectories)
+    data = system.training_data("noisy")
+    return ph.identify(system.model(), data, ph.PHSILoss(), dict(system.l1), PRUNING)
+
+
+class Confirmations:
+    """Iterations that IPOPT needs beyond the steps that led near."""
+
+    def __init__(self) -> None:
+        self.iterations: list[int] = []
+        self.failures = 0
+
+    def watch(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        found: list[NearbyOptimum | None] = []
+
+        def nearby(program: Program, settings: SolverSettings) -> NearbyOptimum | None:
+            found.append(nearby_optimum(program, settings))
+            return found[-1]
+
+        original = ipopt.Solver._run
+
+        def run(
+            self: ipopt.Solver,
+            ipopt_function: ca.Function,
+            begin: dict[str, np.ndarray],
+        ) -> tuple[np.ndarray, Outcome]:
+            z, outcome = original(self, ipopt_function, begin)
+            confirmations.iterations.append(outcome.iterations)
+            confirmations.failures += found[-1] is None
+            return z, outcome
+
+        confirmations = self
+        monkeypatch.setattr(ipopt, "nearby_optimum", nearby)
+        monkeypatch.setattr(ipopt.Solver, "_run", run)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_trajectories"),
+    [("henon_heiles", 1500), ("mass_spring", 15), ("schrodinger", 15)],
+)
+def test_fast_and_cold_solves_agree_and_each_is_confirmed_at_once(
+    name: str, n_trajectories: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched = Confirmations()
+    with monkeypatch.context() as patch:
+        watched.watch(patch)
+        fast = identified(name, n_trajectories)
+    monkeypatch.setattr(ipopt, "nearby_optimum", lambda program, settings: None)
+    cold = identified(name, n_trajectories)
+    assert fast.loss_value == pytest.approx(cold.loss_value, rel=AGREE)
+    assert fast.model.free == cold.model.free
+    for parameter, value in cold.values.items():
+        error = cold.std_errors[parameter]
+        assert fast.values[parameter] == pytest.approx(value, abs=1e-4 * error)
+    assert watched.failures == 0
+    assert max(watched.iterations) <= 2
+
+
+def test_a_coefficient_that_l1_takes_is_zero_with_the_multipliers_of_one() -> None:
+    rng = np.random.default_rng(3)
+    t = np.linspace(0, 8, 81)
+    x = np.column_stack([np.cos(t), -np.sin(t)])
+    x = x + 0.01 * rng.normal(size=x.shape)
+    data = ph.Measurements.from_arrays([t], [x], states=["q", "p"])
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q", "p"], degree=4)
+    )
+    fit = ph.identify(model, data, ph.PHSILoss(), {"H": 0.02})
+    assert fit.outcome.success
+    zeros = [name for name in fit.values if abs(fit.values[name]) < 1e-9]
+    assert len(zeros) >= 5
+    assert fit.values["H[q**2]"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_too_few_iterations_are_told_as_before() -> None:
+    t = np.linspace(0, 8, 81)
+    x = np.column_stack([np.cos(t), -np.sin(t)])
+    data = ph.Measurements.from_arrays([t], [x], states=["q", "p"])
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(3.0)),
+        R=ph.damping("p"),
+        F={"p": ph.trigonometric("t")},
+    )
+    with pytest.raises(ph.SolveError, match="allow more iterations"):
+        ph.identify(
+            model, data, ph.PHSILoss(), settings=ph.SolverSettings(max_iterations=1)
+        )
+
+
+def test_the_size_of_a_frequency_follows_no_vanishing_amplitude() -> None:
+    t = np.linspace(0, 8, 81)
+    x = np.column_stack([np.cos(t), -np.sin(t)])
+    data = ph.Measurements.from_arrays([t], [x], states=["q", "p"])
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.polynomials(["q", "p"], degree=2),
+        F={"p": ph.trigonometric("t")},
+    )
+    grid = grid_of(data)
+    theta = np.full(len(model.free), 1.0)
+    place = model.free.index("F_p.omega_t")
+    theta[place] = 0.3
+    for name in ("F_p[sin(omega_t*t)]", "F_p[cos(omega_t*t)]"):
+        theta[model.free.index(name)] = 1e-12
+    sizes = theta_scale(model, grid, theta, grid.y, np.ones(2))
+    assert sizes[place] == pytest.approx(MOST_SHARE * 0.3)
