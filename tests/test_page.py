@@ -111,9 +111,12 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     plot = page.locator(".nsewdrag").first
     box = plot.bounding_box()
     assert box is not None
+    time = page.get_by_label("look at the time (s)")
+    offered = time.input_value()
     page.mouse.click(box["x"] + 0.6 * box["width"], box["y"] + 0.3 * box["height"])
+    expect(time).not_to_have_value(offered)
     expect(page.get_by_text(CLICKED)).to_contain_text("dp/dt lacks")
-    looked_at = page.get_by_label("look at the time (s)").input_value()
+    looked_at = time.input_value()
     assert float(looked_at) > 2.0
     run_shown = page.get_by_label("run", exact=True).input_value()
 

@@ -17,17 +17,17 @@ from phsi_opt.optimization.gauss_newton import DenseLeastSquares, Slopes
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 
-MOST_STEPS = 50
+MOST_QUADRATIC_STEPS = 50
 OWN_TOLERANCE = 0.1  # share of the solver's, so that it has nothing left to do
 # Share of the least eigenvalue of Gauss and Newton's Hessian that the secant estimate
 # must leave; below it steps would follow directions of no or negative curvature.
-LEAST_CURVATURE = 0.1
-FIRST_DAMPING = 1e-3  # share of the Hessian's diagonal, after a step that failed
+LEAST_KEPT_CURVATURE = 0.1
+FIRST_SHARE_DAMPED = 1e-3  # share of the Hessian's diagonal, after a step that failed
 DAMPING_FACTOR = 10.0
-MOST_DAMPING = 1e6
+MOST_SHARE_DAMPED = 1e6
 # Share of the largest entry of the diagonal that damping takes for smaller ones.
 LEAST_DIAGONAL = 1e-8
-ROUNDING = 1e-13  # relative change of the objective that says nothing
+EQUAL_OBJECTIVES = 1e-13  # relative change of the objective that says nothing
 
 QUIET = {
     "error_on_fail": False,
@@ -69,7 +69,7 @@ def nearby_optimum(program: Program, settings: SolverSettings) -> NearbyOptimum 
     if dense is None:
         return None
     search = _Search(program, dense, OWN_TOLERANCE * settings.tolerance)
-    for steps in range(1, min(MOST_STEPS, settings.max_iterations) + 1):
+    for steps in range(1, min(MOST_QUADRATIC_STEPS, settings.max_iterations) + 1):
         search.advance()
         if search.has_converged:
             return NearbyOptimum(
@@ -150,7 +150,7 @@ class _Search:
     @property
     def is_stuck(self) -> bool:
         """Whether no step, however short, lowers the objective."""
-        return self.damping > MOST_DAMPING or not np.isfinite(self.objective)
+        return self.damping > MOST_SHARE_DAMPED or not np.isfinite(self.objective)
 
     def advance(self) -> None:
         """One step, or more damping where it does not lower the objective."""
@@ -158,12 +158,12 @@ class _Search:
         step = self.model.step(self._hessian(here), self._gradient(here), self.z)
         z = self.z + step.d
         objective = self.dense.value(z) if step.is_solved else np.inf
-        limit = self.objective + ROUNDING * abs(self.objective)
+        limit = self.objective + EQUAL_OBJECTIVES * abs(self.objective)
         if not objective <= limit:
-            self.damping = max(DAMPING_FACTOR * self.damping, FIRST_DAMPING)
+            self.damping = max(DAMPING_FACTOR * self.damping, FIRST_SHARE_DAMPED)
             return
         self.damping /= DAMPING_FACTOR
-        if self.damping < FIRST_DAMPING / DAMPING_FACTOR:
+        if self.damping < FIRST_SHARE_DAMPED / DAMPING_FACTOR:
             self.damping = 0.0
         self.z = z
         self.objective = objective
@@ -183,7 +183,7 @@ class _Search:
         gauss_newton = slopes.hessian
         filled = gauss_newton + self.left_out
         least = np.linalg.eigvalsh(gauss_newton)[0]
-        if np.linalg.eigvalsh(filled)[0] <= LEAST_CURVATURE * least:
+        if np.linalg.eigvalsh(filled)[0] <= LEAST_KEPT_CURVATURE * least:
             filled = gauss_newton
         diagonal = np.diag(gauss_newton)
         size = np.maximum(diagonal, LEAST_DIAGONAL * np.max(diagonal))
