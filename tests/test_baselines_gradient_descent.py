@@ -324,6 +324,17 @@ def test_a_pruned_coefficient_stays_at_zero() -> None:
     assert len(lines) == 12 and "terms" in lines[-1]
 
 
+def test_significance_removes_what_the_size_keeps_of_noisy_data() -> None:
+    data = henon_data(noise=0.02, n=400)
+    settings = replace(FAST, prune_every=5, threshold=0.05)
+    by_size = gradient_descent(HENON.model(), data, settings)
+    both = gradient_descent(HENON.model(), data, replace(settings, significance=0.01))
+    assert set(HENON.truth) <= set(both.values) < set(by_size.values)
+    assert len(both.values) <= len(HENON.truth) + 1
+    first_half = both.history["n_terms"].iloc[: FAST.epochs // 2 - 1].tolist()
+    assert first_half == by_size.history["n_terms"].iloc[: len(first_half)].tolist()
+
+
 def test_pruning_waits_for_its_first_epoch() -> None:
     data, settings = (
         henon_data(n=100),
@@ -581,6 +592,7 @@ def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -
         ({"l1_off_after": 1.5}, "l1_off_after=1.5"),
         ({"integrator": "srk5"}, "integrator 'srk5' is unknown.*srk4"),
         ({"start": "norml"}, "start='norml'.*Did you mean 'normal'"),
+        ({"significance": 1.0}, r"significance=1.0 .* between 0 and 1"),
         ({"dtype": "float16"}, "dtype='float16' .*float32, float64"),
     ],
 )

@@ -58,6 +58,10 @@ class Descent:
         dtype: "float64", or "float32" as the thesis has it.
         keep_damping_positive: keep the bounds of R; the thesis lets it go negative.
             Other bounds are always kept, by projection after each step.
+        significance: from half of the epochs on, terms go as well while the data do not
+            contradict that they are zero: the test of `phsi_opt.Pruning`, with the
+            standard errors of the PHSI loss, at every pruning. What L1 still shrinks is
+            tested as it is. None: size alone, as the thesis has it.
 
     Raises:
         ModelError: if a setting is not possible.
@@ -79,6 +83,7 @@ class Descent:
     start: str = "thesis"
     dtype: str = "float64"
     keep_damping_positive: bool = False
+    significance: float | None = None
 
     def __post_init__(self) -> None:
         check_descent(self)
@@ -89,6 +94,7 @@ class Descent:
         require_size("threshold", self.threshold)
         self._check_slots()
         self._check_share()
+        self._check_significance()
         require_choice("start", self.start, STARTS)
         object.__setattr__(self, "l1", MappingProxyType(l1_weights(self.l1)))
         object.__setattr__(self, "prune_slots", tuple(self.prune_slots))
@@ -103,6 +109,12 @@ class Descent:
         fine = share is None or (is_size(share) and share <= 1)
         expected = "a share of the epochs between 0 and 1, or None"
         require(fine, "l1_off_after", share, expected)
+
+    def _check_significance(self) -> None:
+        chance = self.significance
+        fine = chance is None or (is_size(chance, positive=True) and chance < 1)
+        expected = "a number between 0 and 1, such as 0.01, or None"
+        require(fine, "significance", chance, expected)
 
     def rate(self, epoch: int) -> float:
         """Learning rate in an epoch, counted from 1."""

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
 from phsi_opt.baselines.descent_settings import Descent, JointForce
+from phsi_opt.baselines.descent_significance import SignificanceTest
 from phsi_opt.baselines.joint_force_result import HybridBaseline
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.starting_values import starting_values
@@ -108,6 +109,7 @@ class _Run:
         self.theta = self.adam.raw[: len(self.entries)]
         self.held = np.array([e.parameter.fixed for e in self.entries], dtype=bool)
         self.removed: list[str] = []
+        self.test = SignificanceTest.of(model, grid, settings)
         self._set_bounds()
         self._hold()
 
@@ -198,6 +200,8 @@ class _Run:
             for i in range(len(self.entries)):
                 if self._is_pruned(i):
                     self._remove(i)
+            if self.test is not None and epoch >= self.test.first_epoch:
+                self._remove_insignificant(self.test)
             self._hold()
         n_terms = sum(entry.prunable for entry in self.entries)
         return n_terms - len(self.removed)
@@ -207,6 +211,24 @@ class _Run:
         may_go = entry.prunable and entry.slot in self.settings.prune_slots
         small = abs(float(self.theta[i])) < self.settings.threshold
         return may_go and small and not self.held[i]
+
+    def _remove_insignificant(self, test: SignificanceTest) -> None:
+        kept = self._kept_model()
+        if not test.pruning.candidates(kept):
+            return
+        with torch.no_grad():
+            found = self.steps.defects(self.adam.raw, self.steps.all_tables())
+        weak = test.insignificant(kept, found.to(torch.float64).numpy())
+        for i, entry in enumerate(self.entries):
+            if entry.name in weak:
+                self._remove(i)
+
+    def _kept_model(self) -> Model:
+        """The model at the values so far, without the terms that were pruned."""
+        values = dict(zip(self.dynamics.names, self.theta.tolist(), strict=True))
+        kept = _released(self.model, values).without(set(self.removed))
+        left = {name: values[name] for name in values if name in kept.entries}
+        return kept.with_values(left)
 
     def _remove(self, i: int) -> None:
         self.removed.append(self.entries[i].name)
@@ -222,12 +244,7 @@ class _Run:
             SolveError: if the whole energy was pruned.
         """
         self._check_energy()
-        values = dict(zip(self.dynamics.names, self.theta.tolist(), strict=True))
-        kept = _released(self.model, values).without(set(self.removed))
-        found = {
-            name: values[name] for name in self.dynamics.names if name in kept.entries
-        }
-        kept = kept.with_values(found)
+        kept = self._kept_model()
         weights = self.adam.raw[len(self.entries) :].to(torch.float64)
         scheme = self.settings.integrator
         common: dict[str, Any] = {
