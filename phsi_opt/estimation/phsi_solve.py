@@ -13,6 +13,7 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.support_selection import pruned
 from phsi_opt.estimation.uncertainty import Uncertainty
 from phsi_opt.initialization.convex_start import starting_values
+from phsi_opt.initialization.frequency_scan import frequency_scans, imitators
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
@@ -124,7 +125,10 @@ class PHSISolver:
 
 
 def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
-    """The best of the solutions from several starts, each pruned."""
+    """The best of the solutions from several starts, each pruned.
+
+    Where terms that imitate a wave are left, the wave alone is tried as well.
+    """
     grid = task.layout(task.grid)
     used = complete_intervals(task.model, grid)
     model = resolve_guesses(task.model, used, np.nan_to_num(used.y))
@@ -137,7 +141,45 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     for theta in starts:
         first = solver.solve(model, theta, task.l1)
         estimates.append(pruned(first, solver.resolve))
+    if start is None:
+        best = min(estimates, key=_bic_like)
+        estimates += _without_imitators(solver, model, used, best)
     return best_of_starts(estimates, _bic_like)
+
+
+def _without_imitators(
+    solver: PHSISolver, model: Model, used: Grid, best: PHSIEstimate
+) -> list[PHSIEstimate]:
+    """Estimates pruned from the dictionary without what imitates its waves.
+
+    Over a short record polynomials in the time imitate a slow wave. L1 prefers them,
+    because their coefficients are the smaller ones: a cubic of 0.01 is worth 10 at
+    t = 10. The wave is then pruned before L1 goes, and no re-solve brings it back. So
+    the choice is left to the rule that compares starts. Nothing is tried where pruning
+    left waves alone.
+    """
+    pruning = solver.task.pruning
+    if pruning is None:
+        return []
+    removable = imitators(model) & set(pruning.candidates(model))
+    if not removable or _has_waves_alone(best.model, model, removable):
+        return []
+    smaller = model.without(removable)
+    estimates = []
+    for theta in starting_values(smaller, used, solver.task.l1):
+        first = solver.solve(smaller, theta, solver.task.l1)
+        first = replace(first, removed=tuple(sorted(removable)))
+        estimates.append(pruned(first, solver.resolve))
+    return estimates
+
+
+def _has_waves_alone(found: Model, model: Model, removable: set[str]) -> bool:
+    """Whether a wave of the model is left, and nothing that imitates one."""
+    left = set(found.free)
+    amplitudes = set()
+    for scan in frequency_scans(model):
+        amplitudes |= set(scan.amplitudes)
+    return bool(left & amplitudes) and not left & removable
 
 
 def best_of_starts(

@@ -32,13 +32,16 @@ class _Change:
 def pruned(estimate: E, resolve: Resolve[E]) -> E:
     """Warm-started re-solves of the task's pruning until the support stays.
 
+    The tests of significance count the terms that are left and those that the estimate
+    says were removed before.
+
     Raises:
         ModelError: if every term, or every one of H, would go.
     """
     pruning = estimate.task.pruning
     if pruning is None:
         return estimate
-    n_tests = len(pruning.candidates(estimate.model))
+    n_tests = len(pruning.candidates(estimate.model)) + len(estimate.removed)
     for _ in range(pruning.max_rounds):
         change = _next_change(estimate, pruning, n_tests)
         if change is None:

@@ -104,10 +104,7 @@ def candidate_frequencies(
         linear: places in theta of the coefficients that are free beside the wave.
         scan: the frequency.
     """
-    of_variable = set()
-    for slot, equation, term in model.placed():
-        if slot == "F" and scan.variable in names_of(term.body):
-            of_variable.add(term.coefficient_name(place_of(slot, equation)))
+    of_variable = _terms_of(scan.variable, model)
     beside_all = list(linear)
     beside_others = [i for i in beside_all if model.free[i] not in of_variable]
     scans = [beside_others, beside_all]
@@ -117,6 +114,28 @@ def candidate_frequencies(
     for best in _best_frequencies(model, grid, theta, scans, scan):
         found += best[: N_STARTS - 1]
     return list(dict.fromkeys(found))
+
+
+def imitators(model: Model) -> set[str]:
+    """Coefficients in F that can stand in for a scanned wave over a short record.
+
+    They are those of what the wave runs along, such as polynomials in the time.
+    """
+    found: set[str] = set()
+    waves: set[str] = set()
+    for scan in frequency_scans(model):
+        found |= _terms_of(scan.variable, model)
+        waves |= set(scan.amplitudes)
+    return found - waves
+
+
+def _terms_of(variable: str, model: Model) -> set[str]:
+    """Coefficients of the terms in F that contain the variable."""
+    found = set()
+    for slot, equation, term in model.placed():
+        if slot == "F" and variable in names_of(term.body):
+            found.add(term.coefficient_name(place_of(slot, equation)))
+    return found
 
 
 def squared_defects(model: Model, grid: Grid, theta: np.ndarray) -> float:
