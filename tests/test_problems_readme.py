@@ -55,19 +55,6 @@ def test_the_draws_of_the_demonstration(readme: str) -> None:
     assert '("nothing missing" in all)' in readme
 
 
-def test_the_solver_beside_gradient_descent(readme: str) -> None:
-    from problems.thesis.compare_page import ratios
-
-    kept = sorted((RESULTS / "thesis").glob("compare_*.csv"))
-    found = ratios(pd.concat([pd.read_csv(path) for path in kept]))
-    n_lower = found["not higher"].sum()
-    excess = (found["loss, best descent"] / found["loss, all terms"] - 1).median()
-    time = 1 / found["times as fast"]
-    assert f"not higher on {n_lower} of {len(found)} data sets" in readme
-    assert f"larger by {percent(excess, 1)} % in the median" in readme
-    assert f"takes {time.min():.1f} to {time.max():.1f} times the time" in readme
-
-
 def test_pruning_by_significance(readme: str) -> None:
     lines = (RESULTS / "thesis" / "significance.md").read_text("utf-8").splitlines()
     table = {}

@@ -83,13 +83,16 @@ def test_every_method_is_scored_beside_the_solver_whose_errors_are_small() -> No
         "PHSI, solver",
         "PHSI, likelihood",
         "PHSI, descent",
+        "PHSI, descent, thesis",
         "BSI, solver",
         "BSI, descent",
+        "BSI, descent, thesis",
         "SINDy, STLSQ",
         "SINDy, SR3",
         "LASSO",
         "SSINN",
         "PHNN",
+        "PHNN, tuned",
     }
     assert set(table.loc["clean"].index) == expected
     assert set(table.loc["noisy"].index) == {*expected, "PHSI, threshold alone"}

@@ -241,7 +241,7 @@ def _selection(noisy: Any) -> str:
     exact = []
     wrong = []
     for method, row in noisy.iterrows():
-        if method == "PHNN" or row["reason"] != "":
+        if str(method).startswith("PHNN") or row["reason"] != "":
             continue
         if row["spurious"] == 0 and row["missed"] == 0:
             exact.append(str(method))
@@ -315,7 +315,7 @@ def _shown(scores: pd.DataFrame) -> pd.DataFrame:
     table = scores.drop(columns=["system", "reason"]).copy()
     for name in COUNTS:
         table[name] = [("-" if np.isnan(v) else str(int(v))) for v in table[name]]
-    is_network = table["method"] == "PHNN"
+    is_network = table["method"].str.startswith("PHNN")
     table.loc[is_network, ["spurious", "missed"]] = "-"
     seconds = table["seconds"]
     table["seconds"] = [("-" if np.isnan(v) else f"{v:.1f}") for v in seconds]

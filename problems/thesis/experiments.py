@@ -81,14 +81,18 @@ def methods_of(system: System, kind: str, quick: bool) -> dict[str, methods.Meth
     found |= {
         DESCENT: methods.descent,
         "BSI, solver": methods.bsi_solver,
+        "PHSI, descent, thesis": partial(methods.descent, settings=methods.THESIS),
         "BSI, descent": methods.bsi_descent,
+        "BSI, descent, thesis": partial(methods.bsi_descent, settings=methods.THESIS),
         "SINDy, STLSQ": methods.stlsq,
         "SINDy, SR3": methods.sr3,
         "LASSO": methods.lasso,
     }
     if system.name == "henon_heiles":
         found["SSINN"] = methods.ssinn
-    found["PHNN"] = partial(methods.phnn, epochs=2) if quick else methods.phnn
+    epochs = 2 if quick else None
+    found["PHNN"] = partial(methods.phnn, epochs=epochs)
+    found["PHNN, tuned"] = partial(methods.phnn, settings=methods.TUNED, epochs=epochs)
     if quick and system.name != "henon_heiles":
         return {label: found[label] for label in QUICK}
     return found

@@ -25,6 +25,19 @@ from problems.thesis.systems import (
 SIGNIFICANCE = 0.01
 LASSO_WEIGHTS = 10.0 ** np.arange(-9, 0)  # per sample
 WRONG_FREQUENCY = 1.0  # what regressions get that cannot learn one
+# Names of the settings of a baseline: appendix B as printed, or tuned on
+# System.data(seed=101), a draw that appears in no table.
+THESIS = "thesis"
+TUNED = "tuned"
+PHNN_SETTINGS: dict[str, dict[str, Any]] = {
+    THESIS: {
+        "learning_rate": 3e-3,
+        "epochs": 150,
+        "penalty": 0.1,
+        "weight_decay": 1e-4,
+    },
+    TUNED: {"learning_rate": 1e-3, "epochs": 150, "penalty": 0.1},
+}
 Method = Callable[[System, ph.Measurements, str, int], Any]
 
 
@@ -86,24 +99,41 @@ def descent(
     kind: str = "noisy",
     seed: int = 0,
     start: str = "thesis",
+    settings: str = TUNED,
+    significance: float | None = None,
 ) -> Any:
-    """PHSI by gradient descent: Algorithm 6 of the thesis with the settings of
-    `System.descent`.
+    """PHSI by gradient descent: Algorithm 6 of the thesis.
+
+    Args:
+        system: what is identified.
+        data: of the system.
+        kind: "clean" or "noisy".
+        seed: of batches and random starts.
+        start: "thesis" or "normal".
+        settings: `TUNED` or `THESIS`.
+        significance: of the pruning; None: the thesis' rule, size alone.
     """
     from phsi_opt.baselines.gradient_descent import gradient_descent
 
-    settings, force = descent_settings(system, kind, start)
+    chosen, force = descent_settings(system, kind, start, settings, significance)
     model = (
         mass_spring_descent_model() if system.name == "mass_spring" else system.model()
     )
-    return gradient_descent(model, data, settings, seed, force=force)
+    return gradient_descent(model, data, chosen, seed, force=force)
 
 
 def descent_settings(
-    system: System, kind: str, start: str = "thesis"
+    system: System,
+    kind: str,
+    start: str = "thesis",
+    settings: str = TUNED,
+    significance: float | None = None,
 ) -> tuple[Any, Any]:
     """Settings of `gradient_descent` and of the joint force."""
-    return (system.descent if kind == "clean" else system.descent_noisy).settings(start)
+    chosen = system.descent if kind == "clean" else system.descent_noisy
+    if settings == THESIS:
+        chosen = system.descent_thesis
+    return chosen.settings(start, significance)
 
 
 def bsi_solver(
@@ -116,14 +146,20 @@ def bsi_solver(
 
 
 def bsi_descent(
-    system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
+    system: System,
+    data: ph.Measurements,
+    kind: str = "noisy",
+    seed: int = 0,
+    settings: str = TUNED,
 ) -> Any:
-    """The dictionary of right-hand sides (BSI) by gradient descent."""
+    """The dictionary of right-hand sides (BSI) by gradient descent.
+
+    Without L1: appendix B has it for PHSI alone, and BSI has no H to weigh.
+    """
     from phsi_opt.baselines.gradient_descent import gradient_descent
 
-    return gradient_descent(
-        system.first_order(), data, descent_settings(system, kind)[0], seed
-    )
+    chosen = descent_settings(system, kind, settings=settings)[0]
+    return gradient_descent(system.first_order(), data, replace(chosen, l1={}), seed)
 
 
 def stlsq(
@@ -191,9 +227,16 @@ def phnn(
     data: ph.Measurements,
     kind: str = "noisy",
     seed: int = 0,
-    epochs: int = 60,
+    settings: str = THESIS,
+    epochs: int | None = None,
 ) -> Any:
-    """Pseudo-Hamiltonian neural network: H (and F) are networks."""
+    """Pseudo-Hamiltonian neural network: H (and F) are networks.
+
+    The thesis trains it on the mass-spring alone (appendix B.3); the others get the
+    same settings. Its loss is a mean over the states, the one here a sum: penalty and
+    weight decay are multiplied by their number. ``epochs``: fewer of them, for a quick
+    run.
+    """
     from phsi_opt.baselines.phnn import NetworkDescent
     from phsi_opt.baselines.phnn import phnn as by_phnn
 
@@ -206,7 +249,16 @@ def phnn(
     force = {"mass_spring": (["p"], ["t"]), "tanks": (["mu4"], ["mu4"])}.get(
         system.name
     )
-    return by_phnn(data, S, NetworkDescent(epochs=epochs), damping, force, seed)
+    chosen = NetworkDescent(**PHNN_SETTINGS[settings])
+    n_states = len(system.states)
+    chosen = replace(
+        chosen,
+        penalty=chosen.penalty * n_states,
+        weight_decay=chosen.weight_decay * n_states,
+    )
+    if epochs is not None:
+        chosen = replace(chosen, epochs=epochs)
+    return by_phnn(data, S, chosen, damping, force, seed)
 
 
 def _frequencies(system: System) -> dict[str, float] | None:
