@@ -1,5 +1,8 @@
 """P-values, and what residuals that are correlated in time can tell.
 
+Tails and limits of distributions come from `scipy.special`: they are the numbers of
+`scipy.stats`, whose import takes longer than all else that the package waits for.
+
 Residuals of a model that is not perfect vary slowly: neighbours say nearly the same.
 Tests and criteria that count samples have to count independent values instead. The two
 measures of that number stand here because several rooms need them; they know arrays
@@ -10,8 +13,7 @@ guards divisions everywhere.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import fftconvolve
-from scipy.stats import chi2, false_discovery_control
+from scipy import fft, special
 
 # Keeps quotients and logarithms of what may be zero finite; far below every number that
 # a measurement or a model can mean, far above the least that float64 can hold.
@@ -73,9 +75,21 @@ def _summed_autocovariances(series: Sequence[np.ndarray]) -> np.ndarray:
     covariances = np.zeros(n_lags + 2)
     for values in series:
         n_samples = len(values)
-        both_sides = fftconvolve(values, values[::-1])
+        both_sides = self_convolved(values)
         covariances[:n_samples] += both_sides[n_samples - 1 :]
     return covariances
+
+
+def self_convolved(values: np.ndarray) -> np.ndarray:
+    """Sums of products of a series (n,) with itself shifted, (2 n - 1,)."""
+    n_shifts = max(2 * len(values) - 1, 0)
+    if not n_shifts:
+        return np.zeros(0)
+    n_fft = fft.next_fast_len(n_shifts, real=True)
+    spectrum = fft.rfft(values, n_fft)
+    reversed_spectrum = fft.rfft(values[::-1], n_fft)
+    products = fft.irfft(spectrum * reversed_spectrum, n_fft)
+    return np.asarray(products[:n_shifts])
 
 
 def effective_sample_share(
@@ -110,6 +124,48 @@ def effective_sample_share(
     return float(min(independent / actual, 1.0))
 
 
+def chi_square_tail(value: float, freedom: float) -> float:
+    """Probability that a chi-square variable of this freedom exceeds the value."""
+    return float(special.chdtrc(freedom, max(value, 0.0)))
+
+
+def chi_square_limit(level: float, freedom: float) -> float:
+    """What a chi-square variable exceeds with the probability ``level``."""
+    return float(special.chdtri(freedom, level))
+
+
+def normal_tail(value: float) -> float:
+    """Probability that a standard normal variable exceeds the value."""
+    return float(special.ndtr(-value))
+
+
+def normal_limit(level: float) -> float:
+    """What a standard normal variable exceeds with the probability ``level``."""
+    return float(-special.ndtri(level))
+
+
+def normal_density(value: float) -> float:
+    """Density of the standard normal distribution."""
+    return float(np.exp(-(value**2) / 2) / np.sqrt(2 * np.pi))
+
+
+def student_limit(level: float, freedom: np.ndarray) -> np.ndarray:
+    """What Student's t exceeds with the probability ``level``, (n,) as the freedom."""
+    return np.asarray(-special.stdtrit(freedom, level))
+
+
+def f_limit(level: float, first: float, second: float) -> float:
+    """What F of these degrees of freedom exceeds with the probability ``level``."""
+    return float(special.fdtri(first, second, 1 - level))
+
+
+def mean_ranks(values: np.ndarray) -> np.ndarray:
+    """Ranks (n,) from 1; equal values share the mean of theirs."""
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts)
+    return np.asarray(last - (counts - 1) / 2)[place]
+
+
 def ljung_box(series: Sequence[np.ndarray]) -> float:
     """p-value of the hypothesis that residuals are white, by Ljung and Box's test.
 
@@ -136,7 +192,7 @@ def ljung_box(series: Sequence[np.ndarray]) -> float:
         for lag in range(1, lags + 1):
             correlation = np.sum(residual[lag:] * residual[:-lag]) / power
             statistic += n * (n + 2) * correlation**2 / (n - lag)
-    return float(chi2.sf(statistic, n_lags)) if n_lags else np.nan
+    return chi_square_tail(statistic, n_lags) if n_lags else np.nan
 
 
 def likelihood_ratio_p_value(fall: float, n_parameters: int) -> float:
@@ -149,7 +205,7 @@ def likelihood_ratio_p_value(fall: float, n_parameters: int) -> float:
         fall: of -2 log likelihood by the parameters; a negative one counts as none.
         n_parameters: their number.
     """
-    return float(chi2.sf(max(fall, 0.0), n_parameters))
+    return chi_square_tail(max(fall, 0.0), n_parameters)
 
 
 def false_discovery_adjusted(p_values: Sequence[float]) -> np.ndarray:
@@ -157,8 +213,14 @@ def false_discovery_adjusted(p_values: Sequence[float]) -> np.ndarray:
 
     Benjamini and Hochberg, J. R. Stat. Soc. B 57, 1995. NaN counts as one.
     """
-    known = np.nan_to_num(np.array(p_values), nan=1.0)
-    return np.asarray(false_discovery_control(np.clip(known, 0.0, 1.0)))
+    known = np.nan_to_num(np.array(p_values, dtype=float), nan=1.0)
+    order = np.argsort(known)
+    n = len(known)
+    grown = np.clip(known[order], 0.0, 1.0) * (n / np.arange(1, n + 1))
+    least_from_here = np.minimum.accumulate(grown[::-1])[::-1]
+    adjusted = np.empty(n)
+    adjusted[order] = np.clip(least_from_here, 0.0, 1.0)
+    return adjusted
 
 
 def profiled_deviance(squares: np.ndarray, n_values: np.ndarray) -> float:

@@ -6,8 +6,9 @@ import pytest
 import sympy as sp
 
 from phsi_opt.errors import ModelError
-from phsi_opt.model.backends import FUNCTIONS, NUMPY, SYMPY
+from phsi_opt.model.backends import FUNCTIONS, NUMPY
 from phsi_opt.model.expressions import evaluate, names_of, parse, renamed
+from phsi_opt.model.sympy_backend import SYMPY
 
 FORMULAS = [
     *(f"{name}(0.3 + q**2)" for name in FUNCTIONS if name not in ("min", "max")),

@@ -22,6 +22,13 @@ def test_importing_the_package_alone_does_not_wait_for_libraries() -> None:
     assert imported_by("import phsi_opt") & slow == set()
 
 
+def test_identify_and_study_do_not_wait_for_what_they_may_not_need() -> None:
+    slow = {"cvxpy", "jinja2", "matplotlib", "openpyxl", "pandas", "plotly", "rich"}
+    slow |= {"scipy.interpolate", "scipy.signal", "scipy.stats", "sympy", "typer"}
+    imported = imported_by("from phsi_opt import Study, identify")
+    assert imported & slow == set()
+
+
 def imported_by(statement: str) -> set[str]:
     """The modules that a statement imports, with all below it."""
     code = f"import sys\n{statement}\nprint(*sys.modules)"

@@ -12,9 +12,9 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
+from phsi_opt.presentation.printed_table import PrintedTable
 from phsi_opt.presentation.tables import (
     MOST_ROWS,
-    PrintedTable,
     html_of_table,
     text_of_table,
 )

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scipy import signal, stats
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from phsi_opt import statistics
 from phsi_opt.statistics import (
     autocorrelation_time,
     effective_sample_share,
@@ -110,3 +112,41 @@ def test_residuals_that_keep_a_share_of_their_neighbours_are_not_white() -> None
 def test_adjusted_p_values_keep_their_order_and_count_all() -> None:
     adjusted = false_discovery_adjusted([0.01, np.nan, 0.04, 0.02])
     np.testing.assert_allclose(adjusted, [0.04, 1.0, 0.16 / 3, 0.04])
+
+
+def test_tails_and_limits_are_those_of_scipy() -> None:
+    # The same routines stand behind both, so that all bits are equal.
+    for value in (0.0, 0.3, 4.2, 60.0):
+        assert statistics.normal_tail(value) == stats.norm.sf(value)
+        assert statistics.normal_density(value) == stats.norm.pdf(value)
+        for freedom in (1, 7, 300):
+            expected = stats.chi2.sf(value, freedom)
+            assert statistics.chi_square_tail(value, freedom) == expected
+    freedom_of_each = np.array([1.0, 2.5, 1e6, np.inf])
+    for level in (0.4, 0.025, 1e-6):
+        assert statistics.normal_limit(level) == stats.norm.isf(level)
+        assert statistics.chi_square_limit(level, 3) == stats.chi2.isf(level, 3)
+        assert statistics.f_limit(level, 1, 12.5) == stats.f.isf(level, 1, 12.5)
+        np.testing.assert_array_equal(
+            statistics.student_limit(level, freedom_of_each),
+            stats.t.isf(level, freedom_of_each),
+        )
+
+
+def test_ranks_and_false_discoveries_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(5)
+    values = np.round(rng.normal(size=200), 1)  # with ties
+    np.testing.assert_array_equal(statistics.mean_ranks(values), stats.rankdata(values))
+    p_values = np.round(rng.random(40) ** 3, 3)
+    np.testing.assert_array_equal(
+        statistics.false_discovery_adjusted(p_values),
+        stats.false_discovery_control(p_values),
+    )
+
+
+def test_productsself_convolved_are_the_convolution_of_scipy() -> None:
+    values = np.random.default_rng(6).normal(size=157)
+    np.testing.assert_array_equal(
+        statistics.self_convolved(values), signal.fftconvolve(values, values[::-1])
+    )
+    assert len(statistics.self_convolved(np.zeros(0))) == 0

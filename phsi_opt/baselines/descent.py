@@ -16,7 +16,7 @@ from torch import Tensor
 
 from phsi_opt.baselines.torch_defects import Table
 from phsi_opt.errors import SolveError
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 
 Progress = Callable[[str], None]
 # Defaults of Adam (Kingma and Ba 2015): decay of the means of the gradient and of its
@@ -207,7 +207,7 @@ def descend(
             progress(
                 f"epoch {epoch} of {settings.epochs}: loss {mean:.4g}, {n_terms} terms"
             )
-    return PrintedTable(history, columns=["epoch", "loss", "n_terms"])
+    return printed_table(history, columns=["epoch", "loss", "n_terms"])
 
 
 def _is_reported(epoch: int, n_epochs: int) -> bool:

@@ -21,7 +21,7 @@ from phsi_opt.baselines.network_simulation import (
     state_rows,
 )
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,7 +68,7 @@ class PHNN:
         for name, value in self.damping.items():
             bounds = (-np.inf, np.inf)
             rows.append((f"R_{name}", "R", name, value, np.nan, *bounds, "", False))
-        return PrintedTable(rows, columns=PARAMETER_COLUMNS)
+        return printed_table(rows, columns=PARAMETER_COLUMNS)
 
     def energy(self, x: Any) -> np.ndarray:
         """H(x) - H(0), (n,), at states x (n, n_states).

@@ -11,7 +11,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.comparison.energy_balance import energy_balance
 from phsi_opt.comparison.flat_run import flat_sentence, is_flat
@@ -32,13 +31,14 @@ from phsi_opt.presentation.summary import (
     Summary,
     text_of_summary,
 )
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.statistics import TINY, ljung_box, profiled_deviance
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
     from phsi_opt.presentation.pictures import Channel
@@ -111,7 +111,7 @@ class Comparison(Summarised):
         return prediction_bands(self.record, self.simulated, self.values)
 
     @cached_property
-    def table(self) -> pd.DataFrame:
+    def table(self) -> "pd.DataFrame":
         """A row per measured state.
 
         Columns: state; unit; fit_percent (100 for a perfect free run, 0 for one as good
@@ -123,7 +123,7 @@ class Comparison(Summarised):
         for number, name in enumerate(self.model.states):
             if name in self.data.measured:
                 rows.append(self._row(number, name))
-        return PrintedTable(rows, columns=list(TABLE_COLUMNS))
+        return printed_table(rows, columns=list(TABLE_COLUMNS))
 
     def _row(self, number: int, name: str) -> tuple[object, ...]:
         residual = np.concatenate([run[:, number] for run in self.residuals])
@@ -251,7 +251,7 @@ class Comparison(Summarised):
         return float(np.sqrt(np.sum(squares) / n_values.sum()))
 
     @cached_property
-    def energy(self) -> pd.DataFrame:
+    def energy(self) -> "pd.DataFrame":
         """The free run's balance of energy, change of H = supplied - dissipated.
 
         A row per trajectory: trajectory, change, supplied, dissipated, by the
@@ -265,7 +265,7 @@ class Comparison(Summarised):
                 (run.name, balance.change, balance.supplied, balance.dissipated)
             )
         columns = ["trajectory", "change", "supplied", "dissipated"]
-        return PrintedTable(rows, columns=columns)
+        return printed_table(rows, columns=columns)
 
     def plot(self, ax: "Axes | None" = None, trajectory: str | int = 0) -> "Axes":
         """Draw measurements and free run of one trajectory, residuals below them.

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import f as f_distribution
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, did_you_mean
@@ -22,6 +21,7 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.smoothing import likelihood_of, steps_on
 from phsi_opt.model.model import Model
+from phsi_opt.statistics import f_limit
 from phsi_opt.transcription.alignment import AlignedData
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ def profile(
     line = _Line(fit, AlignedData.of(fit.model, data), name, progress or _silent)
     value = line.value
     freedom = fit.degrees_of_freedom[fit.names.index(name)]
-    quantile = float(f_distribution.isf(1 - level, 1, freedom))
+    quantile = f_limit(1 - level, 1, freedom)
     half = fit.std_errors[name] * np.sqrt(quantile)
     threshold = quantile * line.factor / fit.independent_share([name])
     parameter = fit.model.entries[name].parameter

@@ -1,12 +1,16 @@
 """The channels of measurements as a table: how many samples, their range, noise."""
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
+
+if TYPE_CHECKING:
+    from phsi_opt.presentation.printed_table import PrintedTable
+
 
 COLUMNS_OF_CHANNELS = (
     "channel",
@@ -43,7 +47,7 @@ class HasChannels(Protocol):
         """Standard deviations by state."""
 
 
-def channel_table(data: HasChannels) -> PrintedTable:
+def channel_table(data: HasChannels) -> "PrintedTable":
     """A row per channel, in `COLUMNS_OF_CHANNELS`; NaN for what is not known."""
     x = np.concatenate([run.x for run in data.trajectories])
     u = np.concatenate([run.u for run in data.trajectories])
@@ -51,7 +55,7 @@ def channel_table(data: HasChannels) -> PrintedTable:
         *_rows("state", data.states, x, data),
         *_rows("input", data.inputs, u, data),
     ]
-    return PrintedTable(rows, columns=list(COLUMNS_OF_CHANNELS))
+    return printed_table(rows, columns=list(COLUMNS_OF_CHANNELS))
 
 
 def _rows(

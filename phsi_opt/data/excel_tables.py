@@ -6,8 +6,6 @@ import zipfile
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import pandas as pd
-
 from phsi_opt.data.file_opening import BinaryFile
 from phsi_opt.data.tables import Table, labels_of, names_by_position
 from phsi_opt.data.text_cells import TextFormat, decimal_of, is_header
@@ -34,6 +32,8 @@ def table_of_excel(
     Raises:
         DataError: This is no workbook, there is no such sheet, or it is empty.
     """
+    import pandas as pd
+
     sheets = _sheets(file)
     name = _chosen(sheets, sheet, file.title)
     title = f"{file.title}, sheet {name!r}"

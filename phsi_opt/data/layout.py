@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.data.tables import Table, numbers_in
@@ -192,6 +191,8 @@ def _check_columns(table: Table, layout: Layout) -> None:
 
 def _rows_by_name(table: Table, layout: Layout) -> dict[str, np.ndarray]:
     """Row numbers of each trajectory, in the order in which the trajectories begin."""
+    import pandas as pd
+
     column = layout.trajectory
     if column is None:
         return {table.run: np.arange(len(table.frame))}

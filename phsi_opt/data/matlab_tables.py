@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.data.file_opening import BinaryFile
 from phsi_opt.data.tables import Table
@@ -35,6 +34,8 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
         DataError: This is no such file, a column is not there or could be several, or
             the columns differ in length.
     """
+    import pandas as pd
+
     content = _Content.of(_loaded(file), file.title)
     columns = {}
     for name in wanted:
@@ -78,6 +79,8 @@ def table_of_vectors(file: BinaryFile) -> Table:
         DataError: This is no such file, or no vector in it has two numbers; with the
             names and sizes of what it holds.
     """
+    import pandas as pd
+
     content = _Content.of(_loaded(file), file.title)
     vectors = content.vectors()
     n_rows = _commonest_length(vectors)

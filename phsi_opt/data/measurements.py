@@ -12,10 +12,9 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.data.arrays import trajectories_in_arrays
 from phsi_opt.data.channel_table import channel_table
@@ -50,6 +49,9 @@ from phsi_opt.data.trajectory import (
 from phsi_opt.data.wording import extent_of, in_brackets, number_of, numbered_names
 from phsi_opt.errors import DataError
 from phsi_opt.presentation.summary import Part, Summarised, Summary
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -374,13 +376,15 @@ class Measurements(TableReaders, Summarised):
         """
         return replace(self, noise=noise)
 
-    def to_dataframe(self) -> pd.DataFrame:
+    def to_dataframe(self) -> "pd.DataFrame":
         """All samples as a table.
 
         Returns:
             One row per sample, with the columns trajectory, t, the states and the
             inputs.
         """
+        import pandas as pd
+
         names: list[str] = []
         rows = []
         for run in self.trajectories:
@@ -412,7 +416,7 @@ class Measurements(TableReaders, Summarised):
             lines.append(f"  input {self._channel_line(name, samples)}")
         return "\n".join(lines)
 
-    def _channel_line(self, name: str, samples: pd.DataFrame) -> str:
+    def _channel_line(self, name: str, samples: "pd.DataFrame") -> str:
         unit = in_brackets(self.units[name])
         extent = extent_of(samples[name].to_numpy())
         line = f"{name}{unit}: {extent}"

@@ -6,11 +6,11 @@ by more than that have noises of their own.
 """
 
 import numpy as np
-from scipy.stats import chi2
 
 from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise, initial_noise
+from phsi_opt.statistics import chi_square_tail
 
 # Standard deviation of the logarithm of a scatter, times the root of the number of
 # samples: that of a median of absolute values of normal residuals is 1.17, and these
@@ -50,4 +50,4 @@ def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
     weights = 1 / variances
     mean = np.sum(weights * values) / np.sum(weights)
     statistic = np.sum(weights * (values - mean) ** 2)
-    return bool(chi2.sf(statistic, len(values) - 1) < DIFFERENT_RUNS_LEVEL)
+    return chi_square_tail(statistic, len(values) - 1) < DIFFERENT_RUNS_LEVEL

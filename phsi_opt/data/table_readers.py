@@ -6,9 +6,7 @@ file is its header, or an integer, its position counted from 0.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Self
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, Self
 
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import (
@@ -27,6 +25,9 @@ from phsi_opt.data.layout import (
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
 from phsi_opt.data.text_cells import TextFormat
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class TableReaders:
@@ -182,7 +183,7 @@ class TableReaders:
     @classmethod
     def from_dataframe(
         cls,
-        frame: pd.DataFrame,
+        frame: "pd.DataFrame",
         *,
         time: Any = None,
         states: ColumnMap,

@@ -9,10 +9,9 @@ plays which part is not known here: see `layout`.
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.data.checks import check_values
 from phsi_opt.data.file_opening import TextFile
@@ -32,6 +31,9 @@ from phsi_opt.data.text_cells import (
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 @dataclass(frozen=True, eq=False)
 class Table:
@@ -48,7 +50,7 @@ class Table:
 
     title: str
     row_word: str
-    frame: pd.DataFrame
+    frame: "pd.DataFrame"
     run: str
     decimal: str | None = "."
     remark: str = ""
@@ -69,6 +71,8 @@ def table_of_frame(frame: Any) -> Table:
     Raises:
         DataError: This is no data frame.
     """
+    import pandas as pd
+
     if not isinstance(frame, pd.DataFrame):
         raise DataError(
             f"frame is a {type(frame).__name__}; "
@@ -91,6 +95,8 @@ def table_of_csv(
     Raises:
         DataError: The table is empty, or a line has too few or too many cells.
     """
+    import pandas as pd
+
     told = text_format or TextFormat()
     columns = list(wanted)
     names = {column for column in columns if isinstance(column, str)}
@@ -232,8 +238,10 @@ def numbers_in(table: Table, column: Any, may_be_missing: bool) -> np.ndarray:
     return values
 
 
-def holds_real_numbers(cells: pd.Series) -> bool:
+def holds_real_numbers(cells: "pd.Series") -> bool:
     """Whether a column has a type of real numbers, so that no cell need be read."""
+    import pandas as pd
+
     is_complex = pd.api.types.is_complex_dtype(cells)
     return pd.api.types.is_numeric_dtype(cells) and not is_complex
 

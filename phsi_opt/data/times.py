@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.data.tables import Table, holds_real_numbers, numbers_in
 from phsi_opt.data.text_cells import DECIMAL_COMMA, MISSING_CELLS, NUMBER
@@ -131,6 +130,8 @@ def _is_number(cell: str) -> bool:
 
 
 def _is_missing(cell: Any) -> bool:
+    import pandas as pd
+
     if isinstance(cell, str):
         return cell.strip().lower() in MISSING_CELLS
     return cell is None or bool(pd.isna(cell))

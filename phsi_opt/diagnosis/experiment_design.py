@@ -12,9 +12,9 @@ Each experiment changes one thing; inputs are not optimised.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.criteria import SAME_PREDICTION, SEPARATED_MODELS
 from phsi_opt.data.measurements import Measurements
@@ -25,8 +25,12 @@ from phsi_opt.diagnosis.imitation import Imitation
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.model import Model
-from phsi_opt.presentation.tables import PrintedTable, text_of_table
+from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.presentation.tables import text_of_table
 from phsi_opt.statistics import TINY
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_SAMPLES = 1000  # of the record that are looked at
 COLUMNS = ("experiment", "separation", "separates")
@@ -45,7 +49,7 @@ class Separation:
         alike: whether the two predict the same in every experiment.
     """
 
-    table: pd.DataFrame = field(repr=False)
+    table: "pd.DataFrame" = field(repr=False)
     in_record: float
     alike: bool
 
@@ -170,7 +174,7 @@ def _separation(
             size = np.sqrt(misfit / experiment.n_values)
             separates = bool(misfit >= SEPARATED_MODELS**2)
             rows.append((experiment.name, size, separates))
-    table = PrintedTable(rows, columns=list(COLUMNS)).sort_values(
+    table = printed_table(rows, columns=list(COLUMNS)).sort_values(
         "separation", ascending=False, kind="stable", ignore_index=True
     )
     n_values = simulated.experiment.n_values

@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
@@ -26,9 +24,10 @@ from phsi_opt.presentation.summary import (
     Summary,
     text_of_summary,
 )
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -110,7 +109,7 @@ class Diagnosis(Summarised):
         return [one.effect for one in singles]
 
     @property
-    def candidates(self) -> pd.DataFrame:
+    def candidates(self) -> "pd.DataFrame":
         """The candidates, best first.
 
         A row per effect, and per pair of effects that was looked at. Columns: effect,
@@ -141,10 +140,10 @@ class Diagnosis(Summarised):
                     candidate.unit,
                 )
             )
-        return PrintedTable(rows, columns=list(CANDIDATE_COLUMNS))
+        return printed_table(rows, columns=list(CANDIDATE_COLUMNS))
 
     @cached_property
-    def missing_force(self) -> pd.DataFrame:
+    def missing_force(self) -> "pd.DataFrame":
         """The missing force along every trajectory.
 
         Columns: trajectory (its name), t (middle of the interval), then per equation
@@ -155,7 +154,7 @@ class Diagnosis(Summarised):
         grid = estimate.grid
         names = self.record.trajectories
         numbers = grid.trajectory[grid.begin]
-        frame = PrintedTable(
+        frame = printed_table(
             {
                 "trajectory": [names[number] for number in numbers],
                 "t": grid.t[grid.begin] + grid.h / 2,
@@ -174,17 +173,17 @@ class Diagnosis(Summarised):
         return ForceAnalysis.of(self.record)
 
     @property
-    def where(self) -> pd.DataFrame:
+    def where(self) -> "pd.DataFrame":
         """Where the missing force is strong, strongest first (see `located`)."""
         return self.analysis.where
 
     @property
-    def follows(self) -> pd.DataFrame:
+    def follows(self) -> "pd.DataFrame":
         """What the missing force depends on, best first (see `depends_on`)."""
         return self.analysis.follows
 
     @property
-    def power(self) -> pd.DataFrame:
+    def power(self) -> "pd.DataFrame":
         """Whether the missing force takes energy out, stores or supplies it.
 
         A row per equation (see `energy.power`).

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit_content import FORMAT, fit_content, fit_parts
 from phsi_opt.estimation.fit_record import FitRecord
@@ -19,6 +17,7 @@ from phsi_opt.estimation.json_file import read_json
 from phsi_opt.presentation.summary import Summarised, Summary
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 PLOTTED_LEVEL = 0.95  # of confidence: the convention of most tables and pictures
@@ -136,7 +135,7 @@ class Fit(FitRecord, Summarised):
 
         return states_picture(self, data, trajectory, ax, state)
 
-    def _estimates_table(self, level: float) -> pd.DataFrame:
+    def _estimates_table(self, level: float) -> "pd.DataFrame":
         """What a picture shows: a row per estimate with limits, unit, ``at_bound``."""
         parameters = self.parameters.set_index("name")
         table = self.intervals(level)

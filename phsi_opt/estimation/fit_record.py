@@ -8,11 +8,9 @@ them together.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-from scipy.stats import t as student_t
 
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
@@ -27,9 +25,12 @@ from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.slots import Entry
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.simulation.simulate import simulate
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, student_limit
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -130,11 +131,11 @@ class FitRecord(Identified):
         return parameter_units(self.model, self.units)
 
     @property
-    def correlations(self) -> pd.DataFrame:
+    def correlations(self) -> "pd.DataFrame":
         """Correlations of the estimates, (n_names, n_names), by name both ways."""
         std_errors = np.sqrt(np.diag(self.covariance))
         correlations = self.covariance / np.outer(std_errors, std_errors)
-        return PrintedTable(correlations, index=self.names, columns=self.names)
+        return printed_table(correlations, index=self.names, columns=self.names)
 
     @property
     def degrees_of_freedom(self) -> np.ndarray:
@@ -144,7 +145,7 @@ class FitRecord(Identified):
         return np.full(len(self.names), max(self.n_values - len(self.names), 1))
 
     @property
-    def standard_errors(self) -> pd.DataFrame:
+    def standard_errors(self) -> "pd.DataFrame":
         """Standard errors of the estimates by where they come from.
 
         A row per estimate with its name as index. Columns: ``std_error``, the one that
@@ -152,7 +153,7 @@ class FitRecord(Identified):
         that was worked out (`Source`), such as "white noise", what the likelihood says
         if residuals are independent.
         """
-        table = PrintedTable(index=list(self.names))
+        table = printed_table(index=list(self.names))
         table["std_error"] = np.sqrt(np.diag(self.covariance))
         table["freedom"] = self.degrees_of_freedom
         for source, covariance in self.covariances.items():
@@ -191,7 +192,7 @@ class FitRecord(Identified):
         return float(min(1 / max(ratio, TINY), 1.0))
 
     @property
-    def model_error(self) -> pd.DataFrame:
+    def model_error(self) -> "pd.DataFrame":
         """What acts beside the model, as the record shows it.
 
         Columns: where (equation or sensor), kind (force, function of a state, sensor
@@ -200,10 +201,10 @@ class FitRecord(Identified):
         where nothing but white noise shows.
         """
         rows = [vars(row) for row in self.model_error_rows]
-        return PrintedTable(rows, columns=list(MODEL_ERROR_COLUMNS))
+        return printed_table(rows, columns=list(MODEL_ERROR_COLUMNS))
 
     @property
-    def model_error_priors(self) -> pd.DataFrame:
+    def model_error_priors(self) -> "pd.DataFrame":
         """Priors of the model error that were compared, for ``model_error=True``.
 
         Columns: prior, log_evidence (up to a common constant), prediction (root mean
@@ -212,9 +213,9 @@ class FitRecord(Identified):
         (p-value of the hypothesis that all parts have the same parameters), chosen.
         """
         rows = [vars(row) for row in self.prior_rows]
-        return PrintedTable(rows, columns=list(PRIOR_COLUMNS))
+        return printed_table(rows, columns=list(PRIOR_COLUMNS))
 
-    def intervals(self, level: float = 0.95) -> pd.DataFrame:
+    def intervals(self, level: float = 0.95) -> "pd.DataFrame":
         """Confidence intervals of the estimates, from their standard errors.
 
         The limits are::
@@ -241,14 +242,14 @@ class FitRecord(Identified):
         """
         if not 0 < level < 1:
             raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
-        quantiles = student_t.isf((1 - level) / 2, self.degrees_of_freedom)
+        quantiles = student_limit((1 - level) / 2, self.degrees_of_freedom)
         rows = []
         pairs = zip(self.estimates.items(), quantiles, strict=True)
         for (name, value), quantile in pairs:
             half_width = quantile * self.std_errors[name]
             rows.append((value, value - half_width, value + half_width))
         columns = ["value", "ci_lower", "ci_upper"]
-        return PrintedTable(rows, index=list(self.estimates), columns=columns)
+        return printed_table(rows, index=list(self.estimates), columns=columns)
 
     def model_of(self, trajectory: str | int) -> Model:
         """The model with the parameters of one trajectory.
@@ -282,7 +283,7 @@ class FitRecord(Identified):
         return names[trajectory]
 
     @property
-    def parameters(self) -> pd.DataFrame:
+    def parameters(self) -> "pd.DataFrame":
         """Table of the parameters, a row per value, fixed parameters included.
 
         Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
@@ -295,7 +296,7 @@ class FitRecord(Identified):
         for entry in self.model.entries.values():
             for name, value in self._values_of(entry).items():
                 rows.append(self._row(name, entry, value))
-        return PrintedTable(rows, columns=PARAMETER_COLUMNS)
+        return printed_table(rows, columns=PARAMETER_COLUMNS)
 
     def _values_of(self, entry: Entry) -> dict[str, float]:
         """Values of one parameter of the model: one, or one per trajectory."""

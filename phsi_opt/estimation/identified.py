@@ -6,18 +6,19 @@ values; what only one method knows (covariance, history) is added by its own res
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-import pandas as pd
-import sympy as sp
 
-from phsi_opt.model.backends import SYMPY
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.simulation.simulate import simulate
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import sympy as sp
 
 PARAMETER_COLUMNS = [
     "name",
@@ -66,7 +67,7 @@ class Identified:
         return {name: one.parameter.unit for name, one in self.model.entries.items()}
 
     @property
-    def parameters(self) -> pd.DataFrame:
+    def parameters(self) -> "pd.DataFrame":
         """Table of the parameters, a row each, fixed ones included.
 
         Columns: ``name``, ``slot`` (H, R, F or sensor), ``equation`` (empty for H),
@@ -77,7 +78,7 @@ class Identified:
         rows = []
         for name, entry in self.model.entries.items():
             rows.append(self._row(name, entry, values[name]))
-        return PrintedTable(rows, columns=PARAMETER_COLUMNS)
+        return printed_table(rows, columns=PARAMETER_COLUMNS)
 
     def _row(self, name: str, entry: Entry, value: float) -> dict[str, Any]:
         parameter = entry.parameter
@@ -113,13 +114,17 @@ class Identified:
         """
         return simulate(self.model, t, x0, u, hold=self.hold)
 
-    def sympy(self) -> dict[str, sp.Expr]:
+    def sympy(self) -> "dict[str, sp.Expr]":
         """The fitted model as SymPy expressions.
 
         Returns:
             ``H``, and for every state ``R_<state>``, ``F_<state>`` and the right-hand
             side ``d<state>/dt``, in the names of states, inputs and ``t``.
         """
+        import sympy as sp
+
+        from phsi_opt.model.sympy_backend import SYMPY
+
         model = self.model
         # Real while it differentiates, or |q| has no simple derivative; plain names in
         # the result.
@@ -159,10 +164,14 @@ class Identified:
 
         Numbers have 6 digits; no term is left out, however small.
         """
+        import sympy as sp
+
         return [f"d{s}/dt = {sp.sstr(e)}" for s, e in self._rounded().items()]
 
     def latex(self) -> str:
         """The right-hand sides as an aligned LaTeX block, numbers with 6 digits."""
+        import sympy as sp
+
         rows = []
         for state, expression in self._rounded().items():
             symbol = sp.latex(sp.Symbol(state))
@@ -170,14 +179,16 @@ class Identified:
         body = " \\\\\n".join(rows)
         return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
 
-    def _rounded(self) -> dict[str, sp.Expr]:
+    def _rounded(self) -> "dict[str, sp.Expr]":
         """The right-hand side of every state, numbers with `DIGITS` digits."""
         exact = self.sympy()
         return {s: exact[f"d{s}/dt"].n(DIGITS) for s in self.model.states}
 
 
-def _exchange(row: Sequence[float], efforts: Sequence[sp.Expr]) -> sp.Expr:
+def _exchange(row: Sequence[float], efforts: "Sequence[sp.Expr]") -> "sp.Expr":
     """What a row of the structure matrix S makes of the efforts dH/dx."""
+    import sympy as sp
+
     total = sp.Integer(0)
     for entry, effort in zip(row, efforts, strict=True):
         if entry:

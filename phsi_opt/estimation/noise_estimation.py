@@ -8,9 +8,9 @@ from the data alone, is that of `phsi_opt.data.noise`.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from phsi_opt.data.noise import least_noise
+from phsi_opt.statistics import normal_density, normal_tail
 from phsi_opt.transcription.grid import Grid
 
 # Change of the logarithm of the noise at which its estimate stays: a tenth of its
@@ -110,6 +110,6 @@ def _freedom(grid: Grid, n_theta: int) -> float:
 
 def _normal_mean_square(limit: float) -> float:
     """E[min(|e|, limit)^2] for standard normal e."""
-    outside = 2 * norm.sf(limit)
-    within = (1 - outside) - 2 * limit * norm.pdf(limit)
+    outside = 2 * normal_tail(limit)
+    within = (1 - outside) - 2 * limit * normal_density(limit)
     return float(within + limit**2 * outside)

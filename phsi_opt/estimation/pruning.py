@@ -7,10 +7,10 @@ and solves again.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import Model
+from phsi_opt.statistics import chi_square_limit, normal_limit
 
 TERM_SLOTS = ("H", "R", "F")
 
@@ -105,12 +105,12 @@ class Pruning:
         if self.significance is None:
             return set()
         z = self._z_values(model, values, covariance)
-        limit = norm.isf(self.significance / max(n_tests, 1) / 2)
+        limit = normal_limit(self.significance / max(n_tests, 1) / 2)
         weak = [name for name in z if z[name] < limit]
         weak.sort(key=lambda name: z[name])
         while len(weak) > 1:
             together = _wald(weak, model, values, covariance)
-            if together < chi2.isf(self.significance, len(weak)):
+            if together < chi_square_limit(self.significance, len(weak)):
                 break
             weak.pop()
         return set(weak)

@@ -5,8 +5,7 @@ One record that is made once and handed to tables, sentences and pictures.
 
 from dataclasses import dataclass
 from functools import cached_property
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.dependence import depends_on
@@ -14,6 +13,9 @@ from phsi_opt.force_analysis.energy import EnergyExchange, energy_exchange
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.localization import located
 from phsi_opt.force_analysis.wording import sentences
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +34,12 @@ class ForceAnalysis:
         return cls(ForceRecord.of(record))
 
     @cached_property
-    def where(self) -> pd.DataFrame:
+    def where(self) -> "pd.DataFrame":
         """Where the force is strong, strongest first (see `located`)."""
         return located(self.force)
 
     @cached_property
-    def follows(self) -> pd.DataFrame:
+    def follows(self) -> "pd.DataFrame":
         """What the force depends on, best first (see `depends_on`)."""
         return depends_on(self.force)
 

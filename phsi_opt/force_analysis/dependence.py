@@ -16,10 +16,9 @@ difference.
 
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-from scipy.stats import rankdata
 
 from phsi_opt.criteria import MONOTONE_RANK_CORRELATION, NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import CrossValidation, explained_share
@@ -29,8 +28,11 @@ from phsi_opt.force_analysis.piecewise_linear import (
     product_basis,
 )
 from phsi_opt.force_analysis.time_basis import leave_out_error_with_time
-from phsi_opt.presentation.tables import PrintedTable
-from phsi_opt.statistics import TINY
+from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.statistics import TINY, mean_ranks
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Rows of `depends_on` that are no variables.
 CONSTANT = "constant"
@@ -42,7 +44,7 @@ MOST_RANKED = 2000  # values whose ranks are compared
 LEAST_SINGULAR_VALUE = 1e-6
 
 
-def depends_on(force: ForceRecord) -> pd.DataFrame:
+def depends_on(force: ForceRecord) -> "pd.DataFrame":
     """What every missing force follows, best first.
 
     ``variable`` is a state, an effort that is not a monotone function of a state, an
@@ -59,11 +61,13 @@ def depends_on(force: ForceRecord) -> pd.DataFrame:
     Returns:
         A row per equation and variable: equation, variable, share, explained.
     """
+    import pandas as pd
+
     tables = [dependence(force, equation) for equation in force.equations]
     return pd.concat(tables, ignore_index=True)
 
 
-def dependence(force: ForceRecord, equation: str) -> pd.DataFrame:
+def dependence(force: ForceRecord, equation: str) -> "pd.DataFrame":
     """What the missing force of one equation follows (see `depends_on`)."""
     validation = CrossValidation.of(force.force_on(equation), force.run)
     total = validation.total
@@ -74,7 +78,7 @@ def dependence(force: ForceRecord, equation: str) -> pd.DataFrame:
         gain = (baseline.error - error) / max(total, TINY)
         share = explained_share(error, baseline.error)
         rows.append(_Prediction(variable, share, error, gain))
-    frame = PrintedTable(rows)
+    frame = printed_table(rows)
     frame.insert(0, "equation", equation)
     predicted = np.maximum(total - frame.pop("error"), 0.0)
     frame["explained"] = np.sqrt(predicted / len(validation.w))
@@ -193,8 +197,8 @@ def _independent_efforts(force: ForceRecord, states: list[str]) -> list[str]:
     return independent
 
 
-def _is_monotone_in_any(ranks: np.ndarray, known_ranks: list[np.ndarray]) -> bool:
-    correlations = [abs(ranks @ known) for known in known_ranks]
+def _is_monotone_in_any(ranked: np.ndarray, known_ranks: list[np.ndarray]) -> bool:
+    correlations = [abs(ranked @ known) for known in known_ranks]
     return any(size > MONOTONE_RANK_CORRELATION for size in correlations)
 
 
@@ -204,8 +208,8 @@ def _ranks(z: np.ndarray) -> np.ndarray:
     The product of two such vectors is the rank correlation.
     """
     chosen = z[:: max(1, len(z) // MOST_RANKED)]
-    ranks = rankdata(chosen)
-    centred = ranks - ranks.mean()
+    ranked = mean_ranks(chosen)
+    centred = ranked - ranked.mean()
     return np.asarray(centred / max(float(np.linalg.norm(centred)), TINY))
 
 
@@ -238,7 +242,7 @@ def without_parameters(force: ForceRecord, equation: str, variable: str) -> np.n
     return np.asarray(w - independent @ coefficients[functions.shape[1] :])
 
 
-def leading(follows: pd.DataFrame, equation: str) -> pd.Series | None:
+def leading(follows: "pd.DataFrame", equation: str) -> "pd.Series | None":
     """The row of `depends_on` to name: the best variable of an equation.
 
     A single variable is named where a pair of states is hardly better.

@@ -4,14 +4,17 @@ It takes energy out, stores and returns it, follows an input, or depends on time
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.force_analysis.causes import CAUSES, Causes
 from phsi_opt.force_analysis.energy_wording import energy_sentence
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHARES = ("parameters", *CAUSES)
 
@@ -29,7 +32,7 @@ class EnergyExchange:
         sentences: the end of a sentence on each equation's force.
     """
 
-    table: pd.DataFrame
+    table: "pd.DataFrame"
     sentences: tuple[str, ...]
 
 
@@ -52,7 +55,7 @@ def energy_exchange(force: ForceRecord) -> EnergyExchange:
         rows.append((equation, mean_power, *shares, 1 - sum(shares)))
         sentences.append(energy_sentence(causes))
     columns = ["equation", "mean_power", *SHARES, "unexplained"]
-    return EnergyExchange(PrintedTable(rows, columns=columns), tuple(sentences))
+    return EnergyExchange(printed_table(rows, columns=columns), tuple(sentences))
 
 
 def _mean_power(force: ForceRecord, equation: str) -> float:

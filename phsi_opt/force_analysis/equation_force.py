@@ -1,9 +1,9 @@
 """The missing force of one equation, as its pictures need it: values, labels, words."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.criteria import CERTAIN_FORCE, MOSTLY_CONSTANT
 from phsi_opt.errors import ModelError, did_you_mean
@@ -13,6 +13,9 @@ from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.units import force_unit, with_units
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +70,13 @@ class EquationForce:
         return self.record.force_on(self.equation)
 
     @property
-    def where(self) -> pd.Series:
+    def where(self) -> "pd.Series":
         """The equation's row of `located`."""
         table = self.analysis.where
         return table[table["equation"] == self.equation].iloc[0]
 
     @property
-    def follows(self) -> pd.DataFrame:
+    def follows(self) -> "pd.DataFrame":
         """The equation's rows of `depends_on`, best first."""
         table = self.analysis.follows
         return table[table["equation"] == self.equation]

@@ -6,9 +6,9 @@ the force is clearly larger there than in the whole.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.criteria import (
     MOST_STRONG_RANGES,
@@ -20,7 +20,10 @@ from phsi_opt.force_analysis.cross_validation import place_in_run
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.force_uncertainty import times_noise
 from phsi_opt.force_analysis.spectrum import spectrum
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 N_WINDOWS = 10  # parts of a trajectory in which the force's size is taken
 N_RANGE_BINS = 8  # parts of the range of a state in which the force's size is taken
@@ -32,7 +35,7 @@ THROUGHOUT = (
 )
 
 
-def located(force: ForceRecord) -> pd.DataFrame:
+def located(force: ForceRecord) -> "pd.DataFrame":
     """Where the missing force of every equation is strong, strongest first.
 
     Returns:
@@ -57,7 +60,7 @@ def located(force: ForceRecord) -> pd.DataFrame:
             "times_noise": certainty[number],
         }
         rows.append(row)
-    table = PrintedTable(rows)
+    table = printed_table(rows)
     return table.sort_values("strength", ascending=False, ignore_index=True)
 
 

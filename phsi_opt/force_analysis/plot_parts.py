@@ -2,29 +2,32 @@
 
 from dataclasses import dataclass
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from phsi_opt.presentation.axes import BASELINE, MODEL
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 PANEL_TITLE_LETTERS = 62  # in a line of the title over a single panel
 N_SHOWN_BINS = 16  # of a variable in which mean and spread are shown
 FEWEST_IN_BIN = 3  # intervals in a bin that is shown
 
 
-def draw_title(ax: Axes, text: str) -> None:
+def draw_title(ax: "Axes", text: str) -> None:
     """The title, in lines that are as long as a panel is wide."""
     ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
 
 
-def draw_zero(ax: Axes) -> None:
+def draw_zero(ax: "Axes") -> None:
     """A line where there is no force."""
     ax.axhline(0, color=BASELINE, lw=0.8)
 
 
 def draw_band(
-    ax: Axes, z: np.ndarray, lower: np.ndarray, upper: np.ndarray, text: str
+    ax: "Axes", z: np.ndarray, lower: np.ndarray, upper: np.ndarray, text: str
 ) -> None:
     """What lies between two curves over z; all are (n,)."""
     ax.fill_between(z, lower, upper, color=MODEL, alpha=0.2, lw=0, label=text)

@@ -1,9 +1,9 @@
 """Pictures of a missing force over the states, and against what it follows."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
@@ -15,14 +15,17 @@ from phsi_opt.force_analysis.time_basis import period_of
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import BASELINE, MODEL, axes_of
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 N_CELLS = 14  # of a map, along each axis
 MOST_DOTS = 4000  # values that are shown as dots
 DOTS = "0.75"  # light grey: values behind their mean
 
 
 def plot_map(
-    analysis: ForceAnalysis, equation: str | None = None, ax: Axes | None = None
-) -> Axes:
+    analysis: ForceAnalysis, equation: str | None = None, ax: "Axes | None" = None
+) -> "Axes":
     """Mean missing force over position and velocity, or over two states.
 
     The states are those that predict the force best; cells that were not visited are
@@ -115,7 +118,7 @@ class ForceMap:
         return float(np.ma.max(np.ma.abs(self.mean)))
 
 
-def _draw_map(ax: Axes, force: EquationForce, names: tuple[str, ...]) -> None:
+def _draw_map(ax: "Axes", force: EquationForce, names: tuple[str, ...]) -> None:
     """Mean force in cells of two variables; red is positive, blue negative."""
     found = ForceMap.of(force, names)
     mesh = ax.pcolormesh(
@@ -131,7 +134,7 @@ def _draw_map(ax: Axes, force: EquationForce, names: tuple[str, ...]) -> None:
     ax.set_ylabel(force.variable_label(names[1]))
 
 
-def _draw_bars(ax: Axes, force: EquationForce, name: str) -> None:
+def _draw_bars(ax: "Axes", force: EquationForce, name: str) -> None:
     """Mean force and its spread over one variable."""
     bins = Bins.of(force.record.variable(name), force.w)
     ax.bar(
@@ -164,8 +167,8 @@ def plot_dependence(
     analysis: ForceAnalysis,
     variable: str | None = None,
     equation: str | None = None,
-    ax: Axes | None = None,
-) -> Axes:
+    ax: "Axes | None" = None,
+) -> "Axes":
     """The missing force against a variable: mean and spread in bins.
 
     What other values of the model's parameters would explain is taken off (see
@@ -227,7 +230,7 @@ def _folding_period(force: EquationForce) -> float | None:
     return period_of(force.record, force.equation)
 
 
-def draw_dependence(ax: Axes, z: np.ndarray, w: np.ndarray) -> None:
+def draw_dependence(ax: "Axes", z: np.ndarray, w: np.ndarray) -> None:
     """Draw dots, and mean and standard deviation in bins, of w (n,) over z (n,)."""
     bins = Bins.of(z, w)
     step = max(1, len(z) // MOST_DOTS)

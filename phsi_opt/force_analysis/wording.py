@@ -4,8 +4,7 @@ Nothing is computed here; the numbers come from the tables of an analysis.
 """
 
 from collections.abc import Mapping
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN
 from phsi_opt.force_analysis.dependence import leading
@@ -20,11 +19,14 @@ from phsi_opt.force_analysis.units import (
 )
 from phsi_opt.presentation.durations import times_words
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 def sentences(
     units: Mapping[str, str],
-    where: pd.DataFrame,
-    follows: pd.DataFrame,
+    where: "pd.DataFrame",
+    follows: "pd.DataFrame",
     energy: EnergyExchange,
 ) -> list[str]:
     """Plain sentences on where the model fails, an equation each, strongest first.
@@ -44,7 +46,7 @@ def sentences(
     return texts
 
 
-def _sentence(row: pd.Series, pattern: str, units: Mapping[str, str]) -> str:
+def _sentence(row: "pd.Series", pattern: str, units: Mapping[str, str]) -> str:
     """Size and place of one row of `located`, and the pattern of its force."""
     equation = row["equation"]
     times_noise = row["times_noise"]
@@ -56,7 +58,7 @@ def _sentence(row: pd.Series, pattern: str, units: Mapping[str, str]) -> str:
     return f"d{equation}/dt lacks a force of {size}, {certainty}; {place}. {pattern}"
 
 
-def _pattern(cause: str, best: pd.Series | None) -> str:
+def _pattern(cause: str, best: "pd.Series | None") -> str:
     """What the force does with energy, and what predicts it best."""
     pattern = f"It {cause}."
     if cause == NO_PATTERN:
@@ -67,7 +69,7 @@ def _pattern(cause: str, best: pd.Series | None) -> str:
     return f"{pattern} Best predicted from {best['variable']}: {percent} of it."
 
 
-def _place(row: pd.Series, units: Mapping[str, str]) -> str:
+def _place(row: "pd.Series", units: Mapping[str, str]) -> str:
     """Trajectory, times, region and frequency of one row of `located`, in words."""
     window = row["time_window"]
     region = row["state_region"]

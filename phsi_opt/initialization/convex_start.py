@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
-import cvxpy as cp
 import numpy as np
 
 from phsi_opt.initialization.frequency_scan import (
@@ -184,6 +183,8 @@ def _optimum(
     problem: _LeastSquares, entries: Sequence[Entry], l1: np.ndarray
 ) -> np.ndarray | None:
     """Scaled coefficients of least loss within their bounds; None: not found."""
+    import cvxpy as cp
+
     q, r = np.linalg.qr(problem.A)
     z = cp.Variable(len(entries))
     misfit = cp.sum_squares(r @ z - q.T @ problem.b)

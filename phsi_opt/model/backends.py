@@ -1,6 +1,7 @@
 """The libraries in which formulas are evaluated, and the functions they may call.
 
 One table per library; the names of the first one are the whitelist of ``expressions``.
+That of SymPy is `phsi_opt.model.sympy_backend`, whose library takes time to import.
 """
 
 import math
@@ -10,7 +11,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import sympy as sp
 
 # Names that have a value of their own in a formula.
 CONSTANTS: Mapping[str, float] = {"pi": math.pi}
@@ -46,24 +46,6 @@ CASADI = Backend(
         "min": ca.fmin,
         "max": ca.fmax,
     }
-)
-SYMPY = Backend(
-    {
-        "sin": sp.sin,
-        "cos": sp.cos,
-        "tan": sp.tan,
-        "atan": sp.atan,
-        "exp": sp.exp,
-        "log": sp.log,
-        "sqrt": sp.sqrt,
-        "tanh": sp.tanh,
-        "abs": sp.Abs,
-        "sign": sp.sign,
-        "min": sp.Min,
-        "max": sp.Max,
-    },
-    number=sp.sympify,
-    constants={"pi": sp.pi},
 )
 NUMPY = Backend(
     {

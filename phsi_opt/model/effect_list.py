@@ -7,7 +7,7 @@ from phsi_opt.presentation.summary import (
     Summary,
     text_of_summary,
 )
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 
 COLUMNS_OF_EFFECTS = ("effect", "equation", "slot", "family")
 
@@ -19,7 +19,7 @@ class EffectList(list[Effect], Summarised):
         rows = []
         for effect in self:
             rows.append((effect.name, effect.equation, effect.slot, effect.family))
-        table = PrintedTable(rows, columns=list(COLUMNS_OF_EFFECTS))
+        table = printed_table(rows, columns=list(COLUMNS_OF_EFFECTS))
         noun = "effect" if len(self) == 1 else "effects"
         return Summary(f"{len(self)} {noun}", (Part(table=table),))
 

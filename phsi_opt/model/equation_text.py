@@ -1,10 +1,16 @@
 """The equations of a model as text, with the names of its parameters."""
 
+from typing import TYPE_CHECKING
+
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.presentation.summary import Part, Summary
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
+
+if TYPE_CHECKING:
+    from phsi_opt.presentation.printed_table import PrintedTable
+
 
 SHOWN_OF_MODEL = ("name", "value", "known", "lower", "upper", "unit")
 
@@ -21,14 +27,14 @@ def model_summary(model: BaseModel) -> Summary:
     return Summary(title, tuple(parts))
 
 
-def _parameters(model: BaseModel) -> PrintedTable:
+def _parameters(model: BaseModel) -> "PrintedTable":
     rows = []
     for name, entry in model.entries.items():
         parameter = entry.parameter
         known = "yes" if parameter.fixed else "no"
         bounds = (parameter.lower, parameter.upper)
         rows.append((name, parameter.start, known, *bounds, parameter.unit))
-    return PrintedTable(rows, columns=list(SHOWN_OF_MODEL))
+    return printed_table(rows, columns=list(SHOWN_OF_MODEL))
 
 
 def dictionary_rows(model: BaseModel) -> list[str]:

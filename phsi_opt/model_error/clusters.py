@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from phsi_opt.criteria import FEWEST_TRAJECTORIES
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, noise_weights
 from phsi_opt.model_error.spread import Spread
+from phsi_opt.statistics import chi_square_tail
 from phsi_opt.transcription.elimination import RIDGE
 
 
@@ -168,4 +168,4 @@ class Clusters:
             inverse = np.linalg.pinv(own, rcond=RIDGE, hermitian=True)
             statistic += float(score @ inverse @ score) / self.score_variance
             freedom += int(np.linalg.matrix_rank(own, rtol=RIDGE, hermitian=True))
-        return float(chi2.sf(statistic, freedom)) if freedom > 0 else 1.0
+        return chi_square_tail(statistic, freedom) if freedom > 0 else 1.0

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from phsi_opt.criteria import AGREEMENT_LEVEL, WORSE_PREDICTION
 from phsi_opt.errors import SolveError
@@ -21,7 +20,7 @@ from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.processes import Process
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, chi_square_tail
 from phsi_opt.transcription.grid import Grid
 
 FEWEST_PARTS = 4  # of a record, for predictions of one from the others
@@ -218,7 +217,7 @@ class _Parts:
         freedom = (len(borders) - 1) * len(self.moving)
         return _Judged(
             prediction=float(np.sqrt(max(square, 0.0) / self.problem.n_values)),
-            agreement=float(chi2.sf(statistic, freedom)) if freedom else 1.0,
+            agreement=chi_square_tail(statistic, freedom) if freedom else 1.0,
         )
 
 

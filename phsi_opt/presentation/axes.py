@@ -3,8 +3,11 @@
 Pictures never call ``plt.show``: a caller shows or saves the figure of the axes.
 """
 
-import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 
 MEASURED = "0.55"  # grey: what was measured, and what stands for comparison
 MODEL = "C0"  # blue: the model, and what was estimated
@@ -13,13 +16,15 @@ ATTENTION = "C1"  # orange: what a reader should look at first
 BASELINE = "0.3"  # dark grey: the line at zero
 
 
-def axes_of(ax: Axes | None, size: tuple[float, float]) -> Axes:
+def axes_of(ax: "Axes | None", size: tuple[float, float]) -> "Axes":
     """The axes, or those of a new figure.
 
     Args:
         ax: Axes to draw on; None: make a figure.
         size: Width and height of a new figure in inches.
     """
+    import matplotlib.pyplot as plt
+
     if ax is not None:
         return ax
     _, new_axes = plt.subplots(figsize=size, layout="constrained")

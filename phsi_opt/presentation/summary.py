@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from phsi_opt.presentation.tables import (
     html_of_table,
     rich_of_table,
@@ -19,6 +17,7 @@ from phsi_opt.presentation.tables import (
 )
 
 if TYPE_CHECKING:
+    import pandas as pd
     from rich.console import Console, ConsoleOptions, RenderableType
 
 
@@ -36,7 +35,7 @@ class Part:
     heading: str = ""
     text: str = ""
     code: str = ""
-    table: pd.DataFrame | None = None
+    table: "pd.DataFrame | None" = None
 
 
 @dataclass(frozen=True, eq=False)

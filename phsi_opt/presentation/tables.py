@@ -14,10 +14,9 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 if TYPE_CHECKING:
-    from rich.console import Console, ConsoleOptions
+    import pandas as pd
     from rich.text import Text
 
 LINE_WIDTH = 80  # characters in a line of a terminal that nobody has widened
@@ -28,30 +27,6 @@ KEY_SHARE = 0.5  # of the line that the first columns may take in every block
 HEADER_PIECE = re.compile(r"[^_\s]+_?|_")
 CUT = "..."
 CELL_STYLE = "padding: 0.15em 0.7em; vertical-align: top"
-
-
-class PrintedTable(pd.DataFrame):
-    """A data frame that prints and shows itself with all of its columns.
-
-    In all else it is a `pandas.DataFrame`; numbers keep all digits, four are shown.
-    """
-
-    @property
-    def _constructor(self) -> "type[PrintedTable]":
-        return PrintedTable
-
-    def __repr__(self) -> str:
-        """All columns within 80 characters, in several blocks if need be."""
-        return text_of_table(self)
-
-    def _repr_html_(self) -> str:
-        return html_of_table(self)
-
-    def __rich_console__(
-        self, console: "Console", options: "ConsoleOptions"
-    ) -> "Iterator[Text]":
-        """What rich prints."""
-        yield rich_of_table(self, options.max_width)
 
 
 @dataclass(frozen=True)
@@ -84,8 +59,10 @@ class Column:
         return max([1, *map(len, HEADER_PIECE.findall(self.header))])
 
 
-def columns_of(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> list[Column]:
+def columns_of(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> list[Column]:
     """The columns of a table as texts, the index first where it holds names."""
+    import pandas as pd
+
     rows = _shown_rows(len(table), most_rows)
     columns = []
     if not pd.api.types.is_integer_dtype(table.index):
@@ -124,7 +101,7 @@ def text_of_cell(value: Any) -> str:
 
 
 def text_of_table(
-    table: pd.DataFrame, width: int = LINE_WIDTH, most_rows: int = MOST_ROWS
+    table: "pd.DataFrame", width: int = LINE_WIDTH, most_rows: int = MOST_ROWS
 ) -> str:
     """A table as text with all of its columns.
 
@@ -141,7 +118,7 @@ def text_of_table(
 
 
 def rich_of_table(
-    table: pd.DataFrame, width: int, most_rows: int = MOST_ROWS
+    table: "pd.DataFrame", width: int, most_rows: int = MOST_ROWS
 ) -> "Text":
     """A table for a console of rich, in which signs in names are no markup.
 
@@ -161,7 +138,7 @@ def rich_of_table(
     return shown.append(f"\n{remark}" if remark else "")
 
 
-def _remark(table: pd.DataFrame, most_rows: int) -> str:
+def _remark(table: "pd.DataFrame", most_rows: int) -> str:
     """How many rows there are, where they are not all to be seen."""
     if not len(table):
         return "(no rows)"
@@ -181,7 +158,7 @@ class Block:
     rows: tuple[str, ...]
 
 
-def blocks_of(table: pd.DataFrame, width: int, most_rows: int) -> list[Block]:
+def blocks_of(table: "pd.DataFrame", width: int, most_rows: int) -> list[Block]:
     """All columns in blocks, each of which fits into the width.
 
     Args:
@@ -299,7 +276,7 @@ def _row_lines(
         yield COLUMN_GAP.join(placed).rstrip()
 
 
-def html_of_table(table: pd.DataFrame, most_rows: int = MOST_ROWS) -> str:
+def html_of_table(table: "pd.DataFrame", most_rows: int = MOST_ROWS) -> str:
     """A table as HTML, with names and cells escaped; numbers stand at the right."""
     columns = columns_of(table, most_rows)
     head = []

@@ -1,11 +1,13 @@
 """The steps of a study as a table: what was done, and the errors since."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import pandas as pd
-
-from phsi_opt.presentation.tables import PrintedTable
+from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.study.step import Step
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 HISTORY_COLUMNS = (
     "step",
@@ -17,7 +19,7 @@ HISTORY_COLUMNS = (
 )
 
 
-def history_table(steps: Sequence[Step]) -> pd.DataFrame:
+def history_table(steps: Sequence[Step]) -> "pd.DataFrame":
     """A row per step, in `HISTORY_COLUMNS`; held_out_rmse NaN without such data."""
     rows = []
     for number, step in enumerate(steps):
@@ -34,4 +36,4 @@ def history_table(steps: Sequence[Step]) -> pd.DataFrame:
                 step.fit.bic,
             )
         )
-    return PrintedTable(rows, columns=list(HISTORY_COLUMNS))
+    return printed_table(rows, columns=list(HISTORY_COLUMNS))

@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.study.history import history_table
 from phsi_opt.study.step import Step
 from phsi_opt.transcription.losses import MaximumLikelihood
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +39,7 @@ class StudyRecord:
         return self.steps[-1]
 
     @property
-    def history(self) -> pd.DataFrame:
+    def history(self) -> "pd.DataFrame":
         """A row per step (see `history_table`)."""
         return history_table(self.steps)
 

@@ -7,8 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
@@ -31,6 +29,7 @@ from phsi_opt.study.summary import study_summary
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 HELD_OUT = "held out"
@@ -294,7 +293,7 @@ class Study(Summarised):
         return self.stopped
 
     @property
-    def history(self) -> pd.DataFrame:
+    def history(self) -> "pd.DataFrame":
         """The steps so far.
 
         Columns: step, effect, train_rmse, held_out_rmse (NaN without data held out),

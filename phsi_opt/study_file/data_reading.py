@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from phsi_opt.data.checks import HOLDS, checked_names
 from phsi_opt.data.measurements import Measurements
@@ -257,6 +256,8 @@ def _check_times(table: Table, column: str | int, section: DataSection) -> None:
 
 def _rows_of_runs(table: Table, column: str | None) -> list[np.ndarray]:
     """The row numbers of each run; none where their column cannot be used."""
+    import pandas as pd
+
     if column is None:
         return [np.arange(len(table.frame))]
     if table.frame.columns.tolist().count(column) != 1:
