@@ -139,7 +139,7 @@ def test_ranks_and_false_discoveries_are_those_of_scipy() -> None:
     np.testing.assert_array_equal(statistics.mean_ranks(values), stats.rankdata(values))
     p_values = np.round(rng.random(40) ** 3, 3)
     np.testing.assert_array_equal(
-        statistics.false_discovery_adjusted(p_values),
+        statistics.false_discovery_adjusted(list(p_values)),
         stats.false_discovery_control(p_values),
     )
 
