@@ -109,8 +109,20 @@ class _QuadraticModel:
         }
         self._solver = ca.conic("quadratic_model", "qrqp", sparsities, QUIET)
 
-    def step(self, hessian: np.ndarray, gradient: np.ndarray, z: np.ndarray) -> _Step:
-        """The best d from z (n_variables,)."""
+    def step(
+        self,
+        hessian: np.ndarray,
+        gradient: np.ndarray,
+        z: np.ndarray,
+        of_bounds: np.ndarray,
+        of_constraints: np.ndarray,
+    ) -> _Step:
+        """The best d from z (n_variables,).
+
+        The multipliers of the step before say which bounds and constraints are active:
+        without them a dictionary of 54 terms with L1 took 60 to 100 changes of the
+        active set a step, 1000 where it went in circles; with them 1 to 30.
+        """
         program = self.program
         g = self.offset + self.A @ z
         found = self._solver(
@@ -121,6 +133,8 @@ class _QuadraticModel:
             ubx=program.upper - z,
             lba=program.g_lower - g,
             uba=program.g_upper - g,
+            lam_x0=of_bounds,
+            lam_a0=of_constraints,
         )
         d = np.array(found["x"]).ravel()
         is_solved = bool(self._solver.stats()["success"] and np.all(np.isfinite(d)))
@@ -155,7 +169,13 @@ class _Search:
     def advance(self) -> None:
         """One step, or more damping where it does not lower the objective."""
         here = self.dense.at(self.z)
-        step = self.model.step(self._hessian(here), self._gradient(here), self.z)
+        step = self.model.step(
+            self._hessian(here),
+            self._gradient(here),
+            self.z,
+            self.of_bounds,
+            self.of_constraints,
+        )
         z = self.z + step.d
         objective = self.dense.value(z) if step.is_solved else np.inf
         limit = self.objective + EQUAL_OBJECTIVES * abs(self.objective)
