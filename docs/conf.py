@@ -61,9 +61,12 @@ napoleon_use_rtype = False
 nitpick_ignore_regex = [
     (
         "py:.*",
-        r"(ca|casadi|markupsafe|matplotlib|np|numpy|pandas|pd|scipy|sympy|torch)(\..*)?",
+        r"(ca|casadi|markupsafe|matplotlib|np|numpy|pandas|pd|scipy|sp|sympy|torch)(\..*)?",
     ),
-    ("py:.*", r"(abc|ast|collections|enum|functools|os|pathlib|types|typing)(\..*)?"),
+    (
+        "py:.*",
+        r"(abc|ast|collections|concurrent|enum|functools|os|pathlib|types|typing)(\..*)?",
+    ),
     ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
     (
         "py:class",

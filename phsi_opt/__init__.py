@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from phsi_opt.comparison.bootstrap import Bootstrap, bootstrap
     from phsi_opt.comparison.compare import Comparison, compare
     from phsi_opt.comparison.profile_likelihood import Profile, profile
     from phsi_opt.data.measurements import Measurements
@@ -39,10 +40,12 @@ if TYPE_CHECKING:
     from phsi_opt.study.study import Study
     from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
     from phsi_opt.study_file.study_file import StudyFile
+    from phsi_opt.sweeps.sweep import sweep
     from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 # The public names by the module that defines them: the imports above, for run time.
 MODULES = {
+    "comparison.bootstrap": "Bootstrap bootstrap",
     "comparison.compare": "Comparison compare",
     "comparison.profile_likelihood": "Profile profile",
     "data.measurements": "Measurements",
@@ -67,11 +70,13 @@ MODULES = {
     "study.study": "Study",
     "study_file.sections": "Channel DataSection HeldOut",
     "study_file.study_file": "StudyFile",
+    "sweeps.sweep": "sweep",
     "transcription.losses": "MaximumLikelihood PHSILoss",
 }
 
 
 __all__ = [
+    "Bootstrap",
     "Candidate",
     "Channel",
     "Comparison",
@@ -101,6 +106,7 @@ __all__ = [
     "StudyFileError",
     "Trajectory",
     "Verdict",
+    "bootstrap",
     "canonical",
     "catalogue",
     "compare",
@@ -111,6 +117,7 @@ __all__ = [
     "polynomials",
     "profile",
     "simulate",
+    "sweep",
     "trigonometric",
 ]
 

@@ -1,0 +1,257 @@
+"""The parametric bootstrap: the fit repeated on records that the fitted model draws.
+
+What the curvature at one optimum cannot say (a bent valley, a bias, an optimum that
+another draw of the noise would miss) shows in how the estimates scatter (Efron and
+Tibshirani, An Introduction to the Bootstrap, 1993, chapter 6).
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.estimation.model_content import model_content
+from phsi_opt.estimation.smoothing import likelihood_of
+from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
+from phsi_opt.model.model import Model
+from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.sweeps.sweep import sweep
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.sensors import outputs_at_samples
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FEWEST_DRAWS = 2  # of which a scatter can be taken
+
+
+@dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """The estimates of a fit, repeated on records drawn from it.
+
+    Attributes:
+        fit: The fit.
+        estimates: A row per draw that could be fitted, its number as index, and a
+            column per name of `Fit.estimates`.
+        failed: Why the other draws could not be fitted, by number.
+    """
+
+    fit: Fit
+    estimates: "pd.DataFrame"
+    failed: Mapping[int, str]
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """A row per estimate, with its name as index.
+
+        Columns: value (of the fit), std_error (of the fit), bootstrap_error (standard
+        deviation of the draws), bias (mean of the draws less the value).
+        """
+        spread = self.estimates.std(ddof=1)
+        mean = self.estimates.mean()
+        rows = []
+        for name, value in self.fit.estimates.items():
+            error = self.fit.std_errors[name]
+            rows.append((value, error, spread[name], mean[name] - value))
+        columns = ["value", "std_error", "bootstrap_error", "bias"]
+        return printed_table(rows, index=list(self.fit.estimates), columns=columns)
+
+    def intervals(self, level: float = 0.95) -> "pd.DataFrame":
+        """Percentile intervals: what lies in the middle of the draws.
+
+        Args:
+            level: Share of the draws within, between 0 and 1. For 0.95 take some
+                hundred draws or more.
+
+        Returns:
+            A row per estimate with its name as index, and the columns value, ci_lower
+            and ci_upper, as `Fit.intervals`.
+
+        Raises:
+            DataError: ``level`` does not lie between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise DataError(f"level={level!r} must lie between 0 and 1, such as 0.95.")
+        lower = self.estimates.quantile((1 - level) / 2)
+        upper = self.estimates.quantile((1 + level) / 2)
+        rows = []
+        for name, value in self.fit.estimates.items():
+            rows.append((value, lower[name], upper[name]))
+        columns = ["value", "ci_lower", "ci_upper"]
+        return printed_table(rows, index=list(self.fit.estimates), columns=columns)
+
+    def __str__(self) -> str:
+        text = f"bootstrap of {len(self.estimates)} draws\n{self.table}"
+        if self.failed:
+            text += f"\n{len(self.failed)} draws could not be fitted (see failed)."
+        return text
+
+    __repr__ = __str__
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What all draws share.
+
+    Attributes:
+        model: Fitted, its values where the re-fits start.
+        data: The measurements; of a draw only measured values are taken.
+        shown: What the fitted model shows at the samples, one (n_samples, n_channels)
+            per trajectory.
+        sigma: Noise by channel, (n_channels,).
+        loss: Of the re-fits.
+    """
+
+    model: Model
+    data: Measurements
+    shown: tuple[np.ndarray, ...]
+    sigma: np.ndarray
+    loss: MaximumLikelihood
+
+
+def bootstrap(
+    fit: Fit,
+    data: Measurements,
+    n_draws: int = 200,
+    *,
+    seed: int = 0,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Bootstrap:
+    """Repeat a fit by `MaximumLikelihood` on records that the fitted model draws.
+
+    A draw is the free run of the fit at the samples plus white noise of the fit's size,
+    measured where the data are; the model is identified from it as from the data. The
+    noise of a draw follows from ``seed`` and its number alone, so that neither the
+    executor nor the order matters. (White noise: what else acts beside the model is in
+    the fit's own standard errors, not in these.)
+
+    Args:
+        fit: By maximum likelihood, with its states: not loaded from a file.
+        data: The measurements of the fit.
+        n_draws: Number of records that are drawn, at least 2.
+        seed: Of the noise.
+        executor: Where to compute (see `sweep`); None: processes on this machine.
+        folder: Where the draws' estimates are kept; a call that was interrupted goes
+            on from there, and so does one with more draws.
+        progress: Called with a line of text whenever a draw is done.
+
+    Raises:
+        ModelError: The fit has no likelihood, or forces in it.
+        DataError: The fit has no states, the measurements are not those of the fit, or
+            a number cannot be used.
+        SolveError: Fewer than two draws could be fitted.
+    """
+    _check(fit, n_draws)
+    plan = _plan(fit, data)
+    seeds = np.random.SeedSequence(seed).spawn(n_draws)
+    cases = {f"draw {number}": one for number, one in enumerate(seeds)}
+    found: dict[int, Mapping[str, float]] = {}
+    failed: dict[int, str] = {}
+    for done in sweep(
+        partial(_drawn_estimates, plan),
+        cases,
+        executor=executor,
+        folder=folder,
+        of=_digest(fit, plan, seed),
+        progress=progress,
+    ):
+        number = int(done.key.removeprefix("draw "))
+        if "failed" in done.result:
+            failed[number] = done.result["failed"]
+        else:
+            found[number] = done.result["estimates"]
+    if len(found) < FEWEST_DRAWS:
+        reason = next(iter(failed.values()), "")
+        raise SolveError(f"{len(failed)} of {n_draws} draws have no fit: {reason}")
+    return Bootstrap(fit, _table(fit, found), dict(sorted(failed.items())))
+
+
+def _check(fit: Fit, n_draws: int) -> None:
+    if fit.loss != "MaximumLikelihood":
+        raise ModelError(
+            f"the fit is one by {fit.loss}, which says nothing of the noise; "
+            "fit with MaximumLikelihood()."
+        )
+    if fit.has_model_error or fit.prior_rows:
+        raise ModelError(
+            "the fit has a model error in its likelihood, which is not drawn here; "
+            "bootstrap a fit by MaximumLikelihood()."
+        )
+    if not fit.names:
+        raise ModelError("the fit has no free parameter: there is nothing to repeat.")
+    if not fit.states:
+        raise DataError(
+            "the fit has no states, as one that was loaded from a file; identify it "
+            "again from its measurements."
+        )
+    if n_draws < FEWEST_DRAWS:
+        raise DataError(f"n_draws={n_draws!r} must be {FEWEST_DRAWS} or more.")
+
+
+def _plan(fit: Fit, data: Measurements) -> _Plan:
+    aligned = AlignedData.of(fit.model, data)
+    lengths = [run.n_samples for run in aligned.data.trajectories]
+    if [len(x) for x in fit.states] != lengths:
+        raise DataError(
+            f"the measurements have trajectories of {lengths} samples, the fit "
+            f"{[len(x) for x in fit.states]}; give the measurements of the fit."
+        )
+    theta = parameter_matrix(fit.model, parameters_of(fit, aligned.data))
+    shown = outputs_at_samples(fit.model, aligned.grid, fit.states, theta)
+    channels = aligned.data.states
+    sigma = np.array([fit.noise.get(name, 0.0) for name in channels])
+    cut = tuple(np.array(one[:, : len(channels)]) for one in shown)
+    return _Plan(fit.model, aligned.data, cut, sigma, likelihood_of(fit))
+
+
+def _drawn_estimates(plan: _Plan, seed: np.random.SeedSequence) -> dict[str, Any]:
+    """The estimates of one draw by name; or why there are none."""
+    try:
+        fit = identify(plan.model, _drawn(plan, seed), plan.loss)
+    except PhsiOptError as error:
+        return {"failed": f"{type(error).__name__}: {error}"}
+    return {"estimates": {name: float(v) for name, v in fit.estimates.items()}}
+
+
+def _drawn(plan: _Plan, seed: np.random.SeedSequence) -> Measurements:
+    """What the fitted model shows plus noise, measured where the data are."""
+    rng = np.random.default_rng(seed)
+    runs = []
+    for run, shown in zip(plan.data.trajectories, plan.shown, strict=True):
+        noisy = shown + plan.sigma * rng.normal(size=shown.shape)
+        runs.append(replace(run, x=np.where(np.isnan(run.x), np.nan, noisy)))
+    return replace(plan.data, trajectories=tuple(runs))
+
+
+def _digest(fit: Fit, plan: _Plan, seed: int) -> str:
+    """What the draws follow from: model with values, noise, measurements and seed."""
+    content = {
+        "model": model_content(fit.model),
+        "by_trajectory": {name: dict(one) for name, one in fit.by_trajectory.items()},
+        "noise": dict(fit.noise),
+        "huber": fit.huber,
+        "data": plan.data.digest,
+        "seed": seed,
+    }
+    text = json.dumps(content, sort_keys=True)
+    return f"bootstrap {hashlib.sha256(text.encode()).hexdigest()}"
+
+
+def _table(fit: Fit, found: Mapping[int, Mapping[str, float]]) -> "pd.DataFrame":
+    numbers = sorted(found)
+    names = list(fit.estimates)
+    rows = [[found[number][name] for name in names] for number in numbers]
+    return printed_table(rows, index=numbers, columns=names)

@@ -1,0 +1,207 @@
+"""One function for many cases, side by side, wherever an executor computes them.
+
+Of the executor nothing is asked but `submit`, of its futures `result` (and `cancel`,
+for those that are not needed any more), so that processes, threads and a cluster serve
+alike. An executor that was given is never shut down here.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    wait,
+)
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from phsi_opt.errors import DataError, SolveError
+from phsi_opt.sweeps.kept_results import KeptResults
+from phsi_opt.sweeps.local_workers import local_workers
+
+# Tasks that wait at an executor or are computed: enough for some dozen workers, few
+# enough that arguments and results of all of them fit into memory.
+IN_FLIGHT = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """One finished case of a sweep.
+
+    Attributes:
+        key: Its key.
+        result: What the function returned.
+        was_kept: Whether the result was read from the folder, not computed.
+    """
+
+    key: str
+    result: Any
+    was_kept: bool = False
+
+
+def sweep(
+    function: Callable[[Any], Any],
+    cases: Mapping[str, Any],
+    *,
+    executor: Executor | None = None,
+    folder: str | Path | None = None,
+    of: str = "",
+    in_flight: int = IN_FLIGHT,
+    progress: Callable[[str], None] | None = None,
+) -> Iterator[Done]:
+    """Call a function for many cases side by side, and give results as they come.
+
+    ::
+
+        for done in ph.sweep(fit_of_seed, {f"seed {n}": n for n in range(100)}):
+            print(done.key, done.result)
+
+    The numbers do not depend on where and in which order the cases are computed, if the
+    function depends on nothing but its argument; so a seed belongs into the case. In a
+    script, processes need the call to stand under ``if __name__ == "__main__":``.
+
+    Ctrl-C, an error of the function, and leaving the loop cancel what is not begun.
+    Memory holds the results of `in_flight` cases at most.
+
+    Args:
+        function: Of one argument; at the top level of a module, so that another process
+            can import it, or a `functools.partial` of such a function.
+        cases: The argument by key. Keys are texts; cases are pickled, so let them be
+            small.
+        executor: Where to compute; None: a process per processor of this machine, with
+            one BLAS thread each. Others are those of `concurrent.futures`, and a Dask
+            cluster's ``client.get_executor()``. It is not shut down.
+        folder: Where results are kept, one file each, as soon as they are there; what
+            is found there is not computed again. Results must be numbers, texts, lists
+            and mappings then.
+        of: What results depend on beside the key, such as a digest of the data; a
+            folder that holds results of something else is refused.
+        in_flight: Cases that are given to the executor and not yet finished, at most.
+        progress: Called with a line of text whenever a case is done, such as ``print``.
+
+    Returns:
+        The finished cases: those of the folder, then others in the order in which they
+        are done.
+
+    Raises:
+        DataError: The function, a key, the number in flight or the folder cannot be
+            used.
+        SolveError: A worker ended before its case was done.
+    """
+    _check(function, cases, in_flight)
+    kept = None if folder is None else KeptResults(Path(folder), of)
+    counted = _Counted(len(cases), progress)
+    return _swept(function, cases, executor, kept, in_flight, counted)
+
+
+@dataclass
+class _Counted:
+    """How many cases are done, for lines of progress."""
+
+    n_cases: int
+    say: Callable[[str], None] | None
+    n_done: int = 0
+
+    def add(self, key: str, remark: str = "") -> None:
+        self.n_done += 1
+        if self.say is not None:
+            self.say(f"{self.n_done} of {self.n_cases}: {key}{remark}")
+
+
+def _swept(
+    function: Callable[[Any], Any],
+    cases: Mapping[str, Any],
+    executor: Executor | None,
+    kept: KeptResults | None,
+    in_flight: int,
+    counted: _Counted,
+) -> Iterator[Done]:
+    """Kept results first, then the others as they are computed."""
+    finished = set()
+    if kept is not None:
+        for key, result in kept.found(cases):
+            finished.add(key)
+            counted.add(key, ", kept before")
+            yield Done(key, result, was_kept=True)
+    if len(finished) == len(cases):
+        return
+    missing = ((key, case) for key, case in cases.items() if key not in finished)
+    with _chosen(executor) as workers:
+        for done in _computed(function, missing, workers, in_flight):
+            if kept is not None:
+                kept.keep(done.key, done.result)
+            counted.add(done.key)
+            yield done
+
+
+@contextmanager
+def _chosen(executor: Executor | None) -> Iterator[Executor]:
+    """The executor that was given, or processes that end when the sweep does."""
+    if executor is not None:
+        yield executor
+        return
+    with local_workers() as workers:
+        yield workers
+
+
+def _computed(
+    function: Callable[[Any], Any],
+    missing: Iterator[tuple[str, Any]],
+    workers: Executor,
+    in_flight: int,
+) -> Iterator[Done]:
+    """Results as they come; never more than `in_flight` cases at the workers."""
+    running: dict[Future[Any], str] = {}
+    try:
+        while True:
+            for key, case in islice(missing, in_flight - len(running)):
+                running[workers.submit(function, case)] = key
+            if not running:
+                return
+            ready = wait(running, return_when=FIRST_COMPLETED).done
+            for future in [one for one in running if one in ready]:
+                key = running.pop(future)
+                yield Done(key, _result_of(future, key))
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _result_of(future: Future[Any], key: str) -> Any:
+    try:
+        return future.result()
+    except BrokenExecutor as error:
+        raise SolveError(
+            f"a worker ended while {key!r} was computed: the memory may have been too "
+            "small, or a script started the sweep outside of `if __name__ == "
+            '"__main__":`. With a folder, the same call goes on from what is kept '
+            f"there. ({error})"
+        ) from error
+    except Exception as error:
+        error.add_note(f"This is about the case {key!r} of a sweep.")
+        raise
+
+
+def _check(
+    function: Callable[[Any], Any], cases: Mapping[str, Any], in_flight: int
+) -> None:
+    name = getattr(function, "__qualname__", "")
+    if "<lambda>" in name or "<locals>" in name:
+        raise DataError(
+            f"the function {name} cannot be found by another process; define it at the "
+            "top level of a module, and bind what it needs by functools.partial."
+        )
+    for key in cases:
+        if not isinstance(key, str) or not key:
+            raise DataError(
+                f"the key {key!r} is not a text; name every case by a text that is not "
+                "empty."
+            )
+    if not isinstance(in_flight, int) or in_flight < 1:
+        raise DataError(
+            f"in_flight={in_flight!r} must be a number of cases, 1 or more."
+        )

@@ -1,0 +1,346 @@
+"""Sweeps: the same numbers wherever they are computed, and nothing lost on the way."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import dask
+import distributed
+import numpy as np
+import pytest
+
+from phsi_opt.comparison.bootstrap import bootstrap
+from phsi_opt.errors import DataError, ModelError, SolveError
+from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.identify import identify
+from phsi_opt.sweeps.kept_results import KeptResults
+from phsi_opt.sweeps.local_workers import InThisProcess, local_workers
+from phsi_opt.sweeps.sweep import Done, sweep
+from phsi_opt.transcription.losses import PHSILoss
+from phsi_opt.writing import write_whole
+from tests import sweep_tasks
+
+N_WORKERS = 2
+ENDS_WITHIN = 2.0  # s: the promise of Ctrl-C
+STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
+
+
+def draws(n: int) -> dict[str, np.random.SeedSequence]:
+    seeds = np.random.SeedSequence(7).spawn(n)
+    return {f"draw {number}": seed for number, seed in enumerate(seeds)}
+
+
+def results(found: Any) -> dict[str, Any]:
+    return {done.key: done.result for done in found}
+
+
+class Watched(Executor):
+    """Offers `submit` alone, computes late, and notes how much it holds."""
+
+    def __init__(self) -> None:
+        self.pool = ThreadPoolExecutor(N_WORKERS)
+        self.n_running = 0
+        self.most_running = 0
+        self.n_submitted = 0
+        self.was_shut_down = False
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.n_running += 1
+        self.n_submitted += 1
+        self.most_running = max(self.most_running, self.n_running)
+        future = self.pool.submit(fn, *args, **kwargs)
+        future.add_done_callback(self._ended)
+        return future
+
+    def _ended(self, future: Future[Any]) -> None:
+        self.n_running -= 1
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self.was_shut_down = True
+
+
+@pytest.fixture(scope="module")
+def serial() -> dict[str, Any]:
+    return results(sweep(sweep_tasks.estimates, draws(6), executor=InThisProcess()))
+
+
+def test_processes_and_threads_give_the_bits_of_one_process(
+    serial: dict[str, Any],
+) -> None:
+    assert len({one["k"] for one in serial.values()}) == len(serial)
+    with local_workers(N_WORKERS) as workers:
+        found = results(sweep(sweep_tasks.estimates, draws(6), executor=workers))
+        pids = results(
+            sweep(
+                sweep_tasks.process_and_threads,
+                {str(n): n for n in range(8)},
+                executor=workers,
+            )
+        )
+    assert found == serial
+    processes = {pid for pid, _ in pids.values()}
+    assert os.getpid() not in processes
+    assert {threads for _, threads in pids.values()} == {"1"}
+    with ThreadPoolExecutor(N_WORKERS) as threads:
+        assert results(sweep(sweep_tasks.estimates, draws(6), executor=threads)) == (
+            serial
+        )
+
+
+def test_a_killed_dask_worker_loses_nothing(serial: dict[str, Any]) -> None:
+    quiet = {
+        "distributed.logging.distributed": "critical",
+        "distributed.comm.timeouts.connect": "30s",
+    }
+    with (
+        dask.config.set(quiet),
+        distributed.LocalCluster(
+            n_workers=3,
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address=None,
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        pids = list(client.run(os.getpid).values())
+        found: dict[str, Any] = {}
+        executor = client.get_executor()
+        for done in sweep(sweep_tasks.slow_estimates, draws(6), executor=executor):
+            if not found:
+                os.kill(pids[0], signal.SIGKILL)  # one of the three, in the middle
+            found[done.key] = done.result
+        # the executor was not shut down: it still computes
+        assert executor.submit(sweep_tasks.square, 4).result() == 16
+        assert pids[0] not in client.run(os.getpid).values()
+    assert found == serial
+
+
+def test_a_sweep_asks_no_more_of_an_executor_than_it_may_hold() -> None:
+    watched = Watched()
+    cases = {str(n): n for n in range(30)}
+    found = results(sweep(sweep_tasks.square, cases, executor=watched, in_flight=4))
+    assert found == {str(n): n**2 for n in range(30)}
+    assert watched.most_running <= 4
+    assert not watched.was_shut_down
+    watched.pool.shutdown()
+
+
+def test_leaving_the_loop_and_an_error_cancel_what_is_not_begun() -> None:
+    watched = Watched()
+    cases = {str(n): n for n in range(100)}
+    swept = sweep(sweep_tasks.square, cases, executor=watched, in_flight=4)
+    next(swept)
+    swept.close()  # type: ignore[attr-defined]  # a generator
+    assert watched.n_submitted <= 5
+    with pytest.raises(ValueError, match="three") as raised:
+        results(sweep(sweep_tasks.fails_at_three, cases, executor=watched, in_flight=1))
+    assert "'3'" in raised.value.__notes__[0]
+    assert watched.n_submitted <= 10
+    watched.pool.shutdown()
+
+
+def test_a_restart_computes_only_what_is_not_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "kept"
+    cases = {f"case {n}/of:9": n for n in range(9)}
+    swept = sweep(
+        sweep_tasks.square, cases, executor=InThisProcess(), folder=folder, of="squares"
+    )
+    first = [next(swept) for _ in range(4)]
+    swept.close()  # type: ignore[attr-defined]
+    assert len(list(folder.glob("*.json"))) == 4
+    kept = KeptResults(folder, "squares")
+    cut = kept.path_of(first[0].key)
+    cut.write_text(cut.read_text()[:20])  # as an older program's kill would leave it
+    said: list[str] = []
+    again: list[Done] = list(
+        sweep(
+            sweep_tasks.square,
+            cases,
+            executor=InThisProcess(),
+            folder=folder,
+            of="squares",
+            progress=said.append,
+        )
+    )
+    assert [done.was_kept for done in again] == [True] * 3 + [False] * 6
+    assert results(again) == {key: n**2 for key, n in cases.items()}
+    assert said[-1].startswith("9 of 9: ")
+    assert not list(folder.glob("*.part"))
+    with pytest.raises(DataError, match="another sweep"):
+        list(sweep(sweep_tasks.square, cases, folder=folder, of="cubes"))
+
+
+def test_keys_of_any_kind_have_files_of_their_own(tmp_path: Path) -> None:
+    kept = KeptResults(tmp_path)
+    keys = ["a/b", "a b", "../a", ".", "..", "é" * 90, "é" * 91, "CON\x00", "a%2Fb"]
+    for number, key in enumerate(keys):
+        kept.keep(key, np.float64(number) / 3)
+    assert len(list(tmp_path.iterdir())) == len(keys)
+    for number, (key, result) in enumerate(kept.found(keys)):
+        assert (key, result) == (keys[number], number / 3)
+    with pytest.raises(DataError, match="cannot be kept"):
+        kept.keep("object", object())
+
+
+def test_a_file_is_whole_or_what_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.json"
+    write_whole(path, "first")
+
+    def killed(*names: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(path, "second")
+    assert path.read_text() == "first"
+    assert [one.name for one in tmp_path.iterdir()] == ["a.json"]
+
+
+@pytest.mark.parametrize(
+    ("function", "cases", "in_flight", "said"),
+    [
+        (lambda n: n, {"a": 1}, 1, "top level"),
+        (sweep_tasks.square, {1: 1}, 1, "not a text"),
+        (sweep_tasks.square, {"": 1}, 1, "not a text"),
+        (sweep_tasks.square, {"a": 1}, 0, "in_flight=0"),
+    ],
+)
+def test_what_cannot_be_swept_is_refused_at_once(
+    function: Any, cases: Any, in_flight: int, said: str
+) -> None:
+    with pytest.raises(DataError, match=said):
+        sweep(function, cases, in_flight=in_flight)
+
+
+def test_a_worker_that_dies_is_told_with_its_case() -> None:
+    with (
+        local_workers(N_WORKERS) as workers,
+        pytest.raises(SolveError, match="a worker ended while 'a'"),
+    ):
+        list(sweep(sweep_tasks.dies, {"a": 1}, executor=workers))
+
+
+INTERRUPTED = """
+import sys
+from phsi_opt.sweeps.local_workers import local_workers
+from phsi_opt.sweeps.sweep import sweep
+from tests import sweep_tasks
+
+if __name__ == "__main__":
+    with local_workers(2) as workers:
+        cases = {name: name for name in sys.argv[1:]}
+        for done in sweep(sweep_tasks.sleeps, cases, executor=workers):
+            pass
+"""
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+def test_workers_end_with_their_parent_and_at_ctrl_c(
+    tmp_path: Path, sent: signal.Signals
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(INTERRUPTED)
+    paths = [tmp_path / "one", tmp_path / "two"]
+    root = Path(__file__).resolve().parents[1]
+    process = subprocess.Popen(
+        [sys.executable, str(script), *map(str, paths)],
+        env={**os.environ, "PYTHONPATH": str(root)},
+        stderr=subprocess.PIPE,
+    )
+    try:
+        pids = [_pid_in(path) for path in paths]
+        process.send_signal(sent)
+        began = time.monotonic()
+        process.wait(STARTS_WITHIN)
+        while any(map(_is_alive, pids)):
+            assert time.monotonic() - began < STARTS_WITHIN
+            time.sleep(0.02)
+        assert time.monotonic() - began < ENDS_WITHIN
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def _pid_in(path: Path) -> int:
+    began = time.monotonic()
+    while not (path.exists() and path.read_text()):
+        assert time.monotonic() - began < STARTS_WITHIN
+        time.sleep(0.02)
+    return int(path.read_text())
+
+
+def _is_alive(pid: int) -> bool:
+    """Whether a process runs; one that has ended and is not yet collected does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fit:
+    return identify(sweep_tasks.model(), sweep_tasks.data(3))
+
+
+def test_a_bootstrap_scatters_as_the_standard_errors_say(
+    fitted: Fit, tmp_path: Path
+) -> None:
+    data = sweep_tasks.data(3)
+    few = bootstrap(fitted, data, 4, executor=InThisProcess(), folder=tmp_path)
+    said: list[str] = []
+    found = bootstrap(
+        fitted,
+        data,
+        20,
+        executor=InThisProcess(),
+        folder=tmp_path,
+        progress=said.append,
+    )
+    assert sum("kept before" in line for line in said) == 4
+    assert list(found.estimates.index) == list(range(20))
+    assert found.estimates.iloc[:4].equals(few.estimates)
+    assert not found.failed
+    # the scatter of 20 draws is known to a sixth (one standard deviation)
+    ratio = found.table["bootstrap_error"] / found.table["std_error"]
+    assert np.all((ratio > 0.5) & (ratio < 1.7)), ratio
+    intervals = found.intervals(0.9)
+    assert (intervals["ci_lower"] < intervals["value"]).all()
+    assert (intervals["ci_upper"] > intervals["value"]).all()
+    assert "bootstrap of 20 draws" in str(found)
+    kept = json.loads(next(tmp_path.glob("*.json")).read_text())
+    assert kept["of"].startswith("bootstrap ")
+    with pytest.raises(DataError, match="another sweep"):
+        bootstrap(fitted, data, 8, seed=1, folder=tmp_path)
+    with pytest.raises(DataError, match="level=2"):
+        found.intervals(2)
+
+
+def test_a_bootstrap_refuses_what_it_cannot_draw(fitted: Fit, tmp_path: Path) -> None:
+    data = sweep_tasks.data(3)
+    fitted.save(tmp_path / "fit.json")
+    with pytest.raises(DataError, match="has no states"):
+        bootstrap(Fit.load(tmp_path / "fit.json"), data)
+    with pytest.raises(DataError, match="samples"):
+        bootstrap(fitted, data.split(0.5)[0])
+    with pytest.raises(DataError, match="n_draws=1"):
+        bootstrap(fitted, data, 1)
+    both = data.trajectories[0].x.copy()
+    both[:, 1] = np.gradient(both[:, 0], data.trajectories[0].t)
+    measured = type(data).from_arrays(data.trajectories[0].t, both, states=["x", "v"])
+    with pytest.raises(ModelError, match="PHSILoss"):
+        bootstrap(identify(sweep_tasks.model(), measured, PHSILoss()), measured)
+
+
+def test_a_partial_function_is_swept() -> None:
+    found = results(sweep(partial(pow, 2), {"a": 3, "b": 5}, executor=InThisProcess()))
+    assert found == {"a": 8, "b": 32}
