@@ -76,23 +76,37 @@ class LikelihoodSolver:
         start = replace(start, steps=self._steps(start))
         if not self.task.settings.thorough or start.is_optimum:
             return self.solve(start)
-        estimate = self.solve(start, ways=_ways_of_first_attempt(start))
+        ways = _ways_of_first_attempt(start)
+        estimate = self.solve(start, ways=ways)
         if estimate.is_success:
             return estimate
         self.task.say("the whole record could not be solved; going through windows")
-        return self.solve_through_windows(start)
+        has_tried_all = ways == ways_after(start.way)
+        return self.solve_through_windows(start, estimate if has_tried_all else None)
 
-    def solve_through_windows(self, start: StartingPoint) -> LikelihoodEstimate:
-        """Windows that grow, each from the last result, and then the whole record."""
+    def solve_through_windows(
+        self, start: StartingPoint, failed: LikelihoodEstimate | None = None
+    ) -> LikelihoodEstimate:
+        """Windows that grow, each from the last result, and then the whole record.
+
+        Args:
+            start: where the first windows begin.
+            failed: what the whole record gave from there, by every way there is; it is
+                the answer where no window could be solved either.
+        """
         start = replace(start, steps=self._steps(start))
         runs = self.task.data.trajectories
         longest = max(float(run.t[-1] - run.t[0]) for run in runs)
         window = self.loss.window or longest / FIRST_WINDOWS
+        has_moved = False
         while window < longest:
             estimate = self.solve(start, window=window)
             if estimate.is_success:
                 start = start.moved_to(estimate)
+                has_moved = True
             window *= WINDOW_GROWTH
+        if failed is not None and not has_moved:
+            return failed
         return self.solve(start)
 
     def _steps(self, start: StartingPoint) -> tuple[np.ndarray, ...]:

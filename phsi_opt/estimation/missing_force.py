@@ -140,7 +140,8 @@ def estimate_force(
         before = search.sizes
         linear = search.update_sizes(solved, known_noise)
         change = search.sizes.change_from(before)
-        if change < SETTLED_SIZE and solution.outcome.success:
+        has_settled = change < SETTLED_SIZE and solution.outcome.success
+        if has_settled or search.is_hopeless(solution):
             break
     sizes = search.sizes
     return ForceEstimate(
@@ -167,6 +168,7 @@ class _Search:
         self._program = program
         self._solver = Solver(program, ROUGHLY)
         self._start = program.start
+        self._is_thorough = False
 
     def solve(self, *, is_last: bool) -> Solution:
         """The solution for the present sizes, from the last solution.
@@ -182,6 +184,7 @@ class _Search:
         is_unfinished = is_last and not solution.outcome.success
         if _is_lost(solution) or is_unfinished:
             self._solver = Solver(self._program, THOROUGHLY)
+            self._is_thorough = True
             solution = self._solve_from(solution.z)
         if _is_lost(solution):
             raise SolveError(
@@ -189,6 +192,10 @@ class _Search:
             )
         self._start = solution.z
         return solution
+
+    def is_hopeless(self, solution: Solution) -> bool:
+        """Whether many iterations were not enough: other sizes hardly change that."""
+        return self._is_thorough and not solution.outcome.success
 
     def _solve_from(self, start: np.ndarray) -> Solution:
         settings = np.r_[self.sizes.prior.size, self.sizes.sigma]

@@ -325,6 +325,22 @@ class LinearizedRecord:
         moved = np.clip(moved, half_way_down, half_way_up)
         return dict(zip(self.unknown.names, moved.tolist(), strict=True))
 
+    def relative_change(
+        self,
+        of_defects: np.ndarray,
+        of_outputs: np.ndarray,
+        coefficients: np.ndarray,
+    ) -> float:
+        """By how much of its own size a base parameter moves beside an effect, at most.
+
+        The arguments are those of `parameters_with`; parameters at zero do not count.
+        """
+        by_effect = self._followed(of_defects, of_outputs).theta @ coefficients
+        sizes = np.abs(self.theta)
+        counts = sizes > 0
+        relative = np.abs(self.scale * by_effect)[counts] / sizes[counts]
+        return float(np.max(relative, initial=0.0))
+
     def parameters_of(self, model: Model, values: dict[str, float]) -> np.ndarray:
         """Parameters of a larger model, (n_free, n_trajectories).
 

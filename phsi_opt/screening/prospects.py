@@ -239,6 +239,8 @@ class Prospects:
     ) -> Prospect:
         """Without a second look; of a pair what its better one leaves alone."""
         best = max(screened, key=lambda one: one.drop)
+        if len(screened) == 1:
+            values = best.near.values
         share = self.misfit / max(self.test.misfit, TINY)
         return Prospect(
             effects=tuple(one.effect for one in screened),
@@ -246,7 +248,7 @@ class Prospects:
             coefficient=screened[0].coefficient,
             std_error=screened[0].std_error,
             values=values,
-            base_values=best.base_values if len(screened) == 1 else {},
+            base_values=best.near.base_values if len(screened) == 1 else {},
             misfit=share * max(self.test.misfit - best.drop, 0.0),
             n_free=sum(one.n_free for one in screened),
             n_tried=int(np.prod([one.n_tried for one in screened])),

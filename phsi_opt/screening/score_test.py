@@ -42,6 +42,10 @@ from phsi_opt.statistics import (
 SCAN_REFINEMENTS = 2  # rounds of finer values around the best one of a scan
 # Share of the misfit that is left at least when its logarithm is taken.
 LEAST_MISFIT = 1e-9
+# Share of itself by which a parameter of the base may move at the start of a re-fit
+# that no second look prepared: where an effect is hardly told from it (the gain of a
+# sensor and all losses), the linearisation leads anywhere.
+MOST_MOVED = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,19 @@ class ScannedPoint:
 
     values: dict[str, float]
     trace: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class NearStart:
+    """A start beside the base model.
+
+    Attributes:
+        values: of the effect's parameters.
+        base_values: of the base's own.
+    """
+
+    values: dict[str, float]
+    base_values: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +82,7 @@ class Screened:
         p_value: of the drop, for correlated residuals and all values scanned.
         values: where to start a re-fit; ``base_values``: those of the base's own
             parameters beside the effect.
+        near: the same no further than the linearisation is to be trusted.
         trace: (n_values, k); ``explained``: the same times the coefficients.
         scanned: what was tried, traces in the rows that are kept.
     """
@@ -78,6 +96,7 @@ class Screened:
     p_value: float
     values: dict[str, float]
     base_values: dict[str, float]
+    near: "NearStart"
     trace: np.ndarray = field(repr=False)
     explained: np.ndarray = field(repr=False)
     scanned: tuple[ScannedPoint, ...] = field(repr=False)
@@ -351,10 +370,22 @@ class ScoreTest:
             base_values=self.linearized.parameters_with(
                 point.change.of_defects, point.change.of_outputs, c
             ),
+            near=self._near_start(trial, point),
             trace=trace,
             explained=explained,
             scanned=(self._kept(point),),
         )
+
+    def _near_start(self, trial: Trial, point: _Point) -> NearStart:
+        """Where no parameter of the base moves by more than `MOST_MOVED` of itself."""
+        change = point.change
+        c = point.regression.coefficients
+        moved = self.linearized.relative_change(change.of_defects, change.of_outputs, c)
+        share = 1 / max(1.0, moved / MOST_MOVED)
+        near = self.linearized.parameters_with(
+            change.of_defects, change.of_outputs, share * c
+        )
+        return NearStart(_start_values(trial, point, share), near)
 
     def _n_new(self, trial: Trial) -> int:
         return sum(name not in self.model.entries for name in trial.model.free)
@@ -413,9 +444,9 @@ def _linear_names(new: dict[str, Entry]) -> list[str]:
     return names
 
 
-def _start_values(trial: Trial, point: _Point) -> dict[str, float]:
-    """Inner values and coefficients, within their bounds."""
-    coefficients = point.regression.coefficients.tolist()
+def _start_values(trial: Trial, point: _Point, share: float = 1.0) -> dict[str, float]:
+    """Inner values and a share of the coefficients, within their bounds."""
+    coefficients = (share * point.regression.coefficients).tolist()
     found = {**point.values, **dict(zip(trial.linear, coefficients, strict=False))}
     values = {}
     for name, value in found.items():
