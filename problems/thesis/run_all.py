@@ -1,5 +1,5 @@
-"""Every experiment of the thesis, two at a time; the timed comparison comes last and
-alone, and after it the table of docs/thesis.md.
+"""Every experiment of the thesis, two at a time; what is timed comes last and alone,
+and after it the table of docs/thesis.md.
 
     python -m problems.thesis.run_all [--quick]
 """
@@ -20,7 +20,7 @@ SCRIPTS = (
     "significance",
     "regularization",
 )
-TIMED = "compare"
+TIMED = ("solver_speed", "compare")
 LAST = "side_by_side"  # reads the pages of the others
 
 
@@ -50,10 +50,13 @@ def run(name: str) -> Outcome:
 
 def main() -> int:
     """Number of scripts that failed."""
-    print(f"{', '.join(SCRIPTS)}, then {TIMED}; the results go to results/", flush=True)
+    first = ", ".join(SCRIPTS)
+    then = ", ".join(TIMED)
+    print(f"{first}, then {then}; the results go to results/", flush=True)
     with ThreadPoolExecutor(2) as pool:
         outcomes = list(pool.map(run, SCRIPTS))
-    outcomes += [run(TIMED), run(LAST)]
+    for name in (*TIMED, LAST):
+        outcomes.append(run(name))
     return sum(outcome.return_code != 0 for outcome in outcomes)
 
 
