@@ -108,6 +108,7 @@ def estimate_force(
     prior: ForcePrior | None = None,
     integrator: str = "srk4",
     least_noise: np.ndarray | float = 0.0,
+    is_patient: bool = True,
 ) -> ForceEstimate:
     """Estimate states and missing force, with sizes of force and noise by evidence.
 
@@ -123,6 +124,8 @@ def estimate_force(
         integrator: The scheme of the defects.
         least_noise: Below which noise that is not known does not fall, of all states or
             (n_states,).
+        is_patient: Whether further sizes are tried after many iterations were not
+            enough for one.
 
     Raises:
         SolveError: No states and force were found that obey the dynamics.
@@ -141,7 +144,8 @@ def estimate_force(
         linear = search.update_sizes(solved, known_noise)
         change = search.sizes.change_from(before)
         has_settled = change < SETTLED_SIZE and solution.outcome.success
-        if has_settled or search.is_hopeless(solution):
+        is_hopeless = search.is_thorough and not solution.outcome.success
+        if has_settled or (is_hopeless and not is_patient):
             break
     sizes = search.sizes
     return ForceEstimate(
@@ -161,6 +165,7 @@ class _Search:
 
     Attributes:
         sizes: Of noise and force, at present.
+        is_thorough: Whether it has come to many iterations.
     """
 
     def __init__(self, program: Program, sizes: Sizes) -> None:
@@ -168,7 +173,7 @@ class _Search:
         self._program = program
         self._solver = Solver(program, ROUGHLY)
         self._start = program.start
-        self._is_thorough = False
+        self.is_thorough = False
 
     def solve(self, *, is_last: bool) -> Solution:
         """The solution for the present sizes, from the last solution.
@@ -184,7 +189,7 @@ class _Search:
         is_unfinished = is_last and not solution.outcome.success
         if _is_lost(solution) or is_unfinished:
             self._solver = Solver(self._program, THOROUGHLY)
-            self._is_thorough = True
+            self.is_thorough = True
             solution = self._solve_from(solution.z)
         if _is_lost(solution):
             raise SolveError(
@@ -192,10 +197,6 @@ class _Search:
             )
         self._start = solution.z
         return solution
-
-    def is_hopeless(self, solution: Solution) -> bool:
-        """Whether many iterations were not enough: other sizes hardly change that."""
-        return self._is_thorough and not solution.outcome.success
 
     def _solve_from(self, start: np.ndarray) -> Solution:
         settings = np.r_[self.sizes.prior.size, self.sizes.sigma]
@@ -334,31 +335,40 @@ def smoothed(
     usual = prior or default_prior(model, grid, point)
     values = model.values
     widths = {name: values[name] for name in corner_widths(model)}
+
+    def searched(factor: float, begun: ForcePrior, is_patient: bool) -> ForceEstimate:
+        rounded = {}
+        if factor != 1:
+            rounded = {name: factor * width for name, width in widths.items()}
+        estimate = estimate_force(
+            model.with_values(rounded),
+            grid,
+            point,
+            sigma,
+            rounds=rounds,
+            known_noise=known_noise,
+            prior=begun,
+            integrator=integrator,
+            least_noise=least_noise,
+            is_patient=is_patient,
+        )
+        return replace(estimate, rounded=rounded)
+
     attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
     attempts.append((1.0, replace(usual, size=SMALL * usual.size)))
     unfinished = None
     for factor, begun in attempts:
-        rounded = {}
-        if factor != 1:
-            rounded = {name: factor * width for name, width in widths.items()}
         try:
-            estimate = estimate_force(
-                model.with_values(rounded),
-                grid,
-                point,
-                sigma,
-                rounds=rounds,
-                known_noise=known_noise,
-                prior=begun,
-                integrator=integrator,
-                least_noise=least_noise,
-            )
+            # Beside a corner that can be rounded, patience is for when all else fails.
+            estimate = searched(factor, begun, is_patient=not widths)
         except SolveError as error:
             failure = error
             continue
         if estimate.has_converged:
-            return replace(estimate, rounded=rounded)
-        unfinished = unfinished or replace(estimate, rounded=rounded)
+            return estimate
+        if unfinished is None:
+            unfinished = estimate
+            again = (factor, begun)
     if unfinished is None:
         raise failure
-    return unfinished
+    return searched(*again, is_patient=True) if widths else unfinished
