@@ -321,7 +321,8 @@ def _tanks(forces: Mapping[str, str], of_forces: Mapping[str, float]) -> TrueSys
     rates = pseudo_hamiltonian(states, tank_structure(), energy.text, losses, forces)
     damping = {symbol: truth[f"R_{flow}"] for flow, symbol in losses.items()}
     values = {**energy.values, **damping, **of_forces}
-    return TrueSystem(states, rates, values, (*truth, *of_forces))
+    names = (*truth, *of_forces)
+    return TrueSystem(states, rates, values, names, kinked=bool(forces))
 
 
 def tanks_model() -> ph.Model:
