@@ -167,6 +167,7 @@ def _of_thesis(found: Tables) -> list[str]:
     said = []
     for name in THESIS_CASES:
         if name not in found:
+            said.append(f"{CASES[name].title.split(',')[0]} not run")
             continue
         rows = found[name]
         likelihood = rows[rows["method"] == "likelihood"]
@@ -177,8 +178,6 @@ def _of_thesis(found: Tables) -> list[str]:
             f"{CASES[name].title.split(',')[0]} {worst:.3f} +- {by_chance(n):.3f} "
             f"({verdict} {TARGET_RATIO:g}, {n} seeds; joint {joint(likelihood)})"
         )
-    if not said:
-        return []
     head = "Worst rmse/bound of the likelihood on the systems of the thesis:"
     return [f"{head} {'; '.join(said)}.", ""]
 
