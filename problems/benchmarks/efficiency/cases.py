@@ -335,8 +335,7 @@ def tanks_model() -> ph.Model:
 def tanks_leak_model() -> ph.Model:
     """The same with the leak; its slope starts at half of the truth.
 
-    A fit takes minutes: at the kinks of the leak one search of the likelihood ends
-    late, and the steps are halved until they are 64 times as fine.
+    At the kinks of the leak steps are halved until they are 64 times as fine.
     """
     return on_support(tank_model(known_leak()), SYSTEMS["tanks"].truth)
 
