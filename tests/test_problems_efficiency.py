@@ -63,12 +63,14 @@ def test_the_bound_agrees_with_finite_differences_of_an_integration(
     assert covariance_bound(slopes, sigma, seen) == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ["mass_spring", "schrodinger", "tanks"])
+@pytest.mark.parametrize(
+    "name", ["henon_heiles", "mass_spring", "schrodinger", "tanks", "tanks_leak"]
+)
 def test_the_bound_s_systems_are_those_of_the_thesis(name: str) -> None:
     from problems.benchmarks.efficiency.cases import CASES
     from problems.thesis.systems import SYSTEMS, closed_tanks
 
-    case, system = CASES[name], SYSTEMS[name]
+    case, system = CASES[name], SYSTEMS[name.removesuffix("_leak")]
     rhs = closed_tanks if name == "tanks" else system.rhs
     x = np.random.default_rng(1).normal(size=len(system.states))
     truth = case.system()
@@ -90,6 +92,25 @@ def test_the_data_of_the_thesis_systems_are_drawn_as_in_the_thesis() -> None:
     for a, b in zip(mine, small.data(7), strict=True):
         # two integrators with tolerances of 1e-11 and 1e-12
         assert a.x == pytest.approx(b.x, abs=1e-8)
+
+
+def test_fixed_steps_over_the_kinks_of_the_leak_leave_the_bound_as_it_is() -> None:
+    from dataclasses import replace
+
+    from problems.benchmarks.efficiency.cases import CASES, tanks_leak
+    from problems.benchmarks.efficiency.cramer_rao import covariance_bound
+
+    case, truth = CASES["tanks_leak"], tanks_leak()
+    starts = case.draw(np.random.default_rng(3)).starts[:1]
+    sigma = np.full(9, case.noise)
+    t = case.t[:21]  # two periods
+    stepped = truth.sensitivities(starts, t)
+    adaptive = replace(truth, kinked=False).sensitivities(starts, t)
+    # the leak reaches its limit again and again, and both see every kink
+    assert np.ptp(np.sign(np.abs(stepped.states[0, :, 8]) - 0.3)) == 2
+    bounds = [np.sqrt(np.diag(covariance_bound(s, sigma))) for s in (stepped, adaptive)]
+    # three digits of a bound are enough
+    assert bounds[0] == pytest.approx(bounds[1], rel=1e-2)
 
 
 def test_likelihood_is_close_to_the_bound_and_needs_no_complete_samples() -> None:

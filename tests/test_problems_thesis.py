@@ -1,9 +1,13 @@
 """The studies of the thesis under problems/thesis, small."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
+
+import phsi_opt as ph
 
 
 def test_defects_have_the_order_of_their_integrator_and_two_are_symmetric() -> None:
@@ -111,6 +115,7 @@ def test_every_method_is_scored_beside_the_solver_whose_errors_are_small() -> No
     assert set(SYSTEMS["henon_heiles"].truth) <= set(truth.index)
 
 
+<<<<<<< HEAD
 def test_the_solvers_speed_beside_gradient_descent_and_the_floor(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -123,3 +128,58 @@ def test_the_solvers_speed_beside_gradient_descent_and_the_floor(
     assert seconds == sorted(seconds) and np.isfinite(seconds).all()
     # Two epochs of gradient descent are far from the optimum.
     assert alone["descent, last"].iloc[0] > 0.01
+=======
+def test_a_force_is_found_where_it_acts_and_superfluous_terms_go() -> None:
+    from problems.thesis import open_questions
+
+    for ask in (open_questions.tanks_place, open_questions.large):
+        system = "tanks" if ask is open_questions.tanks_place else "henon_heiles"
+        question = open_questions.Question(system, ask)
+        (row,) = open_questions.asked(question, 0, open_questions.QUICK_N[system])
+        assert row["is_right"], row
+        assert (row["superfluous"], row["missed"]) == (0, 0)
+        assert row["n_candidates"] > 50
+
+
+def test_the_page_of_the_open_questions_counts_what_was_kept(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    from problems.thesis import open_questions
+    from problems.tools import provenance
+
+    def answers(seed: int, n: int | None) -> list[dict[str, Any]]:
+        if seed == open_questions.FIRST_DRAW + 2:
+            raise ph.SolveError("no")
+        is_right = seed == open_questions.FIRST_DRAW
+        said = "mu4" if is_right else "mu3 mu4"
+        counts = {"n_candidates": 9, "superfluous": 1 - is_right, "missed": 0}
+        return [{"answer": "place", "is_right": is_right, "said": said} | counts]
+
+    answers.__name__ = "tanks_place"
+    question = open_questions.Question("tanks", answers)
+    monkeypatch.setattr(open_questions, "QUESTIONS", (question,))
+    monkeypatch.setattr("sys.argv", ["open_questions.py"])
+    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
+    open_questions.main(n_draws=2)
+    open_questions.main(n_draws=3)
+    kept = pd.read_csv(tmp_path / "thesis" / "open_questions.csv")
+    assert list(kept["draw"]) == [5000, 5001, 5002]
+    page = (tmp_path / "thesis" / "open_questions.md").read_text(encoding="utf-8")
+    assert "33% (6% to 79%) | 3 | 5000 to 5002" in page
+    assert "1 x mu3 mu4" in page
+    assert "tanks_place, draw 5002: no" in page
+
+
+def test_no_page_says_that_nobody_can_make_it_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from problems.tools import provenance
+
+    pages = list(provenance.RESULTS.rglob("*.md"))
+    assert len(pages) > 20
+    for page in pages:
+        assert "python -c" not in page.read_text(encoding="utf-8"), page
+    monkeypatch.setattr("sys.argv", ["-c"])
+    with pytest.raises(RuntimeError, match="run the script"):
+        provenance.write("nothing.md", "")
+>>>>>>> open

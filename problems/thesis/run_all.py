@@ -19,6 +19,7 @@ SCRIPTS = (
     "integrators",
     "significance",
     "regularization",
+    "open_questions",
 )
 TIMED = ("solver_speed", "compare")
 LAST = "side_by_side"  # reads the pages of the others

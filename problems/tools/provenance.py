@@ -59,7 +59,17 @@ def commit() -> str:
 
 
 def write(name: str, text: str) -> Path:
-    """Write a text result under results/."""
+    """Write a text result under results/.
+
+    Raises:
+        RuntimeError: in a process that no command line of the project started, whose
+            page could not say how to make it again.
+    """
+    if sys.argv[0] == "-c":
+        raise RuntimeError(
+            f"results/{name} is written by a script of the project, not by python -c: "
+            "run the script, so that the page names a command that makes it again."
+        )
     path = RESULTS / name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"<!-- {provenance()} -->\n\n{text.rstrip()}\n", encoding="utf-8")

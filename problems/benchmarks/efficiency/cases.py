@@ -17,9 +17,12 @@ from problems.benchmarks.efficiency.cramer_rao import (
 )
 from problems.thesis.systems import (
     FLOWS,
+    LEAK_LIMIT,
+    LEAK_SLOPE,
     LEVELS,
     SYSTEMS,
     System,
+    known_leak,
     tank_model,
     tank_structure,
 )
@@ -193,11 +196,15 @@ def thesis_case(
     truth: Callable[[], TrueSystem],
     model: Callable[[], ph.Model],
     n_seeds: int,
+    of: str = "",
+    remark: str = "",
 ) -> Case:
-    """An experiment with the data of the thesis: size, starts, noise."""
-    s = SYSTEMS[name]
+    """An experiment with the data of the thesis: size, starts, noise; ``of``: the name
+    of its system, where that of the experiment is another.
+    """
+    s = SYSTEMS[of or name]
     size = f"{s.n_trajectories} trajectories x {s.n_steps} steps"
-    title = f"{s.title}, noise {s.noise:g}, {size}"
+    title = f"{s.title}{remark}, noise {s.noise:g}, {size}"
     t = np.linspace(0.0, s.n_steps * s.step, s.n_steps + 1)
     return Case(
         name, title, truth, model, thesis_draw(s), t, s.noise, n_seeds, s.states
@@ -261,13 +268,7 @@ def mass_spring_model() -> ph.Model:
 @cache
 def schrodinger() -> TrueSystem:
     """The Schroedinger system of the thesis."""
-    system = SYSTEMS["schrodinger"]
-    energy = _energy(system.truth)
-    zero = np.zeros((2, 2))
-    one = np.eye(2)
-    S = np.block([[zero, one], [-one, zero]])
-    rates = pseudo_hamiltonian(system.states, S, energy.text, {}, {})
-    return TrueSystem(system.states, rates, energy.values, tuple(system.truth))
+    return _hamiltonian(SYSTEMS["schrodinger"])
 
 
 def schrodinger_model() -> ph.Model:
@@ -276,15 +277,52 @@ def schrodinger_model() -> ph.Model:
 
 
 @cache
+def henon_heiles() -> TrueSystem:
+    """Henon-Heiles as in the thesis."""
+    return _hamiltonian(SYSTEMS["henon_heiles"])
+
+
+def henon_heiles_model() -> ph.Model:
+    """All coefficients of the true support, without starting values."""
+    return on_support(SYSTEMS["henon_heiles"].model(), SYSTEMS["henon_heiles"].truth)
+
+
+def _hamiltonian(system: System) -> TrueSystem:
+    """S grad H of two particles, without losses and forces."""
+    energy = _energy(system.truth)
+    zero = np.zeros((2, 2))
+    one = np.eye(2)
+    S = np.block([[zero, one], [-one, zero]])
+    rates = pseudo_hamiltonian(system.states, S, energy.text, {}, {})
+    return TrueSystem(system.states, rates, energy.values, tuple(system.truth))
+
+
+@cache
 def tanks() -> TrueSystem:
     """The tanks with the leak shut."""
+    return _tanks({}, {})
+
+
+@cache
+def tanks_leak() -> TrueSystem:
+    """The tanks of the thesis: the form and the limit of the leak are known, its slope
+    is not.
+    """
+    leak = f"-slope*Min(Max(mu4, -{LEAK_LIMIT}), {LEAK_LIMIT})"
+    return _tanks({"mu4": leak}, {"slope": LEAK_SLOPE})
+
+
+def _tanks(forces: Mapping[str, str], of_forces: Mapping[str, float]) -> TrueSystem:
+    """Tanks and pipes with given forces and their parameters."""
     truth = SYSTEMS["tanks"].truth
     states = FLOWS + LEVELS
     energy = _energy(truth)
     losses = {flow: f"r{i}" for i, flow in enumerate(FLOWS)}
-    rates = pseudo_hamiltonian(states, tank_structure(), energy.text, losses, {})
+    rates = pseudo_hamiltonian(states, tank_structure(), energy.text, losses, forces)
     damping = {symbol: truth[f"R_{flow}"] for flow, symbol in losses.items()}
-    return TrueSystem(states, rates, {**energy.values, **damping}, tuple(truth))
+    values = {**energy.values, **damping, **of_forces}
+    names = (*truth, *of_forces)
+    return TrueSystem(states, rates, values, names, kinked=bool(forces))
 
 
 def tanks_model() -> ph.Model:
@@ -292,6 +330,14 @@ def tanks_model() -> ph.Model:
     starting values.
     """
     return on_support(tank_model(), SYSTEMS["tanks"].truth)
+
+
+def tanks_leak_model() -> ph.Model:
+    """The same with the leak; its slope starts at half of the truth.
+
+    At the kinks of the leak steps are halved until they are 64 times as fine.
+    """
+    return on_support(tank_model(known_leak()), SYSTEMS["tanks"].truth)
 
 
 def _cases() -> list[Case]:
@@ -305,8 +351,19 @@ def _cases() -> list[Case]:
         duffing_case(0.1, ("q",), kept=0.5),
         thesis_case("mass_spring", mass_spring, mass_spring_model, 200),
         thesis_case("schrodinger", schrodinger, schrodinger_model, 100),
-        thesis_case("tanks", tanks, tanks_model, 100),
+        thesis_case("tanks", tanks, tanks_model, 100, remark=" (leak shut)"),
+        thesis_case("henon_heiles", henon_heiles, henon_heiles_model, 200),
+        thesis_case(
+            "tanks_leak",
+            tanks_leak,
+            tanks_leak_model,
+            100,
+            of="tanks",
+            remark=" (leak of known form)",
+        ),
     ]
 
 
 CASES = {case.name: case for case in _cases()}
+# One for every system of the thesis as it stands there; the leak's form is known.
+THESIS_CASES = ("henon_heiles", "schrodinger", "mass_spring", "tanks_leak")
