@@ -84,7 +84,7 @@ def test_the_efficiency_beside_the_bound(readme: str) -> None:
         coverage.append(by["likelihood"]["coverage"].mean())
         if "one-step" in by:
             one_step.append(by["one-step"]["rmse/bound"].max())
-    assert len(CASES) == 13 and "thirteen experiments" in readme
+    assert len(CASES) == 15 and "fifteen experiments" in readme
     assert f"of {min(seeds)} to {max(seeds)} seeds each" in readme
     assert (
         f"at most {max(worst):.2f} times the bound (+- {worst[max(worst)]:.2f}"

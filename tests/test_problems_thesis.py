@@ -115,7 +115,6 @@ def test_every_method_is_scored_beside_the_solver_whose_errors_are_small() -> No
     assert set(SYSTEMS["henon_heiles"].truth) <= set(truth.index)
 
 
-<<<<<<< HEAD
 def test_the_solvers_speed_beside_gradient_descent_and_the_floor(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -128,7 +127,8 @@ def test_the_solvers_speed_beside_gradient_descent_and_the_floor(
     assert seconds == sorted(seconds) and np.isfinite(seconds).all()
     # Two epochs of gradient descent are far from the optimum.
     assert alone["descent, last"].iloc[0] > 0.01
-=======
+
+
 def test_a_force_is_found_where_it_acts_and_superfluous_terms_go() -> None:
     from problems.thesis import open_questions
 
@@ -182,4 +182,3 @@ def test_no_page_says_that_nobody_can_make_it_again(
     monkeypatch.setattr("sys.argv", ["-c"])
     with pytest.raises(RuntimeError, match="run the script"):
         provenance.write("nothing.md", "")
->>>>>>> open
