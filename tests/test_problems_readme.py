@@ -199,3 +199,15 @@ def test_the_command_at_the_head_of_a_result_is_a_module_of_the_project(
     assert found is not None, head
     if found[2]:
         assert find_spec(found[2]) is not None, head
+
+
+def test_the_open_questions(readme: str) -> None:
+    rows = pd.read_csv(RESULTS / "thesis" / "open_questions.csv")
+    right = rows.groupby(["ask", "answer"])["is_right"].mean()
+    assert (rows.groupby(["ask", "answer"])["draw"].nunique() == 50).all()
+    tanks = percent(right["tanks_place", "place"], 0)
+    spring = percent(right["mass_spring_place", "place"], 0)
+    assert f"is found in {tanks} % (tanks) and {spring} % (mass-spring)" in readme
+    small = percent(right["guess", "small"], 0)
+    wrong = percent(right["guess", "wrong"], 0)
+    assert f"is told in {small} %, a wrong one in {wrong} %" in readme
