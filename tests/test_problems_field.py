@@ -181,8 +181,8 @@ def test_a_run_goes_on_where_it_stopped_and_its_page_counts_what_it_kept(
         return {**place, **said, **kept}
 
     monkeypatch.setattr(run, "examine", examined)
-    run.main(["falling"], range(8000, 8002), is_prepared=False)
-    run.main(["falling"], range(8000, 8004), is_prepared=False)
+    run.main(["falling"], range(8000, 8002), is_prepared=False, jobs=1)
+    run.main(["falling"], range(8000, 8004), is_prepared=False, jobs=1)
     assert asked == [8000, 8001, 8002, 8003]
     table = store.table("falling")
     assert list(table["seed"]) == asked

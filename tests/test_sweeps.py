@@ -14,6 +14,7 @@ from typing import Any
 import dask
 import distributed
 import numpy as np
+import pandas as pd
 import pytest
 
 from phsi_opt.comparison.bootstrap import bootstrap
@@ -25,6 +26,7 @@ from phsi_opt.sweeps.local_workers import InThisProcess, local_workers
 from phsi_opt.sweeps.sweep import Done, sweep
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.writing import write_whole
+from problems.tools.kept_tables import append_rows
 from tests import sweep_tasks
 
 N_WORKERS = 2
@@ -233,6 +235,7 @@ INTERRUPTED = """
 import sys
 from phsi_opt.sweeps.local_workers import local_workers
 from phsi_opt.sweeps.sweep import sweep
+from problems.tools.kept_tables import append_rows
 from tests import sweep_tasks
 
 if __name__ == "__main__":
@@ -344,3 +347,24 @@ def test_a_bootstrap_refuses_what_it_cannot_draw(fitted: Fit, tmp_path: Path) ->
 def test_a_partial_function_is_swept() -> None:
     found = results(sweep(partial(pow, 2), {"a": 3, "b": 5}, executor=InThisProcess()))
     assert found == {"a": 8, "b": 32}
+
+
+def test_one_process_computes_no_further_than_the_loop_has_come() -> None:
+    called: list[int] = []
+    cases = {str(n): n for n in range(20)}
+    swept = sweep(called.append, cases, executor=InThisProcess())
+    next(swept)
+    next(swept)
+    assert called == [0, 1]
+
+
+def test_a_table_grows_by_whole_lines_and_a_cut_one_is_computed_again(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "kept" / "table.csv"
+    append_rows(path, pd.DataFrame({"seed": [1], "x": [0.1]}), "%.6g")
+    append_rows(path, pd.DataFrame({"seed": [2], "x": [0.25]}), "%.6g")
+    assert path.read_text() == "seed,x\n1,0.1\n2,0.25\n"
+    path.write_text("seed,x\n1,0.1\n2,0.2")  # as a kill left it
+    append_rows(path, pd.DataFrame({"seed": [2], "x": [0.25]}), "%.6g")
+    assert path.read_text() == "seed,x\n1,0.1\n2,0.25\n"

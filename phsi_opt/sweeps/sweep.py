@@ -159,7 +159,10 @@ def _computed(
     try:
         while True:
             for key, case in islice(missing, in_flight - len(running)):
-                running[workers.submit(function, case)] = key
+                future = workers.submit(function, case)
+                running[future] = key
+                if future.done():  # one that computes at once is asked for no more
+                    break
             if not running:
                 return
             ready = wait(running, return_when=FIRST_COMPLETED).done

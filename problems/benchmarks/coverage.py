@@ -1,11 +1,12 @@
 """How often intervals hold the truth when something acts beside the model.
 
     python -m problems.benchmarks.coverage [--first=SEED] [--seeds=N] [--page]
+        [--jobs=N] [--scheduler=ADDRESS]
 
-Fits are kept in results/coverage_fits.csv one by one: the same command takes up a run
-that was cut short. After a change of what is estimated move that file away, or fits of
-two kinds are told together; the page names their commits. With --page no fit is made:
-the page is written from what is kept.
+Fits are kept in results/coverage_fits.csv batch by batch: the same command takes up a
+run that was cut short. After a change of what is estimated move that file away, or fits
+of two kinds are told together; the page names their commits. With --page no fit is
+made: the page is written from what is kept.
 """
 
 import os

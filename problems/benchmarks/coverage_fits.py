@@ -8,6 +8,7 @@ import pandas as pd
 from scipy.stats import t as student_t
 
 import phsi_opt as ph
+from phsi_opt.sweeps.sweep import sweep
 from problems.benchmarks.disturbed_oscillator import (
     TRUTH,
     Disturbance,
@@ -16,6 +17,8 @@ from problems.benchmarks.disturbed_oscillator import (
 )
 from problems.benchmarks.oscillator_records import records
 from problems.tools import provenance
+from problems.tools.kept_tables import append_rows
+from problems.tools.workers import workers
 
 SCENARIOS = {
     "none": Disturbance(),
@@ -107,6 +110,21 @@ def jobs() -> list[Job]:
     return found
 
 
+@dataclass(frozen=True)
+class Batch:
+    """Fits whose records are simulated at once."""
+
+    job: Job
+    seeds: tuple[int, ...]
+
+    @property
+    def key(self) -> str:
+        """What it is called while it is computed."""
+        job = self.job
+        kind = f"{job.scenario}, {job.layout.runs} x {job.layout.samples}"
+        return f"{kind}, {job.method}, seeds {self.seeds[0]} to {self.seeds[-1]}"
+
+
 def make_all(seeds: Sequence[int], path: Path) -> None:
     """All fits that are missing; a run that is cut short has its scenarios alike.
 
@@ -115,13 +133,15 @@ def make_all(seeds: Sequence[int], path: Path) -> None:
     """
     fixed = [name for name, found in SCENARIOS.items() if found.cubic_share]
     drawn = [name for name in SCENARIOS if name not in fixed]
+    wanted = []
     for ways in (WAYS[:N_DEFAULT], WAYS[N_DEFAULT:]):
         for scenarios in (drawn, fixed):
             for first in range(0, len(seeds), BATCH):
-                batch = seeds[first : first + BATCH]
+                batch = tuple(seeds[first : first + BATCH])
                 for layout, method in ways:
                     for scenario in scenarios:
-                        make(Job(scenario, layout, method), batch, path)
+                        wanted.append(Batch(Job(scenario, layout, method), batch))
+    make_batches(wanted, path)
 
 
 def fit_rows(job: Job, seed: int, data: ph.Measurements) -> list[FitRow]:
@@ -191,14 +211,39 @@ def kept(path: Path) -> pd.DataFrame:
 
 
 def make(job: Job, seeds: Sequence[int], path: Path) -> None:
-    """Make the fits of a job that are missing, and keep each at once."""
-    missing = _missing(job, seeds, kept(path))
-    for first in range(0, len(missing), BATCH):
-        batch = missing[first : first + BATCH]
-        data = records(batch, SCENARIOS[job.scenario], job.layout)
-        for seed, record in zip(batch, data, strict=True):
-            _append(path, fit_rows(job, seed, record))
-    print(job.scenario, job.layout, job.method, f"{len(missing)} fits", flush=True)
+    """Make the fits of a job that are missing."""
+    wanted = []
+    for first in range(0, len(seeds), BATCH):
+        wanted.append(Batch(job, tuple(seeds[first : first + BATCH])))
+    make_batches(wanted, path)
+
+
+def make_batches(wanted: Sequence[Batch], path: Path) -> None:
+    """Make the fits that are missing, side by side, and keep each batch when made."""
+    rows = kept(path)
+    missing = {}
+    for batch in wanted:
+        seeds = tuple(_missing(batch.job, batch.seeds, rows))
+        if seeds:
+            left = Batch(batch.job, seeds)
+            missing[left.key] = left
+    jobs = 1 if len(missing) == 1 else None
+    with workers(jobs) as executor:
+        for done in sweep(_made, missing, executor=executor, progress=_say):
+            frame = pd.DataFrame(done.result, columns=COLUMNS)
+            append_rows(path, frame, DIGITS)
+
+
+def _made(batch: Batch) -> list[dict[str, object]]:
+    data = records(list(batch.seeds), SCENARIOS[batch.job.scenario], batch.job.layout)
+    rows = []
+    for seed, record in zip(batch.seeds, data, strict=True):
+        rows += [vars(row) for row in fit_rows(batch.job, seed, record)]
+    return rows
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 def _missing(job: Job, seeds: Sequence[int], rows: pd.DataFrame) -> list[int]:
@@ -211,11 +256,3 @@ def _missing(job: Job, seeds: Sequence[int], rows: pd.DataFrame) -> list[int]:
     ]
     counts = of_job["seed"].value_counts()
     return [seed for seed in seeds if counts.get(seed, 0) < len(TRUTH)]
-
-
-def _append(path: Path, rows: Sequence[FitRow]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    frame = pd.DataFrame([vars(row) for row in rows], columns=COLUMNS)
-    text = frame.to_csv(index=False, header=not path.exists(), float_format=DIGITS)
-    with path.open("a", encoding="utf-8") as file:
-        file.write(text)

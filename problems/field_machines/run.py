@@ -1,7 +1,7 @@
 """Does the diagnosis name what an engineer would believe, on machines of the field?
 
     python -m problems.field_machines.run [--first=SEED] [--seeds=N] [--kinds=a,b]
-        [--prepared] [--page]
+        [--prepared] [--page] [--jobs=N] [--scheduler=ADDRESS]
 
 What came out of each case is kept in results/field_machines/<kind>.csv as it is
 computed: a run that was interrupted goes on where it stopped. --prepared examines the
@@ -12,33 +12,51 @@ seen then; those from 8400 on are reported.
 
 import os
 
-# Before NumPy is loaded: a study is small.
+# Before NumPy is loaded: the processes are the parallelism.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from phsi_opt.sweeps.sweep import sweep
 from problems.field_machines import store
 from problems.field_machines.examination import examine
 from problems.field_machines.kinds import FIRST_REPORTED, KINDS
 from problems.field_machines.page import write_page
 from problems.field_machines.preparation import examine_prepared
 from problems.tools.command_line import flag, option
+from problems.tools.workers import workers
 
 N_SEEDS = 20
 
+Task = tuple[str, int, bool]  # kind, seed, whether from prepared records
 
-def main(names: list[str], seeds: range, is_prepared: bool) -> None:
+
+def main(
+    names: list[str], seeds: range, is_prepared: bool, jobs: int | None = None
+) -> None:
     """Examine what is not yet in the tables, the first seeds of all kinds first."""
+    tasks = _open_tasks(names, seeds, is_prepared)
+    with workers(jobs) as executor:
+        for done in sweep(_examined, tasks, executor=executor):
+            store.append(done.result, is_prepared)
+            print(_line(done.result), flush=True)
+
+
+def _open_tasks(names: list[str], seeds: range, is_prepared: bool) -> dict[str, Task]:
     done = {}
     for name in names:
         done[name] = set(store.table(name, is_prepared)["seed"])
+    tasks = {}
     for seed in seeds:
         for name in names:
-            if seed in done[name]:
-                continue
-            examined = examine_prepared if is_prepared else examine
-            record = examined(KINDS[name], seed)
-            store.append(record, is_prepared)
-            print(_line(record), flush=True)
+            if seed not in done[name]:
+                tasks[f"{name}, seed {seed}"] = (name, seed, is_prepared)
+    return tasks
+
+
+def _examined(task: Task) -> dict[str, object]:
+    name, seed, is_prepared = task
+    examined = examine_prepared if is_prepared else examine
+    return examined(KINDS[name], seed)
 
 
 def _line(record: dict[str, object]) -> str:

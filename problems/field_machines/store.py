@@ -11,6 +11,7 @@ import pandas as pd
 
 from problems.field_machines.preparation import PREPARED
 from problems.tools import provenance
+from problems.tools.kept_tables import append_rows
 
 COLUMNS = [
     "kind",
@@ -64,10 +65,8 @@ def table(kind: str, is_prepared: bool = False) -> pd.DataFrame:
 def append(record: dict[str, object], is_prepared: bool = False) -> None:
     """Keep one more case."""
     path = path_of(str(record["kind"]), is_prepared)
-    path.parent.mkdir(parents=True, exist_ok=True)
     line = pd.DataFrame([record], columns=_columns(is_prepared))
-    is_new = not path.exists()
-    line.to_csv(path, mode="a", header=is_new, index=False, float_format=FORMAT)
+    append_rows(path, line, FORMAT)
 
 
 def _columns(is_prepared: bool) -> list[str]:

@@ -2,7 +2,7 @@
 nothing is hidden?
 
     python -m problems.hidden_effects.run [--quick] [--page] [--list] [--jobs=N]
-        [--seeds=N] [row ...]
+        [--scheduler=ADDRESS] [--seeds=N] [row ...]
 
 A row is named in full (coulomb_friction_0.03) or by its beginning (coulomb_friction,
 sensor). What came out of each case is kept in results/hidden_effects/<row>.csv as it is
@@ -16,52 +16,48 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from collections.abc import Iterator
-from multiprocessing import get_context
-
 import pandas as pd
 
+from phsi_opt.sweeps.sweep import sweep
 from problems.hidden_effects import store
 from problems.hidden_effects.examination import examine
 from problems.hidden_effects.page import write_page
 from problems.hidden_effects.rows import ROWS
 from problems.hidden_effects.scores import summary_line
 from problems.tools.command_line import chosen, flag, option
+from problems.tools.workers import workers
 
 N_SEEDS = 50
-N_JOBS = 2
 
 Task = tuple[str, int]  # row and seed
 
 
-def main(names: list[str], n_seeds: int, jobs: int = N_JOBS) -> None:
+def main(names: list[str], n_seeds: int, jobs: int | None = None) -> None:
     """Examine what is not yet in the tables, and write the page.
 
     The first seeds of all rows come first.
     """
-    for record in _computed(_open_tasks(names, n_seeds), jobs):
-        store.append(record)
+    tasks = _open_tasks(names, n_seeds)
+    with workers(jobs) as executor:
+        for done in sweep(_examined, tasks, executor=executor, progress=_say):
+            store.append(done.result)
     for name in names:
         print(summary_line(name, store.sort(name)), flush=True)
     write_page()
 
 
-def _open_tasks(names: list[str], n_seeds: int) -> list[Task]:
+def _open_tasks(names: list[str], n_seeds: int) -> dict[str, Task]:
     done = {name: set(store.table(name)["seed"]) for name in names}
-    return [
-        (name, seed)
-        for seed in range(n_seeds)
-        for name in names
-        if seed not in done[name]
-    ]
+    tasks = {}
+    for seed in range(n_seeds):
+        for name in names:
+            if seed not in done[name]:
+                tasks[f"{name}, seed {seed}"] = (name, seed)
+    return tasks
 
 
-def _computed(tasks: list[Task], jobs: int) -> Iterator[dict[str, object]]:
-    if jobs == 1:
-        yield from map(_examined, tasks)
-    elif tasks:
-        with get_context("spawn").Pool(jobs) as pool:
-            yield from pool.imap_unordered(_examined, tasks)
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 def _examined(task: Task) -> dict[str, object]:
@@ -100,4 +96,4 @@ if __name__ == "__main__":
         print(found.dropna(axis=1, how="all").to_string(index=False))
     else:
         n_given = int(option("seeds", str(N_SEEDS)))
-        main(selected, n_given, int(option("jobs", str(N_JOBS))))
+        main(selected, n_given)

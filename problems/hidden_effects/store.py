@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from problems.tools import provenance
+from problems.tools.kept_tables import append_rows, rewrite
 
 COLUMNS = [
     "row",
@@ -63,15 +64,12 @@ def table(name: str) -> pd.DataFrame:
 
 def append(record: dict[str, object]) -> None:
     """Keep one more case."""
-    path = path_of(str(record["row"]))
-    path.parent.mkdir(parents=True, exist_ok=True)
     line = pd.DataFrame([record], columns=COLUMNS)
-    is_new = not path.exists()
-    line.to_csv(path, mode="a", header=is_new, index=False, float_format=FORMAT)
+    append_rows(path_of(str(record["row"])), line, FORMAT)
 
 
 def sort(name: str) -> pd.DataFrame:
     """Put the cases of a row in the order of their seeds."""
     rows = table(name).sort_values("seed", kind="stable")
-    rows.to_csv(path_of(name), index=False, float_format=FORMAT)
+    rewrite(path_of(name), rows, FORMAT)
     return rows

@@ -21,11 +21,13 @@ import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
+from phsi_opt.sweeps.sweep import sweep
 from problems.thesis.methods import descent, likelihood, solver, solver_threshold
 from problems.thesis.scores import coverage, distilled, free_run, score, trained
 from problems.thesis.systems import SYSTEMS, System
 from problems.tools import markdown, provenance
-from problems.tools.command_line import chosen, flag
+from problems.tools.command_line import chosen, flag, option
+from problems.tools.workers import workers
 
 N_DRAWS = 10
 FIRST_DRAW = 200  # draws that nothing was tuned on
@@ -45,6 +47,8 @@ FAILED = {
     "covered": np.nan,
     "seconds": np.nan,
 }
+
+Task = tuple[str, int, bool]  # system, draw, whether quick
 
 
 def draw(system: System, seed: int, n: int | None = None) -> list[dict[str, Any]]:
@@ -108,17 +112,28 @@ def main(
 
 
 def study(name: str, quick: bool) -> pd.DataFrame:
-    """All draws of one system."""
-    system = SYSTEMS[name]
-    n = None
-    if quick:
-        short = replace(system.descent_noisy, epochs=2)
-        system = replace(system, descent_noisy=short)
-        n = QUICK_N.get(name, 20)
-    rows = []
+    """All draws of one system; one at a time unless ``--jobs`` says otherwise."""
+    tasks = {}
     for k in range(1 if quick else N_DRAWS):
-        rows += draw(system, FIRST_DRAW + k, n)
+        tasks[f"{name}, draw {FIRST_DRAW + k}"] = (name, FIRST_DRAW + k, quick)
+    found = {}
+    with workers(1 if quick else int(option("jobs", "1"))) as executor:
+        for done in sweep(_drawn, tasks, executor=executor):
+            found[done.key] = done.result
+    rows = []
+    for key in tasks:
+        rows += found[key]
     return pd.DataFrame(rows)
+
+
+def _drawn(task: Task) -> list[dict[str, Any]]:
+    name, seed, quick = task
+    system = SYSTEMS[name]
+    if not quick:
+        return draw(system, seed)
+    short = replace(system.descent_noisy, epochs=2)
+    system = replace(system, descent_noisy=short)
+    return draw(system, seed, QUICK_N.get(name, 20))
 
 
 def _path(name: str) -> Path:

@@ -2,7 +2,7 @@
 what they promise?
 
     python -m problems.benchmarks.efficiency.run [--quick] [--page] [--jobs=N]
-        [--seeds=N] [experiment ...]
+        [--scheduler=ADDRESS] [--seeds=N] [experiment ...]
 
 Rows per seed are kept in results/efficiency/<experiment>.csv as they are computed: a
 run that was interrupted goes on where it stopped, and --page writes the page anew.
@@ -16,19 +16,20 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
+from phsi_opt.sweeps.sweep import sweep
 from problems.benchmarks.efficiency.cases import CASES, Case, Sample
 from problems.benchmarks.efficiency.page import figure, page, verdict
 from problems.tools import provenance
 from problems.tools.command_line import chosen, flag, option
+from problems.tools.kept_tables import append_rows, rewrite
+from problems.tools.workers import workers
 
 METHODS: dict[str, ph.MaximumLikelihood | ph.PHSILoss] = {
     "likelihood": ph.MaximumLikelihood(),
@@ -47,7 +48,6 @@ COLUMNS = [
     "outcome",
 ]
 FORMAT = "%.8g"
-N_JOBS = 2
 SEEDS_APART = 1000  # more than any experiment has
 
 Task = tuple[str, int]  # experiment and seed
@@ -115,41 +115,35 @@ def _rows(case: Case, sample: Sample, attempt: Attempt) -> list[dict[str, object
 
 
 def main(
-    names: list[str] | None = None, n_seeds: int | None = None, jobs: int = N_JOBS
+    names: list[str] | None = None, n_seeds: int | None = None, jobs: int | None = None
 ) -> None:
     """Run what is not yet in the tables, and write the page."""
     for name in names or list(CASES):
-        path = _path(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        for seed, rows in _computed(_open_tasks(name, n_seeds), jobs):
-            is_new = not path.exists()
-            rows.to_csv(path, mode="a", header=is_new, index=False, float_format=FORMAT)
-            print(f"... {name}, seed {seed}", flush=True)
+        tasks = _open_tasks(name, n_seeds)
+        with workers(jobs) as executor:
+            for done in sweep(_fitted, tasks, executor=executor, progress=_say):
+                append_rows(_path(name), done.result, FORMAT)
         ordered = table(name).sort_values("seed", kind="stable")
-        ordered.to_csv(path, index=False, float_format=FORMAT)
+        rewrite(_path(name), ordered, FORMAT)
         print(verdict(table(name)), flush=True)
     write_page()
 
 
-def _open_tasks(name: str, n_seeds: int | None) -> list[Task]:
+def _open_tasks(name: str, n_seeds: int | None) -> dict[str, Task]:
     """The seeds of an experiment that are not in its table."""
     done = set(table(name)["seed"]) if _path(name).exists() else set()
     first = first_seed(name)
     wanted = range(first, first + (n_seeds or CASES[name].n_seeds))
-    return [(name, seed) for seed in wanted if seed not in done]
+    return {f"{name}, seed {seed}": (name, seed) for seed in wanted if seed not in done}
 
 
-def _computed(tasks: list[Task], jobs: int) -> Iterator[tuple[int, pd.DataFrame]]:
-    if jobs == 1:
-        yield from map(_fitted, tasks)
-    elif tasks:
-        with get_context("spawn").Pool(jobs) as pool:
-            yield from pool.imap_unordered(_fitted, tasks)
-
-
-def _fitted(task: Task) -> tuple[int, pd.DataFrame]:
+def _fitted(task: Task) -> pd.DataFrame:
     name, seed = task
-    return seed, fits(CASES[name], seed)
+    return fits(CASES[name], seed)
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
 
 
 def quick(names: list[str] | None = None, n_seeds: int = 2) -> dict[str, pd.DataFrame]:
@@ -194,4 +188,4 @@ if __name__ == "__main__":
             print(f"{case_name}: {verdict(case_rows)}")
     else:
         seeds = int(option("seeds", "0")) or None
-        main(experiments, seeds, int(option("jobs", str(N_JOBS))))
+        main(experiments, seeds)
