@@ -198,7 +198,7 @@ def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:
         study.record, steps=study.record.steps[:1], diagnoses={0: found}, stopped=""
     )
     sentence = report_content(record).headline.sentence
-    assert sentence.startswith("Missing: named: held-out error")
+    assert sentence.startswith("Something is missing, and it is named: held-out error")
     assert len(sentence) < 160 and "Where it fails" in sentence
 
 

@@ -252,6 +252,7 @@ def _without_effect(base: DiagnosedModel, ranked: Sequence[Candidate]) -> Conclu
         return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}")
     reason = f"{errors}, and no effect of the catalogue is established"
     refitted = [one for one in ranked if one.fit is not None and one.lost]
+    refitted = [one for one in refitted if one.share > 0]
     if refitted:
         nearest = min(refitted, key=lambda one: one.delta_bic)
         reason += f"; the nearest, {nearest.name}, is not, because {nearest.lost}"

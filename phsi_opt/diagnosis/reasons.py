@@ -64,10 +64,15 @@ def _reason(base: DiagnosedModel, one: Candidate, best: Candidate | None) -> str
         p_value = min(one.p_value, 1.0)
         return f"{BY_CHANCE} (p-value {p_value:.1g})"
     if best is None:
-        return "the error on the data that judge does not fall clearly"
+        return f"the error on {_judging(base)} does not fall clearly"
     if one.delta_bic > best.delta_bic:
         return f"{best.name} leaves less"
-    return f"{best.name} does better on the data that judge, or is simpler"
+    return f"{best.name} does better on {_judging(base)}, or is simpler"
+
+
+def _judging(base: DiagnosedModel) -> str:
+    """What a model is judged by, in words."""
+    return "the data held out" if base.is_held_out else "the training data"
 
 
 def _is_alike(one: Candidate, best: Candidate, concluded: Conclusion) -> bool:

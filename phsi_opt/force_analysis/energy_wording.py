@@ -39,7 +39,7 @@ def energy_sentence(causes: Causes) -> str:
     for kind, share in contributions.items():
         least = NAMED_CAUSE if kind in CAUSES else MOSTLY_PARAMETERS
         if share > least:
-            parts.append(f"{_words(causes, kind)} ({100 * share:.0f} % of it)")
+            parts.append(f"{_words(causes, kind)}, {100 * share:.0f} % of it")
     return (", and ".join(parts) + _tie(causes)) or NO_PATTERN
 
 
@@ -79,7 +79,10 @@ def _closed_loop(causes: Causes) -> str:
         return ""
     is_momentum = causes.equation in position_of_momentum(force.fit.model)
     name = f"{'velocity' if is_momentum else 'effort'} dH_d{causes.equation}"
-    return f"; not told apart from one of the {name}: that and the input go together"
+    return (
+        f"; not told apart from one that follows the {name}, which moves together "
+        "with the input here"
+    )
 
 
 def _words(causes: Causes, kind: str) -> str:

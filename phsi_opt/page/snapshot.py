@@ -295,5 +295,5 @@ def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
     return (
         f"At t = {time_words(t, t_unit)} of {curve.run}, "
         f"d{curve.equation}/dt lacks {with_error(force, std)}{spaced(curve.unit)} "
-        f"({sure})."
+        f"(± one standard deviation; {sure})."
     )

@@ -7,6 +7,7 @@ import pandas as pd
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.estimation.fit_report import equation_lines
 from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
@@ -50,7 +51,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         t_unit=study.train.units.get("t", ""),
         steps=tuple(_steps(study)),
         added=tuple(str(effect) for effect in study.added),
-        equations=tuple(study.fit.equations()),
+        equations=tuple(equation_lines(study.fit)),
         parameters=tuple(_parameters(study.fit.parameters)),
         warning=step.judged.warning,
         runs=tuple(runs),

@@ -18,7 +18,7 @@ from phsi_opt.page.verdict_words import (
     proposed_size,
     share_left,
 )
-from phsi_opt.presentation.numbers import said
+from phsi_opt.presentation.numbers import said, typeset
 
 N_SHOWN = 5  # candidates that are shown at once
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
@@ -232,7 +232,7 @@ class StudyView:
         with card().classes("last"):
             heading("The model now")
             for equation in snapshot.equations:
-                ui.label(equation).classes("formula")
+                ui.label(typeset(equation)).classes("formula")
             with ui.expansion("Parameters").classes("w-full"):
                 for row in snapshot.parameters:
                     error = f" ± {row.std_error:.2g}" if row.std_error > 0 else ""

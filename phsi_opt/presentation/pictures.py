@@ -159,7 +159,7 @@ def plot_missing_force(
     ax.set(
         xlabel=label("t", t_unit),
         ylabel=label("missing force", rate_unit(state_unit, t_unit)),
-        title="Where the band leaves zero, a force is missing",
+        title="Where the band leaves zero, a force is surely missing",
     )
     _finish(ax)
     return ax

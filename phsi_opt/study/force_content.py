@@ -215,7 +215,8 @@ def since_when(diagnosis: Diagnosis) -> str:
     begin = _beginning(force, inside)
     since = "From the start of the record on"
     if begin is not None:
-        since = f"From t = {time_words(begin, unit)} of {name} on"
+        of_run = name if len(sizes) > 1 else "the training record"
+        since = f"From about t = {time_words(begin, unit)} of {of_run} on"
     window = str(force.where["time_window"])
     if THROUGHOUT in window:
         return f"{since}{runs}, about as strong all the time."

@@ -34,6 +34,15 @@ NOW = {
         "stands under Where it fails."
     ),
 }
+# What is said of a model to which nothing was added.
+SAID = {
+    Verdict.NOTHING_MISSING: "Nothing is missing",
+    Verdict.NAMED: "Something is missing, and it is named",
+    Verdict.PARTLY_NAMED: "Something is missing, and a part of it is named",
+    Verdict.UNEXPLAINED: (
+        "Something is missing that no effect of the catalogue explains"
+    ),
+}
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
 PAST = ("What was wrong", "Where it was", "Since when", "What was added")
@@ -107,8 +116,10 @@ def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -
     sure: list[str] = []
     unsure: list[str] = []
     for effect in study.last.added:
-        is_sure = is_all or str(effect) not in nearest
-        (sure if is_sure else unsure).append(str(effect))
+        if is_all or str(effect) not in nearest:
+            sure.append(f"{effect}{_alternatives(study, effect)}")
+        else:
+            unsure.append(str(effect))
     with_them = "With it" if len(study.last.added) == 1 else "With them"
     said = []
     if sure:
@@ -118,6 +129,17 @@ def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -
         nearest_ones = f"{' and '.join(unsure)} {verb} added as the nearest"
         said.append(f"Not established: {nearest_ones}.")
     return f"{' '.join(said)} {with_them}, the {errors}."
+
+
+def _alternatives(study: StudyRecord, effect: Effect) -> str:
+    """The other members of the class that an effect stands for, in brackets."""
+    for diagnosis in study.diagnoses.values():
+        for finding in diagnosis.findings:
+            names = [str(one) for one in finding.effects]
+            if str(effect) in names and not finding.is_name:
+                others = [name for name in names if name != str(effect)]
+                return f" (or {', '.join(others)}: the data do not tell)"
+    return ""
 
 
 def _unestablished(study: StudyRecord) -> set[str]:
@@ -133,9 +155,10 @@ def _unestablished(study: StudyRecord) -> set[str]:
 
 def _said(diagnosis: Diagnosis, errors: str) -> str:
     """Verdict and reason; a long reason is told further below in the report."""
+    said = SAID[diagnosis.verdict]
     if len(diagnosis.reason) <= MOST_REASON:
-        return f"{diagnosis.verdict}: {diagnosis.reason}."
-    return f"{diagnosis.verdict}: {errors}. The reason stands under Where it fails."
+        return f"{said}: {diagnosis.reason}."
+    return f"{said}: {errors}. The reason stands under Where it fails."
 
 
 def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
