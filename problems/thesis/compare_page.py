@@ -146,6 +146,7 @@ def reading(table: pd.DataFrame) -> list[str]:
         f"{not_higher} of {n} data sets; that of gradient descent is larger by "
         f"{100 * excess.median():.1f}% in the median, by {100 * excess.max():.0f}% at "
         "most.",
+        _of_random_starts(table),
         _of_settings(table),
         *_of_time(table, found),
         "The solver has no rate, batch, number of epochs or decay to set.",
@@ -164,6 +165,24 @@ def _of_rule(table: pd.DataFrame, rule: str) -> str:
         f"is at most that of the median start of the tuned descent on {lower} of {n} "
         f"data sets; the solver has exactly the true terms on {ours}, the median start "
         f"of the descent on {theirs} of {n}."
+    )
+
+
+def _of_random_starts(table: pd.DataFrame) -> str:
+    """How often either method finds exactly the true terms from random values."""
+    is_random = table["start"].str.startswith("random") & (table["rule"] == BOTH)
+    counts = []
+    for method, name in (("solver", "the solver"), ("descent", "the tuned descent")):
+        of_method = table[is_random & (table["method"] == method)]
+        is_right = (of_method["spurious"] == 0) & (of_method["missed"] == 0)
+        text = f"{name} in {is_right.sum()} of {len(of_method)} runs"
+        wrong = of_method.loc[~is_right, "system"].unique()
+        if len(wrong):
+            text += f" (not always: {markdown.enumerated(wrong)})"
+        counts.append(text)
+    return (
+        f"From random values, pruned by {BOTH}, exactly the true terms are found by "
+        f"{markdown.enumerated(counts)}."
     )
 
 
