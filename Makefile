@@ -14,7 +14,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help install demo thesis compare test browser lint types docs constraints clean
+.PHONY: help install demo thesis compare test browser lint types docs package constraints clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -57,6 +57,21 @@ types: $(VENV)/.full ## check types
 docs: $(VENV)/.full ## write the site into docs/_build/html: tutorial, how-tos, reference; warnings are errors
 	@$(PY) -m sphinx -q -W --keep-going -n -b html -d docs/_build/doctrees docs docs/_build/html
 	@echo "The site is in docs/_build/html/index.html."
+
+# The wheel is made from the sdist, so that a file that the sdist lacks is missed here and not by a user.
+package: $(VENV)/.full ## build sdist and wheel; the wheel runs the demonstration in an environment of its own
+	@rm -rf build dist && mkdir -p dist && tmp=$$(mktemp -d) && trap 'rm -rf "$$tmp"' EXIT && set -e; \
+	$(PY) -c 'from setuptools.build_meta import build_sdist; build_sdist("dist")' > "$$tmp/log" 2>&1 || \
+		{ cat "$$tmp/log"; exit 1; }; \
+	$(PY) -m pip wheel -qq --no-deps --no-build-isolation -w dist dist/*.tar.gz; \
+	$(PYTHON) -m venv "$$tmp/venv"; \
+	"$$tmp/venv/bin/python" $(PIP_INSTALL) -c $(CONSTRAINTS) dist/*.whl; \
+	"$$tmp/venv/bin/python" -m pip check; \
+	mkdir "$$tmp/empty" && cd "$$tmp/empty"; \
+	env -u PYTHONPATH OMP_NUM_THREADS=1 "$$tmp/venv/bin/phsi-opt" demo > "$$tmp/log" 2>&1 || { cat "$$tmp/log"; exit 1; }; \
+	tail -n 1 "$$tmp/log"; test -s phsi_opt_demo/report.html; \
+	size=$$(du -sm "$$tmp"/venv/lib/python3*/site-packages | cut -f 1); \
+	echo "The core takes $$size MB, bytecode included; sdist and wheel are in dist/."
 
 constraints: ## write .ci/constraints.txt anew, with the newest versions that pyproject.toml allows
 	@tmp=$$(mktemp -d) && trap 'rm -rf "$$tmp"' EXIT && set -e; \

@@ -9,12 +9,16 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.initialization.scaling import MOST_SHARE, theta_scale
 from phsi_opt.optimization import ipopt
-from phsi_opt.optimization.nearby_optimum import NearbyOptimum, nearby_optimum
+from phsi_opt.optimization.nearby_optimum import (
+    NearbyOptimum,
+    _QuadraticModel,
+    nearby_optimum,
+)
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.grid import grid_of
-from problems.thesis.systems import SYSTEMS
+from problems.thesis.systems import SYSTEMS, known_leak, tank_model
 
 AGREE = 1e-8  # relative, of the loss
 PRUNING = ph.Pruning(0.05, significance=0.01)
@@ -78,6 +82,25 @@ def test_fast_and_cold_solves_agree_and_each_is_confirmed_at_once(
         assert fast.values[parameter] == pytest.approx(value, abs=1e-4 * error)
     assert watched.failures == 0
     assert max(watched.iterations) <= 2
+
+
+def test_each_quadratic_program_begins_at_the_active_set_of_the_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    changes = []
+    original = _QuadraticModel.step
+
+    def step(self: _QuadraticModel, *arguments: np.ndarray) -> object:
+        found = original(self, *arguments)
+        changes.append(self._solver.stats()["iter_count"])
+        return found
+
+    monkeypatch.setattr(_QuadraticModel, "step", step)
+    data = SYSTEMS["tanks"].data(5, 0.0, n=2)
+    ph.identify(tank_model(known_leak()), data, ph.PHSILoss(), {"H": 1e-3})
+    # Each began at no active set: 60 to 140 changes in every one of them.
+    assert changes[0] > 60
+    assert changes[-1] <= 3
 
 
 def test_a_coefficient_that_l1_takes_is_zero_with_the_multipliers_of_one() -> None:

@@ -81,7 +81,7 @@ def test_clean_tanks_give_every_coefficient_to_1e_3_and_the_leak() -> None:
 
 def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
     from problems.thesis.compare import main
-    from problems.thesis.compare_page import BOTH, SIZE, page, ratios
+    from problems.thesis.compare_page import BOTH, SIZE, page, ratios, reading
 
     table = main(quick=True, names=["henon_heiles"])
     assert set(table["method"]) == {
@@ -102,6 +102,9 @@ def test_the_solver_beats_a_short_descent_on_the_same_data() -> None:
     clean = table[(table["data"] == "clean") & (table["method"] == "solver")]
     assert (clean["largest error"] < 1e-5).all() and (clean["spurious"] == 0).all()
     assert ratios(table)["not higher"].all()
+    told = " ".join(reading(table))
+    assert "Pruned by size and significance" in told
+    assert "is not higher than that of the best run" in told and "on 2 of 2" in told
 
 
 def test_significance_leaves_fewer_spurious_terms_than_size() -> None:

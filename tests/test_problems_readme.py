@@ -55,6 +55,24 @@ def test_the_draws_of_the_demonstration(readme: str) -> None:
     assert '("nothing missing" in all)' in readme
 
 
+def test_the_solver_beside_gradient_descent(readme: str) -> None:
+    from problems.thesis.compare import kept_table
+    from problems.thesis.compare_page import ratios
+
+    found = ratios(kept_table())
+    n = len(found)
+    n_lower = found["not higher"].sum()
+    excess = (found["loss, best descent"] / found["loss, all terms"] - 1).median()
+    ours = (found["wrong terms, solver"] == 0).sum()
+    theirs = (found["wrong terms, descent"] == 0).sum()
+    time = 1 / found["times as fast"]
+    assert f"not higher on {n_lower} of {n} data sets" in readme
+    assert f"best descent is larger by {percent(excess, 1)} % in the median" in readme
+    assert f"the true terms on {ours} of {n}, the tuned descent on {theirs}" in readme
+    assert f"takes {time.min():.2f} to {time.max():.2f} times" in readme
+    assert set(found.loc[time > 1, "system"]) == {"Tanks and pipes"}  # with a network
+
+
 def test_pruning_by_significance(readme: str) -> None:
     lines = (RESULTS / "thesis" / "significance.md").read_text("utf-8").splitlines()
     table = {}

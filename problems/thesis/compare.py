@@ -38,7 +38,9 @@ from problems.tools import provenance
 from problems.tools.command_line import chosen, flag
 
 N_STARTS = 3
-QUICK_N = {"henon_heiles": 400}  # trajectories of a quick run; others: 8
+QUICK_STARTS = 2
+# Trajectories of a quick run; others: 8. A hybrid takes seconds on any data.
+QUICK_N = {"henon_heiles": 400, "tanks": 3}
 QUICK_EPOCHS = 2
 # Without any weight on H the sum of the levels of the tanks is not determined.
 LEAST = {"tanks": {"H": 1e-6}}
@@ -48,11 +50,16 @@ NO_SETTINGS = "-"  # the solver has none
 
 @dataclass(frozen=True)
 class Task:
-    """One system with one set of data, ``kind`` "clean" or "noisy"."""
+    """One system with one set of data, ``kind`` "clean" or "noisy".
+
+    ``n_starts``: of each method; ``quick``: networks too are trained for a few epochs.
+    """
 
     system: System
     data: ph.Measurements
     kind: str
+    n_starts: int = N_STARTS
+    quick: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,7 +84,7 @@ def timed(
     return Run(method, rule, settings, start, result, seconds)
 
 
-def runs(task: Task, quick: bool = False) -> Iterator[Run]:
+def runs(task: Task) -> Iterator[Run]:
     """Every method on one set of data."""
     system = task.system
     data = task.data
@@ -93,7 +100,7 @@ def runs(task: Task, quick: bool = False) -> Iterator[Run]:
     )
     for rule in RULES:
         yield from _descent_runs(task, rule)
-    yield from _other_descents(task, quick)
+    yield from _other_descents(task)
 
 
 def _solver_runs(task: Task, rule: str) -> Iterator[Run]:
@@ -111,7 +118,7 @@ def _solver_runs(task: Task, rule: str) -> Iterator[Run]:
             "from the first",
             lambda: likelihood(task.system, task.data, first.result),
         )
-    for k in range(1, N_STARTS):
+    for k in range(1, task.n_starts):
         yield _solved(task, rule, first.result, k)
 
 
@@ -134,7 +141,7 @@ def _solved(task: Task, rule: str, own: Any, k: int) -> Run:
 def _descent_runs(task: Task, rule: str) -> Iterator[Run]:
     """Gradient descent: tuned from every start, the thesis' settings from its own."""
     yield _descended(task, rule, THESIS, 0)
-    for k in range(N_STARTS):
+    for k in range(task.n_starts):
         yield _descended(task, rule, TUNED, k)
 
 
@@ -148,14 +155,14 @@ def _descended(task: Task, rule: str, settings: str, k: int) -> Run:
     return timed("descent", rule, settings, f"random {k}" if k else "thesis", made)
 
 
-def _other_descents(task: Task, quick: bool) -> Iterator[Run]:
+def _other_descents(task: Task) -> Iterator[Run]:
     """BSI by descent, and the PHNN where the thesis has one."""
     system = task.system
     for settings in (THESIS, TUNED):
         yield _by(methods.bsi_descent, "BSI, descent", task, SIZE, settings)
     if system.name != "mass_spring":
         return
-    epochs = QUICK_EPOCHS if quick else None
+    epochs = QUICK_EPOCHS if task.quick else None
     for settings in (THESIS, TUNED):
         yield _by(methods.phnn, "PHNN", task, NO_RULE, settings, epochs=epochs)
 
@@ -268,14 +275,9 @@ def write_page() -> None:
 
 
 def kept_table() -> pd.DataFrame:
-    """The tables that are kept, of the systems that were measured by both rules."""
-    found = []
-    for name in SYSTEMS:
-        if _path(name).exists():
-            table = pd.read_csv(_path(name))
-            if "rule" in table:
-                found.append(table)
-    return pd.concat(found, ignore_index=True)
+    """The tables that are kept."""
+    kept = [pd.read_csv(_path(name)) for name in SYSTEMS if _path(name).exists()]
+    return pd.concat(kept, ignore_index=True)
 
 
 def _path(name: str) -> Path:
@@ -287,7 +289,7 @@ def measured(system: System, quick: bool) -> pd.DataFrame:
     rows = []
     for kind in ("clean", "noisy"):
         task = _task(system, kind, quick)
-        for run in runs(task, quick):
+        for run in runs(task):
             rows.append(row(task, run))
             shown = [
                 f"{value:.3g}" if isinstance(value, float) else str(value)
@@ -305,7 +307,8 @@ def _task(system: System, kind: str, quick: bool) -> Task:
         return Task(system, system.training_data(kind), kind)
     noise = 0.0 if kind == "clean" else None
     data = system.data(1, noise, n=QUICK_N.get(system.name, 8))
-    return Task(system.with_epochs(QUICK_EPOCHS), data, kind)
+    short = system.with_epochs(QUICK_EPOCHS)
+    return Task(short, data, kind, QUICK_STARTS, quick=True)
 
 
 if __name__ == "__main__":
