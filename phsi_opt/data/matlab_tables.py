@@ -22,6 +22,9 @@ INDEXED = re.compile(r"(?P<name>[\w.]+)\((?P<row>:|\d+),\s*(?P<column>:|\d+)\)")
 MOST_VECTORS = 20  # columns that a matrix has, at most, where it is taken for a table
 REAL_OR_COMPLEX = "biufc"  # the kinds of NumPy's types that hold numbers
 
+# What `scipy.io.loadmat` raises for bytes that are no MATLAB file, by its version.
+UNREADABLE = (ValueError, TypeError, LookupError, OSError, EOFError)
+
 
 def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
     """The columns that are looked for, in the order in which they are.
@@ -148,7 +151,7 @@ def _loaded(file: BinaryFile) -> Mapping[str, Any]:
             "Save it in MATLAB by save(name, '-v7'), or write the table as CSV by "
             "writetable or writematrix."
         ) from error
-    except (ValueError, TypeError, OSError, MatReadError, EOFError) as error:
+    except (*UNREADABLE, MatReadError) as error:
         raise DataError(
             f"{file.title} is no MATLAB file that can be read ({error}). "
             "Save it in MATLAB by save(name, '-v7')."
