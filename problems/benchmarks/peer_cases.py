@@ -53,7 +53,7 @@ class Problem:
             theta: (n_theta,) parameters.
         """
         solved = solve_ivp(
-            lambda t, x: self.rates(t, x, theta, np.cos),
+            lambda t, x: self.rates(t, x.tolist(), theta.tolist(), np.cos),
             (self.t[0], self.t[-1]),
             start,
             "LSODA",

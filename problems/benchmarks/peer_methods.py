@@ -5,6 +5,8 @@ measured values as states to start from, and differences of them for a velocity 
 not measured.
 """
 
+from typing import Any, cast
+
 import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares
@@ -40,7 +42,10 @@ def full_discretisation(problem: Problem, case: Drawn) -> np.ndarray:
         "f": sum(misfits),
         "g": ca.vertcat(*defects),
     }
-    quiet = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+    quiet: dict[str, Any] = {
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes"},
+    }
     start = np.concatenate([case.guess, _filled(problem, case).ravel()])
     found = ca.nlpsol("fit", "ipopt", nlp, quiet)(x0=start, lbg=0, ubg=0)
     z = np.array(found["x"]).ravel()
@@ -56,7 +61,7 @@ def _rk4(problem: Problem) -> ca.Function:
 
     def rate(at: ca.SX, state: ca.SX) -> ca.SX:
         rates = problem.rates(at, ca.vertsplit(state), ca.vertsplit(theta), ca.cos)
-        return ca.vertcat(*rates)
+        return cast("ca.SX", ca.vertcat(*rates))
 
     first = rate(t, x)
     second = rate(t + h / 2, x + h / 2 * first)
