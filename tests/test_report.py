@@ -23,6 +23,7 @@ from phsi_opt.presentation.numbers import (
     estimate_text,
     number,
     p_value_words,
+    typeset,
     with_error,
 )
 from phsi_opt.presentation.report_content import Channel as ReportChannel
@@ -152,6 +153,11 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
         "With coulomb friction on p, the model's dp/dt lacks"
     )
     assert "an effect of your own" in answers["What to add"]
+
+
+def test_units_have_their_powers_raised_and_formulas_stay() -> None:
+    assert typeset("714 rad/s^2, 3 +- 1 kg m^2") == "714 rad/s², 3 ± 1 kg m²"
+    assert typeset("k*q**2/2 + x^n + 2^3") == "k*q**2/2 + x^n + 2^3"
 
 
 def test_digits_stop_where_they_say_nothing() -> None:

@@ -5,6 +5,8 @@ import re
 
 TEXT_DIGITS = 4  # of a number in a text
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
+UNIT_POWER = re.compile(r"(?<=[A-Za-z])\^([2-9])")  # formulas have ** for it
+SUPERSCRIPTS = dict(zip("23456789", "²³⁴⁵⁶⁷⁸⁹", strict=True))
 LEAST_P_VALUE = 1e-6  # below which it only says that chance is ruled out
 
 
@@ -51,8 +53,9 @@ def p_value_words(p_value: float) -> str:
 
 
 def typeset(text: str) -> str:
-    """A sentence of a terminal as it is printed: ± in place of +-."""
-    return text.replace("+-", "\N{PLUS-MINUS SIGN}")
+    """A sentence of a terminal as it is printed: ± for +-, rad/s² for rad/s^2."""
+    signed = text.replace("+-", "\N{PLUS-MINUS SIGN}")
+    return UNIT_POWER.sub(lambda found: SUPERSCRIPTS[found[1]], signed)
 
 
 def said(text: str) -> str:
