@@ -126,8 +126,8 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
         "Since when",
         "What was added",
     ]
-    assert re.search(r"dp/dt lacked a force of rms [\d.]+ N", answers["What was wrong"])
-    assert "equation of p" in answers["Where it was"]
+    assert re.search(r"dp/dt was off by [\d.]+ N", answers["What was wrong"])
+    assert "In dp/dt" in answers["Where it was"]
     assert "From the start of the record on" in answers["Since when"]
     assert answers["What was added"].startswith("Coulomb friction on p, ")
     assert answers["What was added"].endswith(" N.")
@@ -150,9 +150,9 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
     assert "no effect of the catalogue explains" in headline.sentence
     answers = {fact.question: fact.answer for fact in headline.facts}
     assert answers["What is wrong"].startswith(
-        "With coulomb friction on p, the model's dp/dt lacks"
+        "With coulomb friction on p, the model's dp/dt is off by"
     )
-    assert "an effect of your own" in answers["What to add"]
+    assert "a term of your own in dp/dt" in answers["What to add"]
 
 
 def test_units_have_their_powers_raised_and_formulas_stay() -> None:

@@ -28,6 +28,7 @@ from phsi_opt.presentation.durations import time_words
 from phsi_opt.statistics import TINY
 
 NO_PATTERN = "no clear pattern"
+TOGETHER = "which moves together with the input"
 
 
 def energy_sentence(causes: Causes) -> str:
@@ -39,7 +40,8 @@ def energy_sentence(causes: Causes) -> str:
     for kind, share in contributions.items():
         least = NAMED_CAUSE if kind in CAUSES else MOSTLY_PARAMETERS
         if share > least:
-            parts.append(f"{_words(causes, kind)}, {100 * share:.0f} % of it")
+            explained = f"which explains {100 * share:.0f} % of it"
+            parts.append(f"{_words(causes, kind)}, {explained}")
     return (", and ".join(parts) + _tie(causes)) or NO_PATTERN
 
 
@@ -79,10 +81,7 @@ def _closed_loop(causes: Causes) -> str:
         return ""
     is_momentum = causes.equation in position_of_momentum(force.fit.model)
     name = f"{'velocity' if is_momentum else 'effort'} dH_d{causes.equation}"
-    return (
-        f"; not told apart from one that follows the {name}, which moves together "
-        "with the input here"
-    )
+    return f"; not told apart from the {name}, {TOGETHER} here"
 
 
 def _words(causes: Causes, kind: str) -> str:

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.energy_wording import NO_PATTERN
+from phsi_opt.force_analysis.energy_wording import NO_PATTERN, TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.state_plots import region_words
 from phsi_opt.force_analysis.units import force_unit, frequency_words, spaced
@@ -156,7 +157,8 @@ def _unestablished(study: StudyRecord) -> set[str]:
 def _said(diagnosis: Diagnosis, errors: str) -> str:
     """Verdict and reason; a long reason is told further below in the report."""
     said = SAID[diagnosis.verdict]
-    if len(diagnosis.reason) <= MOST_REASON:
+    is_unexplained = diagnosis.verdict == Verdict.UNEXPLAINED
+    if len(diagnosis.reason) <= MOST_REASON and not is_unexplained:
         return f"{said}: {diagnosis.reason}."
     return f"{said}: {errors}. The reason stands under Where it fails."
 
@@ -179,16 +181,19 @@ def _wrong(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
     for number_of_step, known in study.diagnoses.items():
         if known is diagnosis:
             added = study.steps[number_of_step].added
-    whose = "The base model's"
+    whose = "the base model's"
     if added:
-        whose = f"With {' and '.join(map(str, added))}, the model's"
+        whose = f"with {' and '.join(map(str, added))}, the model's"
     force = EquationForce.of(diagnosis.analysis, None)
     unit = spaced(force_unit(force.equation, force.record.units))
-    size = f"rms {number(float(force.where['strength']), 3)}{unit}"
+    size = f"{number(float(force.where['strength']), 3)}{unit} (rms)"
     if force.is_uncertain:
-        return f"The residuals show it; no missing force is sure ({size})."
-    verb = "lacked" if is_past else "lacks"
-    said = f"{whose} d{force.equation}/dt {verb} a force of {size}"
+        return f"The residuals show it; no missing force is sure: {size}."
+    verb = "was" if is_past else "is"
+    names = " and ".join(_class_of(finding) for finding in diagnosis.findings)
+    begin = f"{names} {verb} missing: " if names else ""
+    said = f"{begin}{whose} d{force.equation}/dt {verb} off by {size}"
+    said = f"{said[:1].upper()}{said[1:]}"
     frequency = float(force.where["frequency"])
     if frequency * float(np.median(force.record.h)) > NEAR_SAMPLING:
         told = frequency_words(frequency, force.record.units)
@@ -199,12 +204,17 @@ def _wrong(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
     return f"{said}."
 
 
+def _class_of(finding: Finding) -> str:
+    """What was found, with the others of its class."""
+    return " or ".join(str(effect) for effect in finding.effects)
+
+
 def _where(diagnosis: Diagnosis) -> str:
     """The equation, the region of the states, and what the force follows."""
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
         return "No equation, time or region stands out."
-    place = f"In the equation of {force.equation}, {region_words(force)}"
+    place = f"In d{force.equation}/dt, {region_words(force)}"
     energy = diagnosis.analysis.energy
     causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
     cause = causes[force.equation]
@@ -231,12 +241,23 @@ def _addition(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
     if not texts:
         texts = [f"nearest: {effect}" for effect in diagnosis.proposed]
     if not texts:
-        return (
-            "No effect of the catalogue explains enough: an effect of your own may, "
-            "or other data that show more."
-        )
+        return _advice(diagnosis)
     text = "; ".join(texts)
     return f"{text[:1].upper()}{text[1:]}."
+
+
+def _advice(diagnosis: Diagnosis) -> str:
+    """What to do where no effect of the catalogue explains enough."""
+    force = EquationForce.of(diagnosis.analysis, None)
+    begin = "Nothing of the catalogue: try a term of your own"
+    if force.is_uncertain:
+        return f"{begin}, or record more data."
+    energy = diagnosis.analysis.energy
+    causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
+    record = "record more data where it is strong"
+    if TOGETHER in causes[force.equation]:
+        record = "record data in which the input and what it moves with go apart"
+    return f"{begin} in d{force.equation}/dt, or {record}."
 
 
 def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
