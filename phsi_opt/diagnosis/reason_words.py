@@ -3,7 +3,7 @@
 import re
 
 UNCLEAR_SIZE = re.compile(r"the size of .*?, .*?, (may as well be zero|is not clear)")
-BY_CHANCE = "the error falls no more than by chance"
+BY_CHANCE = "no better than chance"
 
 
 def brief_reason(lost: str) -> str:
@@ -12,5 +12,5 @@ def brief_reason(lost: str) -> str:
     if found is not None:
         return f"its size {found[1]}"
     if lost.startswith(BY_CHANCE):
-        return "no better than chance"
+        return BY_CHANCE
     return lost

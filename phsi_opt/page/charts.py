@@ -40,6 +40,7 @@ def free_run(
         _curve(t, channel.shown, "model", MODEL_COLOR),
         _curve(t, channel.residual, "residual", MODEL_COLOR, yaxis="y2"),
     ]
+    data[-1]["showlegend"] = False  # its axis says what it is
     layout = _layout(_label("time", t_unit))
     upper_part = [RESIDUAL_PART + RESIDUAL_GAP, 1]
     layout["yaxis"] = _axis(_label(channel.name, channel.unit), upper_part)
@@ -78,7 +79,10 @@ def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
     data = []
     if is_held_out:
         train = [step.train for step in steps]
-        data.append(_step_curve(x, train, "training", MEASURED_COLOR, "dash"))
+        training = _step_curve(x, train, "training", MEASURED_COLOR, "dash")
+        # Around the other's, so that equal errors are both seen.
+        training["marker"] |= {"symbol": "square-open", "size": 13}
+        data.append(training)
     name = "held out" if is_held_out else "training"
     main = _step_curve(x, judged, name, MODEL_COLOR, "solid")
     main["mode"] = "lines+markers+text"

@@ -64,8 +64,11 @@ def complaints(listed: Iterable[Complaint], fine: str) -> None:
         with ui.element("div").classes("fine").props('role="status"'):
             ui.label(fine)
         return
-    with ui.element("div").classes("alert").props('role="status"'):
-        ui.label(f"To correct: {len(found)}").style("font-weight: 600")
+    is_begun = any(one.value for one in found)
+    with ui.element("div").classes("alert" if is_begun else "open") as box:
+        box.props('role="status"')
+        begin = "To correct" if is_begun else "Still to give"
+        ui.label(f"{begin}: {len(found)}").style("font-weight: 600")
         for one in found:
             ui.label(complaint_words(one))
 

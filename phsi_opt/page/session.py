@@ -121,7 +121,8 @@ class Session:
         complaints: what is wrong with it, by key, as of the last ``check``.
         upload_error: why the last file was refused; "" where it was not.
         job: the work that goes on; None: none does.
-        message: how the last job ended where it did not end well; "" else.
+        message: what was handed out last, or how the last job ended where it did not
+            end well; "" else.
         failure: why the last job could not be done; "" where it could.
         snapshot: the study as it stands; None before the first fit.
         look: what its charts show.

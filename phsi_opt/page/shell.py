@@ -214,7 +214,7 @@ def _standing(session: Session) -> str:
     if not session.draft.model.states:
         return "Next, the model: part 2."
     if session.complaints:
-        return f"To correct: {len(session.complaints)}; part 2 says what."
+        return f"Open: {len(session.complaints)}; part 2 says what."
     said = "Data and model can be used: press Fit."
     assumed = []
     for one in session.draft.model.parameters:

@@ -13,6 +13,7 @@ from phsi_opt.page.parts import alert, button, card, heading
 from phsi_opt.page.session import Session
 from phsi_opt.page.snapshot import CandidateRow, Snapshot
 from phsi_opt.page.verdict_words import (
+    error_words,
     facts_of,
     preview_words,
     proposed_size,
@@ -138,8 +139,8 @@ class StudyView:
         error = snapshot.steps[-1]
         heading("Fitted; what is missing is not known yet")
         ui.label(
-            f"The error is {error.judged:.3g}, noise alone would leave "
-            f"{error.floor:.3g} {snapshot.unit}."
+            f"The error is {error_words(snapshot, error.judged)}; noise alone would "
+            f"leave {error_words(snapshot, error.floor)}."
         )
         self._begins("Look for what is missing", self._session.diagnose, False)
 
@@ -267,7 +268,15 @@ class StudyView:
         path = self._session.report_path
         if self._wants_report and path is not None:
             self._wants_report = False
-            ui.download.content(path.read_bytes(), path.name)
+            self._download(path.read_bytes(), path.name)
+
+    def _download(self, content: bytes | str, name: str) -> None:
+        """Hand a file to the browser, and say so where the work is told."""
+        ui.download.content(content, name)
+        self._session.message = (
+            f"{name} was handed to the browser, among its downloads."
+        )
+        self._session.version += 1
 
     def _study_file(self) -> None:
         self._send(self._session.study_text, "study.toml")
@@ -277,7 +286,7 @@ class StudyView:
 
     def _send(self, text: Callable[[], str], name: str) -> None:
         try:
-            ui.download.content(text(), Path(name).name)
+            self._download(text(), Path(name).name)
         except PhsiOptError as error:
             self._session.message = str(error)
             self._session.version += 1

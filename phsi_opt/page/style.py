@@ -48,6 +48,9 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
   background: var(--bad-ground); color: var(--bad); border: 1px solid currentColor;
   border-radius: 8px; padding: 10px 12px; width: 100%; overflow-wrap: anywhere;
 }
+.open {
+  border: 1px solid var(--line); border-radius: 8px; padding: 8px 12px; width: 100%;
+}
 .fine {
   background: var(--good-ground); color: var(--good); border-radius: 8px;
   padding: 8px 12px; width: 100%;

@@ -281,7 +281,8 @@ def draw_errors(
         unit: Of the errors.
     """
     steps = np.arange(len(labels))
-    ax.plot(steps, train, "o--", color=MEASURED, label="training")
+    # An open square around the other's dot, so that equal errors are both seen.
+    ax.plot(steps, train, "s--", color=MEASURED, label="training", mfc="none", ms=10)
     judged = train
     if np.isfinite(held_out).any():
         ax.plot(steps, held_out, "o-", color=MODEL, label="held out")

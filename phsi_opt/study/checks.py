@@ -13,6 +13,7 @@ from phsi_opt.study.record import StudyRecord
 
 # Share of the longest record from which on a free run counts as good to its end.
 WHOLE_RECORD = 0.999
+FROM_START = 0.01  # share of it below which it never was good
 
 
 def checks_of(study: StudyRecord) -> tuple[Check, ...]:
@@ -69,9 +70,13 @@ def _horizon(row: pd.Series, judged: Comparison, unit_of_time: str) -> Check:
     unit = spaced(scale.unit)
     if horizon >= WHOLE_RECORD * shortest:
         return Check(subject, GOOD, "within the noise to the end of every trajectory")
-    said = "in the worst trajectory a residual leaves the noise after "
-    said += f"{horizon / scale.size:.3g} of {shortest / scale.size:.3g}{unit}"
-    return Check(subject, LOOK, said)
+    is_far = float(row["rmse"]) > WHITE_ERROR * float(row["noise_floor"])
+    severity = BAD if is_far else LOOK
+    said = "in the worst trajectory a residual leaves the noise "
+    if horizon < FROM_START * shortest:
+        return Check(subject, severity, f"{said}from the start on")
+    said += f"after {horizon / scale.size:.3g} of {shortest / scale.size:.3g}{unit}"
+    return Check(subject, severity, said)
 
 
 def _of_fit(study: StudyRecord) -> list[Check]:

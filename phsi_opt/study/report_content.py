@@ -36,6 +36,10 @@ LEVEL = 0.95  # of the intervals: the convention of most tables
 # data held out that are not foretold.
 NEAR_FLOOR = 1.1
 FAR_ABOVE_FLOOR = 2.0
+HOLD_WORDS = {
+    "zero": "constant until the next sample (zero-order hold)",
+    "linear": "on a straight line to the next sample",
+}
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 
 
@@ -156,7 +160,8 @@ def _settings(study: StudyRecord) -> tuple[Fact, ...]:
     starts = "estimated from the whole record of each trajectory, held out or not"
     facts.append(Fact("Starting states", starts))
     facts.append(Fact("Units", _units(study.train)))
-    facts.append(Fact("Inputs between samples", study.train.hold))
+    if study.train.inputs:
+        facts.append(Fact("Inputs between samples", HOLD_WORDS[study.train.hold]))
     facts.append(Fact("Loss", str(study.loss)))
     facts.append(Fact("Standard errors", str(study.last.fit.std_error_source)))
     facts.append(Fact("Intervals", f"{100 * LEVEL:.0f} %, Student's distribution"))

@@ -100,11 +100,11 @@
     const held = steps.some((step) => step.held_out !== null);
     const curve = (key, name, line, symbol, text) => ({
       x: x, y: steps.map((step) => step[key]), name: name, line: line, mode: text ? "lines+markers+text" : "lines+markers",
-      marker: { size: 9, symbol: symbol }, textposition: "top right", cliponaxis: false,
+      marker: { size: symbol === "square-open" ? 14 : 9, symbol: symbol }, textposition: "top right", cliponaxis: false,
       text: text ? steps.map((step) => (step[key] === null ? "" : Number(step[key]).toPrecision(3))) : undefined,
       textfont: { color: line.color, size: 14 }, hovertemplate: "%{y:.4g}",
     });
-    const traces = [curve("train", "training", { color: color("measured"), dash: "dash" }, "square", !held)];
+    const traces = [curve("train", "training", { color: color("measured"), dash: "dash" }, held ? "square-open" : "square", !held)];
     if (held) traces.push(curve("held_out", "held out", { color: color("after") }, "circle", true));
     traces.push(curve("floor", "noise floor", { color: color("floor"), dash: "dot" }, "line-ew-open", false));
     const errors = steps.flatMap((step) => [step.train, step.held_out, step.floor]).filter((v) => v !== null && v > 0);
