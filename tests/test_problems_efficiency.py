@@ -63,6 +63,28 @@ def test_the_bound_agrees_with_finite_differences_of_an_integration(
     assert covariance_bound(slopes, sigma, seen) == pytest.approx(expected, rel=1e-5)
 
 
+def test_the_efficient_estimate_is_least_squares_over_parameters_and_starts() -> None:
+    from problems.benchmarks.efficiency.cases import duffing
+    from problems.benchmarks.efficiency.cramer_rao import efficient_error
+
+    rng = np.random.default_rng(1)
+    t, sigma = np.linspace(0.0, 8.0, 41), np.array([0.1, 0.2])
+    starts = np.array([[1.5, 0.0], [-1.0, 0.4]])
+    slopes = duffing().sensitivities(starts, t)
+    seen = rng.random((2, 41, 2)) < 0.7
+    noise = sigma * rng.normal(size=seen.shape)
+    rows = []
+    for k in range(2):
+        of_starts = np.zeros((41, 2, 4))
+        of_starts[:, :, 2 * k : 2 * k + 2] = slopes.in_start[k]
+        row = np.concatenate([of_starts, slopes.in_theta[k]], axis=2)
+        rows.append((row / sigma[:, None])[seen[k]])
+    expected = np.linalg.lstsq(np.concatenate(rows), (noise / sigma)[seen])[0][4:]
+    found = efficient_error(slopes, sigma, noise, seen)
+    # two factorisations of one matrix, whose columns differ by a hundred
+    assert found == pytest.approx(expected, rel=1e-8)
+
+
 @pytest.mark.parametrize(
     "name", ["henon_heiles", "mass_spring", "schrodinger", "tanks", "tanks_leak"]
 )

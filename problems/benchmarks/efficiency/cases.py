@@ -13,6 +13,7 @@ from problems.benchmarks.efficiency.cramer_rao import (
     Sensitivities,
     TrueSystem,
     covariance_bound,
+    efficient_error,
     pseudo_hamiltonian,
 )
 from problems.thesis.systems import (
@@ -37,12 +38,13 @@ NOISE_LEVELS = (0.001, 0.01, 0.03, 0.1)
 
 @dataclass(frozen=True)
 class Sample:
-    """What one seed measured: data, the least covariance of the parameters, the true
-    noise.
+    """What one seed measured: data, the least covariance of the parameters, the error
+    of the efficient estimate, the true noise.
     """
 
     data: ph.Measurements
     covariance: np.ndarray
+    efficient: np.ndarray
     sigma: np.ndarray
 
     @property
@@ -104,9 +106,11 @@ class Case:
         sigma = self.noise * spread
         is_kept = np.random.default_rng([seed, 1]).random(x.shape) < self.kept
         seen = np.broadcast_to(np.isin(states, self.measured), x.shape) & is_kept
-        y = np.where(seen, x + sigma * experiment.normal, np.nan)
+        noise = sigma * experiment.normal
+        y = np.where(seen, x + noise, np.nan)
         data = ph.Measurements.from_arrays([self.t] * len(y), list(y), states=states)
-        return Sample(data, covariance_bound(true, sigma, seen), sigma)
+        bound = covariance_bound(true, sigma, seen)
+        return Sample(data, bound, efficient_error(true, sigma, noise, seen), sigma)
 
 
 @lru_cache(maxsize=1)  # the starts of an experiment may be the same for every seed

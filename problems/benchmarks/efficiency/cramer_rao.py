@@ -9,7 +9,7 @@ the bound of the parameters, because the information matrix has no entries betwe
 two.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -199,23 +199,34 @@ def information(
         sigma: (n_states,) standard deviation of the noise.
         measured: (n_trajectories, n_samples, n_states), which samples exist; None: all.
     """
-    in_start = slopes.in_start
+    n_theta = slopes.in_theta.shape[-1]
+    total = np.zeros((n_theta, n_theta))
+    for _, left in _told(slopes, sigma, measured):
+        total += left.T @ left
+    return total
+
+
+def _told(
+    slopes: Sensitivities, sigma: np.ndarray, measured: np.ndarray | None
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """What each trajectory tells of the parameters alone.
+
+    Yields:
+        The weights (n_samples, n_states), 0 where nothing was measured, and the slopes
+        in the parameters, weighted, less what a change of the starting state can
+        imitate: (n_samples * n_states, n_parameters).
+    """
     in_theta = slopes.in_theta
     weight = np.broadcast_to(1 / np.asarray(sigma), in_theta.shape[:-1]).copy()
     if measured is not None:
         weight[~measured] = 0.0
-    n_theta = in_theta.shape[-1]
-    total = np.zeros((n_theta, n_theta))
-    for w, start, theta in zip(weight, in_start, in_theta, strict=True):
+    for w, start, theta in zip(weight, slopes.in_start, in_theta, strict=True):
         column = w.reshape(-1, 1)
         J0 = start.reshape(w.size, -1) * column
         J = theta.reshape(w.size, -1) * column
         length = np.maximum(np.linalg.norm(J0, axis=0), TINY)
         span = np.linalg.qr(J0 / length)[0]
-        # What no change of the starting state can imitate.
-        left = J - span @ (span.T @ J)
-        total += left.T @ left
-    return total
+        yield w, J - span @ (span.T @ J)
 
 
 def covariance_bound(
@@ -228,3 +239,26 @@ def covariance_bound(
     scale = 1 / np.sqrt(np.diag(matrix))
     products = np.outer(scale, scale)
     return np.linalg.inv(matrix * products) * products
+
+
+def efficient_error(
+    slopes: Sensitivities,
+    sigma: np.ndarray,
+    noise: np.ndarray,
+    measured: np.ndarray | None = None,
+) -> np.ndarray:
+    """Error of the estimate that attains the bound: least squares on the experiment
+    linearised at the truth, which nobody can compute who does not know the truth.
+
+    Args:
+        slopes, sigma, measured: as of `information`.
+        noise: (n_trajectories, n_samples, n_states), measured less true.
+
+    Returns:
+        (n_parameters,) with mean 0 and the covariance of `covariance_bound`.
+    """
+    pull = np.zeros(slopes.in_theta.shape[-1])
+    told = _told(slopes, sigma, measured)
+    for (w, left), one in zip(told, noise, strict=True):
+        pull += left.T @ np.where(w > 0, w * one, 0.0).ravel()
+    return covariance_bound(slopes, sigma, measured) @ pull

@@ -41,6 +41,7 @@ COLUMNS = [
     "parameter",
     "truth",
     "bound",
+    "efficient",
     "estimate",
     "std_error",
     "joint",
@@ -98,12 +99,14 @@ def _rows(case: Case, sample: Sample, attempt: Attempt) -> list[dict[str, object
     errors = [estimates[name] - true for name, true in truth.items()]
     joint = sample.joint(np.array(errors))
     rows = []
-    for name, bound in zip(truth, sample.bound, strict=True):
+    known = zip(truth, sample.bound, sample.efficient, strict=True)
+    for name, bound, efficient in known:
         rows.append(
             {
                 "parameter": name,
                 "truth": truth[name],
                 "bound": bound,
+                "efficient": efficient,
                 "estimate": estimates[name],
                 "std_error": attempt.std_errors.get(name, np.nan),
                 "joint": joint,
