@@ -853,6 +853,11 @@ def test_trajectories_that_say_more_count_as_fewer() -> None:
     assert not unequal.is_enough
     ten = replace(clusters, scores=clusters.scores[:9], information=one[:9])
     assert not ten.is_enough
+    blind = one.copy()
+    blind[:, 1] = blind[:, :, 1] = 0.0  # nothing is told of the second parameter
+    told = replace(clusters, information=blind, prior=np.zeros((3, 3)))
+    assert told.effective_numbers()[1] == 0.0
+    assert not told.is_enough
 
 
 def test_the_agreement_of_trajectories_is_a_p_value() -> None:

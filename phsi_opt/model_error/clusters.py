@@ -127,10 +127,19 @@ class Clusters:
         ::
 
             n / (1 + variance of a trajectory's share / squared mean share)
+
+        0 for a parameter of which no trajectory tells anything.
         """
         bread = np.linalg.pinv(self._everything)[: self.n_theta]
         shares = np.einsum("jp,gpq,jq->gj", bread, self.information, bread)
-        spread = np.var(shares, axis=0) / np.mean(shares, axis=0) ** 2
+        squared_mean = np.mean(shares, axis=0) ** 2
+        nothing_told = np.full_like(squared_mean, np.inf)
+        spread = np.divide(
+            np.var(shares, axis=0),
+            squared_mean,
+            out=nothing_told,
+            where=squared_mean > 0,
+        )
         numbers: np.ndarray = self.n_clusters / (1 + spread)
         return numbers
 
