@@ -1,9 +1,10 @@
 """Starting values of the parameters, by convex programs and scans of frequencies.
 
 The loss with the midpoint rule is convex in the coefficients that enter linearly while
-R is fixed, so CVXPY solves it to its global optimum. A frequency is scanned
-(`frequency_scan`), with the amplitudes solved at every step of the scan. The states
-must be known; what to do where they are not is the business of `identify`.
+R is fixed, so its global optimum is found: by least squares within the bounds, or by
+CVXPY where there is an L1 penalty. A frequency is scanned (`frequency_scan`), with the
+amplitudes solved at every step of the scan. The states must be known; what to do where
+they are not is the business of `identify`.
 """
 
 import warnings
@@ -23,6 +24,7 @@ from phsi_opt.initialization.frequency_scan import (
 )
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry
+from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
 from phsi_opt.transcription.interval_map import argument_symbols
@@ -183,9 +185,13 @@ def _optimum(
     problem: _LeastSquares, entries: Sequence[Entry], l1: np.ndarray
 ) -> np.ndarray | None:
     """Scaled coefficients of least loss within their bounds; None: not found."""
-    import cvxpy as cp
-
     q, r = np.linalg.qr(problem.A)
+    if not np.any(l1):
+        lower = np.array([e.parameter.lower for e in entries]) / problem.scale
+        upper = np.array([e.parameter.upper for e in entries]) / problem.scale
+        return bounded_least_squares(r, q.T @ problem.b, lower, upper)
+    import cvxpy as cp  # takes longer to load than most fits to solve
+
     z = cp.Variable(len(entries))
     misfit = cp.sum_squares(r @ z - q.T @ problem.b)
     penalty = cp.sum(cp.multiply(l1 * problem.scale, cp.abs(z)))

@@ -66,7 +66,7 @@ def text(table: pd.DataFrame, warnings: pd.DataFrame, heads: dict[str, str]) -> 
 
 BACKGROUND = markdown.paragraph("""
     Without weights the problem is singular. The solver's own start, a convex program,
-    then chooses a split, which is a property of its interior point, not of the data;
+    then chooses a split, which is a property of its solver, not of the data;
     `identify` solves for coefficients that enter linearly before it starts, so random
     values in the model have no effect: the random starts here are given as a fit. With
     equal weights on both, energy is cheaper, because the gradient of q^2/2 makes 1 out
