@@ -81,10 +81,12 @@ class Climbed:
     Attributes:
         vector: (n_coordinates,).
         log_evidence: there.
+        information: there, (n_coordinates, n_coordinates), how surely it ended there.
     """
 
     vector: np.ndarray
     log_evidence: float
+    information: np.ndarray
 
 
 def climbed(
@@ -108,7 +110,7 @@ def climbed(
     try:
         here = slopes(likelihood, coordinates.at(vector), channels)
     except SolveError:
-        return Climbed(vector, -np.inf)
+        return Climbed(vector, -np.inf, np.zeros((len(vector), len(vector))))
     for _ in range(most_steps):
         gradient = to_coordinates @ here.gradient
         information = to_coordinates @ here.information @ to_coordinates.T
@@ -128,7 +130,8 @@ def climbed(
         damping = max(damping / MORE_DAMPING, LEAST_DAMPING)
         if gain < LEAST_GAIN:
             break
-    return Climbed(vector, here.log_evidence)
+    information = to_coordinates @ here.information @ to_coordinates.T
+    return Climbed(vector, here.log_evidence, information)
 
 
 def _slopes_at(

@@ -55,11 +55,14 @@ class Evidence:
         disturbances: with their sizes.
         log_evidence: up to a constant of the record.
         coordinates: in which they were found; None: they were given.
+        information: of them, (n_coordinates, n_coordinates), about its curvature;
+            None likewise.
     """
 
     disturbances: Disturbances
     log_evidence: float
     coordinates: Coordinates | None = None
+    information: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +211,7 @@ class DisturbanceSearch:
         found = climbed(likelihood, coordinates, self.channels, most_steps)
         disturbances = coordinates.at(found.vector)
         moved = replace(coordinates, origin=disturbances)
-        return Evidence(disturbances, found.log_evidence, moved)
+        return Evidence(disturbances, found.log_evidence, moved, found.information)
 
     def _likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
         return MarginalLikelihood(self.problem, disturbances.structure, self.moving)

@@ -20,7 +20,7 @@ from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.freedom import LOG_STEP, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Response
+from phsi_opt.model_error.marginal_likelihood import Response
 from phsi_opt.model_error.sandwich import covariance_under
 from phsi_opt.model_error.spread import Spread
 
@@ -157,14 +157,9 @@ def under_disturbances(
     coordinates = best.coordinates
     n_theta = problem.n_theta
     freedom = np.full(n_theta, max(float(problem.n_values - n_theta), 1.0))
-    if coordinates is None:
+    if coordinates is None or best.information is None:
         covariance = covariance_under(problem, response, best.disturbances)
         return Spread(covariance, freedom)
-    # How well sizes are known is asked of a part of a long record.
-    part = search.pieces() or search
-    structure = best.disturbances.structure
-    likelihood = MarginalLikelihood(part.problem, structure, search.moving)
-    longer = problem.grid.n_intervals / part.problem.grid.n_intervals
 
     def covariance_at(vector: np.ndarray) -> np.ndarray:
         return covariance_under(problem, response, coordinates.at(vector))
@@ -173,11 +168,7 @@ def under_disturbances(
         variances = np.diag(covariance_at(vector))[search.moving]
         return np.log(np.maximum(variances, np.finfo(float).tiny))
 
-    def negative_evidence(vector: np.ndarray) -> float:
-        at = part.translated(coordinates.at(vector), search)
-        return -longer * likelihood.at(at).log_evidence
-
     is_free = coordinates.is_free(LOG_STEP)
-    found = degrees_of_freedom(negative_evidence, log_variances, is_free)
+    found = degrees_of_freedom(best.information, log_variances, is_free)
     freedom[search.moving] = np.minimum(found, freedom[search.moving])
     return Spread(covariance_at(np.zeros(len(is_free))), freedom)

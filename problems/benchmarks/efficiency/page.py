@@ -109,7 +109,7 @@ def joint(rows: pd.DataFrame) -> str:
 
 def beside_efficient(found: pd.DataFrame) -> str:
     """The worst parameter's rmse over bound, without most of what chance does to it."""
-    worst = found.loc[found["beside"].idxmax()]
+    worst = found.sort_values("beside").iloc[-1]
     return f"{worst['beside']:.3f} +- {worst['beside +-']:.3f}"
 
 
