@@ -606,12 +606,21 @@ def coordinates_of(d: Disturbances, channels: tuple[int, ...]) -> Coordinates:
     )
 
 
+@pytest.mark.parametrize("is_tied", [False, True])
 @pytest.mark.parametrize("kind", ["two forces", "all"])
-def test_slopes_in_coordinates_are_sums_of_those_that_move_together(kind: str) -> None:
+def test_slopes_in_coordinates_are_sums_of_those_that_move_together(
+    kind: str, is_tied: bool
+) -> None:
     problem = problem_of("several runs, all steps")
     d = cases(problem)[kind]
-    coordinates = coordinates_of(d, (0, 1))
+    coordinates = replace(coordinates_of(d, (0, 1)), is_tied=is_tied)
     to_coordinates = coordinates.among_slopes()
+    likelihood = likelihood_of(problem, d, np.arange(3))
+    single = ascent.slopes(likelihood, d, (0, 1))
+    summed = ascent.slopes(likelihood, d, (0, 1), to_coordinates)
+    information = to_coordinates @ single.information @ to_coordinates.T
+    np.testing.assert_allclose(summed.gradient, to_coordinates @ single.gradient)
+    np.testing.assert_allclose(summed.information, information, atol=1e-8)
     units = np.eye(len(coordinates.bounds))
     for unit, row in zip(units, to_coordinates, strict=True):
         expected = moved(d, 0.1 * row, (0, 1))

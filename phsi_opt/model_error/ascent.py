@@ -40,7 +40,7 @@ PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Slopes of the log evidence in logarithms.
+    """Slopes of the log evidence in logarithms, or sums of them.
 
     In the order: noise of each channel, size of each process, time of each process,
     size of each function.
@@ -60,6 +60,7 @@ def slopes(
     likelihood: MarginalLikelihood,
     disturbances: Disturbances,
     channels: tuple[int, ...],
+    sums: np.ndarray | None = None,
 ) -> Slopes:
     """Slopes at given disturbances.
 
@@ -67,11 +68,12 @@ def slopes(
         likelihood: of the structure of the disturbances.
         disturbances: with their sizes.
         channels: states whose noise is estimated.
+        sums: (n_sums, n) of slopes that are wanted; None: each slope by itself.
 
     Raises:
         SolveError: the states do not follow from the data.
     """
-    return _Derivatives(likelihood, disturbances, channels).slopes()
+    return _Derivatives(likelihood, disturbances, channels).slopes(sums)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,21 +106,19 @@ def climbed(
         most_steps: uphill, at most.
     """
     lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
-    to_coordinates = coordinates.among_slopes()
+    sums = coordinates.among_slopes()
     vector = np.zeros(len(lower))
     damping = FIRST_DAMPING
     try:
-        here = slopes(likelihood, coordinates.at(vector), channels)
+        here = slopes(likelihood, coordinates.at(vector), channels, sums)
     except SolveError:
         return Climbed(vector, -np.inf, np.zeros((len(vector), len(vector))))
     for _ in range(most_steps):
-        gradient = to_coordinates @ here.gradient
-        information = to_coordinates @ here.information @ to_coordinates.T
-        leads_out = (vector <= lower) & (gradient < 0)
-        leads_out |= (vector >= upper) & (gradient > 0)
-        step = _newton_step(gradient, information, ~leads_out, damping)
+        leads_out = (vector <= lower) & (here.gradient < 0)
+        leads_out |= (vector >= upper) & (here.gradient > 0)
+        step = _newton_step(here.gradient, here.information, ~leads_out, damping)
         trial = np.clip(vector + step, lower, upper)
-        there = _slopes_at(likelihood, coordinates.at(trial), channels)
+        there = _slopes_at(likelihood, coordinates.at(trial), channels, sums)
         if there is None or there.log_evidence < here.log_evidence:
             damping *= MORE_DAMPING
             if damping > MOST_DAMPING:
@@ -130,16 +130,18 @@ def climbed(
         damping = max(damping / MORE_DAMPING, LEAST_DAMPING)
         if gain < LEAST_GAIN:
             break
-    information = to_coordinates @ here.information @ to_coordinates.T
-    return Climbed(vector, here.log_evidence, information)
+    return Climbed(vector, here.log_evidence, here.information)
 
 
 def _slopes_at(
-    likelihood: MarginalLikelihood, there: Disturbances, channels: tuple[int, ...]
+    likelihood: MarginalLikelihood,
+    there: Disturbances,
+    channels: tuple[int, ...],
+    sums: np.ndarray,
 ) -> Slopes | None:
     """Slopes, or None where the states do not follow from the data."""
     try:
-        found = slopes(likelihood, there, channels)
+        found = slopes(likelihood, there, channels, sums)
     except SolveError:
         return None
     return found if np.isfinite(found.log_evidence) else None
@@ -241,6 +243,10 @@ class _Columns:
     border: np.ndarray
     data: np.ndarray
 
+    def summed(self, sums: np.ndarray) -> "_Columns":
+        """Sums of the columns, (n_sums, k)."""
+        return _Columns(self.inner @ sums.T, self.border @ sums.T, self.data @ sums.T)
+
 
 class _Derivatives:
     def __init__(
@@ -292,9 +298,11 @@ class _Derivatives:
             priors.append(_Prior.of(process, now[number], then[number], where))
         return priors
 
-    def slopes(self) -> Slopes:
+    def slopes(self, sums: np.ndarray | None = None) -> Slopes:
         """Gradient and average information."""
         changes = self._changes()
+        if sums is not None:  # fewer right-hand sides
+            changes = changes.summed(sums)
         probes = self._probes()
         inner = np.hstack([changes.inner, probes.inner])
         border = np.hstack([changes.border, probes.border])
@@ -307,6 +315,8 @@ class _Derivatives:
         )
         answer = alone[:, k:] - self.parts.solved[:, :-1] @ of_border[:, k:]
         gradient = self._gradient(answer, of_border[:, k:])
+        if sums is not None:
+            gradient = sums @ gradient
         return Slopes(self.log_evidence, gradient, information)
 
     def _changes(self) -> _Columns:

@@ -18,7 +18,8 @@ class Coordinates:
     """Logarithms of sizes and times relative to those of given disturbances.
 
     All forces share the factor on their time where it is free, and so do all sensors.
-    White processes, those with the shortest time, stay white.
+    White processes, those with the shortest time, stay white. Of a large system the
+    noises share a factor too, and so do the sizes of the forces, and of the sensors.
 
     Attributes:
         origin: the disturbances at zero.
@@ -28,6 +29,7 @@ class Coordinates:
         longest: at most.
         largest_functions: sizes of the functions, at most.
         fixed_times: whether the times of the forces stay as they are.
+        is_tied: whether sizes of one kind share a factor.
     """
 
     origin: Disturbances
@@ -37,16 +39,26 @@ class Coordinates:
     longest: float
     largest_functions: tuple[float, ...] = ()
     fixed_times: bool = False
+    is_tied: bool = False
+
+    def _groups(self, n: int) -> list[list[int]]:
+        """Which of ``n`` sizes of one kind share a factor."""
+        if self.is_tied:
+            return [list(range(n))] if n else []
+        return [[place] for place in range(n)]
 
     @property
     def bounds(self) -> list[tuple[float, float]]:
         """Lower and upper bound of every coordinate."""
         origin = self.origin
         bounds = []
+        lowest = []
         for channel in self.channels:
             noise = float(np.mean(origin.sigma[:, channel]))
-            lowest = float(np.log(self.least_noise[channel] / noise))
-            bounds.append((min(lowest, 0.0), LARGEST_LOG))
+            lowest.append(float(np.log(self.least_noise[channel] / noise)))
+        for group in self._groups(len(self.channels)):
+            highest = max(lowest[place] for place in group)
+            bounds.append((min(highest, 0.0), LARGEST_LOG))
         bounds += self._bounds_of(origin.forces, self.fixed_times)
         bounds += self._bounds_of(origin.sensors, False)
         limits = zip(origin.functions, self.largest_functions, strict=True)
@@ -72,14 +84,14 @@ class Coordinates:
         n_processes = len(origin.forces) + len(origin.sensors)
         n_functions = len(origin.functions)
         units = np.eye(n_channels + 2 * n_processes + n_functions)
-        rows = [*units[:n_channels]]
+        rows = self._sums(units[:n_channels])
         first = n_channels
         for processes, fixed in (
             (origin.forces, self.fixed_times),
             (origin.sensors, False),
         ):
             last = first + len(processes)
-            rows += [*units[first:last]]
+            rows += self._sums(units[first:last])
             lasting = np.array([self._lasts(process) for process in processes])
             if lasting.any() and not fixed:
                 times = units[first + n_processes : last + n_processes]
@@ -88,10 +100,14 @@ class Coordinates:
         rows += [*units[n_channels + 2 * n_processes :]]
         return np.array(rows).reshape(len(rows), len(units))
 
+    def _sums(self, units: np.ndarray) -> list[np.ndarray]:
+        """A row per group, (n_slopes,), of a row per size."""
+        return [units[group].sum(axis=0) for group in self._groups(len(units))]
+
     def _bounds_of(
         self, processes: tuple[Process, ...], fixed: bool
     ) -> list[tuple[float, float]]:
-        bounds = [(SMALLEST_LOG, LARGEST_LOG)] * len(processes)
+        bounds = [(SMALLEST_LOG, LARGEST_LOG)] * len(self._groups(len(processes)))
         times = [p.time for p in processes if self._lasts(p)]
         if times and not fixed:
             lower = np.log(self.shortest / times[0])
@@ -105,8 +121,9 @@ class Coordinates:
         """The disturbances of a vector (n_coordinates,)."""
         left = list(vector)
         sigma = self.origin.sigma.copy()
-        for channel in self.channels:
-            sigma[:, channel] *= np.exp(left.pop(0))
+        for group in self._groups(len(self.channels)):
+            channels = [self.channels[place] for place in group]
+            sigma[:, channels] *= np.exp(left.pop(0))
         forces = self._moved(self.origin.forces, left, self.fixed_times)
         sensors = self._moved(self.origin.sensors, left, False)
         functions: list[StateFunction] = []
@@ -125,9 +142,10 @@ class Coordinates:
         self, processes: tuple[Process, ...], left: list[float], fixed: bool
     ) -> tuple[Process, ...]:
         """Take the coordinates of these processes off the list."""
-        sizes = []
-        for process in processes:
-            sizes.append(process.size * float(np.exp(left.pop(0))))
+        sizes: list[float] = []
+        for group in self._groups(len(processes)):
+            factor = float(np.exp(left.pop(0)))
+            sizes += [processes[place].size * factor for place in group]
         is_free = not fixed and any(self._lasts(process) for process in processes)
         factor = float(np.exp(left.pop(0))) if is_free else 1.0
         moved = []

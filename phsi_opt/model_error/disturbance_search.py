@@ -42,6 +42,9 @@ NO_STATES = 1e12  # stands for minus the log evidence where no states follow
 MOST_SEARCHED = 1_500
 SHORTEST_PIECE = 250  # samples of the pieces that a long record is searched on
 STEPS_ON_WHOLE = 4  # uphill, from what was found in pieces
+# Sizes of noises and processes that are estimated one by one, at most: beyond, those of
+# one kind keep their ratios.
+MOST_SIZES = 27
 # Columns of functions beside the parameters, at most: each costs as much as one more
 # parameter.
 MOST_FUNCTION_COLUMNS = 80
@@ -206,12 +209,17 @@ class DisturbanceSearch:
             longest=self._longest,
             largest_functions=self._largest_functions(origin.functions),
             fixed_times=fixed_times,
+            is_tied=self._n_sizes(origin) > MOST_SIZES,
         )
 
         found = climbed(likelihood, coordinates, self.channels, most_steps)
         disturbances = coordinates.at(found.vector)
         moved = replace(coordinates, origin=disturbances)
         return Evidence(disturbances, found.log_evidence, moved, found.information)
+
+    def _n_sizes(self, disturbances: Disturbances) -> int:
+        processes = len(disturbances.forces) + len(disturbances.sensors)
+        return len(self.channels) + processes
 
     def _likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
         return MarginalLikelihood(self.problem, disturbances.structure, self.moving)
