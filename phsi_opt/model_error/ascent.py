@@ -243,10 +243,6 @@ class _Columns:
     border: np.ndarray
     data: np.ndarray
 
-    def summed(self, sums: np.ndarray) -> "_Columns":
-        """Sums of the columns, (n_sums, k)."""
-        return _Columns(self.inner @ sums.T, self.border @ sums.T, self.data @ sums.T)
-
 
 class _Derivatives:
     def __init__(
@@ -300,9 +296,8 @@ class _Derivatives:
 
     def slopes(self, sums: np.ndarray | None = None) -> Slopes:
         """Gradient and average information."""
-        changes = self._changes()
-        if sums is not None:  # fewer right-hand sides
-            changes = changes.summed(sums)
+        n_slopes = len(self.channels) + 2 * len(self.priors) + len(self.sizes)
+        changes = self._changes(np.eye(n_slopes) if sums is None else sums)
         probes = self._probes()
         inner = np.hstack([changes.inner, probes.inner])
         border = np.hstack([changes.border, probes.border])
@@ -319,33 +314,33 @@ class _Derivatives:
             gradient = sums @ gradient
         return Slopes(self.log_evidence, gradient, information)
 
-    def _changes(self) -> _Columns:
-        """How the data would move with each size and time, as right-hand sides.
+    def _changes(self, sums: np.ndarray) -> _Columns:
+        """How the data would move with sums of sizes and times, as right-hand sides.
 
         What a force adds to the states, the data would show; so it is taken from the
         dynamics where it is added to the data.
+
+        Args:
+            sums: (k, n_slopes).
         """
         likelihood = self.likelihood
         n_inner = len(self.parts.right)
         n = likelihood.n_unknowns
         weights = self.parts.weights
-        data = []
-        dynamics = []
-        for channel in self.channels:
-            is_in = self.problem.channel == channel
-            data.append(np.where(is_in, 2 * self.residual, 0.0))
-            dynamics.append(np.zeros(n_inner - n))
-        for moved in self._moved_processes():
-            data.append(likelihood.values_of_processes(moved))
-            dynamics.append(likelihood.dynamics_of_processes(moved))
-        for number in range(len(self.sizes)):
-            step = np.zeros(len(self.step))
-            places = self.n_theta + np.flatnonzero(self.owner == number)
-            step[places] = 2 * self.step[places]
-            data.append(np.zeros(len(weights)))
-            dynamics.append(-likelihood.border_in_dynamics @ step)
-        shifts = np.array(data).T.reshape(len(weights), -1)
-        offsets = -np.array(dynamics).T.reshape(n_inner - n, -1)
+        n_channels = len(self.channels)
+        n_functions = len(self.sizes)
+        of_processes = slice(n_channels, sums.shape[1] - n_functions)
+        is_in = self.problem.channel[:, None] == np.array(self.channels, dtype=int)
+        of_noise = np.where(is_in, 2 * self.residual[:, None], 0.0)
+        shifts = of_noise @ sums[:, :n_channels].T
+        offsets = np.zeros((n_inner - n, len(sums)))
+        moved = self._moved_processes() @ sums[:, of_processes].T
+        for k in np.flatnonzero(moved.any(axis=0)):
+            shifts[:, k] += likelihood.values_of_processes(moved[:, k])
+            offsets[:, k] -= likelihood.dynamics_of_processes(moved[:, k])
+        if n_functions:
+            step = self._moved_functions() @ sums[:, of_processes.stop :].T
+            offsets += likelihood.border_in_dynamics @ step
         weighted = weights[:, None] * shifts
         return _Columns(
             inner=np.vstack([likelihood.shown.T @ weighted, offsets]),
@@ -353,20 +348,27 @@ class _Derivatives:
             data=shifts,
         )
 
-    def _moved_processes(self) -> list[np.ndarray]:
-        """Values of all processes, as each size and then each time would move them."""
-        n = self.likelihood.n_unknowns
-        by_size = []
-        by_time = []
-        for prior in self.priors:
+    def _moved_processes(self) -> np.ndarray:
+        """Values of all processes, as each size and then each time would move them.
+
+        (n_unknowns, 2 n_processes).
+        """
+        n_processes = len(self.priors)
+        moved = np.zeros((self.likelihood.n_unknowns, 2 * n_processes))
+        for number, prior in enumerate(self.priors):
             values = self.unknowns[prior.places]
-            moved = np.zeros(n)
-            moved[prior.places] = 2 * values
-            by_size.append(moved)
-            moved = np.zeros(n)
-            moved[prior.places] = -prior.covariance_times(prior.changed(values))
-            by_time.append(moved)
-        return [*by_size, *by_time]
+            by_time = prior.covariance_times(prior.changed(values))
+            moved[prior.places, number] = 2 * values
+            moved[prior.places, n_processes + number] = -by_time
+        return moved
+
+    def _moved_functions(self) -> np.ndarray:
+        """Coefficients as each size would move them, (n_border, n_functions)."""
+        moved = np.zeros((len(self.step), len(self.sizes)))
+        for number in range(len(self.sizes)):
+            places = self.n_theta + np.flatnonzero(self.owner == number)
+            moved[places, number] = 2 * self.step[places]
+        return moved
 
     def _probes(self) -> _Columns:
         """Random signs: first of the measured values, then of the processes."""
