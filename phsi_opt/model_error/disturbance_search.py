@@ -40,6 +40,7 @@ NO_STATES = 1e12  # stands for minus the log evidence where no states follow
 # Intervals on which a search begins: sizes and times are known to a few percent from
 # them, and the whole record has the last word.
 MOST_SEARCHED = 1_500
+MOST_SEARCHED_STATES = 13_500  # and states on them, all together
 SHORTEST_PIECE = 250  # samples of the pieces that a long record is searched on
 STEPS_ON_WHOLE = 4  # uphill, from what was found in pieces
 # Sizes of noises and processes that are estimated one by one, at most: beyond, those of
@@ -135,10 +136,12 @@ class DisturbanceSearch:
     def pieces(self) -> "DisturbanceSearch | None":
         """The same search on a part of a long record; None for one that is short."""
         n_intervals = self.problem.grid.n_intervals
-        if n_intervals <= 1.5 * MOST_SEARCHED:
+        n_states = self.problem.nodes.shape[1]
+        most_intervals = min(MOST_SEARCHED, MOST_SEARCHED_STATES / n_states)
+        if n_intervals <= 1.5 * most_intervals:
             return None
         per_sample = max(n_intervals / max(int(self.problem.grid.sample.sum()), 1), 1.0)
-        most = MOST_SEARCHED * per_sample**0.5
+        most = most_intervals * per_sample**0.5
         n_pieces = max(int(n_intervals / (SHORTEST_PIECE * per_sample)), 2)
         stride = max(round(n_intervals / most), 2)
         numbers = self.problem.piece_numbers(n_pieces)
