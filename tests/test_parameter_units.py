@@ -5,7 +5,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import Model
-from phsi_opt.model.parameter_units import parameter_units
+from phsi_opt.model.parameter_units import parameter_units, state_units
 from phsi_opt.presentation.units import coefficient_unit, powers_as_written
 from phsi_opt.screening.effect_size import size_unit
 
@@ -62,6 +62,8 @@ def test_masses_and_stiffnesses_follow_from_the_states() -> None:
 def test_a_measured_force_tells_the_unit_of_a_momentum_that_nobody_measures() -> None:
     units = {"t": "s", "q": "m", "u": "N"}
     assert parameter_units(spring(), units) == {"m": "kg", "k": "N/m"}
+    assert state_units(spring(), units) == {"q": "m", "p": "kg m/s"}
+    assert state_units(spring(), {"t": "s", "q": "m"}) == {"q": "m", "p": ""}
 
 
 def test_without_any_force_or_momentum_a_mass_has_no_unit_that_is_known() -> None:

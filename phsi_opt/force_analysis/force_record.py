@@ -17,6 +17,7 @@ from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.force_uncertainty import MOST_SOLVED
 from phsi_opt.model.model import Model
+from phsi_opt.model.parameter_units import state_units
 
 # Distance to a bound, relative to the bound where that is above one, up to which a
 # parameter stands at it.
@@ -71,7 +72,7 @@ class ForceRecord:
             fit=record.fit,
             estimate=estimate,
             trajectories=record.trajectories,
-            units=record.data.units,
+            units={**record.data.units, **state_units(model, record.data.units)},
             equations=tuple(model.states[row] for row in estimate.prior.rows),
             t=middles.t,
             h=grid.h,

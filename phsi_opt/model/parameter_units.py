@@ -1,4 +1,4 @@
-"""Units of parameters, from those of the states, the inputs and the time.
+"""Units of parameters and hidden states, from those of what is measured.
 
 Every term of an equation has the unit of the state over that of the time, terms of a
 sum are of like things, and what stands in an exponential has no unit. The powers of the
@@ -24,6 +24,8 @@ from phsi_opt.presentation.units import (
     rate_unit,
 )
 
+MOMENTUM = "kg m/s"  # as people write it, not N s
+
 
 def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
     """The unit of every parameter, "" where it is not known.
@@ -48,6 +50,23 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
                 equation = known.get(entry.equation, "")
                 rate = rate_unit(equation, time)
                 told[name] = coefficient_unit(found[name], (equation, rate))
+    return told
+
+
+def state_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str]:
+    """The unit of every state: as given, or as the equations ask for; "" if unknown.
+
+    Args:
+        model: the model.
+        units: by state, input and time, as `Measurements.units`.
+    """
+    known = {name: unit for name, unit in units.items() if unit}
+    found = _solved(model, known)
+    told = {}
+    for state in model.states:
+        told[state] = known.get(state, "")
+        if not told[state] and found.get(state):
+            told[state] = coefficient_unit(found[state], (MOMENTUM,))
     return told
 
 
@@ -141,7 +160,7 @@ class _Equations:
         split: Callable[[str], Powers | None],
         numbers_are_pure: bool = True,
     ) -> dict[str, Powers] | None:
-        """Powers of the units by parameter; None where there is a contradiction."""
+        """Powers of the units by parameter and state; None for a contradiction."""
         known = self._known(units, split)
         said = self._said.said
         if not numbers_are_pure:
@@ -153,6 +172,9 @@ class _Equations:
         for name in self._model.entries:
             if _parameter(name) in found:
                 powers[name] = found[_parameter(name)]
+        for state in self._model.states:
+            if state in found:
+                powers[state] = found[state]
         return powers
 
     def _known(

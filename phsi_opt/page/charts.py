@@ -11,6 +11,7 @@ import numpy as np
 
 from phsi_opt.page.limits import CHART_POINTS
 from phsi_opt.page.snapshot import ChannelCurves, ErrorStep, ForceCurve, RunCurves
+from phsi_opt.presentation.axes import label
 
 Figure = dict[str, Any]
 
@@ -21,6 +22,7 @@ OTHER_COLOR = "#c8611a"
 FLOOR_COLOR = "#3b8f5a"
 MARK_COLOR = "#b5459e"
 BAND_OPACITY = 0.22
+FONT = "Roboto, system-ui, sans-serif"  # by name: widths of legends are taken from it
 N_WORDS_A_LINE = 16  # letters of a step's label below the staircase
 # Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
 # chosen: nested lists in the configuration make plotly's ``react`` draw without end.
@@ -136,7 +138,7 @@ def _escaped(text: str) -> str:
 
 
 def _label(name: str, unit: str) -> str:
-    return _escaped(f"{name} ({unit})" if unit else name)
+    return _escaped(label(name, unit))
 
 
 def _thinned(values: np.ndarray) -> np.ndarray:
@@ -234,7 +236,7 @@ def _layout(x_title: str) -> Figure:
         "margin": {"l": 64, "r": 12, "t": 44, "b": 44},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
-        "font": {"family": "inherit", "size": 13},
+        "font": {"family": FONT, "size": 13},
         "hovermode": "x unified",
         "hoverlabel": {"bgcolor": "#16191d", "font": {"color": "#f4f6f8"}},
         "legend": {

@@ -208,7 +208,7 @@ def _can_begin(session: Session) -> bool:
 def _standing(session: Session) -> str:
     """What to do next, where nothing goes on."""
     if session.snapshot is not None:
-        return "Ready: nothing is at work."
+        return "Ready."
     if session.draft.data is None:
         return "Begin with the measurements: part 1."
     if not session.draft.model.states:

@@ -146,7 +146,9 @@ class StudyView:
 
     def _what_to_add(self, snapshot: Snapshot, add: str, preview: str) -> None:
         if not add or snapshot.diagnosed is None:
-            ui.label("Nothing.")
+            ui.label("Nothing more." if snapshot.added else "Nothing.")
+            if snapshot.added:
+                ui.label(f"Added: {' and '.join(snapshot.added)}.")
             ui.label(preview).classes("faint")
             return
         proposed = snapshot.diagnosed.proposed
@@ -205,7 +207,8 @@ class StudyView:
             proposed = " (proposed)" if row.is_proposed else ""
             size = f": {row.size}" if row.size else ""
             with ui.row().classes("w-full items-center no-wrap justify-between"):
-                ui.label(f"{row.label}{size}{proposed}").style("font-weight: 600")
+                told = typeset(f"{row.label}{size}{proposed}")
+                ui.label(told).style("font-weight: 600")
                 if not self._session.is_stale:
                     self._add_of_ranking(row)
             left, floor = share_left(snapshot, row)
@@ -238,7 +241,7 @@ class StudyView:
                 for row in snapshot.parameters:
                     error = f" ± {row.std_error:.2g}" if row.std_error > 0 else ""
                     text = f"{row.name} = {row.value:.4g}{error} {row.unit}"
-                    ui.label(text).classes("formula")
+                    ui.label(typeset(text)).classes("formula")
             if snapshot.diagnosed is not None:
                 with ui.expansion("What the diagnosis says").classes("w-full"):
                     ui.label(snapshot.diagnosed.verdict).style("font-weight: 600")

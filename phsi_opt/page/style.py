@@ -61,7 +61,10 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
   width: 100%; overflow: hidden;
 }
 .track div { position: absolute; inset: 0 auto 0 0; background: #2f7fd6; }
-.track i { position: absolute; top: 0; bottom: 0; width: 3px; background: var(--ink); }
+.track i {
+  position: absolute; top: 0; bottom: 0; width: 3px; margin-left: -3px;
+  background: var(--ink);
+}
 .candidate { border-top: 1px solid var(--line); padding: 10px 0; width: 100%; }
 html { scroll-padding: 72px 0 64px; }
 /* Quasar takes outlines away with !important in a layer, which wins: so shadows. */

@@ -5,9 +5,10 @@ Pictures never call ``plt.show``: a caller shows or saves the figure of the axes
 
 from typing import TYPE_CHECKING
 
+from phsi_opt.presentation.numbers import typeset
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
 
 MEASURED = "0.55"  # grey: what was measured, and what stands for comparison
 MODEL = "C0"  # blue: the model, and what was estimated
@@ -33,4 +34,4 @@ def axes_of(ax: "Axes | None", size: tuple[float, float]) -> "Axes":
 
 def label(name: str, unit: str) -> str:
     """The label of an axis, such as "t (s)"; the name alone where there is no unit."""
-    return f"{name} ({unit})" if unit else name
+    return f"{name} ({typeset(unit)})" if unit else name

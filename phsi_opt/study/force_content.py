@@ -1,5 +1,7 @@
 """Where a study's model fails, for a report: forces in pictures, ranked effects."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
 
@@ -49,9 +51,10 @@ MOST_FORCES = 4  # equations whose missing force is drawn
 def failure_of(diagnosis: Diagnosis, heading: str, unit: str) -> Failure:
     """A diagnosis as a report tells it; ``unit`` is that of the errors."""
     ranking = diagnosis.candidates
+    classes = _classes(diagnosis)
     listed = []
     for _, row in ranking.head(MOST_LISTED).iterrows():
-        listed.append(_ranked(row, unit))
+        listed.append(_ranked(row, unit, classes))
     return Failure(
         heading,
         str(diagnosis.verdict),
@@ -155,7 +158,17 @@ def _beside(found: Dependence, sentence: str) -> Follows:
     )
 
 
-def _ranked(row: pd.Series, unit: str) -> Ranked:
+def _classes(diagnosis: Diagnosis) -> dict[str, list[str]]:
+    """The other effects of each one's class, by its name with the equation."""
+    classes: dict[str, list[str]] = {}
+    for finding in diagnosis.findings:
+        names = [str(effect) for effect in finding.effects]
+        for name in names:
+            classes[name] = [other for other in names if other != name]
+    return classes
+
+
+def _ranked(row: pd.Series, unit: str, classes: Mapping[str, list[str]]) -> Ranked:
     share = _known(row["share"])
     explains = "not re-fitted"
     if share is not None:
@@ -172,9 +185,15 @@ def _ranked(row: pd.Series, unit: str) -> Ranked:
     pairs = [f"{name} on {place}" for name, place in zip(names, places, strict=False)]
     size = with_error(float(row["coefficient"]), float(row["std_error"]))
     size += spaced(str(row["unit"]))
-    confused = shortened(str(row["confusable_with"]))
-    lost = str(row["lost"])
-    return Ranked(" and ".join(pairs), size, explains, share, error, confused, lost)
+    if len(pairs) > 1:
+        size += " of the first"
+    name = " and ".join(pairs)
+    alike = list(classes.get(name, []))
+    for other in str(row["confusable_with"]).split(", "):
+        if other and other not in alike:
+            alike.append(other)
+    confused = shortened(", ".join(alike))
+    return Ranked(name, size, explains, share, error, confused, str(row["lost"]))
 
 
 def shortened(listed: str) -> str:
@@ -213,10 +232,11 @@ def since_when(diagnosis: Diagnosis) -> str:
     name = str(force.where["trajectory"])
     inside = np.flatnonzero(record.run == record.trajectories.index(name))
     begin = _beginning(force, inside)
-    since = "From the start of the record on"
+    since = "From the start on, as far as the data tell"
     if begin is not None:
         of_run = name if len(sizes) > 1 else "the training record"
-        since = f"From about t = {time_words(begin, unit)} of {of_run} on"
+        when = time_words(begin, unit)
+        since = f"Far stronger from about t = {when} of {of_run} on"
     window = str(force.where["time_window"])
     if THROUGHOUT in window:
         return f"{since}{runs}, about as strong all the time."

@@ -12,6 +12,7 @@ from phsi_opt.force_analysis.units import force_unit, frequency_words, spaced
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.numbers import number, with_error
 from phsi_opt.presentation.report_content import BAD, GOOD, LOOK, Fact, Headline
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.study.force_content import since_when
 from phsi_opt.study.record import StudyRecord
 
@@ -81,15 +82,20 @@ def errors_in_words(study: StudyRecord) -> str:
     first = study.steps[0].judged
     last = study.last.judged
     which = "held-out" if study.last.held_out is not None else "training"
+    size = 1.0
     unit = spaced(study.unit)
-    floor = f"noise floor {number(last.noise_floor, 3)}{unit}"
+    of_floor = unit
+    if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
+        size = 0.01
+        unit = " % of the standard deviation of what was measured"
+        of_floor = " %"
+    floor = f"noise floor {number(last.noise_floor / size, 3)}{of_floor}"
+    after = f"{number(last.rmse / size, 3)}{unit}"
     if len(study.steps) == 1:
-        return f"{which} error {number(last.rmse, 3)}{unit}, {floor}"
+        return f"{which} error {after}, {floor}"
     verb = "fell" if last.rmse < first.rmse else "went"
-    return (
-        f"{which} error {verb} from {number(first.rmse, 3)} to "
-        f"{number(last.rmse, 3)}{unit} ({floor})"
-    )
+    before = f"{number(first.rmse / size, 3)}{of_floor if size < 1 else ''}"
+    return f"{which} error {verb} from {before} to {after} ({floor})"
 
 
 def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
@@ -193,6 +199,8 @@ def _wrong(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
     names = " and ".join(_class_of(finding) for finding in diagnosis.findings)
     begin = f"{names} {verb} missing: " if names else ""
     said = f"{begin}{whose} d{force.equation}/dt {verb} off by {size}"
+    if not is_past:
+        said += _worst_channel(study)
     said = f"{said[:1].upper()}{said[1:]}"
     frequency = float(force.where["frequency"])
     if frequency * float(np.median(force.record.h)) > NEAR_SAMPLING:
@@ -202,6 +210,21 @@ def _wrong(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
             "looks so, rather than a force"
         )
     return f"{said}."
+
+
+def _worst_channel(study: StudyRecord) -> str:
+    """How far the free run of the present model is off, where it is worst."""
+    table = study.last.judged.table
+    ratios = table["rmse"].to_numpy() / table["noise_floor"].to_numpy()
+    if not np.isfinite(ratios).any():
+        return ""
+    place = int(np.nanargmax(ratios))
+    worst = table.iloc[place]
+    size = f"{number(float(worst['rmse']), 3)}{spaced(str(worst['unit']))}"
+    return (
+        f", its free run of {worst['state']} by {size}, {ratios[place]:.3g} times the "
+        "noise"
+    )
 
 
 def _class_of(finding: Finding) -> str:
