@@ -227,3 +227,14 @@ def test_the_cost_of_a_fit_is_measured() -> None:
     assert float(row["largest_error_in_std_errors"]) < 4
     rows = pd.DataFrame({"n_samples": [10, 100, 1000], "seconds": [1.0, 20.0, 400.0]})
     assert scaling.exponent(rows) == pytest.approx(np.log10(20))
+
+
+def test_the_cost_of_many_states_is_measured() -> None:
+    from problems.benchmarks import state_growth
+
+    row = state_growth.measure(2, 100)
+    assert row["states"] == 4
+    assert 0 < row["solves (s)"] < row["identify (s)"]
+    assert row["largest error in standard errors"] < 4
+    rows = [{"states": 10, "s": 1.0}, {"states": 100, "s": 100.0}]
+    assert state_growth.growth(rows, "s") == pytest.approx(2.0)

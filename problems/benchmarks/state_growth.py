@@ -1,0 +1,149 @@
+"""Time of `identify` over the number of states: chains of masses with cubic springs.
+
+    python -m problems.benchmarks.state_growth [--quick] [N_MASSES ...]
+
+Every state is measured, at 1000 samples with noise of 0.02; stiffness, cubic stiffness
+and the damper at the last mass are unknown. Processor seconds on one thread.
+"""
+
+import os
+
+# Before NumPy is loaded: one thread for all.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import re
+import time
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+from problems.tools import markdown, provenance
+from problems.tools.command_line import chosen, flag
+
+N_MASSES = (1, 2, 5, 10, 25)
+N_SAMPLES = 1_000
+QUICK_SAMPLES = 100
+STEP = 0.1
+NOISE = 0.02
+SEED = 9100
+TRUTH = {"k": 1.6, "a": 0.8, "c": 0.3}
+STARTS = {"k": 1.0, "a": 0.5}  # of the search
+
+INTRODUCTION = markdown.paragraph(f"""
+    Chains of masses with cubic springs, every state measured at {N_SAMPLES} samples
+    with noise of {NOISE:g}; three unknown numbers. identify: all of it, standard errors
+    included; solves: all likelihood programs in IPOPT. Processor seconds on one thread.
+    Beyond 13 states the noises of all channels are searched by one common factor where
+    the standard errors ask what acts beside the model, and so are the sizes of that.
+    """)
+
+Row = dict[str, float | int]
+
+
+def names(n_masses: int) -> tuple[list[str], list[str]]:
+    """Positions and momenta."""
+    numbers = range(1, n_masses + 1)
+    return [f"q{i}" for i in numbers], [f"p{i}" for i in numbers]
+
+
+def model(n_masses: int) -> ph.PseudoHamiltonian:
+    """H = sum of k d^2/2 + a d^4/4 over the springs' lengths d, and p^2/2."""
+    q, p = names(n_masses)
+    lengths = [q[0]]
+    for left, right in pairwise(q):
+        lengths.append(f"({right} - {left})")
+    terms = [f"k*{d}**2/2 + a*{d}**4/4" for d in lengths]
+    terms += [f"{name}**2/2" for name in p]
+    starts = {name: ph.Parameter(value) for name, value in STARTS.items()}
+    return ph.PseudoHamiltonian(
+        states=[*q, *p],
+        S=np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(n_masses)),
+        H=ph.formula(" + ".join(terms), **starts),
+        R=ph.damping(p[-1]),
+    )
+
+
+def data(n_masses: int, n_samples: int) -> ph.Measurements:
+    """One free run from a random start."""
+    rng = np.random.default_rng(SEED)
+    t = STEP * np.arange(n_samples)
+    q = 0.5 * np.cumsum(rng.normal(size=n_masses))
+    start = np.concatenate([q, 0.5 * rng.normal(size=n_masses)])
+    solved = solve_ivp(_rates, (0.0, t[-1]), start, "DOP853", t, rtol=1e-10, atol=1e-10)
+    x = solved.y.T
+    y = x + NOISE * rng.normal(size=x.shape)
+    states = [name for kind in names(n_masses) for name in kind]
+    return ph.Measurements.from_arrays(t, y, states=states)
+
+
+def _rates(_: float, z: np.ndarray) -> np.ndarray:
+    q, p = np.split(z, 2)
+    d = np.diff(q, prepend=0.0)
+    pull = TRUTH["k"] * d + TRUTH["a"] * d**3
+    force = np.append(pull[1:], 0.0) - pull
+    force[-1] -= TRUTH["c"] * p[-1]
+    return np.concatenate([p, force])
+
+
+def measure(n_masses: int, n_samples: int = N_SAMPLES) -> Row:
+    """One fit of a chain."""
+    said: list[str] = []
+    given = data(n_masses, n_samples)
+    chain = model(n_masses)
+    began = time.process_time()
+    fit = ph.identify(chain, given, progress=said.append)
+    std_errors = fit.std_errors
+    seconds = time.process_time() - began
+    solves = 0.0
+    for line in said:
+        solved = re.search(r"^maximum.* iterations, ([\d.]+) s\)", line)
+        if solved:
+            solves += float(solved[1])
+    known = dict(zip(fit.names, TRUTH.values(), strict=True))
+    errors = [abs(fit.values[name] - known[name]) / std_errors[name] for name in known]
+    return {
+        "states": 2 * n_masses,
+        "identify (s)": round(seconds, 2),
+        "solves (s)": round(solves, 2),
+        "largest error in standard errors": round(max(errors), 2),
+    }
+
+
+def growth(rows: Sequence[Row], column: str) -> float:
+    """The power with which a time grows over the last two sizes."""
+    before, after = rows[-2:]
+    times = float(after[column]) / float(before[column])
+    return float(np.log(times) / np.log(after["states"] / before["states"]))
+
+
+def page(rows: Sequence[Row]) -> str:
+    """The page as Markdown."""
+    lines = ["# Time over the number of states", "", INTRODUCTION, ""]
+    lines += [markdown.table(rows), ""]
+    if len(rows) > 1:
+        lines.append(
+            f"Over the last two sizes identify grows with the power "
+            f"{growth(rows, 'identify (s)'):.2g}, the solves with "
+            f"{growth(rows, 'solves (s)'):.2g}."
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure chains of these lengths, and write the page."""
+    if flag("quick"):
+        print(page([measure(n, QUICK_SAMPLES) for n in (1, 2)]))
+        return
+    rows = []
+    for n_masses in map(int, chosen() or map(str, N_MASSES)):
+        rows.append(measure(n_masses))
+        print(rows[-1], flush=True)
+    provenance.write("state_growth.md", page(rows))
+
+
+if __name__ == "__main__":
+    main()
