@@ -8,29 +8,77 @@ import os
 import tempfile
 from pathlib import Path
 
+from phsi_opt.errors import DataError
 
-def write_whole(path: str | Path, text: str) -> Path:
-    """Write a text file as UTF-8; whoever reads it sees all of it, or none.
+
+def write_whole(path: str | Path, content: str | bytes) -> Path:
+    """Write a file; whoever reads it sees all of it, or none.
 
     Args:
         path: Of the file, in a folder that exists. A file that is there is replaced.
-        text: All of its content.
+        content: All of it; text is written as UTF-8, with the line ends that it has.
 
     Returns:
         The path.
+
+    Raises:
+        DataError: The file cannot be written; what was there stays.
     """
-    place = Path(path)
+    place = written_path(path)
+    try:
+        _replace(place, content.encode() if isinstance(content, str) else content)
+    except (OSError, ValueError) as error:
+        raise _unwritable(path, error) from None
+    return place
+
+
+def written_path(path: str | Path) -> Path:
+    """The path of a file that will be written, before the work for it begins.
+
+    Raises:
+        DataError: This is no path, or of a folder that does not exist.
+    """
+    try:
+        place = Path(path)
+        if not place.parent.is_dir():
+            raise FileNotFoundError
+    except (OSError, TypeError, ValueError) as error:
+        raise _unwritable(path, error) from None
+    return place
+
+
+def _unwritable(path: str | Path, error: Exception) -> DataError:
+    return DataError(f"file {str(path)!r} cannot be written: {_why(error)}.")
+
+
+def _replace(place: Path, content: bytes) -> None:
+    if place.is_dir():
+        raise IsADirectoryError
+    place = place.resolve()  # where the name is a link, the file that it leads to
+    rights = place.stat().st_mode & 0o777 if place.exists() else _usual_rights()
     # in the same folder, because a file system is not renamed across
     handle, name = tempfile.mkstemp(".part", f".{place.name[:40]}.", place.parent)
     try:
-        with open(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, _usual_rights())
+        with open(handle, "wb") as file:
+            file.write(content)
+        os.chmod(name, rights)
         os.replace(name, place)
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
-    return place
+
+
+def _why(error: Exception) -> str:
+    """Why a file cannot be written, with what to do."""
+    if isinstance(error, IsADirectoryError):
+        return "it is a folder; give the path of a file"
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        return "its folder does not exist; make it, or give another path"
+    if isinstance(error, PermissionError):
+        return "writing is not permitted there; check the permissions"
+    if isinstance(error, OSError):
+        return f"{error.strerror}; give another path" if error.strerror else str(error)
+    return f"expected a path ({error})"
 
 
 def _usual_rights() -> int:

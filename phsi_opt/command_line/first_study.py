@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from phsi_opt.command_line.job import Answer
-from phsi_opt.data.file_opening import why_not_opened
 from phsi_opt.errors import Complaint, DataError, StudyFileError
 from phsi_opt.study_file.first_text import first_text
 from phsi_opt.study_file.reading import read_contents
 from phsi_opt.study_file.survey import TableSurvey, survey
+from phsi_opt.writing import write_whole
 
 
 def first_study(files: list[Path], study: Path, force: bool) -> Answer:
@@ -25,12 +25,7 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
     for further in files[1:]:
         _check_alike(table, survey(further))
     text = first_text(table, files, study.parent)
-    try:
-        study.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise DataError(
-            f"{study} cannot be written: {why_not_opened(error)}."
-        ) from None
+    write_whole(study, text)
     needs = _needs(study)
     lines = _seen(table, study, files)
     lines += ["", "It needs:", *[f"  {need}" for need in needs]]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.checks import check_same_length, with_channel_axis
+from phsi_opt.data.checks import check_same_length, from_first, with_channel_axis
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.data.wording import numbered_names
 
@@ -18,7 +18,8 @@ def trajectories_in_arrays(
     Args:
         t: Times (n_samples,), or a list of such arrays, one per trajectory.
         x: States (n_samples, n_states), or (n_samples,) for a single state; a list of
-            those where ``t`` is a list.
+            those where ``t`` is a list. Whole numbers too large for a float are
+            counted from the first.
         u: Inputs likewise, or None: there are none.
         names: The names of the trajectories; None: "run 1", "run 2", ...
 
@@ -36,10 +37,12 @@ def trajectories_in_arrays(
     lists = {"t": t, "x": x, "u": u, "names": names}
     check_same_length(lists, "one entry per trajectory")
     trajectories = []
+    first = np.asarray(t[0]).flat[0] if np.size(t[0]) else None
     for name, t_run, x_run, u_run in zip(names, t, x, u, strict=True):
         states = with_channel_axis(x_run)
         inputs = with_channel_axis(u_run)
-        trajectories.append(Trajectory(name, t_run, states, inputs))
+        times = from_first(t_run, first)
+        trajectories.append(Trajectory(name, times, states, inputs))
     return tuple(trajectories)
 
 

@@ -21,8 +21,10 @@ from phsi_opt.errors import DataError, did_you_mean
 # what inputs do between samples: interpolate, or keep the sample's value until the next
 HOLDS = ("linear", "zero")
 # the time in formulas; the first column of `Measurements.to_dataframe`
+LARGEST_EXACT = 2**53  # up to which every whole number is a float
 RESERVED_NAMES = ("t", "trajectory")
-RESERVED_PREFIX = "dH_d"  # formulas write dH_dp for the velocity dH/dp
+# Formulas write dH_dp for the effort dH/dp, and dF_du for the slope dF/du.
+RESERVED_PREFIXES = ("dH_d", "dF_d")
 # sums of squares of larger values come near the end of the range of float64, 1.8e308
 LARGEST_VALUE = 1e100
 
@@ -64,6 +66,25 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
     floats: np.ndarray = np.array(filled)
     floats.flags.writeable = False
     return floats
+
+
+def from_first(values: Any, first: Any = None) -> Any:
+    """Whole numbers that floats cannot hold, counted from the first of them.
+
+    Nanoseconds since 1970 are 1.7e18, where neighbouring floats are 256 apart. All else
+    stays as it is.
+
+    Args:
+        values: (n_samples,) times.
+        first: to count from; None: the first value.
+    """
+    whole = np.asarray(values)
+    if whole.dtype.kind not in "iu" or not whole.size:
+        return values
+    begin = int(whole.flat[0]) if first is None else int(first)
+    if max(abs(int(whole.max())), abs(int(whole.min()))) <= LARGEST_EXACT:
+        return values
+    return (whole.astype(object) - begin).astype(np.int64)
 
 
 def with_channel_axis(values: Any) -> Any:
@@ -186,10 +207,11 @@ def _check_name(name: Any, what: str) -> None:
             f"{what}: {name!r} cannot be used in a formula; "
             "expected letters, digits, _ as in 'q_1'."
         )
-    if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIX):
+    if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
         raise DataError(
             f"{what}: the name {name!r} is reserved (the time 't', "
-            f"the column 'trajectory', the derivatives '{RESERVED_PREFIX}...'); "
+            "the column 'trajectory', the derivatives "
+            f"'{RESERVED_PREFIXES[0]}...' and '{RESERVED_PREFIXES[1]}...'); "
             "choose another name and map it to the column."
         )
 

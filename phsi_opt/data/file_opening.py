@@ -218,6 +218,8 @@ def why_not_opened(error: OSError) -> str:
 
 
 def _read(source: Any) -> bytes:
+    if isinstance(source, str) and "\0" in source:
+        raise DataError(f"file {source!r} cannot be read: a path has no NUL.")
     if not isinstance(source, str | os.PathLike):
         raise DataError(
             f"source holds a {type(source).__name__}; expected paths or open files."

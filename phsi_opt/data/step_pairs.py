@@ -12,6 +12,7 @@ import numpy as np
 from phsi_opt.data.checks import (
     check_same_length,
     check_values,
+    from_first,
     read_only_floats,
     with_channel_axis,
 )
@@ -71,6 +72,9 @@ def pair_ends(start: Any, end: Any, label: str, n_axes: int) -> PairEnds:
     Raises:
         DataError: An array cannot be used, or the shapes differ.
     """
+    if label == "t":
+        begin = np.asarray(start).flat[0] if np.size(start) else None
+        start, end = from_first(start, begin), from_first(end, begin)
     first = _end_array(start, f"{label}_start", n_axes)
     last = _end_array(end, f"{label}_end", n_axes)
     if first.shape != last.shape:

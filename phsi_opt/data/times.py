@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.checks import LARGEST_EXACT, from_first
 from phsi_opt.data.tables import Table, holds_real_numbers, numbers_in
 from phsi_opt.data.text_cells import DECIMAL_COMMA, MISSING_CELLS, NUMBER
 from phsi_opt.errors import DataError
@@ -92,10 +93,22 @@ def times_in(table: Table, times: Times, runs: Iterable[np.ndarray]) -> np.ndarr
             f"start={times.start!r} is for dates, and the column {times.column!r} of "
             f"{table.title} holds numbers; leave start out."
         )
-    t = numbers_in(table, times.column, may_be_missing=False)
+    t = _from_first(table, times.column)
     for rows in runs:
         _check_increasing(table, times.column, t, rows)
     return t
+
+
+def _from_first(table: Table, column: Any) -> np.ndarray:
+    """Times that are numbers, (n_rows,); see `checks.from_first`."""
+    t = numbers_in(table, column, may_be_missing=False)
+    if np.max(np.abs(t), initial=0.0) <= LARGEST_EXACT:
+        return t
+    try:
+        whole = np.array([int(str(cell)) for cell in table.frame[column]])
+    except (ValueError, OverflowError):  # not whole, or beyond all bounds
+        return t
+    return np.asarray(from_first(whole), dtype=float)
 
 
 def are_dates(table: Table, times: Times) -> bool:

@@ -15,6 +15,7 @@ from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.fit_report import fit_summary, report
 from phsi_opt.estimation.json_file import read_json
 from phsi_opt.presentation.summary import Summarised, Summary
+from phsi_opt.writing import write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -51,9 +52,12 @@ class Fit(FitRecord, Summarised):
 
         Args:
             path: Of the file, such as "fit.json". A file that is there is overwritten.
+
+        Raises:
+            DataError: The file cannot be written.
         """
         text = json.dumps(self.content(), indent=1, allow_nan=True)
-        Path(path).write_text(text + "\n", encoding="utf-8")
+        write_whole(path, text + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> "Fit":

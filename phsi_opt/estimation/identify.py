@@ -106,6 +106,10 @@ def identify_aligned(
     """
     began = time.perf_counter()
     loss = loss or MaximumLikelihood()
+    if not isinstance(loss, Loss):
+        raise ModelError(
+            f"loss={loss!r} is no loss; expected MaximumLikelihood() or PHSILoss()."
+        )
     _check_free(model, loss)
     own = aligned.for_model(model)
     if start is None:

@@ -54,5 +54,5 @@ def read_json(
 def _content(path: str | Path, what: str) -> Any:
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, TypeError, ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read as {what}: {error}.") from None

@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from phsi_opt.errors import DataError
 from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
@@ -131,6 +132,11 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     """
     grid = task.layout(task.grid)
     used = complete_intervals(task.model, grid)
+    if not np.any(used.y):
+        raise DataError(
+            "every state is zero at every sample: no parameter follows from that; "
+            "check that the columns are those of the measurements."
+        )
     model = resolve_guesses(task.model, used, np.nan_to_num(used.y))
     if start is None:
         starts = starting_values(model, used, task.l1)

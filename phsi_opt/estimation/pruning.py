@@ -5,6 +5,7 @@ and solves again.
 """
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
@@ -46,7 +47,8 @@ class Pruning:
     significance: float | None = None
 
     def __post_init__(self) -> None:
-        if not self.threshold >= 0:
+        is_number = isinstance(self.threshold, Real)
+        if not is_number or not self.threshold >= 0:
             raise ModelError(
                 f"threshold={self.threshold!r} of Pruning must be a number of at "
                 "least 0."
@@ -61,7 +63,8 @@ class Pruning:
     def _check_significance(self) -> None:
         if self.significance is None:
             return
-        if not 0 < self.significance < 1:
+        is_number = isinstance(self.significance, Real)
+        if not is_number or not 0 < self.significance < 1:
             raise ModelError(
                 f"significance={self.significance!r} of Pruning must lie between "
                 "0 and 1, such as 0.01."

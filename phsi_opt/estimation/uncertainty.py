@@ -166,7 +166,8 @@ def of_defects(
     information = by_defect.T @ by_defect
     mean_information = np.trace(information) / max(n_theta, 1)
     ridge = RIDGE * mean_information * np.eye(n_theta)
-    bread = np.linalg.inv(information + ridge)
+    # A pseudo-inverse, for data from which nothing follows: states that are all zero.
+    bread = np.linalg.pinv(information + ridge, hermitian=True)
 
     held = _places(model.free, at_bounds)
     relative = bread * mean_information

@@ -9,7 +9,7 @@ import numpy as np
 from phsi_opt.errors import ModelError
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.model import Model
-from phsi_opt.model.symbolic import energy_function
+from phsi_opt.model.symbolic import energy_function, terms_function
 from phsi_opt.transcription.grid import Grid
 
 # Values that stand for states nobody measured, by turns: a formula that has a value at
@@ -58,7 +58,7 @@ def check_rates(model: Model, grid: Grid) -> None:
         places = np.flatnonzero(of_name)
         if len(places) > MOST_BAD * is_bad.shape[1]:
             node = int(np.flatnonzero(is_measured)[places[0]])
-            raise ModelError(_told(model, grid, name, len(places), node))
+            raise ModelError(_told(resolved, grid, name, len(places), node))
 
 
 def _told(model: Model, grid: Grid, place: str, n_bad: int, node: int) -> str:
@@ -73,10 +73,25 @@ def _told(model: Model, grid: Grid, place: str, n_bad: int, node: int) -> str:
         f"{place} has no finite value at {n_bad} of {n} samples, first "
         f"at {', '.join(at)}"
     )
+    if grid.trajectory[-1]:
+        text += f" of trajectory {grid.trajectory[node] + 1}"
     if with_values:
         text += f", with {with_values}"
     return (
-        f"{text}. A formula in H, R or F divides by zero there, overflows, or takes a "
-        "root or logarithm of a negative number; write it so that it has a value at "
-        "all measured states, or give other values."
+        f"{text}. {_culprit(model, grid, node)} divides by zero there, overflows, or "
+        "takes a root or logarithm of a negative number; write it so that it has a "
+        "value at all measured states, or give other values."
     )
+
+
+def _culprit(model: Model, grid: Grid, node: int) -> str:
+    """The first term without a finite value at a node, in words."""
+    x = np.where(grid.measured[node], grid.y[node], UNMEASURED[0])
+    theta = np.asarray(model.theta) + MOVED[1][1]
+    found = terms_function(model)(x, grid.u[node], grid.t[node], theta)
+    values = np.asarray(found).ravel()
+    for value, (slot, equation, term) in zip(values, model.placed(), strict=True):
+        if not np.isfinite(value):
+            place = f"{slot} of {equation}" if equation else slot
+            return f"The term {term.body!r} in {place}"
+    return "A formula in H, R or F"

@@ -24,6 +24,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate_forced
 from phsi_opt.transcription.alignment import aligned
+from phsi_opt.writing import write_whole
 
 FORMAT = "phsi_opt hybrid 1"
 HINGE_DECIMALS = 6  # of places and widths in the text of a distilled force
@@ -147,7 +148,7 @@ class Hybrid(Identified):
             "converged": self.converged,
             "seconds": self.seconds,
         }
-        Path(path).write_text(json.dumps(content) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(content) + "\n")
 
     def _force_content(self) -> dict[str, Any]:
         force = self.force

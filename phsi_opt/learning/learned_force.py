@@ -41,6 +41,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.writing import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -228,7 +229,7 @@ class LearnedForce:
             },
             "output": [self.output.weights.tolist(), self.output.bias],
         }
-        Path(path).write_text(json.dumps(content) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(content) + "\n")
 
     @staticmethod
     def load(path: str | Path) -> "LearnedForce":

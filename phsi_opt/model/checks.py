@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from phsi_opt.data.checks import RESERVED_PREFIXES
 from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import CONSTANTS, FUNCTIONS
 from phsi_opt.model.terms import Dictionary
@@ -30,8 +31,9 @@ def checked_names(
     for name in listed:
         if not _is_free_name(name):
             raise ModelError(
-                f"{name!r} in {what} cannot be a name here; "
-                "use letters, digits and _, and not t or a function."
+                f"{name!r} in {what} cannot be a name here; use letters, digits and _, "
+                "and not t, a function, or what begins with dH_d or dF_d, as "
+                "derivatives do."
             )
     if len(set(listed)) != len(listed) or (not listed and not may_be_empty):
         raise ModelError(
@@ -43,7 +45,8 @@ def checked_names(
 def _is_free_name(name: Any) -> bool:
     if not isinstance(name, str) or not name.isidentifier():
         return False
-    return name not in ("t", *FUNCTIONS, *CONSTANTS)
+    is_taken = name in ("t", *FUNCTIONS, *CONSTANTS)
+    return not is_taken and not name.startswith(RESERVED_PREFIXES)
 
 
 def checked_structure(S: Any, n: int) -> tuple[tuple[float, ...], ...]:

@@ -147,10 +147,15 @@ class Parameter:
 
 
 def with_value(parameter: Parameter, value: float) -> Parameter:
-    """The parameter at the value, or at the bound nearest to it."""
+    """The parameter at the value, or at the bound nearest to it.
+
+    Raises:
+        ModelError: the value is no real number.
+    """
     # A solver may stop a rounding error outside a bound; the record must satisfy its
     # own bounds.
-    within = float(np.clip(value, parameter.lower, parameter.upper))
+    number = _number(value, "value")
+    within = float(np.clip(number, parameter.lower, parameter.upper))
     return replace(parameter, value=within)
 
 
@@ -170,6 +175,8 @@ def _finite(value: Any, name: str) -> float:
 
 def _number(value: Any, name: str) -> float:
     try:
+        if isinstance(value, complex):  # NumPy would drop the imaginary part
+            raise TypeError
         return float(value)
     except (TypeError, ValueError, OverflowError):
         raise ModelError(

@@ -212,6 +212,27 @@ def output_function(model: BaseModel) -> ca.Function:
     return arguments.function("output", shown, "y")
 
 
+def terms_function(model: BaseModel) -> ca.Function:
+    """CasADi function (x, u, t, theta) -> one number per term, as `placed` has them.
+
+    The term's value, and in H those of its slopes in the states, added up: a number
+    that is finite only where all of them are.
+    """
+    arguments = Arguments(model)
+    symbols = arguments.symbols
+    parts = expressions_at(model, symbols)
+    known = dict(zip(model.efforts, parts.efforts, strict=True))
+    known |= dict.fromkeys(model.slopes, ca.SX(0))
+    sums = _Sums(symbols, _variables(model, symbols)).knowing(known)
+    values = []
+    for slot, equation, term in model.placed():
+        value = ca.SX(sums.value(term, place_of(slot, equation)))
+        if slot == "H":
+            value = value + ca.sum1(ca.gradient(value, arguments.x))
+        values.append(value)
+    return arguments.function("terms", ca.vertcat(*values), "values")
+
+
 def formulas_function(model: BaseModel, formulas: Sequence[str]) -> ca.Function:
     """CasADi function (x, u, t, theta) -> values of the formulas, as one column."""
     arguments = Arguments(model)

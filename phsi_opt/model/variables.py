@@ -6,6 +6,7 @@ Which of them a term may use depends on its slot: an energy depends on the state
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from phsi_opt.data.checks import RESERVED_PREFIXES
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.slots import PlacedTerm
@@ -38,16 +39,17 @@ class Variables:
         return names
 
     def check_parameters(self, names: Iterable[str]) -> None:
-        """Check that no parameter has the name of a variable.
+        """Check that no parameter has the name of a variable or of a derivative.
 
         Raises:
             ModelError: one has.
         """
-        clash = self.of_slot("F").intersection(names)
+        taken = self.of_slot("F")
+        clash = [n for n in names if n in taken or n.startswith(RESERVED_PREFIXES)]
         if clash:
             raise ModelError(
                 f"parameter name {min(clash)!r} is also a state, an input "
-                "or an effort; rename it."
+                "or a derivative such as dH_dq; rename it."
             )
 
     def check_term(self, placed: PlacedTerm) -> None:

@@ -51,6 +51,11 @@ class SolverSettings:
                 raise ModelError(
                     f"SolverSettings: {name}={value!r} must be a number above zero."
                 )
+        if not isinstance(self.max_iterations, int):
+            raise ModelError(
+                f"SolverSettings: max_iterations={self.max_iterations!r} must be a "
+                "whole number."
+            )
         unknown = [way for way in self.ways if way not in WAYS]
         if unknown or not self.ways:
             raise ModelError(

@@ -40,6 +40,7 @@ from phsi_opt.page.worker import (
 from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.presentation.forecast import Forecast
 from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.writing import write_whole
 
 WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
@@ -304,8 +305,7 @@ class Session:
 
     def _working_file(self) -> Path:
         path = self.folder / WORKING_FILE
-        path.write_text(self.draft.text(absolute=True), encoding="utf-8")
-        return path
+        return write_whole(path, self.draft.text(absolute=True))
 
     # ---- work ------------------------------------------------------------------------
 
@@ -316,7 +316,7 @@ class Session:
             return
         self._fitting = self.draft.text()
         path = self.folder / FITTING_FILE
-        path.write_text(self.draft.text(absolute=True), encoding="utf-8")
+        write_whole(path, self.draft.text(absolute=True))
         self._order("Fitting the base model", Order(FIT, (str(path),)), "Fitted")
 
     def diagnose(self) -> None:

@@ -28,6 +28,7 @@ from phsi_opt.page.snapshot_making import snapshot_of
 from phsi_opt.study import Study
 from phsi_opt.study_file.keys import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.writing import write_whole
 
 FIT = "fit"
 DIAGNOSE = "diagnose"
@@ -185,9 +186,7 @@ class Bench:
 
     def _kept(self, study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         """The snapshot; the study is written to its file first."""
-        fresh = self.checkpoint.with_suffix(".new")
-        fresh.write_bytes(pickled(study))
-        os.replace(fresh, self.checkpoint)
+        write_whole(self.checkpoint, pickled(study))
         return snapshot_of(study, diagnosis)
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from phsi_opt.errors import DataError
+from phsi_opt.writing import write_whole
 
 SUFFIXES = (".md", ".txt")
 
@@ -47,12 +48,11 @@ def write_report(sections: Sequence[Section], path: Path) -> Path:
     """Write a report.
 
     Raises:
-        DataError: for a kind of file that cannot be written.
+        DataError: for a kind of file, or a place, that cannot be written.
     """
     if path.suffix not in SUFFIXES:
         raise DataError(
             f"a report is written as .html, {' or '.join(SUFFIXES)}; "
             f"{path.name!r} is none of these."
         )
-    path.write_text(report_text(sections), encoding="utf-8")
-    return path
+    return write_whole(path, report_text(sections))

@@ -137,9 +137,12 @@ def _integrated(
     # Where it ends before the first sample, SciPy gives an empty list.
     y = np.reshape(found.y, (len(x0), -1))
     is_whole = y.shape[1] >= piece.last - piece.first
-    if not (found.success and is_whole and np.all(np.isfinite(y))):
-        furthest = found.t[-1] if len(found.t) else t[piece.first]
-        raise _stopped(furthest, found.message)
+    is_finite = np.all(np.isfinite(y), axis=0)
+    if not (found.success and is_whole and is_finite.all()):
+        n_good = int(np.argmin(is_finite)) if not is_finite.all() else y.shape[1]
+        furthest = t[piece.first + n_good]
+        why = found.message if is_finite.all() else "A state is no finite number there."
+        raise _stopped(furthest, why)
     return y.T
 
 
@@ -171,8 +174,23 @@ def _stopped(at: float, why: str) -> SolveError:
     )
 
 
+def _real_numbers(values: Any, name: str) -> np.ndarray:
+    """An array of floats.
+
+    Raises:
+        DataError: these are no real numbers.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "biuf":
+            return array.astype(float)
+    except ValueError:  # rows of different lengths
+        pass
+    raise DataError(f"{name}={values!r} must be an array of real numbers.")
+
+
 def _checked_times(t: Any) -> np.ndarray:
-    times = np.asarray(t, dtype=float)
+    times = _real_numbers(t, "t")
     is_series = times.ndim == 1 and len(times) >= 2
     is_finite = np.all(np.isfinite(times))
     if not is_series or not is_finite or np.any(np.diff(times) <= 0):
@@ -184,7 +202,7 @@ def _checked_times(t: Any) -> np.ndarray:
 
 
 def _checked_start(model: Model, x0: Any) -> np.ndarray:
-    start = np.asarray(x0, dtype=float)
+    start = _real_numbers(x0, "x0")
     if start.shape != (model.n_states,) or not np.all(np.isfinite(start)):
         raise DataError(
             f"x0={x0!r} must be {model.n_states} finite numbers, one per state "
@@ -209,7 +227,7 @@ def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
             f"the model has inputs ({', '.join(model.inputs)}); give u of shape "
             f"{expected}."
         )
-    values = np.zeros((len(t), 0)) if u is None else np.asarray(u, dtype=float)
+    values = np.zeros((len(t), 0)) if u is None else _real_numbers(u, "u")
     if values.ndim == 1 and model.n_inputs == 1:
         values = values[:, None]
     if values.shape != expected or not np.all(np.isfinite(values)):

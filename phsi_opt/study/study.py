@@ -27,6 +27,7 @@ from phsi_opt.study.report_text import report_sections
 from phsi_opt.study.step import Step
 from phsi_opt.study.summary import study_summary
 from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.writing import write_whole, written_path
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -271,6 +272,10 @@ class Study(Summarised):
         Raises:
             ModelError: one of the ``effects``, or of those to leave out, is unknown.
         """
+        if not isinstance(max_steps, int) or max_steps < 1:
+            raise ModelError(
+                f"max_steps={max_steps!r} must be a whole number of at least 1."
+            )
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
         choice = self._choice.narrowed(further.effects, further.without)
         for _ in range(max_steps):
@@ -354,17 +359,16 @@ class Study(Summarised):
             path: ``.html`` for a report to look at; ``.md`` or ``.txt`` for text.
 
         Raises:
-            DataError: the file is of another kind.
+            DataError: the file is of another kind, or cannot be written.
         """
-        place = Path(path)
+        place = written_path(path)
         if place.suffix == ".html":
             from phsi_opt.presentation.html_report import html_report
             from phsi_opt.study.report_content import report_content
 
             laws = self._fitting.laws(self.fit, self.added)
             text = html_report(report_content(self.record, laws))
-            place.write_text(text, encoding="utf-8")
-            return place
+            return write_whole(place, text)
         return write_report(self.report_sections(), place)
 
     def report_sections(self) -> list[Section]:

@@ -5,9 +5,7 @@ read again and must say what the file said before, and the effect. The file as i
 kept beside it.
 """
 
-import os
 import re
-import shutil
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ from pathlib import Path
 
 from phsi_opt.errors import DataError
 from phsi_opt.study_file.toml_text import toml_value
+from phsi_opt.writing import write_whole
 
 HEADER = re.compile(r"^[ \t]*\[study\][ \t]*(#.*)?\r?$", re.MULTILINE)
 ANY_HEADER = re.compile(r"^[ \t]*\[", re.MULTILINE)
@@ -56,11 +55,8 @@ def add_effects(path: Path, names: Iterable[str]) -> Addition:
     text = bytes_before.decode("utf-8-sig")
     changed = text_with_added(text, list(names), str(path))
     backup = _backup_path(path)
-    backup.write_bytes(bytes_before)
-    fresh = path.with_name(f".{path.name}.new")
-    fresh.write_text(changed, encoding="utf-8", newline="")
-    shutil.copymode(path, fresh)
-    os.replace(fresh, path)
+    write_whole(backup, bytes_before)
+    write_whole(path, changed)
     return Addition(path, backup)
 
 

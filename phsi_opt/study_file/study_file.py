@@ -25,6 +25,7 @@ from phsi_opt.study_file.study_text import study_text
 from phsi_opt.study_file.written_data import joined, section_of, write_table
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.writing import write_whole
 
 UNWRITTEN = "measurements.csv"  # called so until it is known beside which file it lies
 
@@ -162,8 +163,7 @@ class StudyFile:
             table = path.with_name(f"{path.stem}_measurements.csv")
             write_table(self.unwritten, table)
             file = replace(file, data=replace(self.data, files=(table.name,)))
-        path.write_text(file.text(), encoding="utf-8")
-        return path
+        return write_whole(path, file.text())
 
     def moved(self, folder: str | Path) -> Self:
         """The same study as a file of another folder."""

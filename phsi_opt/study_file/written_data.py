@@ -8,6 +8,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
 from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+from phsi_opt.writing import write_whole
 
 RUN_COLUMN = "trajectory"  # as in `Measurements.to_dataframe`
 TIME_COLUMN = "t"
@@ -49,7 +50,7 @@ def write_table(data: Measurements, path: Path) -> None:
             f"{path} is there already and holds something else; move it, or write the "
             "study file under another name."
         )
-    path.write_text(text, encoding="utf-8")
+    write_whole(path, text)
 
 
 def joined(

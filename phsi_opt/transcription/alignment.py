@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import Grid, grid_of
 
@@ -39,8 +39,19 @@ class AlignedData:
 
         Raises:
             DataError: a state or input of the model is not in the measurements, or one
-                of theirs is not in the model.
+                of theirs is not in the model; or these are no measurements.
+            ModelError: the model is none.
         """
+        if not isinstance(model, Model):
+            raise ModelError(
+                f"model={model!r} is no model; expected a PseudoHamiltonian or a "
+                "FirstOrder."
+            )
+        if not isinstance(data, Measurements):
+            raise DataError(
+                f"data={data!r} are no Measurements; make them with "
+                "Measurements.from_arrays or from_csv."
+            )
         data = aligned(model, data)
         return cls(data, grid_of(data))
 

@@ -14,6 +14,7 @@ program is the business of `identify`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -132,6 +133,7 @@ class MaximumLikelihood:
         _check_positive("window", self.window)
         _check_count("steps", self.steps)
         _check_count("starts", self.starts)
+        _check_noise(self.noise)
 
     def _check_model_error(self) -> None:
         if not self.model_error:
@@ -269,6 +271,10 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
     """
     if l1 is None:
         return {}
+    if not isinstance(l1, Mapping | Real):
+        raise ModelError(
+            f"l1={l1!r} must be a number, or weights by slot such as {{'H': 0.1}}."
+        )
     weights = dict(l1) if isinstance(l1, Mapping) else {"H": l1, "F": l1}
     for slot, weight in weights.items():
         if slot not in ("H", "R", "F"):
@@ -276,7 +282,7 @@ def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
                 f"l1 names slot {slot!r}; expected 'H', 'R' or 'F'."
                 f"{did_you_mean(str(slot), 'HRF')}"
             )
-        if not np.isfinite(weight) or weight < 0:
+        if not isinstance(weight, Real) or not 0 <= weight < np.inf:
             raise ModelError(
                 f"l1[{slot!r}]={weight!r} must be a finite number of at least 0."
             )
@@ -330,7 +336,8 @@ def _check_shared_without_sensors(model: Model) -> None:
 
 
 def _check_positive(name: str, value: float | None) -> None:
-    if value is not None and not (np.isfinite(value) and value > 0):
+    is_number = isinstance(value, Real) and 0 < value < np.inf
+    if value is not None and not is_number:
         raise ModelError(
             f"{name}={value!r} of MaximumLikelihood must be a number above zero, or "
             "None."
@@ -343,6 +350,22 @@ def _check_count(name: str, value: int | None) -> None:
             f"{name}={value!r} of MaximumLikelihood must be a whole number of at "
             "least 1."
         )
+
+
+def _check_noise(noise: Any) -> None:
+    if noise is None:
+        return
+    if not isinstance(noise, Mapping):
+        raise ModelError(
+            f"noise={noise!r} of MaximumLikelihood must be standard deviations by "
+            "state, such as {'q': 0.01}, or None."
+        )
+    for name, size in noise.items():
+        if not isinstance(size, Real) or not 0 < float(size) < np.inf:
+            raise ModelError(
+                f"noise[{name!r}]={size!r} of MaximumLikelihood must be a standard "
+                "deviation: a number above zero."
+            )
 
 
 def _force_variable(

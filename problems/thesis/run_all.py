@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from problems.tools.command_line import flag
 from problems.tools.provenance import ROOT
 
-SCRIPTS = (
-    "experiments",
+SCRIPTS = (  # the longest first, so that both processors end together
     "noise_draws",
+    "experiments",
+    "open_questions",
     "grids",
     "integrators",
     "significance",
     "regularization",
-    "open_questions",
 )
 TIMED = ("solver_speed", "compare")
 LAST = "side_by_side"  # reads the pages of the others

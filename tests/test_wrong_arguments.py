@@ -1,0 +1,151 @@
+"""Wrong arguments end in an error of this package that names them, and nothing is lost."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.errors import PhsiOptError
+from phsi_opt.writing import write_whole
+
+T = np.linspace(0.0, 5.0, 51)
+X = np.column_stack([np.cos(1.5 * T), -1.5 * np.sin(1.5 * T)])
+NANOSECONDS = 1_700_000_000_000_000_000 + 1000 * np.arange(51)
+
+
+def measured(t: Any = T, x: Any = X) -> ph.Measurements:
+    return ph.Measurements.from_arrays(t, x, states=["q", "p"])
+
+
+def spring(q: str = "q", **extra: Any) -> ph.PseudoHamiltonian:
+    energy = ph.formula(f"k*{q}**2/2 + p**2/2", k=ph.Parameter(2.0))
+    return ph.PseudoHamiltonian(
+        states=[q, "p"], S=ph.canonical(1), H=energy, R=ph.damping("p"), **extra
+    )
+
+
+def forced(force: str, **parameters: ph.Parameter) -> ph.PseudoHamiltonian:
+    return spring(F={"p": ph.formula(force, **parameters)})
+
+
+@pytest.mark.parametrize("name", ["dH_dq", "dF_du", "dH_dp", "t"])
+def test_names_of_derivatives_are_refused_everywhere(name: str) -> None:
+    with pytest.raises(ph.ModelError, match=name):
+        spring(name)
+    with pytest.raises(ph.ModelError, match=name):
+        forced(f"{name}*p", **{name: ph.Parameter(1.0)})
+    with pytest.raises(ph.ModelError, match=name):
+        ph.FirstOrder(states=["x"], F={"x": ph.formula("-x")}, inputs=[name])
+    with pytest.raises(ph.DataError, match=name):
+        ph.Measurements.from_arrays(T, X, states=["q", name])
+
+
+def test_whole_times_that_no_float_holds_are_counted_from_the_first(
+    tmp_path: Path,
+) -> None:
+    expected = 1000.0 * np.arange(51)
+    assert np.array_equal(measured(NANOSECONDS).trajectories[0].t, expected)
+    two = measured([NANOSECONDS, NANOSECONDS + 7], [X, X])
+    assert np.array_equal(two.trajectories[1].t, expected + 7)
+    pairs = ph.Measurements.from_pairs(
+        X[:-1], X[1:], NANOSECONDS[:-1], NANOSECONDS[1:], states=["q", "p"]
+    )
+    assert np.array_equal(pairs.trajectories[0].t, expected)
+    path = tmp_path / "record.csv"
+    rows = zip(NANOSECONDS, X[:, 0], strict=True)
+    path.write_text("ns,q\n" + "".join(f"{t},{q}\n" for t, q in rows))
+    read = ph.Measurements.from_csv(path, time="ns", states=["q"])
+    assert np.array_equal(read.trajectories[0].t, expected)
+    small = measured(np.arange(51) + 10)
+    assert small.trajectories[0].t[0] == 10.0
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: measured(x=X + 1j), "complex"),
+        (lambda: measured(t=T + 0j), "complex"),
+        (lambda: measured(t=None), "t has the type object"),
+        (lambda: measured(x=[[1, 2], [3]]), "not a regular array"),
+        (lambda: ph.Parameter(1 + 2j), "not a number"),  # type: ignore[arg-type]
+        (lambda: spring().with_values({"k": 1j}), "not a number"),  # type: ignore[dict-item]
+        (lambda: spring().with_values({"k": np.complex128(1)}), "not a number"),  # type: ignore[dict-item]
+        (lambda: ph.simulate(spring(), T, [1 + 1j, 0]), "x0=.*real numbers"),
+        (lambda: ph.simulate(spring(), T, "a"), "x0='a'"),
+        (lambda: ph.simulate(spring(), None, [1.0, 0.0]), "t=None"),
+        (lambda: ph.simulate(forced("sqrt(q)"), T, [1.0, 0.0]), "no finite number"),
+        (lambda: ph.identify(None, measured()), "model=None"),  # type: ignore[arg-type]
+        (lambda: ph.identify(spring(), None), "data=None"),  # type: ignore[arg-type]
+        (lambda: ph.identify(spring(), measured(), "likelihood"), "is no loss"),  # type: ignore[arg-type]
+        (
+            lambda: ph.identify(spring(), measured(), ph.PHSILoss(), [1]),  # type: ignore[arg-type]
+            r"l1=\[1\]",
+        ),
+        (
+            lambda: ph.identify(spring(), measured(x=0 * X), ph.PHSILoss()),
+            "every state is zero",
+        ),
+        (lambda: ph.SolverSettings(max_iterations=0), "max_iterations=0"),
+        (lambda: ph.SolverSettings(max_iterations=1.5), "max_iterations=1.5"),  # type: ignore[arg-type]
+        (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
+        (lambda: ph.MaximumLikelihood("a"), "noise='a'"),  # type: ignore[arg-type]
+        (lambda: ph.MaximumLikelihood({"q": -1.0}), r"noise\['q'\]=-1"),
+        (lambda: ph.MaximumLikelihood(window="a"), "window='a'"),  # type: ignore[arg-type]
+        (
+            lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]),
+            "no NUL",
+        ),
+        (lambda: ph.Fit.load(None), "None cannot be read"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_wrong_argument_is_named(call: Callable[[], Any], said: str) -> None:
+    with pytest.raises(PhsiOptError, match=said):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("force", "term"),
+    [
+        ("a*log(q)", r"term 'a\*log\(q\)' in F of p"),
+        ("a/(q - q)", r"term 'a/\(q - q\)' in F of p"),
+        ("a*exp(1000*q)", r"term 'a\*exp\(1000\*q\)' in F of p"),
+    ],
+)
+def test_a_term_without_a_value_is_named_with_its_place(force: str, term: str) -> None:
+    model = forced(force, a=ph.Parameter(0.1))
+    two = measured([T, T], [X, X])
+    with pytest.raises(ph.ModelError, match=f"(?s)of trajectory 1.*{term}"):
+        ph.identify(model, two)
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("", "it is a folder"),
+        ("no folder/fit.json", "its folder does not exist"),
+        ("a\0b", "expected a path"),
+        (None, "expected a path"),
+    ],
+)
+def test_what_cannot_be_written_is_said(
+    tmp_path: Path, place: str | None, said: str
+) -> None:
+    path: Any = None if place is None else f"{tmp_path}/{place}"
+    with pytest.raises(ph.DataError, match=said):
+        write_whole(path, "text")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_behind_a_link_is_replaced_and_keeps_its_rights(tmp_path: Path) -> None:
+    file = tmp_path / "file.json"
+    file.write_text("before")
+    file.chmod(0o600)
+    link = tmp_path / "link.json"
+    link.symlink_to(file)
+    write_whole(link, "after\r\n")
+    assert link.is_symlink()
+    assert file.read_bytes() == b"after\r\n"
+    assert file.stat().st_mode & 0o777 == 0o600
