@@ -132,10 +132,10 @@ def _change(base: DiagnosedModel, proposed: Proposal) -> str:
     before = base.judged
     after = proposed.done.judged
     where = "held-out" if base.is_held_out else "training"
+    unit = spaced(after.error_unit)
     return (
-        f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g}"
-        f"{spaced(after.error_unit)} "
-        f"(noise floor {after.noise_floor:.4g})"
+        f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g}{unit} "
+        f"(noise floor {after.noise_floor:.4g}{unit})"
     )
 
 
@@ -243,9 +243,10 @@ def _inexact(base: DiagnosedModel) -> str:
 def _without_effect(base: DiagnosedModel, ranked: Sequence[Candidate]) -> Conclusion:
     """Nothing is missing, or nothing known explains it."""
     where = "held-out" if base.is_held_out else "training"
+    unit = spaced(base.judged.error_unit)
     errors = (
-        f"{where} error {base.judged.rmse:.4g}{spaced(base.judged.error_unit)}, "
-        f"noise floor {base.judged.noise_floor:.4g}"
+        f"{where} error {base.judged.rmse:.4g}{unit}, "
+        f"noise floor {base.judged.noise_floor:.4g}{unit}"
     )
     if is_like_noise(base.trained) and not is_failing(base.judged):
         none = "no effect of the catalogue lowers it significantly"

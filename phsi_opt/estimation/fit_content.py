@@ -4,18 +4,19 @@ The estimated states are left out: they are as long as the record, and a fit is 
 without them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.checks import HOLDS
-from phsi_opt.errors import DataError
+from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.model_content import Content, model_content, model_from
 from phsi_opt.estimation.model_error_table import ModelErrorRow, PriorRow
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.transcription.parameter_vector import Theta
 
 FORMAT = "phsi_opt fit 1"
 
@@ -71,26 +72,42 @@ def fit_parts(content: Content) -> dict[str, Any]:
     """What a fit is made of, by the names of its fields, from its content.
 
     Raises:
-        DataError: ``hold`` is unknown.
+        DataError: ``hold`` is unknown, or numbers do not belong to the model, or are
+            none that a fit can have.
         ModelError: The model in the content is not valid.
         LookupError, TypeError, ValueError, AttributeError: The content is damaged.
     """
     model = model_from(content["model"])
     names = _texts(content.get("names", model.free))
+    by_trajectory = _by_trajectory_from(content.get("by_trajectory", {}))
+    _check_names(names, Theta.of(model, tuple(by_trajectory) or ("",)).names)
     covariance = np.array(content["covariance"], dtype=float)
+    noise = _numbers(content["noise"])
+    _check_names(noise, model.states)
+    freedom = _freedom_from(content.get("freedom"))
+    for what, numbers in (
+        ("the variances of the estimates", np.diag(covariance)),
+        ("noise", np.array(list(noise.values()))),
+        ("degrees of freedom", np.zeros(0) if freedom is None else freedom),
+        ("n_values", np.array([content["n_values"]])),
+    ):
+        if np.any(numbers < 0):
+            raise DataError(f"{what}: {numbers.tolist()}; none can be negative")
+    if freedom is not None and freedom.shape != (len(names),):
+        raise DataError(f"{freedom.size} degrees of freedom for {len(names)} estimates")
     return {
         "model": model,
         "names": names,
-        "by_trajectory": _by_trajectory_from(content.get("by_trajectory", {})),
+        "by_trajectory": by_trajectory,
         "loss": str(content["loss"]),
         "loss_value": float(content["loss_value"]),
         "covariance": covariance.reshape(len(names), len(names)),
         "std_error_source": _source_from(content),
         "covariances": _covariances_from(content.get("covariances", {}), len(names)),
-        "freedom": _freedom_from(content.get("freedom")),
+        "freedom": freedom,
         "model_error_rows": _model_error_from(content.get("model_error", [])),
         "prior_rows": _priors_from(content.get("model_error_priors", [])),
-        "noise": _numbers(content["noise"]),
+        "noise": noise,
         "outcome": _outcome_from(content["outcome"]),
         "n_values": int(content["n_values"]),
         "bic": float(content["bic"]),
@@ -103,6 +120,12 @@ def fit_parts(content: Content) -> dict[str, Any]:
         "warnings": _texts(content["warnings"]),
         "provenance": dict(content["provenance"]),
     }
+
+
+def _check_names(names: Iterable[str], known: Sequence[str]) -> None:
+    for name in names:
+        if name not in known:
+            raise DataError(f"{name!r} is not in the model{did_you_mean(name, known)}")
 
 
 def _texts(content: Sequence[Any]) -> tuple[str, ...]:

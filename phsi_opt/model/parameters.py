@@ -103,6 +103,8 @@ class Parameter:
         object.__setattr__(self, "upper", _bound(self.upper, "upper"))
         if self.value is not None:
             object.__setattr__(self, "value", _finite(self.value, "value"))
+        if not isinstance(self.unit, str):
+            raise ModelError(f"parameter unit={self.unit!r} is not text, such as 'm'.")
         self._check_bounds()
         self._check_choices()
 
