@@ -161,6 +161,21 @@ def test_equations_keep_every_term_however_small() -> None:
             )
 
 
+def test_what_would_be_endless_multiplied_out_is_left_as_it_is() -> None:
+    nested = "q"
+    for _ in range(6):  # 2**6 - 1 powers of q, with as many of p each
+        nested = f"({nested} + p)**2"
+    model = PseudoHamiltonian(
+        states=("q", "p"), S=canonical(1), H=formula(f"c*{nested}", c=Parameter(0.1))
+    )
+    fit = fit_of(model, c=0.1)
+    _, dp = fit.equations()
+    assert len(dp) < 2_000
+    found = float(evaluate(dp.split(" = ")[1], {"q": 0.3, "p": 0.2}, NUMPY))
+    expected = rate(fit, np.array([0.3, 0.2]), np.zeros(0), 0.0)[1]
+    assert found == pytest.approx(expected, rel=1e-5)
+
+
 def test_latex_holds_the_same_numbers_as_the_equations() -> None:
     model = PseudoHamiltonian(
         states=("q", "p"),

@@ -13,6 +13,7 @@ from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula
+from phsi_opt.simulation import simulate as simulating
 from phsi_opt.simulation.simulate import simulate
 
 K, M, D = 40.0, 2.5, 0.8
@@ -151,3 +152,15 @@ def test_a_solution_that_ends_before_the_first_sample_is_refused(method: str) ->
     model = FirstOrder(states=["x"], F={"x": formula("x**3")})
     with pytest.raises(SolveError, match="cannot be continued beyond t="):
         simulate(model, [0.0, 1.0, 2.0], [10.0], method=method)
+
+
+def test_a_model_that_is_far_too_fast_for_its_samples_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(simulating, "ALWAYS_ALLOWED", 10_000)
+    monkeypatch.setattr(simulating, "MOST_PER_SAMPLE", 10)
+    t = np.linspace(0, 10, 21)
+    calm = simulate(spring(), t, [1.0, 0.0])
+    assert np.all(np.isfinite(calm))
+    with pytest.raises(SolveError, match="far faster than the samples"):
+        simulate(spring().with_values({"k": 1e12}), t, [1.0, 0.0])

@@ -79,7 +79,7 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(
         (lambda: ph.simulate(forced("sqrt(q)"), T, [1.0, 0.0]), "no finite number"),
         (lambda: ph.identify(None, measured()), "model=None"),  # type: ignore[arg-type]
         (lambda: ph.identify(spring(), None), "data=None"),  # type: ignore[arg-type]
-        (lambda: ph.identify(spring(), measured(), "likelihood"), "is no loss"),  # type: ignore[arg-type]
+        (lambda: ph.identify(spring(), measured(), "likelihood"), "is not a loss"),  # type: ignore[arg-type]
         (
             lambda: ph.identify(spring(), measured(), ph.PHSILoss(), [1]),  # type: ignore[arg-type]
             r"l1=\[1\]",

@@ -26,6 +26,7 @@ from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
 from phsi_opt.baselines.torch_networks import DTYPE_OF, arrays_of
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Dictionary, Term
@@ -37,6 +38,7 @@ from phsi_opt.transcription.losses import complete_intervals
 __all__ = ["Descent", "HybridBaseline", "JointForce", "gradient_descent"]
 
 
+@interruptible
 def gradient_descent(
     model: Model,
     data: Measurements,

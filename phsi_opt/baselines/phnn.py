@@ -31,6 +31,7 @@ from phsi_opt.baselines.torch_networks import (
     arrays_of,
 )
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import Grid, grid_of
@@ -79,6 +80,7 @@ class NetworkDescent:
             object.__setattr__(self, name, widths)
 
 
+@interruptible
 def phnn(
     data: Measurements,
     S: Any,

@@ -33,6 +33,7 @@ from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.sampled_rates import DERIVATIVES
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError, did_you_mean
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import FirstOrder
 
 __all__ = ["DERIVATIVES", "Regression", "lasso", "regressions", "sindy"]
@@ -62,6 +63,7 @@ class _Method:
     solve: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
+@interruptible
 def sindy(
     model: FirstOrder,
     data: Measurements,

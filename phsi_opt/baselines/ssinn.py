@@ -31,6 +31,7 @@ from phsi_opt.baselines.torch_monomials import Basis, combination, lowered, mono
 from phsi_opt.baselines.torch_networks import DTYPE_OF
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.terms import Dictionary, polynomials
 from phsi_opt.optimization.torch_threads import one_thread
@@ -111,6 +112,7 @@ class SymplecticDescent:
         return self.learning_rate * factor
 
 
+@interruptible
 def ssinn(
     data: Measurements,
     positions: Sequence[str],

@@ -23,6 +23,7 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.model_content import model_content
 from phsi_opt.estimation.smoothing import likelihood_of
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix, parameters_of
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.sweeps.sweep import sweep
@@ -120,6 +121,7 @@ class _Plan:
     loss: MaximumLikelihood
 
 
+@interruptible
 def bootstrap(
     fit: Fit,
     data: Measurements,

@@ -24,6 +24,7 @@ from phsi_opt.estimation.known_model import fit_of
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.smoothing import smoothed_states
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.presentation.summary import (
     Part,
@@ -103,6 +104,7 @@ class Comparison(Summarised):
         return {name: s for name, s in by_state if name in self.data.measured}
 
     @cached_property
+    @interruptible
     def bands(self) -> tuple[np.ndarray, ...] | None:
         """Standard deviation of what the free run shows, per trajectory.
 
@@ -331,6 +333,7 @@ class Comparison(Summarised):
     __repr__ = __str__
 
 
+@interruptible
 def compare(fit: Fit | Model, data: Measurements) -> Comparison:
     """Simulate a fitted model from estimated starting states, beside the measurements.
 

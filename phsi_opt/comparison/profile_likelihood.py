@@ -20,6 +20,7 @@ from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.estimation.smoothing import likelihood_of, steps_on
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import f_limit
 from phsi_opt.transcription.alignment import AlignedData
@@ -100,6 +101,7 @@ class Profile:
     __repr__ = __str__
 
 
+@interruptible
 def profile(
     fit: Fit,
     data: Measurements,

@@ -28,6 +28,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.known_model import fit_of
 from phsi_opt.estimation.record import Record
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
@@ -39,6 +40,7 @@ from phsi_opt.transcription.losses import MaximumLikelihood
 Progress = Callable[[str], None]
 
 
+@interruptible
 def diagnose(
     fit: Fit | Model,
     data: Measurements,

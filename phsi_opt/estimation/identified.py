@@ -32,6 +32,7 @@ PARAMETER_COLUMNS = [
     "fixed",
 ]
 DIGITS = 6  # of printed numbers: more than most data tell
+MOST_TERMS = 2_000  # that a right-hand side is multiplied out to: some seconds
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -119,11 +120,12 @@ class Identified:
 
         Returns:
             ``H``, and for every state ``R_<state>``, ``F_<state>`` and the right-hand
-            side ``d<state>/dt``, in the names of states, inputs and ``t``.
+            side ``d<state>/dt``, in the names of states, inputs and ``t``; right-hand
+            sides are multiplied out where that gives no more than `MOST_TERMS` terms.
         """
         import sympy as sp
 
-        from phsi_opt.model.sympy_backend import SYMPY
+        from phsi_opt.model.sympy_backend import SYMPY, n_expanded
 
         model = self.model
         # Real while it differentiates, or |q| has no simple derivative; plain names in
@@ -142,7 +144,8 @@ class Identified:
             rate = exchange - loss * efforts[i] + force
             expressions[f"R_{state}"] = sp.sympify(loss)
             expressions[f"F_{state}"] = sp.sympify(force)
-            expressions[f"d{state}/dt"] = sp.expand(rate)
+            is_short = n_expanded(rate) <= MOST_TERMS
+            expressions[f"d{state}/dt"] = sp.expand(rate) if is_short else rate
         plain = {symbol: sp.Symbol(symbol.name) for symbol in (*x, *u, t)}
         return {name: e.xreplace(plain) for name, e in expressions.items()}
 

@@ -19,6 +19,7 @@ from phsi_opt.estimation.phsi_solve import by_defects
 from phsi_opt.estimation.problem import Loss, Progress, Task, silent
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.initialization.finite_rates import check_rates
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
@@ -31,6 +32,7 @@ from phsi_opt.transcription.losses import (
 )
 
 
+@interruptible
 def identify(
     model: Model,
     data: Measurements,
@@ -106,10 +108,8 @@ def identify_aligned(
     """
     began = time.perf_counter()
     loss = loss or MaximumLikelihood()
-    if not isinstance(loss, Loss):
-        raise ModelError(
-            f"loss={loss!r} is no loss; expected MaximumLikelihood() or PHSILoss()."
-        )
+    if not isinstance(loss, Loss | MissingForce):
+        raise ModelError(_not_a_loss(loss))
     _check_free(model, loss)
     own = aligned.for_model(model)
     if start is None:

@@ -129,6 +129,9 @@ def by_defects(task: Task, loss: PHSILoss, start: Fit | None) -> PHSIEstimate:
     """The best of the solutions from several starts, each pruned.
 
     Where terms that imitate a wave are left, the wave alone is tried as well.
+
+    Raises:
+        DataError: every state is zero at every sample.
     """
     grid = task.layout(task.grid)
     used = complete_intervals(task.model, grid)

@@ -28,6 +28,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_forced
 from phsi_opt.estimation.pruning import Pruning
+from phsi_opt.interrupts import interruptible
 from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
@@ -45,6 +46,7 @@ RATE_DECAY = 0.8  # of the learning rate, from turn to turn
 FORCE_TOLERANCE = 10  # in units of the tolerance of the coefficients
 
 
+@interruptible
 def hybrid(
     model: Model,
     data: Measurements,

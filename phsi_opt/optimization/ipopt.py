@@ -9,7 +9,7 @@ its linear systems.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import SolveError
+from phsi_opt.interrupts import is_noted, solving
 from phsi_opt.optimization.endings import Ending, ending_of_ipopt
 from phsi_opt.optimization.nearby_optimum import nearby_optimum
 from phsi_opt.optimization.outcome import Outcome
@@ -120,7 +121,11 @@ class Solver:
             "g": program.g,
         }
         self._problem = problem
-        self._options = _options(program, hessian, self.limits)
+        self._listener = _Listener(program)
+        self._options = {
+            **_options(program, hessian, self.limits),
+            "iteration_callback": self._listener,
+        }
         self._ipopt = ca.nlpsol("program", "ipopt", problem, self._options)
         if program.dense is None:
             self._residual = ca.Function(
@@ -142,7 +147,7 @@ class Solver:
 
         Raises:
             SolveError: it ended without an optimum, and ``raise_on_failure``.
-            KeyboardInterrupt: the user interrupted IPOPT.
+            KeyboardInterrupt: Ctrl-C was pressed.
         """
         if start is None and set_to is None:
             confirmed = self._confirmed()
@@ -186,16 +191,15 @@ class Solver:
         """Scaled variables where IPOPT ends, and how it ended."""
         program = self.program
         began = time.perf_counter()
-        result = ipopt(
-            **begin,
-            lbx=program.lower,
-            ubx=program.upper,
-            lbg=program.g_lower,
-            ubg=program.g_upper,
-        )
+        with solving():
+            result = ipopt(
+                **begin,
+                lbx=program.lower,
+                ubx=program.upper,
+                lbg=program.g_lower,
+                ubg=program.g_upper,
+            )
         outcome = self._outcome(ipopt.stats(), result, time.perf_counter() - began)
-        if outcome.status == "User_Requested_Stop":
-            raise KeyboardInterrupt
         return np.array(result["x"]).ravel(), outcome
 
     def solution(self, z: np.ndarray, set_to: np.ndarray, outcome: Outcome) -> Solution:
@@ -228,7 +232,8 @@ class Solver:
         """
         program = self.program
         no_multipliers = np.zeros(program.g.numel())
-        upper = program.hessian(z, set_to, 1.0, no_multipliers).sparse()
+        with solving():
+            upper = program.hessian(z, set_to, 1.0, no_multipliers).sparse()
         full = upper + upper.T
         full.setdiag(upper.diagonal())
         hessian = full.tocsc()
@@ -268,6 +273,40 @@ class Solver:
             return ending
         is_settled = _is_settled(stats, self.program.residual.numel())
         return Ending(status, True, SETTLED_AT_KINK) if is_settled else ending
+
+
+class _Listener(ca.Callback):
+    """What IPOPT asks after each iteration: whether to end, for Ctrl-C was pressed."""
+
+    def __init__(self, program: Program) -> None:
+        ca.Callback.__init__(self)
+        n, n_constraints = program.z.numel(), program.g.numel()
+        n_settings = program.settings.numel()
+        self._sizes = {
+            "f": 1,
+            "x": n,
+            "lam_x": n,
+            "g": n_constraints,
+            "lam_g": n_constraints,
+            "lam_p": n_settings,
+        }
+        self.construct("listener", {})
+
+    def get_n_in(self) -> int:
+        """Number of arguments, for CasADi."""
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        """Number of results, for CasADi."""
+        return 1
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Sparsity of the argument i, for CasADi."""
+        return ca.Sparsity.dense(self._sizes[ca.nlpsol_out(i)], 1)
+
+    def eval(self, arg: Sequence[ca.DM]) -> list[int]:
+        """One to end IPOPT, for CasADi."""
+        return [int(is_noted())]
 
 
 def _options(

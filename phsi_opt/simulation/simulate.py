@@ -16,6 +16,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from phsi_opt.errors import DataError, SolveError
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 
 Input = Callable[[float], np.ndarray]  # of the time
@@ -25,8 +26,17 @@ ATOL = 1e-10  # relative to the size of the starting state
 SMALLEST_START = 1e-3  # size of the starting state below which ATOL falls no more
 # evaluations without progress in time, before a simulation is given up
 LONGEST_WAIT = 10_000
+# evaluations between two samples, and those of a piece in all, that are never refused:
+# some ten seconds of work
+MOST_PER_SAMPLE = 1_000
+ALWAYS_ALLOWED = 1_000_000
+TOO_FAST = (
+    "The model moves far faster than the samples lie apart; give rates, frequencies "
+    "and times in units that fit together, or a shorter time."
+)
 
 
+@interruptible
 def simulate(
     model: Model,
     t: Any,
@@ -125,7 +135,7 @@ def _integrated(
     """The states at the samples of a piece after its first one."""
     with np.errstate(all="ignore"):
         found = solve_ivp(
-            _Guarded(f, piece.value),
+            _Guarded(f, piece),
             (t[piece.first], t[piece.last]),
             x0,
             method,
@@ -147,15 +157,17 @@ def _integrated(
 
 
 class _Guarded:
-    """The right-hand side along one input; stops a solver that calls it for ever where
-    the solution ends.
+    """The right-hand side along a piece; stops a solver that calls it for ever where
+    the solution ends, or with far more steps than there are samples.
     """
 
-    def __init__(self, f: Callable[..., np.ndarray], value: Input) -> None:
+    def __init__(self, f: Callable[..., np.ndarray], piece: _Piece) -> None:
         self.f = f
-        self.value = value
+        self.value = piece.value
         self.furthest = -np.inf
         self.waited = 0
+        n_samples = piece.last - piece.first
+        self.left = ALWAYS_ALLOWED + MOST_PER_SAMPLE * n_samples
 
     def __call__(self, at: float, x: np.ndarray) -> np.ndarray:
         if at > self.furthest:
@@ -164,6 +176,9 @@ class _Guarded:
         self.waited += 1
         if self.waited > LONGEST_WAIT:
             raise _stopped(at, "The steps became too small.")
+        self.left -= 1
+        if self.left < 0:
+            raise _stopped(at, TOO_FAST)
         return self.f(at, x, self.value(at))
 
 

@@ -14,6 +14,7 @@ from phsi_opt.diagnosis.diagnose import diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
@@ -65,6 +66,7 @@ class Study(Summarised):
         SolveError: the base model could not be fitted.
     """
 
+    @interruptible
     def __init__(
         self,
         model: Model,
@@ -135,6 +137,7 @@ class Study(Summarised):
             self._fitting.loss,
         )
 
+    @interruptible
     def compare(self, on: str | None = None) -> Comparison:
         """The free run of the present model.
 
@@ -158,6 +161,7 @@ class Study(Summarised):
             )
         return step.held_out
 
+    @interruptible
     def diagnose(self) -> Diagnosis:
         """What the present model lacks; worked out once per step."""
         return self._diagnosed(self._choice)
@@ -188,6 +192,7 @@ class Study(Summarised):
         label = f"{step.label}, re-fitted"
         self.steps[-1] = self._fitting.step(label, step.added, fit)
 
+    @interruptible
     def add(self, effect: str | Effect, equation: str | None = None) -> Fit:
         """Add an effect, re-fit, and return the fit.
 
@@ -213,6 +218,7 @@ class Study(Summarised):
         self.steps.append(self._fitting.step(str(effect), (*self.added, effect), fit))
         return fit
 
+    @interruptible
     def remove(self, effect: str | Effect, equation: str | None = None) -> Fit:
         """Take out an effect of an earlier step, re-fit what is left, return the fit.
 
@@ -247,6 +253,7 @@ class Study(Summarised):
         self.stopped = ""
         return self.fit
 
+    @interruptible
     def auto(
         self,
         max_steps: int = 4,
@@ -348,6 +355,7 @@ class Study(Summarised):
         """Unit of the errors, that of the channel where one is measured."""
         return self.record.unit
 
+    @interruptible
     def report(self, path: str | Path) -> Path:
         """Write the study as a report, and return the path.
 

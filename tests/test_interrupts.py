@@ -1,0 +1,168 @@
+"""Ctrl-C ends a long call as KeyboardInterrupt wherever it comes, and nothing after it
+is different.
+"""
+
+import contextlib
+import signal
+import threading
+from types import FrameType
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.interrupts import interruptible, is_noted, solving
+from phsi_opt.optimization import ipopt
+
+T = np.linspace(0, 10, 101)
+SPRING = ph.PseudoHamiltonian(
+    states=["q", "p"],
+    S=ph.canonical(1),
+    H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0)),
+    R=ph.damping("p"),
+)
+
+
+def press() -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+def record(k: float = 1.4) -> ph.Measurements:
+    x = ph.simulate(SPRING.with_values({"k": k, "R_p": 0.1}), T, [1.0, 0.0])
+    noise = np.random.default_rng(1).normal(size=x.shape)
+    return ph.Measurements.from_arrays(T, x + 0.01 * noise, states=["q", "p"])
+
+
+def is_quiet() -> bool:
+    handler = signal.getsignal(signal.SIGINT)
+    return handler is signal.default_int_handler and not is_noted()
+
+
+def test_the_solver_ends_after_the_iteration_in_which_ctrl_c_is_pressed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    expected = ph.identify(SPRING, record()).values
+    iterations = []
+
+    def pressed(listener: ipopt._Listener, arg: list[ca.DM]) -> list[int]:
+        iterations.append(is_noted())
+        if len(iterations) == 2:
+            press()
+        return [int(is_noted())]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ipopt._Listener, "eval", pressed)
+        with pytest.raises(KeyboardInterrupt):
+            ph.identify(SPRING, record())
+    assert iterations == [False, False]
+    assert is_quiet()
+    assert ph.identify(SPRING, record()).values == expected
+
+
+def test_an_interrupt_that_became_another_error_or_none_is_raised_as_what_it_is() -> (
+    None
+):
+    @interruptible
+    def another() -> None:
+        try:
+            press()
+        except KeyboardInterrupt:
+            raise RuntimeError("a result with an exception set") from None
+
+    @interruptible
+    def lost() -> int:
+        try:
+            press()
+        except KeyboardInterrupt:
+            return 1
+        return 0
+
+    for call in (another, lost):
+        with pytest.raises(KeyboardInterrupt):
+            call()
+        assert is_quiet()
+
+
+def test_after_an_interrupt_was_swallowed_the_next_solve_does_not_begin() -> None:
+    begun = []
+
+    @interruptible
+    def call() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            press()
+        with solving():
+            begun.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        call()
+    assert not begun
+
+
+def test_a_second_ctrl_c_does_not_wait_for_the_solver() -> None:
+    reached = []
+    with pytest.raises(KeyboardInterrupt), solving():
+        press()
+        reached.append(1)
+        press()
+        reached.append(2)
+    assert reached == [1]
+    assert is_quiet()
+
+
+def test_an_error_without_ctrl_c_stays_what_it_is() -> None:
+    @interruptible
+    def call() -> None:
+        raise ph.DataError("no")
+
+    with pytest.raises(ph.DataError):
+        call()
+    assert is_quiet()
+
+
+def test_a_handler_that_is_not_pythons_own_stays() -> None:
+    heard = []
+
+    def own(number: int, frame: FrameType | None) -> None:
+        heard.append(number)
+
+    before = signal.signal(signal.SIGINT, own)
+    try:
+        with solving():
+            press()
+            assert signal.getsignal(signal.SIGINT) is own
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert heard == [signal.SIGINT]
+
+
+def test_another_thread_leaves_the_handler_alone() -> None:
+    fits = []
+    data = record()
+    thread = threading.Thread(target=lambda: fits.append(ph.identify(SPRING, data)))
+    thread.start()
+    thread.join()
+    assert fits[0].values["k"] == pytest.approx(1.4, abs=0.05)
+
+
+def test_a_study_goes_on_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    study = ph.Study(SPRING, record())
+    n_solved = 0
+    run = ipopt.Solver._run
+
+    def pressed(
+        solver: ipopt.Solver, *arguments: object
+    ) -> tuple[np.ndarray, ph.SolverSettings]:
+        nonlocal n_solved
+        n_solved += 1
+        press()
+        return run(solver, *arguments)  # type: ignore[arg-type, return-value]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ipopt.Solver, "_run", pressed)
+        with pytest.raises(KeyboardInterrupt):
+            study.add("cubic stiffness")
+    assert n_solved == 1
+    assert list(study.history["effect"]) == ["base model"]
+    study.add("cubic stiffness")
+    assert len(study.history) == 2
