@@ -351,6 +351,7 @@ def test_pairs_that_cannot_be_used_are_refused(
         ),
         ({"names": [""]}, "trajectory name '' is not a text"),
         ({"names": [1]}, "trajectory name 1 is not a text"),
+        ({"names": ["a\nb"]}, "is not a text of one line"),
         ({"t": [[0, 1], [0, 1]], "x": None}, "the lengths differ: {'t': 2, 'x': None"),
         ({"t": [[0, 1], [0, 1]], "x": [[1, 2]]}, "the lengths differ: {'t': 2, 'x': 1"),
         (

@@ -26,6 +26,7 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
+from phsi_opt.presentation.report import Section
 from phsi_opt.presentation.report_content import Channel as ReportChannel
 from phsi_opt.presentation.report_content import (
     ChannelRun,
@@ -477,3 +478,13 @@ def _luminance(colour: str) -> float:
         is_dark = part <= 0.04045
         linear.append(part / 12.92 if is_dark else ((part + 0.055) / 1.055) ** 2.4)
     return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+def test_no_output_leaves_its_block_in_markdown() -> None:
+    output = "a name with ```` in it\n````\n# no heading <img src=x>"
+    heading, block = Section("Model <b>", 2, outputs=(output,)).paragraphs
+    assert heading == "## Model &lt;b>"
+    fence, *inside, end = block.splitlines()
+    assert "\n".join(inside) == output
+    assert fence == f"{end}text" and end not in output
+    assert Section("Model", 2, outputs=("x",)).paragraphs[1] == "```text\nx\n```"

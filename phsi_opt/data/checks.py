@@ -220,14 +220,14 @@ def checked_units(units: Any, names: tuple[str, ...]) -> Mapping[str, str]:
     """The unit of every name, "" where none is given, as a read-only mapping.
 
     Raises:
-        DataError: ``units`` is no mapping from these names to texts.
+        DataError: ``units`` is no mapping from these names to texts of one line.
     """
     _check_keys(units, names, "units")
     for name, unit in units.items():
-        if not isinstance(unit, str):
+        if not isinstance(unit, str) or not unit.isprintable():
             raise DataError(
                 f"units: {name!r} has the unit {unit!r}; "
-                "expected text such as 'm', or '' when unknown."
+                "expected text such as 'm' in one line, or '' when unknown."
             )
     return MappingProxyType({name: units.get(name, "") for name in names})
 

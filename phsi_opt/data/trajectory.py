@@ -23,7 +23,7 @@ class Trajectory:
     names.
 
     Attributes:
-        name: A text that is not empty, unique within the measurements.
+        name: A text of one line that is not empty, unique within the measurements.
         t: Times, (n_samples,), at least 2.
         x: States, (n_samples, n_states), NaN where not measured.
         u: Inputs, (n_samples, n_inputs).
@@ -39,9 +39,10 @@ class Trajectory:
     u: np.ndarray
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
+        is_text = isinstance(self.name, str) and self.name
+        if not is_text or not self.name.isprintable():
             raise DataError(
-                f"trajectory name {self.name!r} is not a text; "
+                f"trajectory name {self.name!r} is not a text of one line; "
                 "give each trajectory a non-empty name."
             )
         for label, n_axes in (("t", 1), ("x", 2), ("u", 2)):

@@ -1,5 +1,6 @@
 """A report as Markdown, from sections of text and of output as it is printed."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,12 +29,22 @@ class Section:
     @property
     def paragraphs(self) -> list[str]:
         """Heading, text and blocks."""
-        found = [f"{'#' * self.level} {self.heading}"]
+        found = [f"{'#' * self.level} {_without_tags(self.heading)}"]
         if self.text:
-            found.append(self.text)
-        for output in self.outputs:
-            found.append(f"```text\n{output}\n```")
-        return found
+            found.append(_without_tags(self.text))
+        return found + [_block(output) for output in self.outputs]
+
+
+def _without_tags(text: str) -> str:
+    """Prose in which no name of the data is read as HTML."""
+    return text.replace("<", "&lt;")
+
+
+def _block(output: str) -> str:
+    """Output between fences that are longer than any that stands in it."""
+    runs = re.findall(r"`{3,}", output)
+    fence = "`" * (1 + max(map(len, runs), default=2))
+    return f"{fence}text\n{output}\n{fence}"
 
 
 def report_text(sections: Sequence[Section]) -> str:

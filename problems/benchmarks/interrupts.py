@@ -128,7 +128,7 @@ def _profile() -> Call:
 
 def _simulation() -> Call:
     model = _spring(TRUTH["a"]).with_values(TRUTH)
-    t = STEP * np.arange(200_000)
+    t = STEP * np.arange(2_000_000)
     return lambda: ph.simulate(model, t, [1.0, 0.0])
 
 
