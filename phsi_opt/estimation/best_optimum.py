@@ -1,8 +1,8 @@
 """The best of the optima of a likelihood, as far as they are looked for.
 
 From the first starting point, and from as many random ones as were asked for. Where the
-best of these is implausible, from the second starting point; where it is far off even
-so, through windows that grow. A record of many periods has an optimum for every number
+best of these is far off, through windows that grow; where it is implausible even so,
+from the second starting point. A record of many periods has an optimum for every number
 of periods that the model may be wrong by, and flat ones where it dies out; in a window
 of a period or two there is one alone. A plausible optimum costs nothing of this.
 """
@@ -35,35 +35,36 @@ def best_optimum(
     Args:
         solver: of the likelihood.
         first: the first starting point.
-        with_windows: whether windows are tried where all points lead far off.
+        with_windows: whether windows are tried where these points lead far off.
     """
-    estimates = _from_all_points(solver, first)
-    best = _best(estimates)
-    notes = first.notes + _agreement_note(estimates)
-    if with_windows and is_far_off(best):
-        solver.task.say("the residuals are large: the record again, through windows")
-        through = solver.solve_through_windows(first)
-        if through.is_success and through.deviance < best.deviance - SAME_DEVIANCE:
-            best = through
-            notes = (*notes, BY_WINDOWS)
-    return replace(best, notes=notes)
-
-
-def _from_all_points(
-    solver: LikelihoodSolver, first: StartingPoint
-) -> list[LikelihoodEstimate]:
-    """From the first point and random ones; then, where it is needed, the second."""
     estimates = []
     for point in random_starts(first, solver.problem):
         estimates.append(solver.solve_from(point))
-    if first.alternative is not None and not is_plausible(_best(estimates)):
+    notes = first.notes + _agreement_note(estimates)
+    best = _best(estimates)
+    if with_windows and is_far_off(best):
+        solver.task.say("the residuals are large: the record again, through windows")
+        through = solver.solve_through_windows(first)
+        if _is_better(through, best):
+            best = through
+            notes = (*notes, BY_WINDOWS)
+    if first.alternative is not None and not is_plausible(best):
         solver.task.say(
             "the residuals are far above what neighbouring samples scatter: "
             "another start"
         )
         with suppress(SolveError):  # it is only a second chance
-            estimates.append(solver.solve_from(first.alternative()))
-    return estimates
+            other = solver.solve_from(first.alternative())
+            if _is_better(other, best):
+                best = other
+                notes = first.notes
+    return replace(best, notes=notes)
+
+
+def _is_better(other: LikelihoodEstimate, best: LikelihoodEstimate) -> bool:
+    """Whether the other is an optimum, and of less deviance if the best is one too."""
+    is_less = other.deviance < best.deviance - SAME_DEVIANCE
+    return other.is_success and (is_less or not best.is_success)
 
 
 def _best(estimates: Sequence[LikelihoodEstimate]) -> LikelihoodEstimate:
