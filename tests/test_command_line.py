@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -96,6 +97,12 @@ def left_over(at: Path) -> list[str]:
 
 
 # ---- help, names, codes --------------------------------------------------------------
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    result = said("--version")
+    assert result.code == 0
+    assert result.out == f"phsi_opt {metadata.version('phsi_opt')}\n"
 
 
 def test_help_comes_at_once_and_needs_no_solver(tmp_path: Path) -> None:

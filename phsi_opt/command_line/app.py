@@ -7,6 +7,7 @@ and completion come at once.
 import signal
 import sys
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -51,6 +52,27 @@ Saved = Annotated[
 Missing = Annotated[
     bool, typer.Option("--exit-code", help="End with 1 where something is missing.")
 ]
+
+
+def _show_version(is_asked: bool) -> None:
+    if is_asked:
+        print(f"phsi_opt {version('phsi_opt')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    is_version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_show_version,
+            is_eager=True,
+            help="Show the version and end.",
+        ),
+    ] = False,
+) -> None:
+    """Take what stands before a command."""
 
 
 @app.command()
