@@ -86,7 +86,7 @@ constraints: ## write .ci/constraints.txt anew, with the newest versions that py
 	cp "$$tmp/constraints.txt" $(CONSTRAINTS)
 
 clean: ## remove caches and build products; .venv stays
-	rm -rf build dist docs/_build docs/rooms docs/measured *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf build dist docs/_build docs/rooms docs/measured *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	find . -path ./$(VENV) -prune -o -type d -name __pycache__ -exec rm -rf {} +
 
 # The stamps say what .venv holds. The full installation contains the core, so it renews both stamps, and
