@@ -129,7 +129,8 @@ def _introduction(table: pd.DataFrame) -> str:
         printed (constant rate, weight decay 1e-4), "tuned" those of
         `problems/thesis/systems.py` and `methods.py`, tuned on a draw that appears in
         no table. BSI is the dictionary of right-hand sides, PHNN has networks for H and
-        F. All runs on a system ran one after the other in one process with one thread.
+        F. All runs on a system ran one after the other in one process with one thread,
+        beside those of one other system.
         """)
 
 

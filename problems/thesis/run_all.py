@@ -1,5 +1,5 @@
-"""Every experiment of the thesis, two at a time; what is timed comes last and alone,
-and after it the table of docs/thesis.md.
+"""Every experiment of the thesis, two at a time; what is timed comes last, one script
+after the other, and after it the table of docs/thesis.md.
 
     python -m problems.thesis.run_all [--quick]
 """
