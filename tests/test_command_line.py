@@ -809,6 +809,26 @@ def test_a_working_process_that_dies_is_told(demo: Path) -> None:
     assert ph.Fit.load(demo.with_name("fit.json")).names == ("k", "c")
 
 
+def test_the_working_process_ends_with_the_one_that_waits_for_it(demo: Path) -> None:
+    process = subprocess.Popen(
+        [*COMMAND, "study", "--auto"],
+        cwd=demo.parent,
+        env=ENVIRONMENT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "screening" in line:
+            break
+    process.kill()
+    process.stderr.close()
+    process.wait()
+    assert is_gone(process.pid), "the working process goes on"
+
+
 def working_processes(parent: int) -> Iterator[int]:
     """The children that work, not the one that multiprocessing has for itself."""
     children = Path(f"/proc/{parent}/task/{parent}/children")

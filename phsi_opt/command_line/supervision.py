@@ -55,7 +55,7 @@ def supervise(job: Job) -> Supervised:
     ended = Supervised()
     forecast = Forecast(_expected_diagnoses(job))
     context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
+    here, there = context.Pipe()  # both ways: each end sees that the other is gone
     process = context.Process(target=work, args=(there, job), daemon=True)
     with _ignored_interrupts():  # inherited: the work never hears of Ctrl-C
         process.start()

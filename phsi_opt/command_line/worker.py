@@ -1,11 +1,11 @@
 """The working process: it works, tells by a pipe, and answers.
 
-It is spawned, ignores Ctrl-C (which the waiting process hears) and may be ended at any
-moment: files are written aside, and put into their place by the waiting process.
+It is spawned, ignores Ctrl-C (which the waiting process hears), ends with that process
+and may be ended at any moment: files are written aside, and put into their place by the
+waiting process.
 """
 
 import os
-import signal
 import sys
 import traceback
 from multiprocessing.connection import Connection
@@ -13,11 +13,12 @@ from multiprocessing.connection import Connection
 from phsi_opt.command_line.exit_codes import ExitCode
 from phsi_opt.command_line.job import Answer, Job, Message
 from phsi_opt.errors import PhsiOptError, SolveError, StudyFileError
+from phsi_opt.sweeps.local_workers import begin_worker
 
 
 def work(pipe: Connection, job: Job) -> None:
     """Do a job and send what it tells, the answer last."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_worker(pipe)
     # Standard output belongs to the answer; what libraries print goes to the errors.
     sys.stdout = sys.stderr
     os.dup2(2, 1)
@@ -35,7 +36,6 @@ def work(pipe: Connection, job: Job) -> None:
         pass  # nobody is waiting any more
     except Exception as error:
         tell(_unexpected(error))
-    pipe.close()
 
 
 def answer_to(error: PhsiOptError) -> Answer:

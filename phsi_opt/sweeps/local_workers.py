@@ -60,7 +60,9 @@ def local_workers(n_workers: int | None = None) -> Iterator[Executor]:
         return
     context = get_context("spawn")  # a fork would copy locks that threads hold
     wanted, release = context.Pipe(duplex=False)
-    pool = _Processes(n, mp_context=context, initializer=_begin, initargs=(wanted,))
+    pool = _Processes(
+        n, mp_context=context, initializer=begin_worker, initargs=(wanted,)
+    )
     try:
         yield pool
         pool.shutdown()
@@ -77,8 +79,12 @@ def usable_processors() -> int:
     return os.cpu_count() or 1
 
 
-def _begin(wanted: Connection) -> None:
-    """What a worker does first: Ctrl-C is its parent's business, the pipe its own."""
+def begin_worker(wanted: Connection) -> None:
+    """What a worker does first: Ctrl-C is its parent's business, the pipe its own.
+
+    Args:
+        wanted: The worker ends at once when the other end is closed.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(wanted,), daemon=True).start()
 

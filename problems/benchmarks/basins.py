@@ -28,6 +28,7 @@ from problems.benchmarks.basin_machines import (
 from problems.tools import markdown
 from problems.tools.command_line import chosen, flag
 from problems.tools.intervals import share
+from problems.tools.kept_tables import rewrite
 from problems.tools.provenance import RESULTS, write
 
 FIRST_SEED = 5000
@@ -218,7 +219,7 @@ def recorded(number: int) -> pd.DataFrame:
         known = pd.read_csv(TABLE)
         others = known[known["setting"] != number]
         new = pd.concat([others, new]).sort_values("setting", kind="stable")
-    new.to_csv(TABLE, index=False, float_format="%.6g")
+    rewrite(TABLE, new, "%.6g")
     return new
 
 

@@ -29,6 +29,7 @@ import phsi_opt as ph
 from problems.tools import markdown, provenance
 from problems.tools.command_line import chosen, flag, option
 from problems.tools.intervals import HALF_WIDTH
+from problems.tools.kept_tables import rewrite
 
 N_SEEDS = 20
 FIRST_SEED = 7000
@@ -303,7 +304,7 @@ def main(
             rows += fits(name, seed)
             table = pd.DataFrame(rows, columns=COLUMNS)
             if keep:
-                table.to_csv(_path(), index=False, float_format="%.10g")
+                rewrite(_path(), table, "%.10g")
     if keep:
         provenance.write("chaos.md", page(table))
     return table

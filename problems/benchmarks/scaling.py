@@ -30,6 +30,7 @@ import phsi_opt as ph
 from problems.benchmarks.efficiency.cases import DUFFING, DUFFING_START, duffing_model
 from problems.tools import markdown, provenance
 from problems.tools.command_line import flag, option
+from problems.tools.kept_tables import rewrite
 
 SIZES = (1_000, 10_000, 100_000, 1_000_000)
 CHANNELS = {"qp": "q and p measured", "q": "q alone measured"}
@@ -157,7 +158,7 @@ def main(
             rows.append(apart(n, channels, limit))
             print(rows[-1], flush=True)
             if keep:
-                pd.DataFrame(rows).to_csv(_path(), index=False, float_format="%.5g")
+                rewrite(_path(), pd.DataFrame(rows), "%.5g")
             if "seconds" not in rows[-1]:
                 break
     if keep:

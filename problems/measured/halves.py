@@ -30,6 +30,7 @@ from problems.measured.machines import CASES
 from problems.measured.published_values import held_values
 from problems.tools.command_line import chosen, flag
 from problems.tools.data_paths import is_present
+from problems.tools.kept_tables import rewrite
 from problems.tools.provenance import RESULTS, write
 
 
@@ -47,7 +48,7 @@ def main(names: Sequence[str], is_white: bool = False) -> pd.DataFrame:
     rows = pd.DataFrame([asdict(row) for run in runs for row in run.rows])
     is_whole = {run.set for run in runs} == set(CASES)
     if is_whole:
-        rows.to_csv(RESULTS / "halves.csv", index=False, float_format="%.6g")
+        rewrite(RESULTS / "halves.csv", rows, "%.6g")
         write("halves.md", page(rows, runs, held_values(), is_white))
     return rows
 

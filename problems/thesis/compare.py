@@ -37,6 +37,7 @@ from problems.thesis.scores import distilled, inside_and_beyond, phsi_loss, scor
 from problems.thesis.systems import SYSTEMS, System
 from problems.tools import provenance
 from problems.tools.command_line import chosen, flag
+from problems.tools.kept_tables import rewrite
 from problems.tools.workers import workers
 
 N_STARTS = 3
@@ -311,7 +312,7 @@ def measured(name: str, quick: bool) -> pd.DataFrame:
             print("... " + ", ".join(shown), flush=True)
     table = pd.DataFrame(rows)
     if not quick:
-        table.to_csv(_path(system.name), index=False, float_format="%.6g")
+        rewrite(_path(system.name), table, "%.6g")
     return table
 
 

@@ -37,6 +37,7 @@ from problems.thesis.grid_points import (
 )
 from problems.thesis.systems import SYSTEMS, System, known_leak, tank_model
 from problems.tools.command_line import chosen, flag
+from problems.tools.kept_tables import rewrite
 from problems.tools.provenance import RESULTS, write
 
 N_TESTS = 30
@@ -91,8 +92,8 @@ def main(quick: bool = False, names: list[str] | None = None) -> pd.DataFrame:
     of_readings = pd.concat(readings, ignore_index=True)
     if not quick and names is None:
         grid_page.draw(table)
-        table.to_csv(RESULTS / "thesis/grids.csv", index=False)
-        of_readings.to_csv(RESULTS / "thesis/grid_readings.csv", index=False)
+        rewrite(RESULTS / "thesis/grids.csv", table)
+        rewrite(RESULTS / "thesis/grid_readings.csv", of_readings)
         write("thesis/grids.md", grid_page.page(table, of_readings, N_TESTS))
     return table
 

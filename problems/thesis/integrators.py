@@ -38,6 +38,7 @@ from problems.thesis.systems import (
 )
 from problems.tools import markdown
 from problems.tools.command_line import flag
+from problems.tools.kept_tables import rewrite
 from problems.tools.provenance import RESULTS, write
 
 SEEDS = range(5)
@@ -284,7 +285,7 @@ def main(quick: bool = False) -> Tables:
     if not quick:
         figure(fit_table)
         draw(paths)
-        fit_table.to_csv(RESULTS / "thesis/integrators.csv", index=False)
+        rewrite(RESULTS / "thesis/integrators.csv", fit_table)
         write("thesis/integrators.md", page)
     return found
 

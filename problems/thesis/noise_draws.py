@@ -27,6 +27,7 @@ from problems.thesis.scores import coverage, distilled, free_run, score, trained
 from problems.thesis.systems import SYSTEMS, System
 from problems.tools import markdown, provenance
 from problems.tools.command_line import chosen, flag, option
+from problems.tools.kept_tables import rewrite
 from problems.tools.workers import workers
 
 N_DRAWS = 10
@@ -105,7 +106,7 @@ def main(
     for name in names or SYSTEMS:
         tables[name] = study(name, quick)
         if not quick:
-            tables[name].to_csv(_path(name), index=False, float_format="%.6g")
+            rewrite(_path(name), tables[name], "%.6g")
     if not quick:
         write_page()
     return tables

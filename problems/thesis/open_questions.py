@@ -43,6 +43,7 @@ from problems.thesis.systems import (
 )
 from problems.tools import provenance
 from problems.tools.command_line import chosen, flag, option
+from problems.tools.kept_tables import append_rows
 
 MASS_SPRING = SYSTEMS["mass_spring"]
 TANKS = SYSTEMS["tanks"]
@@ -269,11 +270,7 @@ def kept() -> set[tuple[str, int]]:
 
 
 def _keep(rows: list[Row]) -> None:
-    path = _path()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    frame = pd.DataFrame(rows, columns=COLUMNS)
-    is_new = not path.exists()
-    frame.to_csv(path, mode="a", header=is_new, index=False, float_format="%.4g")
+    append_rows(_path(), pd.DataFrame(rows, columns=COLUMNS), "%.4g")
 
 
 def write_page() -> None:

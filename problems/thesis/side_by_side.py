@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from phsi_opt.writing import write_whole
 from problems.thesis import grid_verdicts
 from problems.thesis.published import BSI_MASS_SPRING, COEFFICIENTS, PRECISION
 from problems.thesis.systems import SYSTEMS
@@ -262,7 +263,7 @@ def main(quick: bool = False) -> str:
         return made
     before, rest = DOCUMENT.read_text("utf-8").split(BEGIN)
     after = rest.split(END)[1]
-    DOCUMENT.write_text(f"{before}{BEGIN}\n\n{made}\n\n{END}{after}", "utf-8")
+    write_whole(DOCUMENT, f"{before}{BEGIN}\n\n{made}\n\n{END}{after}")
     return made
 
 

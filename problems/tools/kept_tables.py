@@ -20,6 +20,6 @@ def append_rows(path: Path, rows: pd.DataFrame, float_format: str) -> None:
     write_whole(path, whole + added)
 
 
-def rewrite(path: Path, rows: pd.DataFrame, float_format: str) -> None:
+def rewrite(path: Path, rows: pd.DataFrame, float_format: str | None = None) -> None:
     """Write a table anew."""
     write_whole(path, rows.to_csv(index=False, float_format=float_format))

@@ -6,6 +6,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
+from phsi_opt.writing import write_whole
+
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
 
@@ -72,5 +74,4 @@ def write(name: str, text: str) -> Path:
         )
     path = RESULTS / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(f"<!-- {provenance()} -->\n\n{text.rstrip()}\n", encoding="utf-8")
-    return path
+    return write_whole(path, f"<!-- {provenance()} -->\n\n{text.rstrip()}\n")
