@@ -7,6 +7,7 @@ import pytest
 from scipy import signal, stats
 from scipy.signal import lfilter
 from scipy.stats import chi2
+from statsmodels.stats.diagnostic import acorr_ljungbox
 
 from phsi_opt import statistics
 from phsi_opt.statistics import (
@@ -150,3 +151,102 @@ def test_productsself_convolved_are_the_convolution_of_scipy() -> None:
         statistics.self_convolved(values), signal.fftconvolve(values, values[::-1])
     )
     assert len(statistics.self_convolved(np.zeros(0))) == 0
+
+
+def direct_share(changes: list[np.ndarray], residuals: list[np.ndarray]) -> float:
+    """The share by its definition, sums written out."""
+    scores = [np.sum(c * r, axis=1) for c, r in zip(changes, residuals, strict=True)]
+    independent = sum(float(np.sum(change**2)) for change in changes)
+    covariances = []
+    for lag in range(max(map(len, scores)) + 1):
+        pairs = [s[lag:] @ s[: len(s) - lag] for s in scores if len(s) > lag]
+        covariances.append(float(sum(pairs)))
+    tau = -1.0
+    for first in range(0, len(covariances) - 1, 2):
+        pair = (covariances[first] + covariances[first + 1]) / covariances[0]
+        if pair <= 0:
+            break
+        tau += 2 * pair
+    return min(independent / (covariances[0] * max(tau, 1.0)), 1.0)
+
+
+@pytest.mark.parametrize("lengths", [(40, 25), (31,), (7, 6, 5), (2,)])
+def test_the_share_is_that_of_its_definition(lengths: tuple[int, ...]) -> None:
+    shares = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        changes, residuals = [], []
+        for n in lengths:
+            changes.append(0.3 * rng.normal(size=(n, 2)))
+            white = rng.normal(size=(n, 2))
+            residuals.append(lfilter([1.0], [1.0, -0.8], white, axis=0))
+        found = effective_sample_share(changes, residuals)
+        assert found == pytest.approx(direct_share(changes, residuals), rel=1e-9)
+        shares.append(found)
+    assert min(shares) < 1.0
+
+
+def test_a_series_that_is_correlated_to_its_end_has_all_of_its_pairs() -> None:
+    lasting = np.ones(7)
+    pairs = sum((7 - lag) / 7 for lag in range(7))  # the eighth, at lag 7, is zero
+    assert autocorrelation_time([lasting]) == pytest.approx(2 * pairs - 1)
+    small = 1e-3 * lasting
+    assert autocorrelation_time([small]) == pytest.approx(2 * pairs - 1)
+    assert autocorrelation_time([np.zeros(5)]) == 1.0
+    assert autocorrelation_time([]) == 1.0
+
+
+def test_series_and_trajectories_of_different_number_are_refused() -> None:
+    with pytest.raises(ValueError):
+        effective_sample_share([np.ones((3, 1))], [np.ones((3, 1))] * 2)
+
+
+@pytest.mark.parametrize("n", [5, 12, 49, 50, 54, 55, 60, 200])
+def test_ljung_and_boxs_test_is_that_of_statsmodels(n: int) -> None:
+    residual = lfilter([1.0], [1.0, -0.3], np.random.default_rng(n).normal(size=n))
+    residual -= residual.mean()  # statsmodels takes the mean away
+    known = acorr_ljungbox(residual, lags=[min(10, n // 5)])
+    assert ljung_box([residual]) == pytest.approx(known["lb_pvalue"].iloc[0], rel=1e-9)
+
+
+def test_ljung_and_boxs_statistics_of_several_series_are_added() -> None:
+    rng = np.random.default_rng(4)
+    series = [
+        values - values.mean() for values in (rng.normal(size=40), rng.normal(size=23))
+    ]
+    q = sum(
+        acorr_ljungbox(one, lags=[len(one) // 5])["lb_stat"].iloc[0] for one in series
+    )
+    expected = stats.chi2.sf(q, 8 + 4)
+    assert ljung_box(series) == pytest.approx(expected, rel=1e-9)
+    still = [np.zeros(40), *series]  # adds its lags, and no correlation
+    assert ljung_box(still) == pytest.approx(stats.chi2.sf(q, 8 + 8 + 4), rel=1e-9)
+    tiny = [1e-3 * one for one in series]
+    assert ljung_box(tiny) == pytest.approx(expected, rel=1e-9)
+    assert np.isnan(ljung_box([np.ones(4)]))
+
+
+def test_adjusted_p_values_are_numbers_from_zero_to_one() -> None:
+    adjusted = statistics.false_discovery_adjusted([0.9, np.nan, -1e-9, 1 + 1e-9, 0.2])
+    expected = stats.false_discovery_control([0.9, 1.0, 0.0, 1.0, 0.2])
+    np.testing.assert_allclose(adjusted, expected)
+    assert adjusted.min() == 0.0 and adjusted.max() == 1.0
+    whole = statistics.false_discovery_adjusted([1, 0])  # whole numbers
+    np.testing.assert_array_equal(whole, [1.0, 0.0])
+
+
+def test_the_profiled_deviance_is_that_of_normal_residuals_with_their_own_noise() -> (
+    None
+):
+    rng = np.random.default_rng(2)
+    channels = [2.0 * rng.normal(size=50), 0.1 * rng.normal(size=30)]
+    squares = np.array([float(r @ r) for r in channels] + [0.0])
+    n_values = np.array([50, 30, 0])
+    found = statistics.profiled_deviance(squares, n_values)
+    densities = [
+        stats.norm.logpdf(r, 0, np.sqrt(np.mean(r**2))).sum() for r in channels
+    ]
+    constant = (50 + 30) * (1 + np.log(2 * np.pi))
+    assert found == pytest.approx(-2 * sum(densities) - constant, rel=1e-12)
+    exact = statistics.profiled_deviance(np.zeros(1), np.array([10]))
+    assert np.isfinite(exact) and exact < -1000
