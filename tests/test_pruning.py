@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import phsi_opt as ph
 from phsi_opt.estimation.pruning import Pruning
@@ -70,13 +71,45 @@ def test_more_tests_make_it_harder_to_stay() -> None:
     assert rule.insignificant(MODEL, found, covariance, 34) == {"H[q]"}
 
 
+def weak_terms(z: dict[str, float], significance: float = 0.01) -> set[str]:
+    """Those that go, where these terms are so many standard errors from zero."""
+    found = dict.fromkeys(NAMES, 1.0) | {
+        name: -0.1 * value for name, value in z.items()
+    }
+    errors = [0.1 if name in z else 1e-3 for name in NAMES]
+    rule = Pruning(0.0, significance=significance)
+    return rule.insignificant(MODEL, found, np.diag(errors) ** 2, 6)
+
+
+def test_a_single_term_is_tested_at_the_level_over_the_number_of_terms() -> None:
+    limit = stats.norm.isf(0.01 / 6 / 2)
+    assert weak_terms({"H[q]": 0.999 * limit}) == {"H[q]"}
+    assert weak_terms({"H[q]": 1.001 * limit}) == set()
+
+
+@pytest.mark.parametrize("n_weak", [2, 3])
+def test_terms_that_go_together_are_tested_with_as_many_degrees_of_freedom(
+    n_weak: int,
+) -> None:
+    names = ["H[q]", "H[p]", "H[q*p]"][:n_weak]
+    each = np.sqrt(stats.chi2.isf(0.01, n_weak) / n_weak)
+    assert weak_terms(dict.fromkeys(names, 0.999 * each)) == set(names)
+    # The strongest stays, and the others are within the limit for fewer.
+    uneven = dict.fromkeys(names, 1.001 * each) | {names[-1]: 1.002 * each}
+    assert weak_terms(uneven) == set(names[:-1])
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"significance": 0.0}, "between 0 and 1"),
         ({"significance": 5}, "between 0 and 1"),
         ({"significance": 0.01, "debias": False}, "debias"),
-        ({"threshold": -1}, "at least 0"),
+        ({"threshold": -1}, "threshold=-1 .* at least 0"),
+        ({"threshold": float("nan")}, "at least 0"),
+        ({"slots": ("H", "S")}, "slot 'S' of Pruning is unknown"),
+        ({"significance": 1.0}, "between 0 and 1"),
+        ({"significance": "a"}, "between 0 and 1"),
     ],
 )
 def test_bad_settings_are_refused(settings, message: str) -> None:
