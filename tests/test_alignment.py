@@ -40,6 +40,32 @@ def test_columns_follow_the_names_of_states_and_inputs() -> None:
     np.testing.assert_array_equal(run.u, U[:, ::-1])
 
 
+def test_units_stay_with_their_names_and_those_of_what_is_left_out_go() -> None:
+    units = {"t": "s", "q": "m", "p": "kg m/s", "v": "V", "w": "A"}
+    record = ph.Measurements.from_arrays(
+        np.arange(6.0), X, U, states=["p", "q"], inputs=["w", "v"], units=units
+    )
+    found = aligned(model(("v",)), record)
+    assert found.inputs == ("v",)
+    assert found.units == {"t": "s", "q": "m", "p": "kg m/s", "v": "V"}
+    np.testing.assert_array_equal(found.trajectories[0].u, U[:, 1:])
+
+
+def test_what_is_no_model_or_no_measurements_is_refused() -> None:
+    with pytest.raises(
+        ph.ModelError,
+        match=r"^model='spring' is no model; expected a PseudoHamiltonian or a "
+        r"FirstOrder\.$",
+    ):
+        AlignedData.of("spring", data(("q", "p")))  # type: ignore[arg-type]
+    with pytest.raises(
+        ph.DataError,
+        match=r"^data=7 are no Measurements; make them with Measurements\.from_arrays or "
+        r"from_csv\.$",
+    ):
+        AlignedData.of(model(), 7)  # type: ignore[arg-type]
+
+
 def test_the_memory_of_an_effect_is_added_as_never_measured() -> None:
     effects = {e.name: e for e in ph.catalogue(model()) if e.equation == "p"}
     larger = model().add(effects["hysteresis"])
@@ -56,8 +82,13 @@ def test_states_and_inputs_that_do_not_match_are_named() -> None:
         r"as not measured: states=\{\.\.\., 'p': None\}",
     ):
         aligned(model(), data(("q",)))
-    with pytest.raises(ph.DataError, match="input 'u' of the model is not in the"):
-        aligned(model(("u",)), data(("q", "p")))
+    with pytest.raises(
+        ph.DataError,
+        match=r"input 'u' of the model is not in the measurements \(v, w\)",
+    ):
+        aligned(model(("u",)), data(("q", "p"), ("v", "w")))
+    with pytest.raises(ph.DataError, match=r"state 'q' .* measurements \(p, z\); decl"):
+        aligned(model(), data(("p", "z")))
     only_q = ph.FirstOrder(("q",), {"q": ph.formula("-q")})
     with pytest.raises(
         ph.DataError, match="state 'p' of the measurements is not in the model; leave"

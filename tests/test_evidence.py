@@ -11,7 +11,8 @@ from scipy import stats
 from phsi_opt import criteria
 from phsi_opt.comparison import model_selection as evidence
 from phsi_opt.comparison.model_selection import falls_or_explains_most
-from phsi_opt.statistics import autocorrelation_time
+from phsi_opt.model_error.standard_errors import Source
+from phsi_opt.statistics import autocorrelation_time, effective_sample_share
 
 
 class _Errors:
@@ -165,3 +166,114 @@ def test_a_fall_is_that_of_logarithms_in_blocks_and_its_limit_is_in_their_errors
     assert not evidence.falls_significantly(errors(old), errors(old))
     assert evidence.falls_significantly(errors(old), errors(0.9 * old))
     assert not evidence.falls_significantly(errors(0.9 * old), errors(old))
+
+
+def test_most_of_a_failing_error_is_enough_where_a_record_is_brief(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(evidence, "falls_significantly", lambda old, new: False)
+    most = criteria.EXPLAINED_IF_PROPOSED
+    for share, expected in ((1.01 * most, True), (0.99 * most, False)):
+        left = float(np.sqrt(25 - share * 16))
+        found = falls_or_explains_most(judged(5.0, 3.0), judged(left, 3.0))
+        assert found == expected
+
+
+def test_a_fall_is_looked_at_in_one_block_per_two_independent_values(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    used: list[int] = []
+    means = evidence._block_means
+
+    def noted(squares: np.ndarray, n_blocks: int) -> np.ndarray:
+        used.append(n_blocks)
+        return means(squares, n_blocks)
+
+    monkeypatch.setattr(evidence, "_block_means", noted)
+    values = iter([26.0, 1e9, 1e9, 1e9, 0.0, 1e9])
+    monkeypatch.setattr(evidence, "independent_samples", lambda _: next(values))
+    squares = np.random.default_rng(0).uniform(1.0, 2.0, 400)
+    for _ in range(3):
+        evidence.falls_significantly(errors(squares), errors(squares))
+    most, fewest = criteria.MOST_BLOCKS, criteria.FEWEST_BLOCKS
+    assert fewest < 13 < most
+    assert used == [13, 13, most, most, fewest, fewest]
+
+
+def test_the_deviance_of_a_free_run_sums_the_channels_that_are_off() -> None:
+    table = pd.DataFrame({"rmse": [0.5, 0.0, 3.0], "n_samples": [40, 50, 7]})
+    found = evidence.free_run_deviance(SimpleNamespace(table=table))  # type: ignore[arg-type]
+    assert found == pytest.approx(2 * (40 * np.log(0.5) + 7 * np.log(3.0)))
+
+
+def two_runs(seed: int, n_states: int, scale: float) -> list[np.ndarray]:
+    """Residuals that last from sample to sample, of two runs."""
+    rng = np.random.default_rng(seed)
+    return [scale * np.cumsum(rng.normal(size=(n, n_states)), axis=0) for n in (90, 60)]
+
+
+def test_the_share_of_a_change_is_that_of_the_runs_in_the_channels_both_have() -> None:
+    before, after = two_runs(0, 2, 1.0), two_runs(1, 3, 0.5)
+    after[0][::5, 1] = np.nan
+    for run in after:
+        run[:, 1] *= 300.0
+    sizes = np.sqrt(np.nanmean(np.concatenate(after)[:, :2] ** 2, axis=0))
+    changes, left = [], []
+    for old_run, new_run in zip(before, after, strict=True):
+        changes.append(np.nan_to_num((old_run - new_run[:, :2]) / sizes))
+        left.append(np.nan_to_num(new_run[:, :2] / sizes))
+    expected = effective_sample_share(changes, left)
+    assert 0.0 < expected < 1.0
+    old: Any = SimpleNamespace(residuals=before, fit=SimpleNamespace(names=("k",)))
+    fit = SimpleNamespace(names=("k", "a"), std_error_source=Source.NOISE)
+    new: Any = SimpleNamespace(residuals=after, fit=fit)
+    assert evidence.share_of_change(old, new) == pytest.approx(expected)
+    # The other way round the larger model loses a channel.
+    assert evidence._share_of_runs(new, old) == evidence._share_of_runs(
+        SimpleNamespace(residuals=[run[:, :2] for run in after]),  # type: ignore[arg-type]
+        old,
+    )
+    never = [run.copy() for run in after]
+    for run in never:
+        run[:, 1] = np.nan
+    alone = [run[:, :1] for run in after]
+    assert (
+        evidence._share_of_runs(
+            SimpleNamespace(residuals=before),  # type: ignore[arg-type]
+            SimpleNamespace(residuals=never),  # type: ignore[arg-type]
+        )
+        == pytest.approx(
+            evidence._share_of_runs(
+                SimpleNamespace(residuals=[run[:, :1] for run in before]),  # type: ignore[arg-type]
+                SimpleNamespace(residuals=alone),  # type: ignore[arg-type]
+            )
+        )
+    )
+
+
+def test_the_share_of_a_change_is_at_most_that_of_what_the_larger_model_has_more() -> (
+    None
+):
+    before, after = two_runs(0, 2, 1.0), two_runs(1, 2, 0.5)
+    asked: list[list[str]] = []
+
+    def share(names: list[str]) -> float:
+        asked.append(names)
+        return of_parameters
+
+    old: Any = SimpleNamespace(residuals=before, fit=SimpleNamespace(names=("k",)))
+    fit = SimpleNamespace(
+        names=("k", "a", "b"),
+        std_error_source=Source.TRAJECTORIES,
+        independent_share=share,
+    )
+    new: Any = SimpleNamespace(residuals=after, fit=fit)
+    of_runs = evidence._share_of_runs(old, new)
+    for factor in (0.5, 2.0, np.nan):
+        of_parameters = factor * of_runs
+        expected = of_runs * np.fmin(factor, 1.0)
+        assert evidence.share_of_change(old, new) == pytest.approx(expected)
+    assert asked == [["a", "b"]] * 3
+    fit.names = ("k",)
+    assert evidence.share_of_change(old, new) == pytest.approx(of_runs)
+    assert len(asked) == 3

@@ -7,7 +7,13 @@ from scipy.sparse import csc_matrix, identity
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import SolveError
 from phsi_opt.optimization.banded import Banded
-from phsi_opt.transcription.elimination import ReducedSystem, time_order
+from phsi_opt.transcription.elimination import (
+    HELD,
+    RIDGE,
+    ReducedSystem,
+    regularized_inverse,
+    time_order,
+)
 from phsi_opt.transcription.grid import grid_of
 
 
@@ -38,6 +44,20 @@ def test_banded_factors_solve_what_dense_ones_solve() -> None:
         banded.solve(right[:, 0]), np.linalg.solve(matrix, right[:, 0]), rtol=1e-9
     )
     assert banded.log_abs_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-12)
+
+
+@pytest.mark.parametrize(("below", "above"), [(1, 4), (4, 1), (0, 2), (2, 0), (0, 0)])
+def test_a_band_need_not_be_as_wide_above_the_diagonal_as_below(
+    below: int, above: int
+) -> None:
+    rng = np.random.default_rng(5)
+    n = 20
+    matrix = np.triu(np.tril(rng.normal(size=(n, n)), above), -below) + 5 * np.eye(n)
+    banded = Banded(csc_matrix(matrix), np.arange(n))
+    assert (banded.kl, banded.ku) == (below, above)
+    right = rng.normal(size=n)
+    np.testing.assert_allclose(banded.solve(right), np.linalg.solve(matrix, right))
+    assert banded.log_abs_det == pytest.approx(np.linalg.slogdet(matrix)[1])
 
 
 def test_a_singular_system_is_refused() -> None:
@@ -94,3 +114,78 @@ def test_unknowns_stand_in_the_order_of_their_time() -> None:
     assert order[9:].tolist() == [5, 13, 6, 14, 7, 15, 8]
     with pytest.raises(SolveError):
         Banded(0 * identity(2, format="csc"), np.arange(2))
+
+
+def test_information_is_inverted_and_a_ridge_holds_what_has_none() -> None:
+    rng = np.random.default_rng(2)
+    root = 1e-2 * rng.normal(size=(3, 3))
+    information = root @ root.T
+    np.testing.assert_allclose(
+        regularized_inverse(information), np.linalg.inv(information), rtol=1e-3
+    )
+    along, across = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    # What rounds below zero counts as zero.
+    flat = 4.0 * np.outer(along, along) - 1e-3 * np.outer(across, across)
+    expected = np.outer(along, along) / 4.0 + np.outer(across, across) / RIDGE
+    np.testing.assert_allclose(regularized_inverse(flat), expected, rtol=1e-5)
+
+
+def test_a_parameter_that_is_held_does_not_move_and_the_others_do_as_without_it() -> (
+    None
+):
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(3, 3))
+    information = root @ root.T
+    covariance = regularized_inverse(information, held=[1])
+    assert covariance[1, 1] == pytest.approx(1 / HELD, rel=1e-6)
+    others = np.ix_([0, 2], [0, 2])
+    np.testing.assert_allclose(
+        covariance[others], np.linalg.inv(information[others]), rtol=1e-6
+    )
+
+
+def test_information_that_is_no_number_is_refused_with_what_to_do() -> None:
+    with pytest.raises(
+        SolveError,
+        match=r"^the model's slopes along its states are beyond all numbers, so that no "
+        "parameter has a standard error; give parameters bounds, or start them nearer "
+        r"to the truth\.$",
+    ):
+        regularized_inverse(np.array([[1.0, 0.0], [0.0, np.inf]]))
+
+
+def test_multipliers_are_what_the_objective_gains_per_offset() -> None:
+    grid, n, p = grid_of(two_runs(2)), 2, 3
+    rng = np.random.default_rng(4)
+    n_x, n_c = grid.n_nodes * n, grid.n_intervals * n
+    A = np.zeros((n_c, n_x))
+    for i, begin in enumerate(grid.begin):
+        A[i * n : i * n + n, begin * n : begin * n + 2 * n] = rng.normal(
+            size=(n, 2 * n)
+        )
+    J = np.hstack([rng.normal(size=(n_c, p)), A])
+    H = np.diag(rng.uniform(0.5, 2.0, p + n_x))
+    H[:p, p] = H[p, :p] = 0.1
+    reduced = ReducedSystem(
+        grid, n, csc_matrix(H), csc_matrix(J), slice(0, p), slice(p, p + n_x)
+    )
+    covariance = np.linalg.inv(reduced.information)
+    gradient = rng.normal(size=p + n_x)
+    kkt = np.block([[H, J.T], [J, np.zeros((n_c, n_c))]])
+    whole = np.linalg.solve(kkt, np.r_[gradient, np.zeros(n_c)])
+    found = reduced.multipliers(gradient[p:], covariance, gradient[:p])
+    np.testing.assert_allclose(found, whole[p + n_x :], rtol=1e-7, atol=1e-10)
+    without = np.linalg.solve(kkt, np.r_[np.zeros(p), gradient[p:], np.zeros(n_c)])
+    np.testing.assert_allclose(
+        reduced.multipliers(gradient[p:], covariance),
+        without[p + n_x :],
+        rtol=1e-7,
+        atol=1e-10,
+    )
+    # Several right-hand sides are solved side by side.
+    e = rng.normal(size=(n_c, 2))
+    both = reduced.respond(e, covariance).joined
+    for k in range(2):
+        np.testing.assert_allclose(
+            both[:, k], reduced.respond(e[:, k], covariance).joined
+        )

@@ -46,7 +46,7 @@ def full_discretisation(problem: Problem, case: Drawn) -> np.ndarray:
         "print_time": False,
         "ipopt": {"print_level": 0, "sb": "yes"},
     }
-    start = np.concatenate([case.guess, _filled(problem, case).ravel()])
+    start = np.concatenate([case.guess, filled(problem, case).ravel()])
     found = ca.nlpsol("fit", "ipopt", nlp, quiet)(x0=start, lbg=0, ubg=0)
     z = np.array(found["x"]).ravel()
     return z[len(problem.truth) :].reshape(case.y.shape)
@@ -79,7 +79,7 @@ def single_shooting(problem: Problem, case: Drawn) -> np.ndarray:
     starting states of all trajectories together.
     """
     n_theta = len(problem.truth)
-    start = np.concatenate([case.guess, _filled(problem, case)[:, 0].ravel()])
+    start = np.concatenate([case.guess, filled(problem, case)[:, 0].ravel()])
 
     def states(z: np.ndarray) -> np.ndarray:
         begins = z[n_theta:].reshape(len(case.y), -1)
@@ -119,7 +119,7 @@ def _pattern(problem: Problem, case: Drawn) -> lil_matrix:
     return pattern
 
 
-def _filled(problem: Problem, case: Drawn) -> np.ndarray:
+def filled(problem: Problem, case: Drawn) -> np.ndarray:
     """Measured values, and the slope of q where p is not measured."""
     filled = case.y.copy()
     for k in np.flatnonzero(~np.array(problem.is_measured)):

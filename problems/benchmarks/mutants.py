@@ -1,0 +1,210 @@
+"""Mutation testing of the numerical core: does a test fail for every small change?
+
+    python -m problems.benchmarks.mutants [--show] [MODULE ...]
+
+mutmut changes one thing at a time in a module (a sign, a limit, an argument) and runs
+the tests that reach it. It works on a copy of the project, with the modules and tests
+named in ``[tool.mutmut]`` of pyproject.toml. Where modules are named (``statistics``),
+they alone are changed, and no page is written; ``--show`` prints what no test noticed.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mutmut.stats import status_by_exit_code
+
+from problems.tools import markdown, provenance
+from problems.tools.command_line import chosen, flag
+from problems.tools.provenance import ROOT
+
+ASKED = 0.85  # of the mutants, that tests have to kill
+KILLED = ("killed", "timeout", "segfault")  # a mutant that never ends is noticed too
+NOT_REACHED = ("no tests", "skipped")
+
+INTRODUCTION = markdown.paragraph(f"""
+    Every change of one thing (a sign, a limit, an argument, a text) that mutmut makes
+    in the modules of the numerical core, and whether a test of the project fails for
+    it. Killed: one does, or the run does not end. Survived: the tests that reach it
+    pass. Not reached: none of the chosen test files runs it. Asked: {ASKED:.0%} killed,
+    of all. Many of those that survive change nothing that counts: the words of an
+    error, a default that is always given, a limit moved by one in the last digit.
+    """)
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What became of the mutants of one module."""
+
+    module: str
+    killed: int
+    survived: int
+    not_reached: int
+
+    @property
+    def total(self) -> int:
+        """How many there were."""
+        return self.killed + self.survived + self.not_reached
+
+    @property
+    def share(self) -> float:
+        """How many of them were killed."""
+        return self.killed / self.total if self.total else 0.0
+
+
+def copied(folder: Path) -> None:
+    """The files under version control, as they are now."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    for name in filter(None, listed.stdout.split("\0")):
+        source = ROOT / name
+        if source.is_file():
+            target = folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+
+
+def limited(folder: Path, names: Sequence[str]) -> None:
+    """Let mutmut change only the modules whose file has one of these names.
+
+    Raises:
+        SystemExit: there is no such module in the list.
+    """
+    path = folder / "pyproject.toml"
+    text = path.read_text("utf-8")
+    listed = re.search(r"only_mutate = \[(.*?)\]", text, re.DOTALL)
+    assert listed is not None
+    modules = re.findall(r'"(.+?)"', listed.group(1))
+    kept = [module for module in modules if Path(module).stem in names]
+    missing = sorted(set(names) - {Path(module).stem for module in kept})
+    if missing:
+        raise SystemExit(
+            f"{missing[0]!r} is no module of [tool.mutmut] in pyproject.toml; "
+            f"there are {', '.join(Path(module).stem for module in modules)}."
+        )
+    path.write_text(text.replace(listed.group(0), f"only_mutate = {json.dumps(kept)}"))
+
+
+def run(folder: Path) -> None:
+    """Make the mutants and run the tests on each; mutmut's output stays in a file.
+
+    Raises:
+        SystemExit: mutmut did not come to its end.
+    """
+    log = folder / "mutmut.log"
+    with log.open("w") as stream:
+        done = subprocess.run(
+            [sys.executable, "-m", "mutmut", "run"],
+            cwd=folder,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            check=False,
+        )
+    if done.returncode:
+        end = log.read_text("utf-8", errors="replace")[-3000:]
+        raise SystemExit(f"mutmut failed:\n{end}")
+
+
+def outcomes(folder: Path) -> dict[str, dict[str, str]]:
+    """Module -> mutant -> its status."""
+    found = {}
+    for path in sorted((folder / "mutants").rglob("*.meta")):
+        codes: Mapping[str, int | None] = json.loads(path.read_text("utf-8"))[
+            "exit_code_by_key"
+        ]
+        module = path.relative_to(folder / "mutants").as_posix().removesuffix(".meta")
+        found[module] = {key: status_by_exit_code[code] for key, code in codes.items()}
+    return {module: statuses for module, statuses in found.items() if statuses}
+
+
+def tally(module: str, statuses: Mapping[str, str]) -> Tally:
+    """Count what became of a module's mutants.
+
+    Raises:
+        SystemExit: mutmut left some of them unchecked.
+    """
+    counts = Counter(statuses.values())
+    killed = sum(counts.pop(status, 0) for status in KILLED)
+    survived = counts.pop("survived", 0)
+    not_reached = sum(counts.pop(status, 0) for status in NOT_REACHED)
+    if counts:
+        raise SystemExit(f"{module}: mutmut left {dict(counts)} open.")
+    return Tally(module, killed, survived, not_reached)
+
+
+def show(folder: Path, statuses: Mapping[str, str]) -> None:
+    """Print the change of each mutant that no test noticed."""
+    for mutant, status in statuses.items():
+        if status in KILLED:
+            continue
+        shown = subprocess.run(
+            [sys.executable, "-m", "mutmut", "show", mutant],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        changed = [
+            line for line in shown.stdout.splitlines() if re.match(r"[-+][^-+]", line)
+        ]
+        print(f"{status}: {mutant}", *changed, sep="\n", flush=True)
+
+
+def page(tallies: Sequence[Tally]) -> str:
+    """A row per module, and all of them together."""
+    total = Tally(
+        "all",
+        sum(each.killed for each in tallies),
+        sum(each.survived for each in tallies),
+        sum(each.not_reached for each in tallies),
+    )
+    rows = [
+        {
+            "module": each.module,
+            "mutants": each.total,
+            "killed": each.killed,
+            "survived": each.survived,
+            "not reached": each.not_reached,
+            "share killed": f"{each.share:.0%}",
+        }
+        for each in (*tallies, total)
+    ]
+    verdict = "as asked" if total.share >= ASKED else "less than asked"
+    ending = (
+        f"{total.share:.1%} of {total.total} are killed ({verdict}: {ASKED:.0%}). "
+        "`python -m problems.benchmarks.mutants --show MODULE` prints the others."
+    )
+    return "\n".join(
+        ["# Mutants", "", INTRODUCTION, "", markdown.table(rows), "", ending]
+    )
+
+
+def main() -> None:
+    """Change, test, count, and write the page where all modules were changed."""
+    with tempfile.TemporaryDirectory(prefix="mutants") as name:
+        folder = Path(name)
+        copied(folder)
+        if chosen():
+            limited(folder, chosen())
+        run(folder)
+        found = outcomes(folder)
+        tallies = [tally(module, statuses) for module, statuses in found.items()]
+        text = page(tallies)
+        print(text)
+        if flag("show"):
+            for statuses in found.values():
+                show(folder, statuses)
+    if not chosen():
+        provenance.write("mutants.md", text)
+
+
+if __name__ == "__main__":
+    main()
