@@ -15,6 +15,7 @@ from scipy.sparse import lil_matrix
 from problems.benchmarks.peer_cases import Drawn, Problem
 
 MOST_SHOTS = 100  # evaluations of all residuals, without those for slopes
+DIFFERENCE = 1e-4  # relative, well above what the integrator rounds
 LOST = 1e3  # standard deviations, the residual of a run that cannot be simulated
 
 
@@ -92,7 +93,12 @@ def single_shooting(problem: Problem, case: Drawn) -> np.ndarray:
 
     pattern = _pattern(problem, case)
     found = least_squares(
-        residuals, start, x_scale="jac", jac_sparsity=pattern, max_nfev=MOST_SHOTS
+        residuals,
+        start,
+        x_scale="jac",
+        diff_step=DIFFERENCE,
+        jac_sparsity=pattern,
+        max_nfev=MOST_SHOTS,
     )
     return states(found.x)
 
