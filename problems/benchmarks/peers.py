@@ -184,7 +184,8 @@ def page(rows: pd.DataFrame) -> str:
         mean square residual below {FOUND:g} of the noise. CasADi: a full discretisation
         written by hand, one RK4 step per interval, IPOPT, exact Hessian; it is told the
         noise. SciPy: `least_squares` over `solve_ivp`, at most {MOST_SHOTS} evaluations
-        without those for slopes, which are differences of {DIFFERENCE:g}; not run on the longest record. {jax}. `identify`
+        without those for slopes, which are differences of {DIFFERENCE:g}; not run on
+        the longest record. {jax}. `identify`
         finds the noise, chooses steps and gives its standard errors; the peers give
         estimates alone. Over floor: `identify` over iterations of its final solve times
         one Jacobian, Hessian, banded LU and its solves, with what it takes to hand them
