@@ -14,9 +14,18 @@ from problems.benchmarks.efficiency.cases import duffing_model
 NOISE = 0.03  # of each channel's standard deviation
 LEAST_OFF = 0.2  # share by which a parameter starts off, at least
 MOST_OFF = 0.5
+EXPLODED = 1e6  # a state beyond which no motion of these systems is
 
 # (t, x, theta, cos) -> dx/dt: numbers for SciPy, symbols for CasADi.
 Rates = Callable[[Any, Sequence[Any], Sequence[Any], Callable[[Any], Any]], list[Any]]
+
+
+def _explodes(_t: float, x: np.ndarray) -> float:
+    """Falls through zero, which ends an integration, where the states are lost."""
+    return EXPLODED - float(np.max(np.abs(x)))
+
+
+_explodes.terminal = True  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ class Problem:
     has_shooting: bool = True
 
     def simulated(self, start: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """States at the samples, (n_samples, n_states).
+        """States at the samples, (n_samples, n_states); fewer where they explode.
 
         Args:
             start: (n_states,) at the first sample.
@@ -58,6 +67,7 @@ class Problem:
             start,
             "LSODA",
             self.t,
+            events=_explodes,
             rtol=1e-7,
             atol=1e-8,
         )
