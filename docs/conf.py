@@ -73,6 +73,7 @@ nitpick_ignore_regex = [
         r"Axes|Dtype|Figure|RenderableType|(dict|tuple)\[str",
     ),  # imported for types alone; cut up
     ("py:class", r"phsi_opt\..*\.(_\w+|E|T|Result)"),  # private, and type variables
+    ("py:class", r"P"),  # the arguments of what `interruptible` wraps, a ParamSpec
 ]
 
 PUBLIC = {id(getattr(phsi_opt, name)): name for name in phsi_opt.__all__}
