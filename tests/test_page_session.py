@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,11 +28,11 @@ from phsi_opt.page.matching import match_states
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.sessions import Sessions
-from phsi_opt.page.snapshot import force_near
+from phsi_opt.page.snapshot import ErrorStep, force_near
 from phsi_opt.page.snapshot_making import window_of
 from phsi_opt.page.unknown_names import unknown_names
 from phsi_opt.page.upload_limit import UploadLimit
-from phsi_opt.page.verdict_words import facts_of
+from phsi_opt.page.verdict_words import facts_of, preview_words
 from phsi_opt.page.worker import Order, Refused, Shown
 from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.study_file.model_reading import read_model, read_names
@@ -380,9 +381,37 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert not studied.snapshot.diagnosed.is_missing
     facts = facts_of(studied.snapshot)
     assert facts is not None
-    assert facts.what.startswith("Nothing is missing.")
+    assert facts.what.startswith(
+        f"Nothing is missing. The error fell from {base.judged:.3g} m to "
+        f"{larger.judged:.3g} m; the noise floor is "
+    )
     ranked = {row.label: row for row in studied.snapshot.diagnosed.candidates}
     assert ranked["quadratic drag on p"].size.endswith(" N s^2/m^2")
+
+
+@pytest.mark.parametrize(
+    ("held_out", "after", "expected"),
+    [
+        (
+            0.06,
+            0.043,
+            "Held-out error 0.06 m → 0.043 m (28 % less, at the noise floor)",
+        ),
+        (0.06, 0.05, "Held-out error 0.06 m → 0.05 m (17 % less)"),
+        (0.043, 0.042, "Held-out error 0.043 m → 0.042 m (2 % less)"),
+        (0.06, 0.07, "Held-out error 0.06 m → 0.07 m (17 % more)"),
+        (0.06, np.nan, "Training error 0.05 m → 0.0501 m (unchanged)"),
+        (None, np.nan, "Training error 0.05 m → 0.0501 m (unchanged)"),
+    ],
+)
+def test_a_preview_says_by_how_much_the_error_would_fall_and_whether_that_is_all(
+    held_out: float | None, after: float, expected: str
+) -> None:
+    step = ErrorStep(0, "base model", 0.05, held_out, 0.042)
+    part = "training" if held_out is None else "held out"
+    snapshot = SimpleNamespace(steps=(step,), unit="m", judged_part=part)
+    row = SimpleNamespace(held_out=after, train=0.0501)
+    assert preview_words(snapshot, row) == expected  # type: ignore[arg-type]
 
 
 def test_a_snapshot_holds_every_run_with_its_missing_force(studied: Session) -> None:

@@ -291,7 +291,7 @@ def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
     force = curve.force[place]
     std = curve.std[place]
     is_sure = abs(force) > SURE * std
-    sure = "sure" if is_sure else "not told from zero"
+    sure = "surely not zero" if is_sure else "may as well be zero"
     return (
         f"At t = {time_words(t, t_unit)} of {curve.run}, "
         f"d{curve.equation}/dt lacks {with_error(force, std)}{spaced(curve.unit)} "

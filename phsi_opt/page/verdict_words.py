@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.page.snapshot import CandidateRow, Diagnosed, Snapshot
 from phsi_opt.presentation.numbers import said
 
@@ -31,13 +32,11 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
     if diagnosed is None:
         return None
     if not diagnosed.is_missing:
-        left = error_words(snapshot, snapshot.steps[-1].judged)
-        floor = error_words(snapshot, snapshot.steps[-1].floor)
         reason = said(diagnosed.reason)
         return Facts(
-            f"Nothing is missing. The error is {left}, the noise floor {floor}.",
+            f"Nothing is missing. {_left_words(snapshot)}",
             "No place stands out: what is left looks like noise.",
-            "At no time.",
+            "No time stands out.",
             "",
             f"{reason[:1].upper()}{reason[1:]}.",
         )
@@ -71,13 +70,33 @@ def preview_words(snapshot: Snapshot, row: CandidateRow) -> str:
         part = "training"
     if after != after:
         return "The error that it would leave is not known."
-    change = 100 * (after / before - 1)
-    trend = f"{-change:.0f} % less" if change < 0 else f"{change:.0f} % more"
+    trend = _trend(before, after)
+    if part == snapshot.judged_part and after <= FAILING_ERROR * now.floor < before:
+        trend += ", at the noise floor"
     which = part.replace(" ", "-").capitalize()
     return (
         f"{which} error {error_words(snapshot, before)} → "
         f"{error_words(snapshot, after)} ({trend})"
     )
+
+
+def _trend(before: float, after: float) -> str:
+    """By how much an error falls or rises, in whole percent."""
+    percent = round(100 * (after / before - 1))
+    if percent == 0:
+        return "unchanged"
+    return f"{abs(percent)} % {'less' if percent < 0 else 'more'}"
+
+
+def _left_words(snapshot: Snapshot) -> str:
+    """The error of the last step beside the noise floor, and from where it fell."""
+    last = snapshot.steps[-1]
+    left = error_words(snapshot, last.judged)
+    floor = error_words(snapshot, last.floor)
+    if len(snapshot.steps) == 1:
+        return f"The error is {left}, the noise floor {floor}."
+    first = error_words(snapshot, snapshot.steps[0].judged)
+    return f"The error fell from {first} to {left}; the noise floor is {floor}."
 
 
 def proposed_size(snapshot: Snapshot) -> str:
