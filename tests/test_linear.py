@@ -14,7 +14,7 @@ from phsi_opt.transcription.elimination import (
     regularized_inverse,
     time_order,
 )
-from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.grid import Grid, grid_of
 
 
 def two_runs(n: int) -> Measurements:
@@ -22,6 +22,17 @@ def two_runs(n: int) -> Measurements:
     return Measurements.from_arrays(
         t, [np.zeros((len(s), n)) for s in t], states=[f"x{i}" for i in range(n)]
     )
+
+
+def constraints(grid: Grid, n: int, p: int, rng: np.random.Generator) -> np.ndarray:
+    """A Jacobian that joins the n states of neighbouring nodes, and p parameters."""
+    n_x, n_c = grid.n_nodes * n, grid.n_intervals * n
+    A = np.zeros((n_c, n_x))
+    for i, begin in enumerate(grid.begin):
+        A[i * n : i * n + n, begin * n : begin * n + 2 * n] = rng.normal(
+            size=(n, 2 * n)
+        )
+    return np.hstack([rng.normal(size=(n_c, p)), A])
 
 
 def test_banded_factors_solve_what_dense_ones_solve() -> None:
@@ -72,12 +83,7 @@ def test_states_are_eliminated_as_by_dense_algebra() -> None:
     grid, n, p = grid_of(two_runs(2)), 2, 3
     rng = np.random.default_rng(1)
     n_x, n_c = grid.n_nodes * n, grid.n_intervals * n
-    A = np.zeros((n_c, n_x))
-    for i, begin in enumerate(grid.begin):
-        A[i * n : i * n + n, begin * n : begin * n + 2 * n] = rng.normal(
-            size=(n, 2 * n)
-        )
-    J = np.hstack([rng.normal(size=(n_c, p)), A])
+    J = constraints(grid, n, p, rng)
     root = np.hstack([rng.normal(size=(n_x, p)), np.diag(rng.uniform(0.5, 2.0, n_x))])
     H = root.T @ root
     reduced = ReducedSystem(
@@ -158,12 +164,7 @@ def test_multipliers_are_what_the_objective_gains_per_offset() -> None:
     grid, n, p = grid_of(two_runs(2)), 2, 3
     rng = np.random.default_rng(4)
     n_x, n_c = grid.n_nodes * n, grid.n_intervals * n
-    A = np.zeros((n_c, n_x))
-    for i, begin in enumerate(grid.begin):
-        A[i * n : i * n + n, begin * n : begin * n + 2 * n] = rng.normal(
-            size=(n, 2 * n)
-        )
-    J = np.hstack([rng.normal(size=(n_c, p)), A])
+    J = constraints(grid, n, p, rng)
     H = np.diag(rng.uniform(0.5, 2.0, p + n_x))
     H[:p, p] = H[p, :p] = 0.1
     reduced = ReducedSystem(
