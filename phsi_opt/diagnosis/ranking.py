@@ -33,6 +33,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import doubt, fitted_size
 from phsi_opt.diagnosis.dry_friction import simple_first
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
+from phsi_opt.diagnosis.second_storages import with_second_storages
 from phsi_opt.diagnosis.simple_losses import Refitted, begins_at, with_simple_losses
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.screening.effect_size import size_unit
@@ -48,9 +49,9 @@ def ranking(base: DiagnosedModel, prospects: Prospects) -> tuple[Candidate, ...]
         prospects: what second looks expect of each effect.
     """
     refitted = _best_refitted(base, prospects)
-    refitted = with_simple_losses(
-        base, prospects, refitted, _refitting(base, prospects)
-    )
+    refitting = _refitting(base, prospects)
+    refitted = with_second_storages(base, prospects, refitted, refitting)
+    refitted = with_simple_losses(base, prospects, refitted, refitting)
     ranked = _ranked(base, prospects, refitted)
     tried = [candidate.effect for candidate in ranked]
     others = []
@@ -151,7 +152,7 @@ def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospec
     chosen = []
     n_unsettled = 0
     for one in rows:
-        if base.is_held_out and one.held_out > HELD_OUT_RISE * base.judged_misfit:
+        if _is_refuted(base, one):
             continue
         if one.look is None:
             n_unsettled += 1
@@ -159,6 +160,14 @@ def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospec
                 continue
         chosen.append(one)
     return chosen[:N_REFITS]
+
+
+def _is_refuted(base: DiagnosedModel, one: Prospect) -> bool:
+    """Whether an effect is expected to raise the error on data held out.
+
+    It is not re-fitted, and does not do as well as one that was.
+    """
+    return base.is_held_out and one.held_out > HELD_OUT_RISE * base.judged_misfit
 
 
 def request_of(
@@ -284,10 +293,15 @@ def _ranked(
         bic = row.bic - base.handicap(row.candidate.effects)
         ordered.append(replace(row.candidate, delta_bic=bic))
     rivals = _rivals(base, prospects, ordered, share)
+    known = [candidate.name for candidate in ordered]
+    refuted = []
+    for one in prospects.singles:
+        if _is_refuted(base, one) and one.name not in known:
+            refuted.append(one.name)
     result = []
     for candidate in ordered:
-        tied = _tied(base, candidate, rivals)
-        result.append(replace(candidate, confusable_with=tied))
+        tied = [name for name in _tied(base, candidate, rivals) if name not in refuted]
+        result.append(replace(candidate, confusable_with=tuple(tied)))
     return result + [candidate for candidate in refitted if candidate.fit is None]
 
 

@@ -22,6 +22,7 @@ from phsi_opt.model.catalogue_losses import (
     overflow_into,
 )
 from phsi_opt.model.catalogue_sensors import sensors
+from phsi_opt.model.catalogue_storages import second_storages
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.effect_list import EffectList
 from phsi_opt.model.kinds import KINDS, RELATIVE_TEMPERATURES, TEMPERATURES, plain_unit
@@ -157,6 +158,7 @@ def _in_equations(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
         effects += forces(model, state)
         effects += actuators(model, state)
         effects += energies(model, state, position)
+        effects += second_storages(model, state)
         if position is not None:
             effects.append(parametric_stiffness(model, position, state))
             effects.append(hysteresis(position, state))

@@ -13,6 +13,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import FEWEST_INDEPENDENT, N_LOOKED_PAIRS
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.record import Record
+from phsi_opt.model.catalogue_storages import is_second_storage
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.pair_search import best_pairs
 from phsi_opt.screening.score_test import ScoreTest, Screened
@@ -241,6 +242,8 @@ class Prospects:
         best = max(screened, key=lambda one: one.drop)
         if len(screened) == 1:
             values = best.near.values
+        if is_second_storage(best.effect):
+            values = {}  # from the middle of what is tried
         share = self.misfit / max(self.test.misfit, TINY)
         return Prospect(
             effects=tuple(one.effect for one in screened),

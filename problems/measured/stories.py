@@ -156,7 +156,7 @@ SETS = {
         "a heated house; one heat capacity",
         houses.one_storage,
         lambda: houses.load(folder("building"), 1, 1).split(0.5),
-        "a second storage (the envelope), which no effect of the catalogue is",
+        "a second storage (the envelope)",
     ),
     "two heaters": Set(
         "two heaters on a board with lagging sensors",
@@ -168,7 +168,7 @@ SETS = {
         "a cell with one resistor and capacitor",
         lambda: battery_cell.model(1),
         lambda: battery_cell.load(battery_cell.FILE, 1).split(0.5),
-        "a second pair, which no effect of the catalogue is",
+        "a second pair",
     ),
     "coupled drives": Set(
         "two drums and a belt; viscous friction",

@@ -1,0 +1,39 @@
+"""Storages that nobody measures, where the candidates leave more than noise.
+
+What is expected of one by a linearisation of the model without it says nothing (see
+``is_second_storage``), so that each is re-fitted.
+"""
+
+from collections.abc import Sequence
+
+from phsi_opt.comparison.model_selection import is_like_noise
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.simple_losses import Refitted
+from phsi_opt.model.catalogue_storages import is_second_storage
+from phsi_opt.screening.prospects import Prospects
+
+
+def with_second_storages(
+    base: DiagnosedModel,
+    prospects: Prospects,
+    candidates: Sequence[Candidate],
+    refitted: Refitted,
+) -> list[Candidate]:
+    """The candidates, and the second storages where none of them leaves noise.
+
+    Args:
+        base: the model that is diagnosed.
+        prospects: its larger models.
+        candidates: those that were re-fitted.
+        refitted: makes a re-fit of one more.
+    """
+    result = list(candidates)
+    runs = [base.trained, *(one.trained for one in result)]
+    if any(run is not None and is_like_noise(run) for run in runs):
+        return result
+    tried = [one.name for one in result]
+    for one in prospects.singles:
+        if is_second_storage(one.effect) and one.name not in tried:
+            result.append(refitted(one, base.fit))
+    return result
