@@ -286,3 +286,35 @@ def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(
     assert start is not None and best is not None
     assert start.solution.outcome.status == PATH_ITERATIONS
     assert best.solution.outcome.status == "Solve_Succeeded"
+
+
+def test_a_parameter_at_its_bound_moves_inwards_alone() -> None:
+    # Both begin at zero: friction is there and leaves it, damping is not and stays.
+    data = measured(0.3)
+    model = rubbing(0.3, ph.Parameter(0.0, lower=0.0), ph.Parameter(0.0, lower=0.0))
+    path = path_of(model, data)
+    start = path.program.start
+    place = path.follow(start, path.program.set_to)
+    assert place is not None
+    step = path._step(place, 0.0, path.program.set_to)
+    change = step.change[path.theta]
+    # What is held has a very large information, not an infinite one.
+    assert np.all(change > -1e-8) and change.max() > 0.01
+    assert step.promise > 0
+    found = path.solve(start, path.program.set_to)
+    assert found.outcome.success
+    theta = dict(zip(model.free, found.values["theta"], strict=True))
+    assert theta["f"] == pytest.approx(FRICTION, rel=0.2)
+
+
+def test_starting_states_stay_within_their_bounds() -> None:
+    data = measured(0.3)
+    path = path_of(friction_and_damping_free(0.3), data)
+    first = path.x.start  # the position at which the first run begins
+    scale = path.program.scale[first]
+    path.program.upper[first] = 0.9 / scale
+    start = path.program.start.copy()
+    start[first] = 0.8 / scale
+    found = path.solve(start, path.program.set_to, raise_on_failure=False)
+    began = found.values["x"].reshape(2, len(T), 2)[0, 0, 0]
+    assert began == pytest.approx(0.9, abs=1e-6)
