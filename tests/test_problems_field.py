@@ -10,6 +10,7 @@ import phsi_opt as ph
 from problems.field_machines.cases import draw
 from problems.field_machines.disturbances import known_laws
 from problems.field_machines.examination import CLASS, FALSE, NAME, SILENT, answer
+from problems.field_machines.findings import agree, as_text, of_text
 from problems.field_machines.kinds import KINDS
 from problems.field_machines.motion import simulate
 from problems.field_machines.one_mass import Spring, hidden_in, on_spring
@@ -143,6 +144,36 @@ def test_answers_are_right_false_or_silent() -> None:
     assert answer(right, {one, wrong}) == FALSE
     assert answer(set(), {one}) == FALSE
     assert answer(right, set()) == SILENT
+
+
+def test_preparations_agree_where_a_class_holds_the_name() -> None:
+    drag = {frozenset({"drag on p"})}
+    either = {frozenset({"drag on p", "friction on p"})}
+    both = {frozenset({"drag on p"}), frozenset({"gap on p"})}
+    assert of_text(as_text(either | both)) == either | both
+    assert agree(drag, either) and agree(either, drag) and agree(set(), set())
+    assert not agree(drag, set()) and not agree(set(), drag)
+    assert not agree(drag, both)  # the gap is not borne out
+    assert not agree(drag, {frozenset({"friction on p"})})
+
+
+def test_the_page_counts_preparations_that_agree(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: object
+) -> None:
+    from problems.field_machines import store
+    from problems.field_machines.page import page
+    from problems.tools import provenance
+
+    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
+    place = {"kind": "falling", "seed": 8500, "outcome": "examined", "commit": "x"}
+    said = {"as_drawn": "drag on p", "shifted": "drag on p", "same": False}
+    said |= {"thinned": "drag on p or friction on p", "exchanged": ""}
+    store.append(place | said, is_prepared=True)
+    answered = {"answer": NAME, "findings": "drag on p", "listed": True}
+    store.append(place | answered | {"noise": 0.02, "seconds": 1.0, "hidden": "drag"})
+    whole, none = "100% (21% to 100%)", "0% (0% to 79%)"
+    counted = f"| 1 | {whole} | {whole} | {none} | {whole} | {none} | {none} |"
+    assert f"| falling bodies {counted}" in page()
 
 
 def test_a_record_prepared_in_another_way_is_the_same_motion() -> None:

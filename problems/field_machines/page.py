@@ -13,6 +13,7 @@ from problems.field_machines.examination import (
     NAME,
     SILENT,
 )
+from problems.field_machines.findings import agree, of_text
 from problems.field_machines.kinds import FIRST_REPORTED, KINDS, NOISE_LEVELS
 from problems.field_machines.preparation import PREPARED
 from problems.field_machines.sizes import (
@@ -140,25 +141,40 @@ def _instead(rows: pd.DataFrame) -> str:
 
 def _preparation() -> list[str]:
     records = []
+    everything = []
     for name, kind in KINDS.items():
         rows = _of_interest(store.table(name, is_prepared=True))
         rows = rows[rows["outcome"].eq("examined")]
         if rows.empty:
             continue
         record: dict[str, object] = {"kind": kind.title, "n": len(rows)}
-        for other in PREPARED[1:]:
-            count = int(rows[other].eq(rows[PREPARED[0]]).sum())
-            record[f"same {other}"] = share(count, len(rows))
-        same = rows["same"].astype(str).eq("True")
-        record["same in all"] = share(int(same.sum()), len(rows))
-        records.append(record)
+        records.append(record | _same(rows))
+        everything.append(rows)
     if not records:
         return []
+    joined = pd.concat(everything, ignore_index=True)
+    records.append({"kind": "all", "n": len(joined)} | _same(joined))
     text = markdown.paragraph("""
-        Whether the findings are the same where clocks begin at other times (shifted),
-        with every other sample (thinned), and with another run held out (exchanged).
+        Whether the findings are the same to the letter, names and classes, where clocks
+        begin at other times (shifted), with every other sample (thinned), and with
+        another run held out (exchanged); and whether they agree: each finding shares an
+        effect with one of the other preparation, or both are silent. A name and a class
+        that holds it agree.
         """)
     return ["## Ways to prepare a record", "", text, "", markdown.table(records), ""]
+
+
+def _same(rows: pd.DataFrame) -> dict[str, object]:
+    """Shares of the cases in which a preparation says what the record itself says."""
+    record: dict[str, object] = {}
+    own = rows[PREPARED[0]]
+    for other in PREPARED[1:]:
+        count = int(rows[other].eq(own).sum())
+        record[f"{other}: same"] = share(count, len(rows))
+        pairs = zip(own, rows[other], strict=True)
+        n_agreeing = sum(agree(of_text(a), of_text(b)) for a, b in pairs)
+        record[f"{other}: agree"] = share(n_agreeing, len(rows))
+    return record
 
 
 def _failures(rows: pd.DataFrame) -> list[str]:
