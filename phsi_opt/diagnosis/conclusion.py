@@ -10,7 +10,6 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
 )
 from phsi_opt.criteria import (
-    BESIDE_OTHERS_Z,
     CLOCK_Z,
     EXPLAINED_IF_PARTLY,
     EXPLAINED_IF_PROPOSED,
@@ -24,7 +23,7 @@ from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.alike import alike, alike_in_pair
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.doubts import fitted_size, unconfirmed
+from phsi_opt.diagnosis.doubts import fitted_size, unconfirmed, z_beside_others
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.proposal import Proposal
 from phsi_opt.diagnosis.remainder import Remainder, share_of_motion
@@ -91,8 +90,8 @@ def conclusion(
     said = " and ".join(str(finding) for finding in findings)
     share = explained_share(base.judged, done.judged)
     against = _against(base, proposed, findings)
-    if not against and not is_all:
-        against = _against_beside_others(base, proposed)
+    if not against:
+        against = _against_beside_others(base, proposed, is_all)
     if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
         against = _against_small(base, effects, share, is_all)
     unresolved = unresolved_channels(base.record.data)
@@ -196,20 +195,33 @@ def _against(
     return unconfirmed(base, proposed.fit, proposed.done.judged, effects)
 
 
-def _against_beside_others(base: DiagnosedModel, proposed: Proposal) -> str:
+def _against_beside_others(
+    base: DiagnosedModel, proposed: Proposal, is_all: bool
+) -> str:
     """Why an effect beside others is not named; empty where it is.
 
-    The clearest one of a first step stands beside nothing.
+    The clearest one of a first step stands beside nothing but the error of the model.
+    Where noise is all that is left, that counts for what needs a clock alone.
+
+    Args:
+        base: the model that is diagnosed.
+        proposed: what is added.
+        is_all: whether it leaves noise.
     """
     effects = proposed.candidate.effects
     sizes = [fitted_size(base.fit, proposed.fit, effect) for effect in effects]
     found = sorted(zip(sizes, effects, strict=True), key=lambda one: one[0].z)
-    beside_others = found if base.is_later else found[:-1]
-    for size, effect in beside_others:
-        if not size.z >= BESIDE_OTHERS_Z:
+    for place, (size, effect) in enumerate(found):
+        is_first = place == len(found) - 1 and not base.is_later
+        if is_first and is_all:
+            continue
+        needs_clock = base.handicap((effect,)) > 0
+        if (is_first or is_all) and not needs_clock:
+            continue
+        if not size.z >= z_beside_others(base, effect):
             return (
-                f"the size of {effect}, {size}, is not clear enough beside other "
-                "effects, where more than noise is left"
+                f"the size of {effect}, {size}, is not clear enough where other causes "
+                "may act"
             )
     return ""
 

@@ -13,6 +13,8 @@ import numpy as np
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import (
     BELIEVED_MISFIT,
+    BESIDE_OTHERS_Z,
+    CLOCK_BESIDE_Z,
     CONFIRMED_Z,
     ESTABLISHED_Z,
     LEAST_PERIODS,
@@ -40,6 +42,11 @@ def fitted_size(base: Fit, fit: Fit, effect: Effect) -> Size:
     covariance = fit.covariance[np.ix_(places, places)]
     size = size_of(effect, fit.model, names, fit.estimates, covariance)
     return replace(size, unit=size_unit(base.model, effect, fit.units))
+
+
+def z_beside_others(base: DiagnosedModel, effect: Effect) -> float:
+    """Standard errors by which a size must differ from zero beside other causes."""
+    return CLOCK_BESIDE_Z if base.handicap((effect,)) else BESIDE_OTHERS_Z
 
 
 def doubt(base: DiagnosedModel, fit: Fit, effects: Sequence[Effect]) -> str:

@@ -17,7 +17,6 @@ from phsi_opt.comparison.model_selection import (
 )
 from phsi_opt.criteria import (
     ALONE_SHARE,
-    BESIDE_OTHERS_Z,
     BIC_TIE,
     FALSE_DISCOVERY_RATE,
     FEWER_BESIDE_ALL,
@@ -30,7 +29,7 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.doubts import fitted_size
+from phsi_opt.diagnosis.doubts import fitted_size, z_beside_others
 from phsi_opt.diagnosis.dry_friction import other_kinds, simplest_dry
 from phsi_opt.diagnosis.ranking import as_refitted, expected, request_of
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
@@ -282,8 +281,12 @@ def _simplest(
 
 def _is_clear(base: DiagnosedModel, best: Proposal) -> bool:
     """Whether the second of a pair is clear; a single effect has none."""
-    sizes = [fitted_size(base.fit, best.fit, one).z for one in best.candidate.effects]
-    return len(sizes) < 2 or min(sizes) >= BESIDE_OTHERS_Z
+    effects = best.candidate.effects
+    if len(effects) < 2:
+        return True
+    sizes = [fitted_size(base.fit, best.fit, one).z for one in effects]
+    needed = [z_beside_others(base, one) for one in effects]
+    return all(size >= least for size, least in zip(sizes, needed, strict=True))
 
 
 def _by_all_data(
