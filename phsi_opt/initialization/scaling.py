@@ -194,7 +194,10 @@ def _rate_size(grid: Grid, x: np.ndarray) -> np.ndarray:
 def _state_slopes(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
 ) -> np.ndarray:
-    """Root mean square of the rates' slopes in the states, (n_states, n_states)."""
+    """Root mean square of the rates' slopes in the states, (n_states, n_states).
+
+    Where a slope has no number (a corner as sharp as a step) it says nothing.
+    """
     jacobian = model.rhs().jacobian()
     # Away from the origin, where a higher-order term has no slope.
     is_zero = np.all(x == 0, axis=0)
@@ -203,7 +206,11 @@ def _state_slopes(
     for node in np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int):
         at_node = jacobian(shifted[node], grid.u[node], grid.t[node], theta, 0)
         slopes.append(np.array(at_node[0]))
-    return np.sqrt(np.mean(np.nan_to_num(np.square(slopes)), axis=0))
+    with np.errstate(over="ignore"):
+        squares = np.square(slopes)
+    is_number = np.isfinite(squares)
+    n_numbers = np.maximum(np.sum(is_number, axis=0), 1)
+    return np.sqrt(np.sum(np.where(is_number, squares, 0.0), axis=0) / n_numbers)
 
 
 def _equation_strength(
