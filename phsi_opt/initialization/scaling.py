@@ -44,7 +44,7 @@ def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Po
     """
     grid = invert_sensors(model, grid)
     theta = model.theta if theta is None else theta
-    x = _interpolated(grid)
+    x = interpolated(grid)
     x_scale = _measured_scale(grid)
     if not np.all(np.isfinite(x_scale)):
         x_scale = _with_unmeasured_scale(model, grid, theta, x, x_scale)
@@ -128,8 +128,11 @@ def theta_scale(
     return np.clip(scale, LEAST_SHARE * np.abs(theta), most)
 
 
-def _interpolated(grid: Grid) -> np.ndarray:
-    """States with their gaps filled along each trajectory; zero if never measured."""
+def interpolated(grid: Grid) -> np.ndarray:
+    """States with their gaps filled along each trajectory, (n_nodes, n_states).
+
+    Zero where a state was never measured.
+    """
     x = np.nan_to_num(grid.y)
     is_measured = grid.measured
     with_gaps = np.flatnonzero(~is_measured.all(axis=0))
@@ -195,7 +198,7 @@ def _state_slopes(
     model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
 ) -> np.ndarray:
     """Root mean square of the rates' slopes in the states, (n_states, n_states)."""
-    jacobian = model.rhs().jacobian()
+    jacobian = model.built("rhs slopes", lambda: model.rhs().jacobian())
     # Away from the origin, where a higher-order term has no slope.
     is_zero = np.all(x == 0, axis=0)
     shifted = x + np.where(is_zero, 1.0, 0.0)
@@ -227,7 +230,7 @@ def _sensor_strength(
 
     (n_free, n_states).
     """
-    jacobian = model.output().jacobian()
+    jacobian = model.built("output jacobian", lambda: model.output().jacobian())
     slopes = []
     for node in np.linspace(0, grid.n_nodes - 1, N_SENSOR_SLOPES).astype(int):
         at_node = jacobian(x[node], grid.u[node], grid.t[node], theta, 0)
