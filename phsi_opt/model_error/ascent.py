@@ -10,7 +10,6 @@ evaluations of the evidence, however many sizes there are.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_banded
 
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.coordinates import Coordinates
@@ -217,16 +216,12 @@ class _Prior:
 
     def coloured(self, normals: np.ndarray) -> np.ndarray:
         """Values with this prior from standard normals (n, ...)."""
-        lower = np.zeros((2, self.n))
-        lower[0] = self.whitener.diagonal
-        lower[1, :-1] = self.whitener.below
-        values: np.ndarray = solve_banded((1, 0), lower, normals) * self.process.size
-        return values
+        return self.whitener.coloured(normals) * self.process.size
 
     def covariance_times(self, values: np.ndarray) -> np.ndarray:
         """The covariance times values (n,)."""
-        inner = self.whitener.factor_of(values[:, None])[:, 0] * self.process.size
-        return self.coloured(inner)
+        covered = self.whitener.covariance_times(values[:, None])[:, 0]
+        return covered * self.process.size**2
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,13 +109,12 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     gain = 0.0
     found = white
     try:
-        baseline = plain.search.white()
         best = plain.search.found()
         if best.coordinates is not None:
             spread = under_disturbances(plain.search, plain.response, best)
             spreads[Source.DISTURBANCES] = spread
             found = best.disturbances
-        gain = best.log_evidence - baseline.log_evidence
+        gain = plain.search.gain(best)
     except (SolveError, np.linalg.LinAlgError):
         gain = 0.0  # such as a model whose parameters cannot be told apart
     clusters = _clusters(plain)
