@@ -95,7 +95,7 @@ class DirectSteps:
     Attributes:
         program: of the likelihood.
         grid: its nodes and intervals.
-        settings: tolerance of the scaled optimality conditions, and most iterations.
+        settings: tolerance of the scaled optimality conditions, and limits.
     """
 
     program: Program
@@ -134,7 +134,8 @@ class DirectSteps:
         most = min(MOST_DIRECT_STEPS, self.settings.max_iterations)
         for n_steps in range(1, most + 1):
             step = self._step(place)
-            if step is None:
+            is_late = time.perf_counter() - began > self.settings.max_seconds
+            if step is None or is_late:
                 return None
             errors.append(place.violation + self._length(place, step))
             if not _contracts(errors):
@@ -145,8 +146,7 @@ class DirectSteps:
             updated = noise.updated(place.sigma, place.residual)
             has_settled = noise.has_settled(place.sigma, updated)
             if has_settled and self._is_optimal(place, step):
-                seconds = time.perf_counter() - began
-                return self._optimum_at(place.z, updated, n_steps, seconds)
+                return self._optimum_at(place.z, updated, n_steps, began)
             if not has_settled:
                 place = self._at(place.z, updated)
         return None
@@ -191,7 +191,7 @@ class DirectSteps:
         return _Place(z, sigma, float(objective[0]), *others)
 
     def _optimum_at(
-        self, z: np.ndarray, sigma: np.ndarray, n_steps: int, seconds: float
+        self, z: np.ndarray, sigma: np.ndarray, n_steps: int, began: float
     ) -> Optimum:
         place = self._at(z, sigma)
         outcome = Outcome(
@@ -200,7 +200,7 @@ class DirectSteps:
             sentence=STEPS_OPTIMUM.sentence,
             advice=STEPS_OPTIMUM.advice,
             iterations=n_steps,
-            seconds=seconds,
+            seconds=time.perf_counter() - began,
             objective=place.objective,
             infeasibility=place.violation,
             at_bounds=at_bounds(self.program, z),

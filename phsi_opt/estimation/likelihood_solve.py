@@ -132,14 +132,14 @@ class LikelihoodSolver:
         l1 = self.task.l1 if l1 is None else l1
         ways = ways_after(start.way) if ways is None else ways
         transcription = self._transcribed(start, l1, window)
-        chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         noise = self._noise_iteration(transcription, l1)
         z = transcription.program.start
         direct = self._direct_steps(transcription)
-        if start.is_optimum and direct is not None and chain.way == GAUSS_NEWTON:
+        if start.is_optimum and direct is not None and ways[0] == GAUSS_NEWTON:
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
                 return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
+        chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         optimum = _maximum(chain, direct, noise, z, start.sigma)
         return self._estimate(transcription, optimum, l1, chain.way)
 

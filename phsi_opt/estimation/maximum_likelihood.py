@@ -64,6 +64,8 @@ def by_likelihood(
     estimate = _with_few_terms(solver, estimate)
     warnings = scatter_warnings(estimate, problem.noise.is_known)
     warnings += resolution_notes(estimate, problem.noise)
+    if not warnings:
+        return estimate  # with all that has been worked out about it
     return replace(estimate, notes=estimate.notes + warnings)
 
 
@@ -71,10 +73,12 @@ def _simple_optimum(solver: LikelihoodSolver) -> LikelihoodEstimate | None:
     """The optimum next to a simple start, where nothing is left to be explained.
 
     None where the steps from there lead nowhere, where the residuals are above the
-    scatter of neighbouring samples, and where windows or other starts were asked for.
+    scatter of neighbouring samples, where windows or other starts were asked for, and
+    where the loss has slack variables.
     """
     loss = solver.loss
-    if loss.window is not None or loss.starts > 1:
+    has_slacks = loss.huber is not None or any(solver.task.l1.values())
+    if loss.window is not None or loss.starts > 1 or has_slacks:
         return None
     start = simple_start(solver.problem)
     if start is None:
@@ -82,7 +86,7 @@ def _simple_optimum(solver: LikelihoodSolver) -> LikelihoodEstimate | None:
     estimate = solver.solve_directly(start)
     if estimate is None or not is_at_scatter(estimate):
         return None
-    return replace(estimate, notes=start.notes)
+    return replace(estimate, notes=start.notes) if start.notes else estimate
 
 
 def _careful_optimum(solver: LikelihoodSolver, start: Fit | None) -> LikelihoodEstimate:

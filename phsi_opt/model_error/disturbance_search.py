@@ -37,7 +37,6 @@ SENSOR_SHARE = 0.7
 # the limit: a model that lacks more is wrong and not inexact, and a smooth function of
 # any size would imitate the corner of a friction that is not smooth.
 FUNCTION_SHARES = (0.003, 0.01, 0.03, 0.1)
-ABSENT_SHARE = 1e-9  # size of a function that is not there, as a share of that rate
 # Least noise as a share of what neighbouring samples scatter, which is noise and what
 # a cubic does not follow.
 LEAST_NOISE = 0.1
@@ -77,6 +76,28 @@ class Evidence:
     log_evidence: float
     coordinates: Coordinates | None = None
     information: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class _Promising:
+    """Kinds of disturbances that a search may find.
+
+    Attributes:
+        noises: of the trajectories, each its own.
+        forces: that wander.
+        sensors: that wander.
+        functions: of states.
+    """
+
+    noises: bool
+    forces: bool
+    sensors: bool
+    functions: bool
+
+    @property
+    def is_any(self) -> bool:
+        """Whether there is one."""
+        return self.noises or self.forces or self.sensors or self.functions
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +166,7 @@ class DisturbanceSearch:
         """
         pieces = self.pieces()
         searched = pieces or self
-        if not searched.promises_something():
+        if not searched._promising.is_any:
             return self.evidence(Disturbances(self.plain))
         if pieces is None:
             return self._found_directly()
@@ -158,8 +179,9 @@ class DisturbanceSearch:
         is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
         return best if is_clear else white
 
-    def promises_something(self) -> bool:
-        """Whether some kind of disturbance may be clear enough to be taken.
+    @cached_property
+    def _promising(self) -> "_Promising":
+        """Which kinds of disturbances may be clear enough to be taken.
 
         By the first step of a search, which costs a small part of the whole
         (`PROMISING_SHARE`).
@@ -167,19 +189,23 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        if self.noise_differs and self._noise_by_run_promises():
-            return True
         white = Disturbances(self.plain)
+        if not self.is_brief:
+            white = white.with_functions(self._function_candidates())
         record = WhiteRecord(self._likelihood(white), white)
+        gains = []
         for time in self.first_times():
             forces = [Process(place, 1.0, time) for place in self.problem.forced]
             sensors = self._sensors(1.0, time)
-            gain = record.promised_gain(forces, sensors, self.channels)
-            if gain > PROMISING_SHARE * MODEL_ERROR_EVIDENCE:
-                return True
-        if self.is_brief:
-            return False
-        return bool(self._chosen_functions(white))
+            gains.append(record.promised_gain(forces, sensors, self.channels))
+        limit = PROMISING_SHARE * MODEL_ERROR_EVIDENCE
+        sizes = _chosen_sizes(record.border, self._rates_of(white.functions))
+        return _Promising(
+            noises=self.noise_differs and self._noise_by_run_promises(),
+            forces=max(gain.forces for gain in gains) > limit,
+            sensors=max(gain.sensors for gain in gains) > limit,
+            functions=bool(np.any(sizes > 0)),
+        )
 
     def _noise_by_run_promises(self) -> bool:
         """Whether noises in the ratios of the scatter may explain the residuals."""
@@ -232,13 +258,14 @@ class DisturbanceSearch:
         return replace(disturbances, sigma=sigma)
 
     def _found_directly(self) -> Evidence:
+        promising = self._promising
         best = self.white
-        if self.noise_differs:
+        if promising.noises:
             by_run = self.best_of([Disturbances(self.noises()[0])])
             if by_run.log_evidence > best.log_evidence + self._evidence_of_runs:
                 best = by_run
-        of_forces = self.best_of(self._force_starts())
-        of_sensors = self.best_of(self._sensor_starts())
+        of_forces = self.best_of(self._force_starts() if promising.forces else [])
+        of_sensors = self.best_of(self._sensor_starts() if promising.sensors else [])
         one = max(of_forces, of_sensors, key=_log_evidence)
         if one.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
             best = one
@@ -389,21 +416,29 @@ class DisturbanceSearch:
 
     def _chosen_functions(self, beside: Disturbances) -> tuple[StateFunction, ...]:
         """Functions that the evidence asks for beside other disturbances."""
-        places = self._function_places()
-        if not places:
+        candidates = self._function_candidates()
+        if not candidates:
             return ()
-        rates = self.rates()
-        candidates = []
-        for equation, state in places:
-            candidates.append(StateFunction(equation, state, rates[equation]))
-        with_all = beside.with_functions(tuple(candidates))
+        with_all = beside.with_functions(candidates)
         border = self._likelihood(with_all).border(with_all)
-        sizes = _chosen_sizes(border, rates[[equation for equation, _ in places]])
+        sizes = _chosen_sizes(border, self._rates_of(candidates))
         chosen = []
         for candidate, size in zip(candidates, sizes, strict=True):
             if size > 0:
                 chosen.append(replace(candidate, size=float(size)))
         return tuple(chosen)
+
+    def _function_candidates(self) -> tuple[StateFunction, ...]:
+        """The functions that are tried, as large as the typical rate."""
+        rates = self.rates()
+        candidates = []
+        for equation, state in self._function_places():
+            candidates.append(StateFunction(equation, state, float(rates[equation])))
+        return tuple(candidates)
+
+    def _rates_of(self, functions: Sequence[StateFunction]) -> np.ndarray:
+        """Typical rate in the equation of each function, (n_functions,)."""
+        return self.rates()[[function.equation for function in functions]]
 
     def _function_places(self) -> list[tuple[int, int]]:
         """Equation and state of the functions that are tried."""
@@ -436,23 +471,23 @@ def _negative_evidence(
 def _chosen_sizes(border: Border, rates: np.ndarray) -> np.ndarray:
     """Sizes of functions that the evidence asks for, (n_functions,); 0: left out.
 
+    One after the other; each time the one whose size, or change of size, gains most.
+
     Args:
         border: with all functions.
         rates: (n_functions,) typical rate in the equation of each.
     """
-    absent = ABSENT_SHARE * rates
-    sizes = absent.copy()
-    best = border.marginal(sizes).log_evidence
+    sizes = np.zeros(len(rates))
     for _ in rates:
         trials = []
         for number, rate in enumerate(rates):
-            for share in FUNCTION_SHARES:
-                trial = sizes.copy()
-                trial[number] = share * rate
-                trials.append((border.marginal(trial).log_evidence, number, trial))
-        evidence, _, trial = max(trials, key=lambda found: found[0])
-        if evidence < best + MODEL_ERROR_EVIDENCE / 2:
+            shares = np.array([0.0, *FUNCTION_SHARES])
+            tried = np.append(shares * rate, sizes[number])
+            gains = border.gains_by_function(number, tried, sizes)
+            best = int(np.argmax(gains))
+            trials.append((gains[best] - gains[-1], number, tried[best]))
+        gain, number, size = max(trials, key=lambda found: found[0])
+        if gain < MODEL_ERROR_EVIDENCE / 2:
             break
-        best = evidence
-        sizes = trial
-    return np.where(sizes > absent, sizes, 0.0)
+        sizes[number] = size
+    return sizes

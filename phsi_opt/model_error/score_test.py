@@ -24,6 +24,7 @@ from phsi_opt.model_error.marginal_likelihood import (
 from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.statistics import TINY
+from phsi_opt.transcription.elimination import RIDGE
 
 SIGN_SEED = 0  # of the random signs: the same every time
 # Random vectors for every group of processes: a slope is then known to about a third of
@@ -33,6 +34,19 @@ N_SIGNS = 8
 # channel whose residuals are zero is beyond numbers.
 MOST_UNWANTED = -1e6
 ALMOST_NONE = 1e-9  # share of the information that is added where there is none
+
+
+@dataclass(frozen=True)
+class PromisedGain:
+    """What the first step of a search promises, of the log evidence.
+
+    Attributes:
+        forces: by forces.
+        sensors: by processes of sensors.
+    """
+
+    forces: float = 0.0
+    sensors: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +126,12 @@ class WhiteRecord:
     """A linearised record under white noise alone, ready to be asked.
 
     Args:
-        likelihood: of a structure without processes or functions.
-        white: the noise.
+        likelihood: of a structure without processes; functions of states may be in it.
+        white: the noise, and functions of any size.
+
+    Attributes:
+        border: what is left for parameters and functions.
+        left: what states and parameters leave of the data, without any function.
 
     Raises:
         SolveError: the states do not follow from the data.
@@ -123,8 +141,13 @@ class WhiteRecord:
         self.problem = likelihood.problem
         self._likelihood = likelihood
         self._parts = likelihood.eliminated(white)
-        border = likelihood.border_of(self._parts)
-        self._information = border.with_priors(np.zeros(0))
+        self.border = likelihood.border_of(self._parts)
+        n_theta = self.border.n_theta
+        self._in_shown = likelihood.border_in_shown[:, :n_theta]
+        self._right = self._parts.right[:, :n_theta]
+        self._solved = self._parts.solved[:, :n_theta]
+        ridge = RIDGE * np.eye(n_theta)
+        self._information = self.border.information[:n_theta, :n_theta] + ridge
         residual = self.problem.residual[:, None]
         self._data = _Shifts(residual, -self.problem.offset[:, None])
         self.left = self._left(self._data)
@@ -140,11 +163,10 @@ class WhiteRecord:
         weighted = weights * shifts.values
         inner = np.vstack([likelihood.shown.T @ weighted, shifts.dynamics])
         alone = self._parts.factors.solve(inner)
-        in_border = likelihood.border_in_shown.T @ weighted
-        in_border = in_border - self._parts.right[:, :-1].T @ alone
-        of_border = np.linalg.solve(self._information, in_border)
-        answer = alone - self._parts.solved[:, :-1] @ of_border
-        shown = likelihood.shown @ answer[:n] + likelihood.border_in_shown @ of_border
+        in_theta = self._in_shown.T @ weighted - self._right.T @ alone
+        theta = np.linalg.solve(self._information, in_theta)
+        answer = alone - self._solved @ theta
+        shown = likelihood.shown @ answer[:n] + self._in_shown @ theta
         return _Shifts(weights * (shifts.values - shown), answer[n:])
 
     def promised_gain(
@@ -152,8 +174,8 @@ class WhiteRecord:
         forces: Sequence[Process],
         sensors: Sequence[Process],
         channels: Sequence[int],
-    ) -> float:
-        """The larger gain of the log evidence, by forces or by sensors' processes.
+    ) -> "PromisedGain":
+        """Gains of the log evidence by forces, and by sensors' processes.
 
         Args:
             forces: that could act, each at its time; their sizes do not matter.
@@ -166,16 +188,18 @@ class WhiteRecord:
         for sensor in sensors:
             components.append(_Component.of_sensor(self.problem, sensor))
         if not components:
-            return 0.0
+            return PromisedGain()
         felt = [component.felt(self.left) for component in components]
         information = self._information_about(components, felt, channels)
         size = np.sqrt(np.maximum(np.diag(information), TINY))
         excess = self._excess(components, felt, size)
         information = information / np.outer(size, size)
-        gains = []
-        for kind in (slice(0, len(forces)), slice(len(forces), len(components))):
-            gains.append(_gain(excess[kind], information[kind, kind]))
-        return max(gains)
+        of_forces = slice(0, len(forces))
+        of_sensors = slice(len(forces), len(components))
+        return PromisedGain(
+            _gain(excess[of_forces], information[of_forces, of_forces]),
+            _gain(excess[of_sensors], information[of_sensors, of_sensors]),
+        )
 
     def _information_about(
         self,
