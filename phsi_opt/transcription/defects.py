@@ -195,8 +195,8 @@ def local_errors(
         (n_intervals, n_states) exact end minus state at the end; NaN where the exact
         solution leaves the range of numbers.
     """
-    x0, _, *others = interval_arguments(grid, ca.DM(x.T))
     exact = model.built("exact", lambda: _fine_integration(model))
+    x0, _, *others = interval_arguments(grid, x.T)
     ends = map_intervals(exact, grid, [x0, *others], theta)
     return np.array(ends).T - x[grid.begin + 1]
 
@@ -205,7 +205,7 @@ def _fine_integration(model: Model) -> ca.Function:
     """CasADi function (x0, t0, h, u0, u1, theta) -> x at the end of the interval."""
     rhs = model.rhs()
     psi = integrator("rk4").psi
-    start = ca.SX.sym("x", model.n_states)
+    x0 = ca.SX.sym("x0", model.n_states)
     n_done = ca.SX.sym("n_done")
     interval = _Interval.of(model)
     h_fine = interval.h / FINE_STEPS
@@ -213,13 +213,9 @@ def _fine_integration(model: Model) -> ca.Function:
     def g(at: Any, c: float) -> Any:
         return interval.rates(rhs, at, (n_done + c) / FINE_STEPS)
 
-    end = start + h_fine * psi(g, start, start, h_fine)
-    step = ca.Function("step", [start, n_done, *interval.symbols], [end])
-    x0 = ca.MX.sym("x0", model.n_states)
-    given = []
-    for symbol in interval.symbols:
-        given.append(ca.MX.sym("given", symbol.numel()))
+    behind = x0 + h_fine * psi(g, x0, x0, h_fine)
+    step = ca.Function("step", [x0, n_done, *interval.symbols], [behind])
     x = x0
     for k in range(FINE_STEPS):
-        x = step(x, k, *given)  # a call: the steps need not be written out
-    return ca.Function("exact", [x0, *given], [x])
+        x = step(x, k, *interval.symbols)
+    return ca.Function("exact", [x0, *interval.symbols], [x])
