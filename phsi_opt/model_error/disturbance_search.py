@@ -261,33 +261,45 @@ class DisturbanceSearch:
         promising = self._promising
         best = self.white
         if promising.noises:
-            by_run = self.best_of([Disturbances(self.noises()[0])])
-            if by_run.log_evidence > best.log_evidence + self._evidence_of_runs:
+            worth = best.log_evidence + self._evidence_of_runs
+            noises = Disturbances(self.noises()[0])
+            by_run = self.best_of([noises], worth=worth)
+            if by_run.log_evidence > worth:
                 best = by_run
-        of_forces = self.best_of(self._force_starts() if promising.forces else [])
-        of_sensors = self.best_of(self._sensor_starts() if promising.sensors else [])
+        worth = best.log_evidence + MODEL_ERROR_EVIDENCE
+        force_starts = self._force_starts() if promising.forces else []
+        sensor_starts = self._sensor_starts() if promising.sensors else []
+        of_forces = self.best_of(force_starts, worth=worth)
+        of_sensors = self.best_of(sensor_starts, worth=worth)
         one = max(of_forces, of_sensors, key=_log_evidence)
-        if one.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
+        if one.log_evidence > worth:
             best = one
-            both = best
             if not self.is_brief:
-                both = self.best_of(self._with_the_other_kind(one.disturbances))
-            if both.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
-                best = both
-        with_functions = best if self.is_brief else self._with_functions(best)
-        if with_functions.log_evidence > best.log_evidence + MODEL_ERROR_EVIDENCE:
-            best = with_functions
-        return best
+                best = self._clearer(best, self._with_the_other_kind(one.disturbances))
+        if self.is_brief:
+            return best
+        functions = self._chosen_functions(best.disturbances)
+        if not functions:
+            return best
+        return self._clearer(best, [best.disturbances.with_functions(functions)])
+
+    def _clearer(self, best: Evidence, starts: Sequence[Disturbances]) -> Evidence:
+        """What is found from some starts, where the evidence for it is clear."""
+        worth = best.log_evidence + MODEL_ERROR_EVIDENCE
+        found = self.best_of(starts, worth=worth)
+        return found if found.log_evidence > worth else best
 
     def best_of(
         self,
         starts: Sequence[Disturbances],
         fixed_times: bool = False,
         most_steps: int = MOST_STEPS,
+        worth: float = -np.inf,
     ) -> Evidence:
         """The most likely disturbances, searched from the best of some starts.
 
-        The starts have the same structure; ``most_steps`` uphill, at most.
+        The starts have the same structure; ``most_steps`` uphill, at most. Log evidence
+        below ``worth`` is of no use.
         """
         if not starts:
             return Evidence(Disturbances(self.plain), -NO_STATES)
@@ -305,7 +317,7 @@ class DisturbanceSearch:
             is_tied=self._n_sizes(origin) > MOST_SIZES,
         )
 
-        found = climbed(likelihood, coordinates, self.channels, most_steps)
+        found = climbed(likelihood, coordinates, self.channels, most_steps, worth)
         disturbances = coordinates.at(found.vector)
         moved = replace(coordinates, origin=disturbances)
         return Evidence(disturbances, found.log_evidence, moved, found.information)
@@ -406,13 +418,6 @@ class DisturbanceSearch:
                 forces.append(Process(equation, size, time))
             starts.append(replace(found, forces=tuple(forces)))
         return starts if found.forces or self.problem.forced else []
-
-    def _with_functions(self, found: Evidence) -> Evidence:
-        """Functions of states beside it, one after the other, and all sizes again."""
-        chosen = self._chosen_functions(found.disturbances)
-        if not chosen:
-            return found
-        return self.best_of([found.disturbances.with_functions(chosen)])
 
     def _chosen_functions(self, beside: Disturbances) -> tuple[StateFunction, ...]:
         """Functions that the evidence asks for beside other disturbances."""

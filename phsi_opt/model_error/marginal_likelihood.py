@@ -331,7 +331,11 @@ class MarginalLikelihood:
         return float(np.linalg.slogdet(covariance + ridge)[1] / 2)
 
     def values_of_processes(self, unknowns: np.ndarray) -> np.ndarray:
-        """What processes alone add to the measured values, (n_values,)."""
+        """What processes alone add to the measured values, (n_values, k).
+
+        Args:
+            unknowns: (n_unknowns, k).
+        """
         n_x = self.problem.dynamics_in_states.shape[1]
         processes = unknowns.copy()
         processes[:n_x] = 0.0
@@ -339,9 +343,13 @@ class MarginalLikelihood:
         return shown
 
     def dynamics_of_processes(self, unknowns: np.ndarray) -> np.ndarray:
-        """What forces alone do to the dynamics, (n_intervals * n_states,)."""
+        """What forces alone do to the dynamics, (n_intervals * n_states, k).
+
+        Args:
+            unknowns: (n_unknowns, k).
+        """
         problem = self.problem
-        moved = np.zeros(problem.dynamics_in_states.shape[0])
+        moved = np.zeros((problem.dynamics_in_states.shape[0], unknowns.shape[1]))
         places = self.places_of_processes()
         for equation, (first, n) in zip(self.structure.forces, places, strict=False):
             force = unknowns[first : first + n]
