@@ -44,6 +44,10 @@ def difference_noise(data: Measurements) -> np.ndarray:
         (n_states,) in the states' units; NaN where every trajectory has fewer than 5
         samples of a state.
     """
+    return data.derived("difference noise", _difference_noise)
+
+
+def _difference_noise(data: Measurements) -> np.ndarray:
     noise = np.full(data.n_states, np.nan)
     for k in range(data.n_states):
         residuals = np.concatenate(scatter_residuals(data, k))
