@@ -235,7 +235,7 @@ class Measurements(TableReaders, Summarised):
 
         Args:
             name: under which it is kept.
-            make: works it out.
+            make: works it out, an array such as (n_states,).
         """
         if name not in self._derived:
             self._derived[name] = make(self)
