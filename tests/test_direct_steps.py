@@ -27,7 +27,7 @@ NOISE = 0.02
 
 
 def spring(
-    k: ph.Parameter | float, c: ph.Parameter | float, m: float = 1.5
+    k: ph.Parameter | float, c: ph.Parameter | float, m: ph.Parameter | float = 1.5
 ) -> ph.Model:
     return ph.PseudoHamiltonian(
         states=["q", "p"],
@@ -86,6 +86,18 @@ def test_the_simple_start_is_no_answer_where_the_model_lacks_something() -> None
     said: list[str] = []
     ph.identify(unknown(), swinging(truth), progress=said.append)
     assert any("starting values" in line for line in said)
+
+
+def test_what_the_data_are_silent_about_stays_where_it_was() -> None:
+    """The position alone does not tell the scale of momentum, mass, and all forces."""
+    model = spring(
+        ph.Parameter(1.0, lower=0), ph.Parameter(0.1, lower=0), ph.Parameter(1.0)
+    )
+    fit = ph.identify(model, swinging())
+    assert fit.outcome.success
+    assert fit.values["k"] / fit.values["m"] == pytest.approx(1.7 / 1.5, rel=0.01)
+    assert 0.1 < fit.values["m"] < 10
+    assert np.isnan(fit.std_errors["m"])
 
 
 def test_an_optimum_at_a_bound_is_left_to_ipopt() -> None:

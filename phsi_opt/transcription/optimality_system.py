@@ -15,6 +15,10 @@ from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, time_order
 from phsi_opt.transcription.grid import Grid
 
+# Share of the largest curvature of (scaled) parameters below which a direction is as
+# good as rounding: it is the difference of numbers as large as the largest.
+SILENT = 1e-10
+
 
 @dataclass(frozen=True, eq=False)
 class NewtonStep:
@@ -91,7 +95,7 @@ class OptimalitySystem:
 
         Raises:
             SolveError: the states do not follow from the parameters and the data.
-            LinAlgError: the parameters do not follow from the data.
+            LinAlgError: an entry is no number.
         """
         n_theta = self.n_theta
         factors = Banded.of(self._layout, self._band_entries(hessian, jacobian))
@@ -101,7 +105,7 @@ class OptimalitySystem:
         per_theta = solved[:, :n_theta]
         alone = solved[:, n_theta]
         left = of_theta - coupling.T @ per_theta
-        theta = np.linalg.solve(left, -gradient[:n_theta] - coupling.T @ alone)
+        theta = _solved(left, -gradient[:n_theta] - coupling.T @ alone)
         others = alone - per_theta @ theta
         z = np.concatenate([theta, others[: self._n_x]])
         return NewtonStep(z, others[self._n_x :])
@@ -146,6 +150,19 @@ class OptimalitySystem:
         weights = jacobian * multipliers[at.rows]
         of_constraints = np.bincount(at.columns, weights, minlength=len(gradient))
         return gradient + of_constraints
+
+
+def _solved(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Step of the parameters; none in directions on which the data are silent.
+
+    There it would be as large as rounding makes it.
+    """
+    if not len(right):
+        return right
+    values, vectors = np.linalg.eigh((curvature + curvature.T) / 2)
+    is_told = values > SILENT * values[-1]
+    told = vectors[:, is_told]
+    return told @ ((told.T @ right) / values[is_told])
 
 
 @dataclass(frozen=True, eq=False)
