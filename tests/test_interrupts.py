@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.estimation import direct_steps
 from phsi_opt.interrupts import interruptible, is_noted, solving
 from phsi_opt.optimization import ipopt
+from phsi_opt.transcription.optimality_system import NewtonStep
 
 T = np.linspace(0, 10, 101)
 SPRING = ph.PseudoHamiltonian(
@@ -42,7 +44,8 @@ def is_quiet() -> bool:
 def test_the_solver_ends_after_the_iteration_in_which_ctrl_c_is_pressed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    expected = ph.identify(SPRING, record()).values
+    loss = ph.MaximumLikelihood(huber=3.0)  # with slack variables, which need IPOPT
+    expected = ph.identify(SPRING, record(), loss).values
     iterations = []
 
     def pressed(listener: ipopt._Listener, arg: list[ca.DM]) -> list[int]:
@@ -54,8 +57,32 @@ def test_the_solver_ends_after_the_iteration_in_which_ctrl_c_is_pressed(
     with monkeypatch.context() as patched:
         patched.setattr(ipopt._Listener, "eval", pressed)
         with pytest.raises(KeyboardInterrupt):
-            ph.identify(SPRING, record())
+            ph.identify(SPRING, record(), loss)
     assert iterations == [False, False]
+    assert is_quiet()
+    assert ph.identify(SPRING, record(), loss).values == expected
+
+
+def test_full_steps_end_where_ctrl_c_is_pressed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    expected = ph.identify(SPRING, record()).values
+    step = direct_steps.DirectSteps._step
+    begun = []
+
+    def pressed(
+        steps: direct_steps.DirectSteps, place: direct_steps._Place
+    ) -> NewtonStep | None:
+        begun.append(True)
+        if len(begun) == 2:
+            press()
+        return step(steps, place)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(direct_steps.DirectSteps, "_step", pressed)
+        with pytest.raises(KeyboardInterrupt):
+            ph.identify(SPRING, record())
+    assert len(begun) == 2
     assert is_quiet()
     assert ph.identify(SPRING, record()).values == expected
 

@@ -8,7 +8,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.errors import ModelError
-from phsi_opt.estimation import likelihood_start
+from phsi_opt.estimation import likelihood_start, maximum_likelihood
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.terms import Dictionary, Term
 
@@ -304,6 +304,7 @@ def test_a_long_record_is_begun_through_its_first_part(
     whole = ph.identify(model, loads)
     said: list[str] = []
     monkeypatch.setattr(likelihood_start, "LONG_RECORD", 120)
+    monkeypatch.setattr(maximum_likelihood, "simple_start", lambda _: None)
     through = ph.identify(model, loads, progress=said.append)
     assert said[0] == "starting values from the first 60 samples"
     for name in whole.names:

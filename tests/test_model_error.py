@@ -31,6 +31,7 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import formula
+from phsi_opt.model_error import score_test
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
@@ -40,6 +41,7 @@ from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
 from phsi_opt.model_error.processes import Process, Whitener
+from phsi_opt.model_error.score_test import WhiteRecord
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.model_error.state_functions import (
     LENGTH,
@@ -952,3 +954,49 @@ def test_parameters_that_cannot_be_told_apart_are_a_note_and_no_error() -> None:
     fit = identify(model, data)
     assert any("cannot tell" in note for note in fit.warnings)
     assert all(np.isnan(error) for error in fit.std_errors.values())
+
+
+def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() -> None:
+    hidden = search_of(0)._promising
+    assert hidden.forces
+    nothing = estimated(simulated(0, size=0.0), MaximumLikelihood())
+    assert isinstance(nothing, LikelihoodEstimate)
+    assert not nothing.plain.search._promising.is_any
+
+
+def test_slopes_in_a_variance_are_those_of_the_evidence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(score_test, "N_SIGNS", 2000)  # traces to 2 % of their spread
+    search = search_of(0)
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    (place,) = search.problem.forced[-1:]
+    force = Process(place, 1.0, TIME)
+    component = score_test._Component.of_force(search.problem, force)
+    (slope,) = record._excess([component], [component.felt(record.left)], np.ones(1))
+    small = 1e-3 * search.rates()[place]
+    beside = Disturbances(search.plain, (replace(force, size=small),))
+    rise = search.evidence(beside).log_evidence - search.evidence(white).log_evidence
+    assert slope * small**2 == pytest.approx(rise, rel=0.05)
+
+
+def test_a_function_gains_what_the_evidence_says() -> None:
+    search = search_of(0)
+    with_all = Disturbances(search.plain).with_functions(search._function_candidates())
+    border = search._likelihood(with_all).border(with_all)
+    rates = search._rates_of(with_all.functions)
+    absent = 1e-9 * rates
+    sizes = np.zeros(len(rates))
+    sizes[0] = 0.02 * rates[0]
+    there = np.maximum(sizes, absent)
+    before = border.marginal(there).log_evidence
+    for number in range(1, len(rates)):
+        tried = np.array([0.0, 0.01, 0.1]) * rates[number]
+        gains = border.gains_by_function(number, tried, sizes)
+        assert gains[0] == 0
+        for size, gain in zip(tried[1:], gains[1:], strict=True):
+            trial = there.copy()
+            trial[number] = size
+            expected = border.marginal(trial).log_evidence - before
+            assert gain == pytest.approx(expected, abs=1e-5)

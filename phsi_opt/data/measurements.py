@@ -9,7 +9,7 @@ filtered. How tables are read is told in `table_readers`, which column is what i
 
 import hashlib
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
@@ -225,6 +225,21 @@ class Measurements(TableReaders, Summarised):
         for run in self.trajectories:
             is_measured |= np.isfinite(run.x).any(axis=0)
         return tuple(itertools.compress(self.states, is_measured))
+
+    @cached_property
+    def _derived(self) -> dict[str, np.ndarray]:
+        return {}
+
+    def derived(self, name: str, make: Callable[[Self], np.ndarray]) -> np.ndarray:
+        """What follows from the values, worked out once.
+
+        Args:
+            name: under which it is kept.
+            make: works it out, an array such as (n_states,).
+        """
+        if name not in self._derived:
+            self._derived[name] = make(self)
+        return self._derived[name].copy()
 
     @cached_property
     def digest(self) -> str:

@@ -44,39 +44,56 @@ def difference_noise(data: Measurements) -> np.ndarray:
         (n_states,) in the states' units; NaN where every trajectory has fewer than 5
         samples of a state.
     """
+    return data.derived("difference noise", _difference_noise)
+
+
+def _difference_noise(data: Measurements) -> np.ndarray:
     noise = np.full(data.n_states, np.nan)
     for k in range(data.n_states):
-        residuals = []
-        for run in data.trajectories:
-            values = run.x[:, k]
-            is_measured = np.isfinite(values)
-            if is_measured.sum() >= N_STENCIL:
-                t = run.t[is_measured]
-                residuals.append(_cubic_residuals(t, values[is_measured]))
-        if residuals:
-            noise[k] = _robust_deviation(np.concatenate(residuals))
+        residuals = np.concatenate(scatter_residuals(data, k))
+        if len(residuals):
+            noise[k] = robust_deviation(residuals)
     return np.maximum(noise, quantisation_noise(data))
 
 
-def _robust_deviation(residuals: np.ndarray) -> float:
-    """Standard deviation of normal residuals, through their median.
+def scatter_residuals(data: Measurements, state: int) -> list[np.ndarray]:
+    """Residuals of samples against the cubic through their neighbours, as `r_i` above.
+
+    Of all trajectories at once: there may be thousands of short ones.
+
+    Returns:
+        One array (n_measured - 4,) per trajectory, empty where it has too few.
+    """
+    values = [run.x[:, state] for run in data.trajectories]
+    is_measured = [np.isfinite(of_run) for of_run in values]
+    times = [run.t for run in data.trajectories]
+    t = np.concatenate([at[m] for at, m in zip(times, is_measured, strict=True)])
+    y = np.concatenate([of[m] for of, m in zip(values, is_measured, strict=True)])
+    run = np.repeat(np.arange(len(values)), [int(m.sum()) for m in is_measured])
+    reach = N_STENCIL // 2
+    middle = np.arange(reach, len(t) - reach)
+    middle = middle[run[middle - reach] == run[middle + reach]]
+    residuals = _cubic_residuals(t, y, middle)
+    ends = np.searchsorted(run[middle], np.arange(1, len(values)))
+    return np.split(residuals, ends)
+
+
+def robust_deviation(residuals: np.ndarray) -> float:
+    """Standard deviation of normal residuals (n,), through their median.
 
     The median is not moved by the few samples at a jump of the force.
     """
     return float(np.median(np.abs(residuals)) / MEDIAN_OF_NORMAL)
 
 
-def _cubic_residuals(t: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Residuals of all samples but the outer two, as large as the noise.
+def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Residuals of some samples, as large as the noise, (n_middle,).
 
     Args:
-        t: Times (n_samples,), at least 5.
+        t: Times (n_samples,).
         y: Values (n_samples,) without gaps.
-
-    Returns:
-        (n_samples - 4,)
+        middle: (n_middle,) samples with neighbours on both sides.
     """
-    middle = np.arange(2, len(t) - 2)
     predicted = np.zeros(len(middle))
     variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
     for offset in NEIGHBOURS:

@@ -9,7 +9,8 @@ import numpy as np
 
 from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import difference_noise, initial_noise
+from phsi_opt.data.noise import initial_noise, robust_deviation, scatter_residuals
+from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.statistics import chi_square_tail
 
 # Standard deviation of the logarithm of a scatter, times the root of the number of
@@ -35,14 +36,22 @@ def scatter_by_run(data: Measurements) -> np.ndarray:
     n_samples = np.array([run.n_samples for run in data.trajectories])
     if n_samples.min() < FEWEST_SAMPLES:
         return scatter
-    runs = [data[number] for number in range(data.n_trajectories)]
-    of_runs = np.array([difference_noise(run) for run in runs])
+    quantised = quantisation_noise(data)
     for state in range(data.n_states):
-        of_state = of_runs[:, state]
+        of_state = _of_runs(data, state)
+        of_state = np.maximum(of_state, quantised[state])
         is_known = np.all(np.isfinite(of_state)) and np.all(of_state > 0)
         if is_known and _differ(np.log(of_state), MEDIAN_SPREAD**2 / n_samples):
             scatter[:, state] = np.maximum(of_state, together[state] / 100)
     return scatter
+
+
+def _of_runs(data: Measurements, state: int) -> np.ndarray:
+    """What neighbouring samples of each trajectory scatter, (n_trajectories,)."""
+    scatter = []
+    for residuals in scatter_residuals(data, state):
+        scatter.append(robust_deviation(residuals) if len(residuals) else np.nan)
+    return np.array(scatter)
 
 
 def _differ(values: np.ndarray, variances: np.ndarray) -> bool:

@@ -56,6 +56,10 @@ def quantisation_noise(data: Measurements) -> np.ndarray:
     Returns:
         (n_states,) in the states' units; zero where nothing is quantised.
     """
+    return data.derived("quantisation noise", _quantisation_noise)
+
+
+def _quantisation_noise(data: Measurements) -> np.ndarray:
     steps = []
     for k in range(data.n_states):
         steps.append(resolution([run.x[:, k] for run in data.trajectories]))

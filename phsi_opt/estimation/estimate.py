@@ -7,7 +7,7 @@ by the subclasses, each beside the solution of its loss.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -200,6 +200,7 @@ class Estimate(ABC):
         }
 
 
+@cache
 def _release() -> str:
     try:
         return version("phsi_opt")

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phsi_opt.estimation.direct_steps import DirectSteps, Optimum
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.multiple_shooting import (
@@ -27,8 +28,7 @@ from phsi_opt.estimation.solver_chain import (
 )
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.optimization.ipopt import Solution
-from phsi_opt.optimization.settings import FEASIBLE_PATH
+from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import memory_start_bounds
 from phsi_opt.transcription.grid import interpolate_at_nodes
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -40,14 +40,6 @@ MOST_NOISE_UPDATES = 6  # solves with a noise re-estimated, at most
 # first residuals, and a simulation from them would go astray.
 FADING_GAPS = 4  # gaps between samples from the start
 FADING_STEPS = 16  # intervals in each of them, at least
-
-
-@dataclass(frozen=True, eq=False)
-class _Optimum:
-    """A solution, and the noise that its residuals show."""
-
-    solution: Solution
-    sigma: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +132,52 @@ class LikelihoodSolver:
         l1 = self.task.l1 if l1 is None else l1
         ways = ways_after(start.way) if ways is None else ways
         transcription = self._transcribed(start, l1, window)
+        noise = self._noise_iteration(transcription, l1)
+        z = transcription.program.start
+        direct = self._direct_steps(transcription)
+        if start.is_optimum and direct is not None and ways[0] == GAUSS_NEWTON:
+            optimum = direct.optimum(z, start.sigma, noise)
+            if optimum is not None:
+                return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
-        noise = NoiseIteration(
+        optimum = _maximum(chain, direct, noise, z, start.sigma)
+        return self._estimate(transcription, optimum, l1, chain.way)
+
+    def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
+        """The optimum that full steps lead to; None where they lead nowhere.
+
+        Args:
+            start: without windows.
+        """
+        start = replace(start, steps=self._steps(start))
+        transcription = self._transcribed(start, self.task.l1, None)
+        direct = self._direct_steps(transcription)
+        if direct is None:
+            return None
+        noise = self._noise_iteration(transcription, self.task.l1)
+        z = transcription.program.start
+        optimum = direct.optimum(z, start.sigma, noise)
+        if optimum is None:
+            return None
+        self.task.say(f"{transcription}: {optimum.solution.outcome}")
+        return self._estimate(transcription, optimum, self.task.l1, GAUSS_NEWTON)
+
+    def _direct_steps(self, transcription: Transcription) -> DirectSteps | None:
+        """Full steps of a program; None where it has slack variables, or they may not
+        be tried.
+        """
+        settings = self.task.settings
+        program = transcription.program
+        if GAUSS_NEWTON not in settings.ways:
+            return None
+        if set(program.variables) != {"theta", "x"}:
+            return None
+        return DirectSteps(program, transcription.grid, settings)
+
+    def _noise_iteration(
+        self, transcription: Transcription, l1: dict[str, float]
+    ) -> NoiseIteration:
+        return NoiseIteration(
             grid=transcription.grid,
             is_estimated=~self.problem.noise.is_known,
             n_theta=len(transcription.unknown),
@@ -149,8 +185,14 @@ class LikelihoodSolver:
             has_l1=any(l1.values()),
             least=self.problem.noise.least,
         )
-        z = transcription.program.start
-        optimum = _maximum(chain, noise, z, start.sigma)
+
+    def _estimate(
+        self,
+        transcription: Transcription,
+        optimum: Optimum,
+        l1: dict[str, float],
+        way: str,
+    ) -> LikelihoodEstimate:
         return LikelihoodEstimate(
             task=self.task,
             loss=self.loss,
@@ -163,7 +205,7 @@ class LikelihoodSolver:
             l1=l1,
             sigma=optimum.sigma,
             is_known=self.problem.noise.is_known,
-            way=chain.way,
+            way=way,
         )
 
     def _transcribed(
@@ -184,19 +226,24 @@ class LikelihoodSolver:
 
 
 def _maximum(
-    chain: SolverChain, noise: NoiseIteration, z: np.ndarray, sigma: np.ndarray
-) -> _Optimum:
+    chain: SolverChain,
+    direct: DirectSteps | None,
+    noise: NoiseIteration,
+    z: np.ndarray,
+    sigma: np.ndarray,
+) -> Optimum:
     """Solve, and where the noise is not given, again until its estimate stays.
 
     Args:
         chain: solvers of the program.
+        direct: full steps of it, tried from one solution to the next.
         noise: re-estimates what is not given.
         z: to start from (scaled).
         sigma: (n_states,) noise to start from.
     """
     if not noise.is_estimated.any():
         attempt = chain.attempt(z, sigma)
-        return _Optimum(chain.completed(attempt, z, sigma), sigma)
+        return Optimum(chain.completed(attempt, z, sigma), sigma)
     previous = None
     for _ in range(MOST_NOISE_UPDATES):
         solution = chain.attempt(z, sigma)
@@ -204,7 +251,7 @@ def _maximum(
         if previous is not None and is_path and not solution.outcome.success:
             # The kink where it settled is still in the way; the noise alone is another,
             # and with it what a step promises.
-            return _Optimum(chain.solver.at(previous, sigma), sigma)
+            return Optimum(chain.solver.at(previous, sigma), sigma)
         solution = chain.completed(solution, z, sigma)
         if not solution.outcome.success:
             break
@@ -214,8 +261,13 @@ def _maximum(
         sigma = updated
         previous = solution
         if has_settled:
-            return _Optimum(chain.solver.at(solution, sigma), sigma)
-    return _Optimum(solution, sigma)
+            return Optimum(chain.solver.at(solution, sigma), sigma)
+        if direct is not None and chain.way == GAUSS_NEWTON:
+            optimum = direct.optimum(z, sigma, noise)
+            if optimum is not None:
+                return optimum
+            direct = None
+    return Optimum(solution, sigma)
 
 
 def _ways_of_first_attempt(start: StartingPoint) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from phsi_opt.estimation.phsi_solve import PHSIEstimate, PHSISolver, best_of_sta
 from phsi_opt.estimation.problem import Task, silent
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.convex_start import starting_values
+from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.initialization.scaling import invert_sensors, point_at, with_states
 from phsi_opt.model.model import Model
@@ -41,6 +42,29 @@ def from_data(problem: LikelihoodProblem) -> StartingPoint:
     if grid.measured.all():
         return _from_complete_data(problem, grid)
     return _from_data_with_gaps(problem, grid)
+
+
+def simple_start(problem: LikelihoodProblem) -> StartingPoint | None:
+    """States from the data and the model's kinematics, at the values that are given.
+
+    Nothing is solved for it but, where a value is not given, the PHSI loss.
+
+    Returns:
+        None where the data show too little for it.
+    """
+    task = problem.task
+    dynamics = task.model.dynamics()
+    guessed = resolve_guesses(dynamics, task.grid, np.nan_to_num(task.grid.y))
+    x = kinematic_states(guessed, task.grid)
+    if x is None:
+        return None
+    dynamics = resolve_guesses(dynamics, task.grid, x)
+    values = [dynamics.entries[name].parameter.value for name in dynamics.free]
+    if None not in values:
+        return _at_values(problem, dynamics, task.grid, x)
+    found = _by_phsi_loss(problem, dynamics, task.grid, x)
+    solved = dynamics.with_values(found.values)
+    return replace(_at_values(problem, solved, task.grid, x), notes=found.notes)
 
 
 def _from_complete_data(problem: LikelihoodProblem, grid: Grid) -> StartingPoint:

@@ -13,10 +13,8 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
-from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.standard_errors import PlainEstimate
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.optimization.program import Program
@@ -133,12 +131,8 @@ class SolvedLikelihood:
         following = reduced.following[self.grid.sample]
         following = following.reshape(problem.nodes.size, n_theta)
         in_theta = problem.shown_in_states @ following + problem.shown_in_theta
-        search = self.search(problem)
-        white = Disturbances(search.plain)
-        likelihood = MarginalLikelihood(problem, white.structure, search.moving)
         return PlainEstimate(
-            search=search,
-            response=likelihood.response(white).over(within),
+            search=self.search(problem),
             covariance=covariance,
             in_theta=in_theta,
             is_shared=self.unknown.is_shared,

@@ -1,5 +1,7 @@
 """How `MaximumLikelihood` is solved.
 
+0. A simple start and full steps from there: where that leaves no more than the scatter
+   of neighbouring samples, 1 to 3 are not needed.
 1. Start: parameters by the PHSI loss; states from the data, or, where some are missing,
    from the missing-force program.
 2. Windows, where the whole record cannot be solved or leads far off (or where they are
@@ -27,9 +29,10 @@ from phsi_opt.estimation.likelihood_start import (
     from_first_part,
     from_fit,
     needs_first_part,
+    simple_start,
 )
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.residual_scatter import scatter_warnings
+from phsi_opt.estimation.residual_scatter import is_at_scatter, scatter_warnings
 from phsi_opt.estimation.resolution_notes import resolution_notes
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.step_refinement import finer_steps
@@ -52,19 +55,48 @@ def by_likelihood(
         DataError: as `LikelihoodProblem.of`.
     """
     problem = LikelihoodProblem.of(task, loss)
-    first = _starting_point(problem, start)
     solver = LikelihoodSolver(problem)
-    # A fit to start from has been through this before.
-    may_go_through_windows = (
-        start is None and loss.window is None and task.settings.thorough
-    )
-    estimate = best_optimum(solver, first, with_windows=may_go_through_windows)
+    estimate = _simple_optimum(solver) if start is None else None
+    if estimate is None:
+        estimate = _careful_optimum(solver, start)
     if loss.steps is None and task.settings.thorough:
         estimate = _with_fine_steps(solver, estimate)
     estimate = _with_few_terms(solver, estimate)
     warnings = scatter_warnings(estimate, problem.noise.is_known)
     warnings += resolution_notes(estimate, problem.noise)
+    if not warnings:
+        return estimate  # with all that has been worked out about it
     return replace(estimate, notes=estimate.notes + warnings)
+
+
+def _simple_optimum(solver: LikelihoodSolver) -> LikelihoodEstimate | None:
+    """The optimum next to a simple start, where nothing is left to be explained.
+
+    None where the steps from there lead nowhere, where the residuals are above the
+    scatter of neighbouring samples, where windows or other starts were asked for, and
+    where the loss has slack variables.
+    """
+    loss = solver.loss
+    has_slacks = loss.huber is not None or any(solver.task.l1.values())
+    if loss.window is not None or loss.starts > 1 or has_slacks:
+        return None
+    start = simple_start(solver.problem)
+    if start is None:
+        return None
+    estimate = solver.solve_directly(start)
+    if estimate is None or not is_at_scatter(estimate):
+        return None
+    return replace(estimate, notes=start.notes) if start.notes else estimate
+
+
+def _careful_optimum(solver: LikelihoodSolver, start: Fit | None) -> LikelihoodEstimate:
+    """The best optimum from starting values that were solved for, or from a fit."""
+    first = _starting_point(solver.problem, start)
+    # A fit to start from has been through this before.
+    may_go_through_windows = (
+        start is None and solver.loss.window is None and solver.task.settings.thorough
+    )
+    return best_optimum(solver, first, with_windows=may_go_through_windows)
 
 
 def _starting_point(problem: LikelihoodProblem, start: Fit | None) -> StartingPoint:
@@ -91,7 +123,8 @@ def _with_fine_steps(
             "integration error is visible in the estimates: "
             f"{most} steps per sample at most"
         )
-        finer = solver.solve(StartingPoint.at(estimate, steps))
+        there = replace(StartingPoint.at(estimate, steps), is_optimum=True)
+        finer = solver.solve(there)
         estimate = replace(finer, notes=estimate.notes)
     return estimate
 

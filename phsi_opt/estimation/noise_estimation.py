@@ -6,6 +6,7 @@ from the data alone, is that of `phsi_opt.data.noise`.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -49,8 +50,14 @@ class NoiseIteration:
         estimate = estimated_noise(
             self.grid, standardized, sigma, self.n_theta, self.huber
         )
-        estimate = np.maximum(estimate, self.least)
+        estimate = np.maximum(estimate, np.maximum(self.least, self._least_of_data))
         return np.where(self.is_estimated, estimate, sigma)
+
+    @cached_property
+    def _least_of_data(self) -> np.ndarray:
+        """Noise that is assumed of data without any; zero where nothing is measured."""
+        is_measured = self.grid.measured.any(axis=0)
+        return np.where(is_measured, least_noise(self.grid.y), 0.0)
 
     def has_settled(self, sigma: np.ndarray, updated: np.ndarray) -> bool:
         """Whether the estimates would stay if the program were solved again."""
@@ -90,11 +97,10 @@ def estimated_noise(
     if huber is not None:
         freedom *= _normal_mean_square(huber)
     channel = np.nonzero(grid.measured)[1]
-    least = least_noise(grid.y)
     result = sigma.copy()
     for k in np.flatnonzero(grid.measured.any(axis=0)):
         rms = sigma[k] * np.sqrt(np.mean(residual[channel == k] ** 2))
-        result[k] = max(rms / np.sqrt(freedom), least[k])
+        result[k] = rms / np.sqrt(freedom)
     return result
 
 

@@ -15,6 +15,9 @@ from phsi_opt.statistics import TINY
 
 # Residuals over the scatter of neighbouring samples beyond which a solution is doubted.
 SUSPICIOUS_RATIO = 2.0
+# And up to which residuals are no more than the scatter: that of a few hundred samples
+# is known to about a tenth.
+AT_SCATTER = 1.25
 # Share of a channel's standard deviation that residuals reach, at least, in an optimum
 # that is far off. A motion out of step leaves its own size: 0.53 to 1 in ten wrong
 # optima of swinging machines. Forces of 1 to 5 % that a model lacked left up to 0.26 in
@@ -60,6 +63,16 @@ def is_plausible(estimate: LikelihoodEstimate) -> bool:
     return estimate.is_success and ResidualScatter.of(estimate).explains_residuals
 
 
+def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
+    """Whether it is an optimum that leaves what neighbouring samples scatter, no more.
+
+    And a small share of the motion, so that it cannot be out of step with it.
+    """
+    if not estimate.is_success or not _is_small_beside_motion(estimate):
+        return False
+    return ResidualScatter.of(estimate).ratio < AT_SCATTER
+
+
 def is_far_off(estimate: LikelihoodEstimate) -> bool:
     """Whether it is an optimum with residuals that a motion out of step may leave.
 
@@ -67,10 +80,15 @@ def is_far_off(estimate: LikelihoodEstimate) -> bool:
     """
     if not estimate.is_success or is_plausible(estimate):
         return False
+    return not _is_small_beside_motion(estimate)
+
+
+def _is_small_beside_motion(estimate: LikelihoodEstimate) -> bool:
+    """Whether the residuals of every channel are a small share of its spread."""
     is_measured = np.asarray(estimate.grid.measured.any(axis=0))
     residual = estimate.sigma * _rms_by_channel(estimate, is_measured)
     spread = np.nanstd(estimate.grid.y[:, is_measured], axis=0)
-    return bool(np.any(residual[is_measured] > FAR_OFF_SHARE * spread))
+    return bool(np.all(residual[is_measured] <= FAR_OFF_SHARE * spread))
 
 
 def scatter_warnings(

@@ -9,12 +9,14 @@ interpolated.
 from dataclasses import replace
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import STARTING_SCHEME
+from phsi_opt.transcription.interval_map import argument_symbols, mapped
 from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
@@ -44,11 +46,19 @@ def first_point(model: Model, grid: Grid, theta: np.ndarray | None = None) -> Po
     """
     grid = invert_sensors(model, grid)
     theta = model.theta if theta is None else theta
-    x = _interpolated(grid)
-    x_scale = _measured_scale(grid)
-    if not np.all(np.isfinite(x_scale)):
-        x_scale = _with_unmeasured_scale(model, grid, theta, x, x_scale)
+    x = interpolated(grid)
+    x_scale = _state_scale(model, grid, theta, x)
     return Point(theta, x, theta_scale(model, grid, theta, x, x_scale), x_scale)
+
+
+def _state_scale(
+    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray
+) -> np.ndarray:
+    """Size of each state, (n_states,), of those that were measured by the data."""
+    x_scale = _measured_scale(grid)
+    if np.all(np.isfinite(x_scale)):
+        return x_scale
+    return _with_unmeasured_scale(model, grid, theta, x, x_scale)
 
 
 def point_at(
@@ -63,7 +73,7 @@ def point_at(
         theta: (n_theta,) in the order of ``unknown``.
         x: (n_nodes, n_states) states at the nodes.
     """
-    from_data = first_point(model, grid).x_scale
+    from_data = _measured_scale(invert_sensors(model, grid))
     from_states = np.maximum(np.std(x, axis=0), LEAST_SIZE)
     x_scale = np.where(grid.measured.any(axis=0), from_data, from_states)
     sizes = theta_scale(model, grid, unknown.means(theta), x, x_scale)
@@ -128,8 +138,11 @@ def theta_scale(
     return np.clip(scale, LEAST_SHARE * np.abs(theta), most)
 
 
-def _interpolated(grid: Grid) -> np.ndarray:
-    """States with their gaps filled along each trajectory; zero if never measured."""
+def interpolated(grid: Grid) -> np.ndarray:
+    """States with their gaps filled along each trajectory, (n_nodes, n_states).
+
+    Zero where a state was never measured.
+    """
     x = np.nan_to_num(grid.y)
     is_measured = grid.measured
     with_gaps = np.flatnonzero(~is_measured.all(axis=0))
@@ -198,19 +211,26 @@ def _state_slopes(
 
     Where a slope has no number (a corner as sharp as a step) it says nothing.
     """
-    jacobian = model.rhs().jacobian()
+    jacobian = model.built("state slopes", lambda: _slopes_in_states(model.rhs()))
     # Away from the origin, where a higher-order term has no slope.
     is_zero = np.all(x == 0, axis=0)
     shifted = x + np.where(is_zero, 1.0, 0.0)
-    slopes = []
-    for node in np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int):
-        at_node = jacobian(shifted[node], grid.u[node], grid.t[node], theta, 0)
-        slopes.append(np.array(at_node[0]))
+    nodes = np.linspace(0, grid.n_nodes - 1, N_SLOPES).astype(int)
+    at_nodes = mapped(jacobian, N_SLOPES, True)
+    columns = at_nodes(shifted[nodes].T, grid.u[nodes].T, grid.t[nodes][None, :], theta)
+    slopes = columns.full().T.reshape(N_SLOPES, model.n_states, model.n_states)
     with np.errstate(over="ignore"):
         squares = np.square(slopes)
     is_number = np.isfinite(squares)
     n_numbers = np.maximum(np.sum(is_number, axis=0), 1)
     return np.sqrt(np.sum(np.where(is_number, squares, 0.0), axis=0) / n_numbers)
+
+
+def _slopes_in_states(rhs: ca.Function) -> ca.Function:
+    """(x, u, t, theta) -> slopes of the rates in the states, row by row."""
+    arguments = argument_symbols(rhs)
+    slopes = ca.jacobian(rhs(*arguments), arguments[0])
+    return ca.Function("slopes", arguments, [ca.vec(ca.densify(slopes.T))])
 
 
 def _equation_strength(
@@ -234,7 +254,7 @@ def _sensor_strength(
 
     (n_free, n_states).
     """
-    jacobian = model.output().jacobian()
+    jacobian = model.built("output jacobian", lambda: model.output().jacobian())
     slopes = []
     for node in np.linspace(0, grid.n_nodes - 1, N_SENSOR_SLOPES).astype(int):
         at_node = jacobian(x[node], grid.u[node], grid.t[node], theta, 0)

@@ -17,6 +17,7 @@ import numpy as np
 from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import CASADI, Backend
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.built_functions import built_of
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.equation_text import model_summary
@@ -128,7 +129,9 @@ class Model(BaseModel, Summarised):
         return changed
 
     def built(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What is made of the formulas, once for all values of unknown parameters.
+        """What is made of the formulas, once for all models that have the same.
+
+        Whatever the values of their unknown parameters are.
 
         Args:
             key: under which it is kept.
@@ -140,7 +143,30 @@ class Model(BaseModel, Summarised):
 
     @cached_property
     def _built(self) -> dict[Hashable, object]:
-        return {}
+        return built_of(self._formulas)
+
+    @property
+    def _formulas(self) -> Hashable:
+        """All that what is built depends on: the formulas and the numbers in them.
+
+        Values of unknown parameters are arguments, and bounds, units and guesses are
+        for others.
+        """
+        terms = []
+        for slot, equation, term in self.placed():
+            inner = tuple(term.inner)
+            terms.append((slot, equation, term.body, term.name, term.is_formula, inner))
+        numbers = []
+        for name, value in self.values.items():
+            if self.entries[name].parameter.fixed:
+                numbers.append((name, value.hex()))
+        return (
+            type(self),
+            (self.states, self.inputs, self.memory, self.S),
+            tuple(terms),
+            self.free,
+            tuple(numbers),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

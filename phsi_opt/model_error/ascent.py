@@ -10,7 +10,6 @@ evaluations of the evidence, however many sizes there are.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_banded
 
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.coordinates import Coordinates
@@ -35,6 +34,9 @@ MOST_STEPS = 25
 # Gain of the log evidence by a step at which an ascent ends: far below what makes a
 # difference to a standard error, and about what the random signs leave open.
 LEAST_GAIN = 0.03
+# An ascent may gain so many times what the quadratic at a place promises: the evidence
+# is steeper in logarithms of sizes that are far too small or too large.
+HOPE = 3.0
 PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 
@@ -96,6 +98,7 @@ def climbed(
     coordinates: Coordinates,
     channels: tuple[int, ...],
     most_steps: int,
+    worth: float = -np.inf,
 ) -> Climbed:
     """The largest log evidence, by damped Newton steps from the coordinates' origin.
 
@@ -104,6 +107,8 @@ def climbed(
         coordinates: with their bounds.
         channels: states whose noise is estimated.
         most_steps: uphill, at most.
+        worth: log evidence below which what is found is of no use; an ascent ends where
+            it promises no more.
     """
     lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
     sums = coordinates.among_slopes()
@@ -116,6 +121,9 @@ def climbed(
     for _ in range(most_steps):
         leads_out = (vector <= lower) & (here.gradient < 0)
         leads_out |= (vector >= upper) & (here.gradient > 0)
+        hope = HOPE * _promise(here, ~leads_out)
+        if hope < LEAST_GAIN or here.log_evidence + hope < worth:
+            break
         step = _newton_step(here.gradient, here.information, ~leads_out, damping)
         trial = np.clip(vector + step, lower, upper)
         there = _slopes_at(likelihood, coordinates.at(trial), channels, sums)
@@ -131,6 +139,16 @@ def climbed(
         if gain < LEAST_GAIN:
             break
     return Climbed(vector, here.log_evidence, here.information)
+
+
+def _promise(here: Slopes, moves: np.ndarray) -> float:
+    """What the quadratic at a place rises by, where some coordinates may move."""
+    if not moves.any():
+        return 0.0
+    inner = here.information[np.ix_(moves, moves)]
+    curvature = inner + LEAST_INFORMATION * np.eye(len(inner))
+    gradient = here.gradient[moves]
+    return float(gradient @ np.linalg.solve(curvature, gradient)) / 2
 
 
 def _slopes_at(
@@ -217,16 +235,12 @@ class _Prior:
 
     def coloured(self, normals: np.ndarray) -> np.ndarray:
         """Values with this prior from standard normals (n, ...)."""
-        lower = np.zeros((2, self.n))
-        lower[0] = self.whitener.diagonal
-        lower[1, :-1] = self.whitener.below
-        values: np.ndarray = solve_banded((1, 0), lower, normals) * self.process.size
-        return values
+        return self.whitener.coloured(normals) * self.process.size
 
     def covariance_times(self, values: np.ndarray) -> np.ndarray:
         """The covariance times values (n,)."""
-        inner = self.whitener.factor_of(values[:, None])[:, 0] * self.process.size
-        return self.coloured(inner)
+        covered = self.whitener.covariance_times(values[:, None])[:, 0]
+        return covered * self.process.size**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,10 +348,10 @@ class _Derivatives:
         of_noise = np.where(is_in, 2 * self.residual[:, None], 0.0)
         shifts = of_noise @ sums[:, :n_channels].T
         offsets = np.zeros((n_inner - n, len(sums)))
-        moved = self._moved_processes() @ sums[:, of_processes].T
-        for k in np.flatnonzero(moved.any(axis=0)):
-            shifts[:, k] += likelihood.values_of_processes(moved[:, k])
-            offsets[:, k] -= likelihood.dynamics_of_processes(moved[:, k])
+        if self.priors:
+            moved = self._moved_processes() @ sums[:, of_processes].T
+            shifts += likelihood.values_of_processes(moved)
+            offsets -= likelihood.dynamics_of_processes(moved)
         if n_functions:
             step = self._moved_functions() @ sums[:, of_processes.stop :].T
             offsets += likelihood.border_in_dynamics @ step

@@ -100,6 +100,16 @@ class Linearization:
 
     def dynamics_of_force(self, equation: int) -> csc_matrix:
         """B as a sparse matrix, (n_intervals * n_states, n_intervals)."""
+        if equation not in self._forces:
+            self._forces[equation] = self._sparse_effect(equation)
+        return self._forces[equation]
+
+    @cached_property
+    def _forces(self) -> dict[int, csc_matrix]:
+        """Those of the equations asked for: a search asks hundreds of times."""
+        return {}
+
+    def _sparse_effect(self, equation: int) -> csc_matrix:
         effect = self.effect_of_force(equation)
         interval, state = np.nonzero(effect)
         rows = interval * self.n_states + state

@@ -108,6 +108,33 @@ class Border:
         information: np.ndarray = self.information + np.diag(precision)
         return information
 
+    def gains_by_function(
+        self, number: int, tried: np.ndarray, sizes: np.ndarray
+    ) -> np.ndarray:
+        """Gains of the log evidence by one function beside others, (n_tried,).
+
+        Args:
+            number: of the function.
+            tried: its sizes, (n_tried,); of zero it gains nothing.
+            sizes: (n_functions,) of the others; zero: not there.
+        """
+        place = np.arange(len(self.owner))
+        own = self.n_theta + place[self.owner == number]
+        is_other = (self.owner != number) & (sizes[self.owner] > 0)
+        others = np.r_[np.arange(self.n_theta), self.n_theta + place[is_other]]
+        precision = np.full(len(others), RIDGE)
+        precision[self.n_theta :] = 1 / sizes[self.owner[is_other]] ** 2
+        inner = self.information[np.ix_(others, others)] + np.diag(precision)
+        mixed = self.information[np.ix_(others, own)]
+        through = np.linalg.solve(inner, mixed)
+        left = self.information[np.ix_(own, own)] - mixed.T @ through
+        gradient = self.gradient[own] - through.T @ self.gradient[others]
+        values, vectors = np.linalg.eigh(left)
+        told = np.maximum(values, 0.0)[:, None] * tried**2
+        pulls = ((vectors.T @ gradient)[:, None] * tried) ** 2
+        gains: np.ndarray = np.sum(pulls / (1 + told) - np.log1p(told), axis=0) / 2
+        return gains
+
     def marginal(self, sizes: np.ndarray) -> Marginal:
         """With functions of these sizes, (n_functions,).
 
@@ -304,7 +331,11 @@ class MarginalLikelihood:
         return float(np.linalg.slogdet(covariance + ridge)[1] / 2)
 
     def values_of_processes(self, unknowns: np.ndarray) -> np.ndarray:
-        """What processes alone add to the measured values, (n_values,)."""
+        """What processes alone add to the measured values, (n_values, k).
+
+        Args:
+            unknowns: (n_unknowns, k).
+        """
         n_x = self.problem.dynamics_in_states.shape[1]
         processes = unknowns.copy()
         processes[:n_x] = 0.0
@@ -312,9 +343,13 @@ class MarginalLikelihood:
         return shown
 
     def dynamics_of_processes(self, unknowns: np.ndarray) -> np.ndarray:
-        """What forces alone do to the dynamics, (n_intervals * n_states,)."""
+        """What forces alone do to the dynamics, (n_intervals * n_states, k).
+
+        Args:
+            unknowns: (n_unknowns, k).
+        """
         problem = self.problem
-        moved = np.zeros(problem.dynamics_in_states.shape[0])
+        moved = np.zeros((problem.dynamics_in_states.shape[0], unknowns.shape[1]))
         places = self.places_of_processes()
         for equation, (first, n) in zip(self.structure.forces, places, strict=False):
             force = unknowns[first : first + n]

@@ -98,3 +98,15 @@ class Whitener:
         upper[1] = self.diagonal
         factor: np.ndarray = solve_banded((0, 1), upper, weights)
         return factor
+
+    def coloured(self, normals: np.ndarray) -> np.ndarray:
+        """Values of the process from standard normals (n, ...)."""
+        lower = np.zeros((2, len(self.diagonal)))
+        lower[0] = self.diagonal
+        lower[1, :-1] = self.below
+        values: np.ndarray = solve_banded((1, 0), lower, normals)
+        return values
+
+    def covariance_times(self, values: np.ndarray) -> np.ndarray:
+        """The covariance times values (n, k)."""
+        return self.coloured(self.factor_of(values))

@@ -20,7 +20,7 @@ from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.freedom import LOG_STEP, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.model_error.marginal_likelihood import Response
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Response
 from phsi_opt.model_error.sandwich import covariance_under
 from phsi_opt.model_error.spread import Spread
 
@@ -39,7 +39,6 @@ class PlainEstimate:
 
     Attributes:
         search: for what acts beside the model, on its linearised likelihood.
-        response: how it answers errors.
         covariance: (n_theta, n_theta) of the scaled parameters, from noise alone.
         in_theta: (n_values, n_theta) slope of what is shown in the scaled parameters
             when the states follow them.
@@ -50,12 +49,23 @@ class PlainEstimate:
     """
 
     search: DisturbanceSearch
-    response: Response
     covariance: np.ndarray
     in_theta: np.ndarray
     is_shared: bool
     within: float = 1.0
     score_variance: float = 1.0
+
+    @property
+    def response(self) -> Response:
+        """How it answers errors.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        white = Disturbances(self.sigma)
+        structure = white.structure
+        likelihood = MarginalLikelihood(self.problem, structure, self.moving)
+        return likelihood.response(white).over(self.within)
 
     @property
     def problem(self) -> Linearization:
@@ -109,13 +119,12 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     gain = 0.0
     found = white
     try:
-        baseline = plain.search.white()
         best = plain.search.found()
         if best.coordinates is not None:
             spread = under_disturbances(plain.search, plain.response, best)
             spreads[Source.DISTURBANCES] = spread
             found = best.disturbances
-        gain = best.log_evidence - baseline.log_evidence
+        gain = plain.search.gain(best)
     except (SolveError, np.linalg.LinAlgError):
         gain = 0.0  # such as a model whose parameters cannot be told apart
     clusters = _clusters(plain)

@@ -13,6 +13,7 @@ from phsi_opt.optimization.settings import FEASIBLE_PATH
 PATH_ITERATIONS = "Feasible_Path_Iterations_Exceeded"
 PATH_TIME = "Feasible_Path_WallTime_Exceeded"
 PATH_STATUSES = (FEASIBLE_PATH, PATH_ITERATIONS, PATH_TIME)
+DIRECT_STEPS = "Direct_Steps"  # of full Gauss-Newton steps that found an optimum
 ITERATION_LIMITS = ("Maximum_Iterations_Exceeded", PATH_ITERATIONS)
 TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded", PATH_TIME)
 
@@ -89,6 +90,7 @@ IPOPT_ENDINGS = (
     ),
 )
 
+STEPS_OPTIMUM = Ending(DIRECT_STEPS, True, "a local optimum was found")
 OTHERWISE = "Start from other values, or use more steps per sample."
 PATH = "along solutions of the model"
 PATH_OPTIMUM = Ending(FEASIBLE_PATH, True, f"a local optimum was found {PATH}")

@@ -1,6 +1,6 @@
 """CasADi functions that are called many times, on NumPy's own memory.
 
-CasADi's own conversion of a dense result walks over it as a list of Python's numbers.
+CasADi's own conversion of a result walks over it as a list of Python's numbers.
 """
 
 from typing import Any
@@ -10,10 +10,11 @@ import numpy as np
 
 
 class Evaluated:
-    """A CasADi function with dense arguments and results, as arrays.
+    """A CasADi function with dense arguments, as arrays.
 
     Args:
-        function: whose results are dense.
+        function: whose results are dense, or sparse: then the entries of their pattern
+            alone are given, in CasADi's order (column by column).
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -28,7 +29,7 @@ class Evaluated:
                 self._buffer.set_arg(i, memoryview(argument))
         self._results = []
         for i in range(function.n_out()):
-            result: Any = np.zeros((function.size2_out(i), function.size1_out(i)))
+            result: Any = np.zeros(_shape(function, i))
             self._results.append(result)
             if result.size:
                 self._buffer.set_res(i, memoryview(result))
@@ -45,3 +46,10 @@ class Evaluated:
             own[:] = np.ravel(np.asarray(given, dtype=float), order="F")
         self._evaluate()
         return self._results
+
+
+def _shape(function: ca.Function, i: int) -> tuple[int, ...]:
+    """Of the array for the result i."""
+    if function.sparsity_out(i).is_dense():
+        return function.size2_out(i), function.size1_out(i)
+    return (function.nnz_out(i),)

@@ -55,13 +55,7 @@ def defect_slopes(
 
     ``x`` is (n_nodes, n_states) and ``theta`` (n_free,).
     """
-    function = defect(model, scheme)
-    arguments = argument_symbols(function)
-    x0, x1 = arguments[:2]
-    value = function(*arguments)
-    in_x0 = ca.densify(ca.jacobian(value, x0).T)
-    in_x1 = ca.densify(ca.jacobian(value, x1).T)
-    slopes = ca.Function("slopes", arguments, [ca.vec(in_x0), ca.vec(in_x1)])
+    slopes = model.built(("dense slopes", scheme), lambda: _dense_slopes(model, scheme))
     columns = interval_arguments(grid, ca.DM(x.T))
     at_begin, at_end = map_intervals(slopes, grid, columns, theta)
     shape = (grid.n_intervals, model.n_states, model.n_states)
@@ -77,14 +71,52 @@ def interval_slopes(
 
     ``x`` is (n_states, n_nodes), symbols or numbers; ``theta`` as that of `defects`.
     """
+    one = model.built(
+        ("slopes", scheme, with_theta),
+        lambda: _slopes_of_one(model, scheme, with_theta),
+    )
+    values = map_intervals(one.entries, grid, interval_arguments(grid, x), theta)
+    return IntervalEntries(values, one.places)
+
+
+@dataclass(frozen=True, eq=False)
+class _OfOneInterval:
+    """A function of one interval, and the places of its entries, (n_entries, 2)."""
+
+    entries: ca.Function
+    places: np.ndarray
+
+
+def _dense_slopes(model: Model, scheme: str) -> ca.Function:
+    """Slopes of one interval's defect in x0 and in x1, each row by row."""
+    function = defect(model, scheme)
+    arguments = argument_symbols(function)
+    x0, x1 = arguments[:2]
+    value = function(*arguments)
+    in_x0 = ca.densify(ca.jacobian(value, x0).T)
+    in_x1 = ca.densify(ca.jacobian(value, x1).T)
+    return ca.Function("slopes", arguments, [ca.vec(in_x0), ca.vec(in_x1)])
+
+
+def _slopes_of_one(model: Model, scheme: str, with_theta: bool) -> _OfOneInterval:
     function = defect(model, scheme)
     arguments = argument_symbols(function)
     x0, x1, *_, parameters = arguments
     unknowns = [x0, x1, parameters] if with_theta else [x0, x1]
     slopes = ca.jacobian(function(*arguments), ca.vertcat(*unknowns))
     entries = ca.Function("steps", arguments, [_entries(slopes)])
-    values = map_intervals(entries, grid, interval_arguments(grid, x), theta)
-    return IntervalEntries(values, _places(slopes))
+    return _OfOneInterval(entries, _places(slopes))
+
+
+def _linear_one(model: Model, scheme: str) -> _OfOneInterval:
+    """The defect of one interval with its slopes in (x0, x1, theta)."""
+    function = defect(model, scheme)
+    arguments = argument_symbols(function)
+    x0, x1, *_, parameters = arguments
+    value = function(*arguments)
+    slopes = ca.jacobian(value, ca.vertcat(x0, x1, parameters))
+    both = ca.Function("linear", arguments, [value, _entries(slopes)])
+    return _OfOneInterval(both, _places(slopes))
 
 
 class DefectLinearization:
@@ -97,14 +129,9 @@ class DefectLinearization:
 
     def __init__(self, model: Model, scheme: str) -> None:
         self.model = model
-        function = defect(model, scheme)
-        arguments = argument_symbols(function)
-        x0, x1, *_, parameters = arguments
-        value = function(*arguments)
-        slopes = ca.jacobian(value, ca.vertcat(x0, x1, parameters))
-        self._places = _places(slopes)
-        entries = _entries(slopes)
-        self._function = ca.Function("linear", arguments, [value, entries])
+        one = model.built(("linear", scheme), lambda: _linear_one(model, scheme))
+        self._places = one.places
+        self._function = one.entries
 
     def at(
         self, grid: Grid, x: np.ndarray, parameters: np.ndarray
@@ -154,6 +181,13 @@ def interval_curvatures(
     ``x`` is (n_states, n_nodes), ``multipliers`` (n_states, n_intervals), ``theta`` as
     that of `defects`.
     """
+    one = model.built(("curvature", scheme), lambda: _curvature_of_one(model, scheme))
+    columns = [*interval_arguments(grid, x), multipliers]
+    values = map_intervals(one.entries, grid, columns, theta)
+    return IntervalEntries(values, one.places)
+
+
+def _curvature_of_one(model: Model, scheme: str) -> _OfOneInterval:
     function = defect(model, scheme)
     *given, parameters = argument_symbols(function)
     x0, x1 = given[:2]
@@ -163,8 +197,7 @@ def interval_curvatures(
     upper = ca.triu(hessian)
     arguments = [*given, multiplier, parameters]
     entries = ca.Function("curvature", arguments, [_entries(upper)])
-    columns = [*interval_arguments(grid, x), multipliers]
-    return IntervalEntries(map_intervals(entries, grid, columns, theta), _places(upper))
+    return _OfOneInterval(entries, _places(upper))
 
 
 def _places(matrix: ca.SX) -> np.ndarray:

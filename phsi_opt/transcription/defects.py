@@ -49,7 +49,7 @@ class _Interval:
         """The symbols as arguments of a function, in their order."""
         return [self.t0, self.h, self.u0, self.u1, self.theta]
 
-    def rates(self, rhs: ca.Function, x: Any, share: float) -> Any:
+    def rates(self, rhs: ca.Function, x: Any, share: Any) -> Any:
         """Right-hand side at a state, where a share of the interval lies behind."""
         u = self.u0 + share * (self.u1 - self.u0)
         t = self.t0 + share * self.h
@@ -155,18 +155,26 @@ def defect_jacobian(
         n_columns: those of theta: one, or as many as there are trajectories.
         n_moving: as that of `defect`.
     """
-    function = defect(model, scheme, n_moving)
-    arguments = argument_symbols(function)
     chosen = list(range(len(model.free))) if only is None else only
-    slopes = ca.jacobian(function(*arguments), arguments[-1])
-    transposed = ca.densify(slopes[:, chosen]).T
-    per_interval = ca.Function("row", arguments, [ca.vec(transposed)])
+    key = ("row", scheme, n_moving, tuple(chosen))
+    per_interval = model.built(key, lambda: _row(model, scheme, n_moving, chosen))
     x = ca.MX.sym("x", model.n_states, grid.n_nodes)
     theta = ca.MX.sym("theta", len(model.free), n_columns)
     rows = map_intervals(per_interval, grid, interval_arguments(grid, x), theta)
     n_rows = model.n_states * grid.n_intervals
     jacobian = ca.reshape(rows, len(chosen), n_rows).T
     return ca.Function("jacobian", [x, theta], [jacobian])
+
+
+def _row(
+    model: Model, scheme: str, n_moving: int | None, chosen: list[int]
+) -> ca.Function:
+    """Slopes of one interval's defect in the chosen parameters, row by row."""
+    function = defect(model, scheme, n_moving)
+    arguments = argument_symbols(function)
+    slopes = ca.jacobian(function(*arguments), arguments[-1])
+    transposed = ca.densify(slopes[:, chosen]).T
+    return ca.Function("row", arguments, [ca.vec(transposed)])
 
 
 def local_errors(
@@ -187,8 +195,9 @@ def local_errors(
         (n_intervals, n_states) exact end minus state at the end; NaN where the exact
         solution leaves the range of numbers.
     """
-    x0, _, *others = interval_arguments(grid, ca.DM(x.T))
-    ends = map_intervals(_fine_integration(model), grid, [x0, *others], theta)
+    exact = model.built("exact", lambda: _fine_integration(model))
+    x0, _, *others = interval_arguments(grid, x.T)
+    ends = map_intervals(exact, grid, [x0, *others], theta)
     return np.array(ends).T - x[grid.begin + 1]
 
 
@@ -197,13 +206,16 @@ def _fine_integration(model: Model) -> ca.Function:
     rhs = model.rhs()
     psi = integrator("rk4").psi
     x0 = ca.SX.sym("x0", model.n_states)
+    n_done = ca.SX.sym("n_done")
     interval = _Interval.of(model)
     h_fine = interval.h / FINE_STEPS
+
+    def g(at: Any, c: float) -> Any:
+        return interval.rates(rhs, at, (n_done + c) / FINE_STEPS)
+
+    behind = x0 + h_fine * psi(g, x0, x0, h_fine)
+    step = ca.Function("step", [x0, n_done, *interval.symbols], [behind])
     x = x0
     for k in range(FINE_STEPS):
-
-        def g(at: Any, c: float, n_done: int = k) -> Any:
-            return interval.rates(rhs, at, (n_done + c) / FINE_STEPS)
-
-        x = x + h_fine * psi(g, x, x, h_fine)
+        x = step(x, k, *interval.symbols)
     return ca.Function("exact", [x0, *interval.symbols], [x])

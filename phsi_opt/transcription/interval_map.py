@@ -16,7 +16,7 @@ from phsi_opt.transcription.grid import Grid
 
 # Mapped functions that are kept: those of one model and its next neighbours. Each
 # takes some memory per interval.
-MOST_KEPT = 16
+MOST_KEPT = 32
 
 
 def argument_symbols(function: ca.Function) -> list[ca.SX]:
@@ -57,13 +57,13 @@ def map_intervals(
     shape = theta.shape if hasattr(theta, "shape") else np.shape(theta)
     n_intervals = len(grid.begin)
     if len(shape) < 2 or shape[1] == 1:
-        return _mapped(function, n_intervals, True)(*arguments, theta)
+        return mapped(function, n_intervals, True)(*arguments, theta)
     by_interval = theta[:, grid.trajectory[grid.begin].tolist()]
-    return _mapped(function, n_intervals, False)(*arguments, by_interval)
+    return mapped(function, n_intervals, False)(*arguments, by_interval)
 
 
 @lru_cache(MOST_KEPT)
-def _mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
+def mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
     """The function in n columns; the last argument may be one and the same for all."""
     if is_shared:
         return function.map("mapped", "serial", n, [function.n_in() - 1], [])

@@ -9,7 +9,11 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols, interval_arguments
+from phsi_opt.transcription.interval_map import (
+    argument_symbols,
+    interval_arguments,
+    mapped,
+)
 
 # Intervals in one call: a map over all of a long record takes longer to make than to
 # evaluate, one over a few is called too often.
@@ -54,8 +58,11 @@ class KnownDefects:
         self._n_chosen = len(chosen)
         self._n_intervals = grid.n_intervals
         self._size = max(min(grid.n_intervals, AT_ONCE), 1)
-        together = _with_slopes(model, scheme, chosen)
-        self._evaluated = Evaluated(together.map(self._size))
+        together = model.built(
+            ("with slopes", scheme, tuple(chosen)),
+            lambda: _with_slopes(model, scheme, chosen),
+        )
+        self._evaluated = Evaluated(mapped(together, self._size, False))
         states = grid.y if x is None else x
         self._parts = []
         arguments = [np.asarray(one).T for one in interval_arguments(grid, states.T)]

@@ -1,0 +1,241 @@
+"""Full Gauss-Newton steps of a likelihood, its noise re-estimated on the way.
+
+From a good start they find the optimum in a few iterations, each of which costs one
+evaluation of the slopes and one banded factorisation: no barrier, no line search, and
+no solve of its own for every estimate of the noise. Nothing is forced. Where steps do
+not contract, or end at a bound, there is no result, and IPOPT begins where it would
+have begun.
+"""
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from scipy.sparse import csc_matrix
+
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.noise_estimation import NoiseIteration
+from phsi_opt.interrupts import solving
+from phsi_opt.optimization.endings import STEPS_OPTIMUM
+from phsi_opt.optimization.evaluated import Evaluated
+from phsi_opt.optimization.ipopt import KKT, Solution, at_bounds
+from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.program import Program
+from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.optimality_system import NewtonStep, OptimalitySystem
+
+MOST_DIRECT_STEPS = 12
+# Scaled defect up to which the residuals say something about the noise.
+NEARLY_HOLDING = 1e-2
+# Share of the error that a step leaves, at most; the first steps find their way.
+CONTRACTION = 0.7
+FREE_STEPS = 3
+# Share of the way to a bound that a step goes at most: bounds are not crossed, and an
+# optimum at one is not found here.
+TO_BOUND = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A solution, and the noise that its residuals show.
+
+    Attributes:
+        solution: of the program with that noise.
+        sigma: (n_states,).
+    """
+
+    solution: Solution
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A point, and what the program is there.
+
+    Attributes:
+        z: scaled variables.
+        sigma: noise for which the rest holds.
+        objective: its value.
+        g: (n_constraints,) scaled defects.
+        jacobian: entries of their slopes.
+        residual: (n_residuals,).
+        gradient: of the objective, (n_variables,).
+        hessian: entries of its upper triangle.
+    """
+
+    z: np.ndarray
+    sigma: np.ndarray
+    objective: float
+    g: np.ndarray
+    jacobian: np.ndarray
+    residual: np.ndarray
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+    @property
+    def violation(self) -> float:
+        """The largest scaled defect."""
+        return float(np.max(np.abs(self.g), initial=0.0))
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the model has values and slopes here."""
+        of_slopes = np.sum(self.jacobian) + np.sum(self.gradient)
+        return bool(np.isfinite(self.violation + self.objective + of_slopes))
+
+
+@dataclass(frozen=True, eq=False)
+class DirectSteps:
+    """Steps of one program, whose variables are theta and the states alone.
+
+    Attributes:
+        program: of the likelihood.
+        grid: its nodes and intervals.
+        settings: tolerance of the scaled optimality conditions, and limits.
+    """
+
+    program: Program
+    grid: Grid
+    settings: SolverSettings
+
+    @cached_property
+    def _point(self) -> ca.Function:
+        return _point_function(self.program)
+
+    @cached_property
+    def _evaluated(self) -> Evaluated:
+        return Evaluated(self._point)
+
+    @cached_property
+    def _system(self) -> OptimalitySystem:
+        states = self.program.variables["x"]
+        n_states = (states.stop - states.start) // self.grid.n_nodes
+        of_hessian = self._point.sparsity_out(5)
+        of_jacobian = self._point.sparsity_out(2)
+        return OptimalitySystem(self.grid, n_states, of_hessian, of_jacobian)
+
+    def optimum(
+        self, z: np.ndarray, sigma: np.ndarray, noise: NoiseIteration
+    ) -> Optimum | None:
+        """The optimum and the noise that its residuals show; None: not found.
+
+        Args:
+            z: scaled variables to start from.
+            sigma: (n_states,) noise to start from.
+            noise: re-estimates what is not given.
+        """
+        began = time.perf_counter()
+        place = self._at(z, sigma)
+        errors: list[float] = []
+        most = min(MOST_DIRECT_STEPS, self.settings.max_iterations)
+        for n_steps in range(1, most + 1):
+            step = self._step(place)
+            is_late = time.perf_counter() - began > self.settings.max_seconds
+            if step is None or is_late:
+                return None
+            errors.append(place.violation + self._length(place, step))
+            if not _contracts(errors):
+                return None
+            place = self._at(self._moved(place.z, step.z), place.sigma)
+            if not place.violation < NEARLY_HOLDING:
+                continue
+            updated = noise.updated(place.sigma, place.residual)
+            has_settled = noise.has_settled(place.sigma, updated)
+            if has_settled and self._is_optimal(place, step):
+                return self._optimum_at(place.z, updated, n_steps, began)
+            if not has_settled:
+                place = self._at(place.z, updated)
+        return None
+
+    def _step(self, place: _Place) -> NewtonStep | None:
+        """The full step; None where there is none."""
+        if not place.is_finite:
+            return None
+        with suppress(SolveError, np.linalg.LinAlgError):
+            return self._system.step(
+                place.hessian, place.jacobian, place.gradient, place.g
+            )
+        return None
+
+    def _length(self, place: _Place, step: NewtonStep) -> float:
+        """Of a step, in units of the objective's root."""
+        curvature = self._system.curvature(place.hessian, step.z)
+        return float(np.sqrt(max(curvature, 0.0)))
+
+    def _is_optimal(self, place: _Place, step: NewtonStep) -> bool:
+        """Whether the conditions hold behind a step, with its multipliers."""
+        gradient = self._system.lagrangian_gradient(
+            place.gradient, place.jacobian, step.multipliers
+        )
+        error = max(float(np.max(np.abs(gradient))), place.violation)
+        return error < self.settings.tolerance
+
+    def _moved(self, z: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """After the step, or the part of it that stays within the bounds."""
+        program = self.program
+        room = np.where(step > 0, program.upper - z, z - program.lower)
+        crosses = np.abs(step) > TO_BOUND * room
+        if not crosses.any():
+            return z + step
+        shares = TO_BOUND * room[crosses] / np.abs(step[crosses])
+        return z + max(float(np.min(shares)), 0.0) * step
+
+    def _at(self, z: np.ndarray, sigma: np.ndarray) -> _Place:
+        with solving():
+            found = self._evaluated(z, sigma)
+        objective, *others = [part.copy().ravel() for part in found]
+        return _Place(z, sigma, float(objective[0]), *others)
+
+    def _optimum_at(
+        self, z: np.ndarray, sigma: np.ndarray, n_steps: int, began: float
+    ) -> Optimum:
+        place = self._at(z, sigma)
+        outcome = Outcome(
+            success=STEPS_OPTIMUM.is_usable,
+            status=STEPS_OPTIMUM.status,
+            sentence=STEPS_OPTIMUM.sentence,
+            advice=STEPS_OPTIMUM.advice,
+            iterations=n_steps,
+            seconds=time.perf_counter() - began,
+            objective=place.objective,
+            infeasibility=place.violation,
+            at_bounds=at_bounds(self.program, z),
+        )
+        upper = _matrix(self._point.sparsity_out(5), place.hessian)
+        hessian = upper + upper.T
+        hessian.setdiag(upper.diagonal())
+        jacobian = _matrix(self._point.sparsity_out(2), place.jacobian)
+        kkt = KKT(hessian.tocsc(), jacobian)
+        values = self.program.values(z)
+        return Optimum(Solution(values, z, place.residual, outcome, kkt), sigma)
+
+
+def _contracts(errors: list[float]) -> bool:
+    """Whether the last step left less of the error than the one before."""
+    if not np.isfinite(errors[-1]):
+        return False
+    if len(errors) <= FREE_STEPS:
+        return True
+    return errors[-1] < CONTRACTION * errors[-2]
+
+
+def _matrix(pattern: ca.Sparsity, entries: np.ndarray) -> csc_matrix:
+    """SciPy's matrix of CasADi's pattern."""
+    places = (entries, pattern.row(), pattern.colind())
+    return csc_matrix(places, shape=pattern.shape)
+
+
+def _point_function(program: Program) -> ca.Function:
+    """(z, settings) -> objective, g, its slopes, residual, gradient and Hessian."""
+    z = program.z
+    given = [z, program.settings]
+    no_multipliers = ca.MX.zeros(program.g.numel())
+    g, jacobian = program.jacobian(*given)
+    hessian = program.hessian(*given, 1, no_multipliers)
+    gradient = ca.gradient(program.objective, z)
+    parts = [program.objective, g, jacobian, program.residual, gradient, hessian]
+    return ca.Function("point", given, parts)

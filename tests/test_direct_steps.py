@@ -1,0 +1,251 @@
+"""Full steps from a simple start: the optimum that IPOPT finds, or no answer."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.estimation import maximum_likelihood
+from phsi_opt.estimation.identify import estimate_by
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
+from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.likelihood_start import simple_start
+from phsi_opt.estimation.problem import Task
+from phsi_opt.initialization.kinematic_states import kinematic_states
+from phsi_opt.model.built_functions import built_of
+from phsi_opt.model.model import Model
+from phsi_opt.optimization.endings import DIRECT_STEPS
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.interval_map import mapped
+from phsi_opt.transcription.optimality_system import OptimalitySystem
+
+T = np.linspace(0.0, 20.0, 201)
+NOISE = 0.02
+
+
+def spring(
+    k: ph.Parameter | float, c: ph.Parameter | float, m: ph.Parameter | float = 1.5
+) -> ph.Model:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/(2*m)", k=k, m=m),
+        R={"p": ph.formula("c", c=c)},
+    )
+
+
+def unknown(k: float = 1.0, c: float = 0.1) -> ph.Model:
+    return spring(ph.Parameter(k, lower=0), ph.Parameter(c, lower=0))
+
+
+def swinging(
+    truth: ph.Model | None = None, *, only_q: bool = True, seed: int = 0
+) -> ph.Measurements:
+    x = ph.simulate(truth or spring(1.7, 0.15), T, [1.0, 0.0])
+    y = x + NOISE * np.random.default_rng(seed).normal(size=x.shape)
+    if only_q:
+        y[:, 1] = np.nan
+    return ph.Measurements.from_arrays(T, y, states=["q", "p"])
+
+
+def without_simple_start(
+    monkeypatch: pytest.MonkeyPatch, model: ph.Model, data: ph.Measurements
+) -> ph.Fit:
+    with monkeypatch.context() as patched:
+        patched.setattr(maximum_likelihood, "simple_start", lambda _: None)
+        return ph.identify(model, data)
+
+
+@pytest.mark.parametrize("only_q", [True, False])
+def test_full_steps_find_the_optimum_that_the_careful_start_leads_to(
+    monkeypatch: pytest.MonkeyPatch, only_q: bool
+) -> None:
+    data = swinging(only_q=only_q)
+    fit = ph.identify(unknown(), data)
+    assert fit.outcome.status == DIRECT_STEPS
+    careful = without_simple_start(monkeypatch, unknown(), data)
+    for name in ("k", "c"):
+        # Two channels are weighed by noises that are known to 0.005.
+        limit = (1e-4 if only_q else 1e-2) * fit.std_errors[name]
+        assert fit.values[name] == pytest.approx(careful.values[name], abs=limit)
+        assert fit.std_errors[name] == pytest.approx(careful.std_errors[name], rel=0.01)
+    assert fit.noise["q"] == pytest.approx(careful.noise["q"], rel=0.005)
+    assert fit.bic == pytest.approx(careful.bic, abs=0.01)
+
+
+def test_the_simple_start_is_no_answer_where_the_model_lacks_something() -> None:
+    truth = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("1.7*q**2/2 + q**4 + p**2/3"),
+        R={"p": ph.formula("0.15")},
+    )
+    said: list[str] = []
+    ph.identify(unknown(), swinging(truth), progress=said.append)
+    assert any("starting values" in line for line in said)
+
+
+def test_what_the_data_are_silent_about_stays_where_it_was() -> None:
+    """The position alone does not tell the scale of momentum, mass, and all forces."""
+    model = spring(
+        ph.Parameter(1.0, lower=0), ph.Parameter(0.1, lower=0), ph.Parameter(1.0)
+    )
+    fit = ph.identify(model, swinging())
+    assert fit.outcome.success
+    assert fit.values["k"] / fit.values["m"] == pytest.approx(1.7 / 1.5, rel=0.01)
+    assert 0.1 < fit.values["m"] < 10
+    assert np.isnan(fit.std_errors["m"])
+
+
+def test_an_optimum_at_a_bound_is_left_to_ipopt() -> None:
+    model = spring(ph.Parameter(1.0, lower=0), ph.Parameter(0.5, lower=0.3))
+    fit = ph.identify(model, swinging())
+    assert fit.outcome.status != DIRECT_STEPS
+    assert fit.outcome.at_bounds == ("c",)
+
+
+def test_steps_that_lead_nowhere_give_no_answer() -> None:
+    model = unknown()
+    aligned = AlignedData.of(model, swinging())
+    task = Task(model, aligned, {}, None, ph.SolverSettings())
+    problem = LikelihoodProblem.of(task, ph.MaximumLikelihood())
+    solver = LikelihoodSolver(problem)
+    start = simple_start(problem)
+    assert start is not None
+    assert solver.solve_directly(start) is not None
+    for wrong in (np.full(2, 1e200), np.array([np.inf, 1.0])):
+        lost = replace(start, states=(start.states[0] * wrong,))
+        with np.errstate(all="ignore"):
+            try:
+                assert solver.solve_directly(lost) is None
+            except ph.ModelError as error:  # a start that is no number
+                assert "not finite" in str(error)
+    brief = replace(task, settings=ph.SolverSettings(max_iterations=1))
+    solver = LikelihoodSolver(replace(problem, task=brief))
+    assert solver.solve_directly(start) is None
+
+
+def test_a_step_is_that_of_dense_algebra() -> None:
+    rng = np.random.default_rng(0)
+    t = [np.arange(5.0), np.arange(4.0)]
+    data = ph.Measurements.from_arrays(
+        t, [rng.normal(size=(len(s), 2)) for s in t], states=["a", "b"]
+    )
+    grid = grid_of(data)
+    n_theta, n_x, n_g = 2, 2 * grid.n_nodes, 2 * grid.n_intervals
+    H = np.diag(rng.uniform(1.0, 2.0, n_theta + n_x))
+    H[0, n_theta + 3] = 0.1  # as a sensor's gain would have it
+    J = np.zeros((n_g, n_theta + n_x))
+    J[:, :n_theta] = rng.normal(size=(n_g, n_theta))
+    for interval, begin in enumerate(grid.begin):
+        rows = slice(2 * interval, 2 * interval + 2)
+        columns = slice(n_theta + 2 * begin, n_theta + 2 * begin + 4)
+        J[rows, columns] = rng.normal(size=(2, 4))
+    gradient, g = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
+    sparse_H, sparse_J = ca.sparsify(ca.DM(H)), ca.sparsify(ca.DM(J))
+    system = OptimalitySystem(grid, 2, sparse_H.sparsity(), sparse_J.sparsity())
+    entries = np.array(sparse_H.nonzeros()), np.array(sparse_J.nonzeros())
+    step = system.step(*entries, gradient, g)
+    whole = H + np.triu(H, 1).T
+    matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])
+    expected = np.linalg.solve(matrix, -np.r_[gradient, g])
+    np.testing.assert_allclose(np.r_[step.z, step.multipliers], expected, rtol=1e-8)
+    assert system.curvature(entries[0], step.z) == pytest.approx(
+        step.z @ whole @ step.z
+    )
+    left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
+    np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
+
+
+# --- States by kinematics
+
+
+def test_a_momentum_follows_from_the_rate_of_its_position() -> None:
+    x = ph.simulate(spring(1.7, 0.15), T, [1.0, 0.0])
+    y = x.copy()
+    y[:, 1] = np.nan
+    y[50:60, 0] = np.nan  # a gap
+    data = ph.Measurements.from_arrays(T, y, states=["q", "p"])
+    found = kinematic_states(spring(1.7, 0.15), grid_of(data))
+    assert found is not None
+    is_known = np.isfinite(y[:, 0])
+    np.testing.assert_array_equal(found[is_known, 0], y[is_known, 0])
+    inside = slice(70, 190)
+    # Differences over two intervals of 0.1: the third derivative times h^2 / 6.
+    np.testing.assert_allclose(found[inside, 1], x[inside, 1], atol=0.01)
+
+
+def test_a_state_that_moves_nothing_measured_is_not_guessed() -> None:
+    model = ph.FirstOrder(
+        ["a", "b", "c"],
+        {"a": ph.formula("-a"), "b": ph.formula("-b + a"), "c": ph.formula("b - c")},
+    )
+    y = np.column_stack([np.exp(-T), np.full((len(T), 2), np.nan)])
+    data = ph.Measurements.from_arrays(T, y, states=["a", "b", "c"])
+    assert kinematic_states(model, grid_of(data)) is None
+
+
+# --- What is built once
+
+
+def test_a_second_fit_builds_no_function_of_the_formulas(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ph.identify(unknown(), swinging())
+    built = Model.built
+
+    def kept(model: Model, key: str, make: object) -> object:
+        assert key in model._built, f"{key} was built again"
+        return built(model, key, make)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Model, "built", kept)
+    # Another model object, with other values to start from, and other data.
+    fit = ph.identify(unknown(1.2, 0.2), swinging(seed=1))
+    assert fit.outcome.success
+
+
+def test_what_is_built_depends_on_the_formulas_and_the_known_numbers_alone() -> None:
+    one = unknown(1.0)._built
+    assert unknown(2.0)._built is one
+    assert spring(ph.Parameter(1.0), ph.Parameter(0.1))._built is one
+    assert unknown().with_values({"k": 3.0})._built is one
+    others = [
+        spring(1.0, ph.Parameter(0.1)),
+        spring(ph.Parameter(1.0), ph.Parameter(0.1), m=2.0),
+        unknown().dynamics().with_free(["m"]),
+    ]
+    for other in others:
+        assert other._built is not one
+
+
+def test_a_fit_is_the_same_to_the_bit_whatever_was_fitted_before() -> None:
+    data = swinging(seed=2)
+    warm = ph.identify(unknown(), data)
+    ph.identify(spring(ph.Parameter(1.0), 0.2), swinging(seed=3))
+    again = ph.identify(unknown(), data)
+    built_of.cache_clear()
+    mapped.cache_clear()
+    fresh = ph.identify(unknown(), data)
+    for fit in (again, fresh):
+        assert fit.values == warm.values
+        np.testing.assert_array_equal(fit.covariance, warm.covariance)
+        np.testing.assert_array_equal(fit.states[0], warm.states[0])
+
+
+def test_the_simple_start_leaves_what_was_asked_for_as_it_is() -> None:
+    """Windows, several starts and slack variables have ways of their own."""
+    model = unknown()
+    aligned = AlignedData.of(model, swinging())
+    task = Task(model, aligned, {}, None, ph.SolverSettings())
+    losses = [
+        ph.MaximumLikelihood(window=5.0),
+        ph.MaximumLikelihood(starts=2),
+        ph.MaximumLikelihood(huber=1.345),
+    ]
+    for loss in losses:
+        estimate = estimate_by(loss, task, None)
+        assert estimate.is_success
+        assert estimate.solution.outcome.status != DIRECT_STEPS
