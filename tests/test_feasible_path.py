@@ -88,6 +88,22 @@ def test_it_finds_the_optimum_that_ipopt_finds() -> None:
     np.testing.assert_allclose(mine.values["x"], ipopt.values["x"], atol=0.05 * NOISE)
 
 
+def test_it_ends_as_soon_where_the_noise_is_assumed_far_too_small() -> None:
+    # A wrong model leaves a hundred times the noise of its sensors. The last fall that
+    # counts is one beside what is left, not beside that noise.
+    model = friction_and_damping_free(0.3)
+    path = path_of(model, measured(0.3))
+    start = path.program.start
+    well_known = path.solve(start, path.program.set_to)
+    too_small = path.solve(start, path.program.set_to * np.array([0.01, 1.0]))
+    assert too_small.outcome.success
+    assert too_small.outcome.iterations <= well_known.outcome.iterations + 1
+    # A thirtieth of the standard errors, which are 0.002 and 0.003.
+    np.testing.assert_allclose(
+        too_small.values["theta"], well_known.values["theta"], atol=1e-4
+    )
+
+
 def test_a_parameter_stays_within_its_bounds() -> None:
     data = measured(0.3)
     model = rubbing(
