@@ -96,6 +96,7 @@ def climbed(
     coordinates: Coordinates,
     channels: tuple[int, ...],
     most_steps: int,
+    least_gain: float = LEAST_GAIN,
 ) -> Climbed:
     """The largest log evidence, by damped Newton steps from the coordinates' origin.
 
@@ -104,6 +105,7 @@ def climbed(
         coordinates: with their bounds.
         channels: states whose noise is estimated.
         most_steps: uphill, at most.
+        least_gain: of the log evidence by a step, at which they end.
     """
     lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
     sums = coordinates.among_slopes()
@@ -128,7 +130,7 @@ def climbed(
         vector = trial
         here = there
         damping = max(damping / MORE_DAMPING, LEAST_DAMPING)
-        if gain < LEAST_GAIN:
+        if gain < least_gain:
             break
     return Climbed(vector, here.log_evidence, here.information)
 

@@ -109,7 +109,7 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     gain = 0.0
     found = white
     try:
-        baseline = plain.search.white()
+        baseline = plain.search.white
         best = plain.search.found()
         if best.coordinates is not None:
             spread = under_disturbances(plain.search, plain.response, best)
