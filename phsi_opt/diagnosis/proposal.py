@@ -119,10 +119,11 @@ class _Search:
         """The pairs that leave least and do not raise the error on data held out."""
         found = []
         n_unsettled = 0
+        most_unsettled = N_UNSETTLED_PAIRS if self.base.may_be_far_from_linear else 0
         for pair in self.prospects.pairs(singles, self.base.judging_record):
             self.looked.append(expected(self.base, self.prospects, pair))
             n_unsettled += pair.look is None
-            is_hopeless = pair.look is None and n_unsettled > N_UNSETTLED_PAIRS
+            is_hopeless = pair.look is None and n_unsettled > most_unsettled
             rises = pair.held_out > HELD_OUT_RISE * self.base.judged_misfit
             if not rises and not is_hopeless:
                 found.append(pair)
