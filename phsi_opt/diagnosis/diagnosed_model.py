@@ -7,7 +7,15 @@ import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.comparison.model_selection import is_like_noise
-from phsi_opt.criteria import CLOCK_MARGIN, FAR_RUN_SHARE, ONE_ATTEMPT_INTERVALS
+from phsi_opt.criteria import (
+    CLOCK_MARGIN,
+    FAR_RUN_SHARE,
+    N_PAIR_REFITS,
+    N_PAIR_REFITS_ALONG_SOLUTIONS,
+    N_REFITS,
+    N_REFITS_ALONG_SOLUTIONS,
+    ONE_ATTEMPT_INTERVALS,
+)
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.effect import Effect
@@ -77,8 +85,27 @@ class DiagnosedModel:
         sharp corner: re-fits of such effects (four of EMPS and the demonstration) took
         2 to 7 s each and failed, or found what may as well be zero.
         """
-        is_sharp = self.fit.outcome.way == FEASIBLE_PATH
-        return not is_sharp and not is_like_noise(self.trained)
+        return not self.is_along_solutions and not is_like_noise(self.trained)
+
+    @property
+    def most_refits(self) -> int:
+        """Effects that are re-fitted alone, at most."""
+        return N_REFITS_ALONG_SOLUTIONS if self._is_slow else N_REFITS
+
+    @property
+    def most_pair_refits(self) -> int:
+        """Pairs of effects that are re-fitted, at most."""
+        return N_PAIR_REFITS_ALONG_SOLUTIONS if self._is_slow else N_PAIR_REFITS
+
+    @property
+    def _is_slow(self) -> bool:
+        """Whether re-fits go along solutions of a long record."""
+        return self.is_long and self.is_along_solutions
+
+    @property
+    def is_along_solutions(self) -> bool:
+        """Whether the base was found beside a sharp corner."""
+        return self.fit.outcome.way == FEASIBLE_PATH
 
     def rmse_of(self, misfit: float, comparison: Comparison) -> float:
         """Free-run error that goes with a misfit, on the scale of a comparison's.

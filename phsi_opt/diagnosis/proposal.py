@@ -22,7 +22,6 @@ from phsi_opt.criteria import (
     FALSE_DISCOVERY_RATE,
     FEWER_BESIDE_ALL,
     HELD_OUT_RISE,
-    N_PAIR_REFITS,
     N_PAIR_RIVALS,
     N_UNSETTLED_PAIRS,
     SIMPLE_SHARE,
@@ -85,7 +84,7 @@ class _Search:
         the best one.
         """
         best = single
-        for pair in self.pairs(simplest_dry(self.singles), N_PAIR_REFITS):
+        for pair in self.pairs(simplest_dry(self.singles), self.base.most_pair_refits):
             best = self._better(best, pair)
         if best is None or best.candidate.partner is None:
             return best

@@ -23,7 +23,6 @@ from phsi_opt.criteria import (
     COMPARED_P_VALUE,
     HELD_OUT_RISE,
     HOPELESS_VARIANCE,
-    N_REFITS,
     N_UNSETTLED_REFITS,
     REFIT_P_VALUE,
     RIVAL_SCORE,
@@ -159,7 +158,7 @@ def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospec
             if n_unsettled > most_unsettled:
                 continue
         chosen.append(one)
-    return chosen[:N_REFITS]
+    return chosen[: base.most_refits]
 
 
 def request_of(

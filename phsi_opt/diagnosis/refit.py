@@ -241,7 +241,7 @@ class _Refitting:
 
     def _effort(self) -> SolverSettings:
         """How hard a first solve of the larger model tries."""
-        if self.base.fit.outcome.way == FEASIBLE_PATH:
+        if self.base.is_along_solutions:
             return BESIDE_SHARP
         has_corner = bool(self.sharpening.corners(self.model))
         return IN_EVERY_WAY if has_corner or self.request.is_likely else BRIEF
