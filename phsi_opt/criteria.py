@@ -112,7 +112,7 @@ HELD_OUT_RISE = 1.1
 # Free-run error over the standard deviation that a sensor shows from which a base may
 # have lost its way, so that losses begin at the least squares of its missing force: a
 # pendulum over the top that lost its gravity was off by more than all of it. EMPS, off
-# by 2 %, had three such re-fits in vain.
+# by half a percent, had three such re-fits in vain.
 FAR_RUN_SHARE = 0.3
 N_REFITS = 5  # effects that are re-fitted alone, at most
 N_PAIR_REFITS = 4  # pairs of effects that are re-fitted, at most
