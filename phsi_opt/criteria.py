@@ -109,8 +109,17 @@ N_UNSETTLED_PAIRS = 1  # the same of pairs
 # Misfit on data held out, over that of the base model, from which an effect is not
 # re-fitted: one that is right lowers it.
 HELD_OUT_RISE = 1.1
+# Free-run error over the standard deviation that a sensor shows from which a base may
+# have lost its way, so that losses begin at the least squares of its missing force: a
+# pendulum over the top that lost its gravity was off by more than all of it. EMPS, off
+# by half a percent, had three such re-fits in vain.
+FAR_RUN_SHARE = 0.3
 N_REFITS = 5  # effects that are re-fitted alone, at most
 N_PAIR_REFITS = 4  # pairs of effects that are re-fitted, at most
+# The same along solutions of a long record, where each takes ten times as long: EMPS'
+# second diagnosis named none of the others, which took 10 of its 28 s.
+N_REFITS_ALONG_SOLUTIONS = 3
+N_PAIR_REFITS_ALONG_SOLUTIONS = 2
 # Pairs that are re-fitted with another law in place of one of the two, at most.
 N_PAIR_RIVALS = 2
 # Screened p-value, times the number of candidates, up to which one is re-fitted for a
@@ -226,6 +235,10 @@ CORNER_WIDTHS = 4.0
 # long a body that sticks trembles.
 STEPS_AT_CORNER = 8
 STEPS_AT_SHARP_CORNER = 24
+# States at all nodes of a model with a memory beyond which its corners stay as they
+# are: a delay has three states, and the steps at the corner are there for each of them.
+# Dry friction beside a delay of the quarter drone, 45,000 states, took 12 s for it.
+MOST_SHARP_STATES = 30_000
 # Share of its expected size with which a further effect begins beside a sharp corner.
 BESIDE_SHARP_CORNER = 0.1
 
@@ -241,6 +254,10 @@ REFIT_ITERATIONS = 40
 # Iterations beside a sharp corner, where IPOPT converges at once or not at all: in 5 to
 # 11 iterations where it was measured.
 CORNER_ITERATIONS = 15
+# Iterations with the exact Hessian from where a path beside a sharp corner ended
+# without an optimum: of ten such re-fits of EMPS one converged, in 3; those of the
+# other nine took a third of the time of the diagnosis.
+AFTER_PATH_ITERATIONS = 8
 # Iterations for a thorough re-fit of what a study adds: from an optimum on a grid of
 # its own it converges soon, or hardly ever: in up to 43 where it was measured.
 THOROUGH_ITERATIONS = 100

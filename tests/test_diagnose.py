@@ -666,7 +666,7 @@ def test_a_body_that_creeps_gets_the_width_of_its_corner() -> None:
         work, refit.RefitRequest([friction], {"coulomb_friction_p": 0.25})
     )
     assert found is not None
-    corners = friction_sharpening.CornerSharpening(work, work.record.aligned)
+    corners = friction_sharpening.CornerSharpening(work, work.record.aligned, [])
     stuck = corners.at_widths(found.fit, {"coulomb_friction_p.v0": corner / 8}, 8)
     assert stuck is not None
     crept = corners.with_estimated_widths(stuck)

@@ -88,6 +88,21 @@ def test_it_finds_the_optimum_that_ipopt_finds() -> None:
     np.testing.assert_allclose(mine.values["x"], ipopt.values["x"], atol=0.05 * NOISE)
 
 
+def test_it_ends_as_soon_where_the_noise_is_assumed_far_too_small() -> None:
+    # A wrong model leaves a thousand times the noise of its sensors. The last fall that
+    # counts is one beside what is left, not beside that noise: it went on for 12 steps.
+    path = path_of(friction_and_damping_free(0.003), measured(0.003))
+    start = path.program.start
+    true_noise = path.solve(start, path.program.set_to)
+    too_small = path.solve(start, path.program.set_to * np.array([0.001, 1.0]))
+    assert too_small.outcome.success
+    assert too_small.outcome.iterations == true_noise.outcome.iterations
+    # The same steps, but for rounding.
+    np.testing.assert_allclose(
+        too_small.values["theta"], true_noise.values["theta"], rtol=1e-6
+    )
+
+
 def test_a_parameter_stays_within_its_bounds() -> None:
     data = measured(0.3)
     model = rubbing(

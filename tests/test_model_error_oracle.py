@@ -24,6 +24,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import formula
 from phsi_opt.model_error import ascent
 from phsi_opt.model_error.coordinates import Coordinates
+from phsi_opt.model_error.disturbance_search import BRIEF_GAIN
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
@@ -662,6 +663,10 @@ def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     highest = -min(best.fun, from_start.fun)
     # An ascent ends at gains of 0.03, and with slopes from few random signs.
     assert highest - (found.log_evidence - constant) < 0.2
+    # That of a brief re-fit gives a few of its steps away, and little evidence.
+    brief = ascent.climbed(likelihood, coordinates, (0,), ascent.MOST_STEPS, BRIEF_GAIN)
+    assert found.log_evidence - 2 * BRIEF_GAIN < brief.log_evidence
+    assert brief.log_evidence <= found.log_evidence
 
 
 # --- The continuous system: a Kalman filter with an exact transition

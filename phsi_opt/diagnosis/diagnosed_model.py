@@ -6,10 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import CLOCK_MARGIN, ONE_ATTEMPT_INTERVALS
+from phsi_opt.comparison.model_selection import is_like_noise
+from phsi_opt.criteria import (
+    CLOCK_MARGIN,
+    FAR_RUN_SHARE,
+    N_PAIR_REFITS,
+    N_PAIR_REFITS_ALONG_SOLUTIONS,
+    N_REFITS,
+    N_REFITS_ALONG_SOLUTIONS,
+    ONE_ATTEMPT_INTERVALS,
+)
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.effect import Effect
+from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.losses import MaximumLikelihood
 
@@ -57,6 +67,45 @@ class DiagnosedModel:
     def judged_misfit(self) -> float:
         """Squared residuals of the judging free run, in units of the noise variance."""
         return self.judged.misfit
+
+    @property
+    def is_far_off(self) -> bool:
+        """Whether the free run is off by a good share of what a sensor shows.
+
+        Such a model may have lost its way; one that follows the record has not.
+        """
+        left = 1 - self.trained.table["fit_percent"] / 100
+        return bool((left > FAR_RUN_SHARE).any())
+
+    @property
+    def may_be_far_from_linear(self) -> bool:
+        """Whether an effect may be missing along which no steps of a look settle.
+
+        Not of a model that leaves noise, which is near all that there is. Nor beside a
+        sharp corner: re-fits of such effects (four of EMPS and the demonstration) took
+        2 to 7 s each and failed, or found what may as well be zero.
+        """
+        return not self.is_along_solutions and not is_like_noise(self.trained)
+
+    @property
+    def most_refits(self) -> int:
+        """Effects that are re-fitted alone, at most."""
+        return N_REFITS_ALONG_SOLUTIONS if self._is_slow else N_REFITS
+
+    @property
+    def most_pair_refits(self) -> int:
+        """Pairs of effects that are re-fitted, at most."""
+        return N_PAIR_REFITS_ALONG_SOLUTIONS if self._is_slow else N_PAIR_REFITS
+
+    @property
+    def _is_slow(self) -> bool:
+        """Whether re-fits go along solutions of a long record."""
+        return self.is_long and self.is_along_solutions
+
+    @property
+    def is_along_solutions(self) -> bool:
+        """Whether the base was found beside a sharp corner."""
+        return self.fit.outcome.way == FEASIBLE_PATH
 
     def rmse_of(self, misfit: float, comparison: Comparison) -> float:
         """Free-run error that goes with a misfit, on the scale of a comparison's.

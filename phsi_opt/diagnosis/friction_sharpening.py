@@ -20,6 +20,7 @@ from phsi_opt.criteria import (
     BIC_TIE,
     CORNER_WIDTHS,
     LAST_CERTAIN_STAGE,
+    MOST_SHARP_STATES,
     SAME_WIDTH,
     SHARPER_CORNER_DEVIANCE,
     STEPS_AT_CORNER,
@@ -27,11 +28,13 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.dry_friction import new_corners
+from phsi_opt.diagnosis.doubts import doubt
+from phsi_opt.diagnosis.dry_friction import is_dry, new_corners
 from phsi_opt.diagnosis.refit_effort import ALONG_SOLUTIONS, AT_CORNER
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
+from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.settings import FEASIBLE_PATH
@@ -41,14 +44,25 @@ from phsi_opt.transcription.alignment import AlignedData
 class CornerSharpening:
     """Sharpens the corners that a larger model has and the diagnosed one has not."""
 
-    def __init__(self, base: DiagnosedModel, aligned: AlignedData) -> None:
-        """Sharpen on measurements in the order of the larger model."""
+    def __init__(
+        self, base: DiagnosedModel, aligned: AlignedData, effects: Sequence[Effect]
+    ) -> None:
+        """Sharpen corners of effects, on measurements in the larger model's order."""
         self.base = base
         self.aligned = aligned
+        self.dry = [effect for effect in effects if is_dry(effect)]
 
     def corners(self, model: Model) -> dict[str, Share]:
         """Widths of the corners that the base has not."""
         return new_corners(model, self.base.fit.model)
+
+    def is_believed(self, fit: Fit) -> bool:
+        """Whether dry friction is there at all, of a fit with rounded corners.
+
+        A sharp corner makes the size of friction right; friction that may as well be
+        zero it does not make clear, on grids of many times the intervals.
+        """
+        return not doubt(self.base, fit, self.dry)
 
     def sharpened(self, fit: Fit, blunt: Model) -> Fit:
         """The fit with its corners as sharp as the record asks for.
@@ -97,6 +111,8 @@ class CornerSharpening:
     def at_widths(self, fit: Fit, widths: dict[str, float], n_steps: int) -> Fit | None:
         """The fit with other widths of its corners; None where it fails.
 
+        Or where a model with a memory would have too many states.
+
         Args:
             fit: where to begin.
             widths: by the names of their parameters.
@@ -108,6 +124,9 @@ class CornerSharpening:
             steps = finer_at_corner(
                 fit, self.aligned.data, guess.of, width, steps, n_steps
             )
+        n_intervals = sum(int(of_run.sum()) for of_run in steps)
+        if fit.model.memory and n_intervals * fit.model.n_states > MOST_SHARP_STATES:
+            return None
         is_along_solutions = fit.outcome.way == FEASIBLE_PATH
         settings = ALONG_SOLUTIONS if is_along_solutions else AT_CORNER
         model = fit.model.with_values(widths)
@@ -153,7 +172,7 @@ class CornerSharpening:
                 settings=ALONG_SOLUTIONS,
             )
             if deviance(new) < deviance(old) - BIC_TIE:
-                return self.sharpened(new, model)
+                return self.sharpened(new, model) if self.is_believed(new) else new
             if deviance(new) < deviance(old) + SHARPER_CORNER_DEVIANCE:
                 return new
         return None

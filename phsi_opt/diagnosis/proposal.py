@@ -21,7 +21,6 @@ from phsi_opt.criteria import (
     FALSE_DISCOVERY_RATE,
     FEWER_BESIDE_ALL,
     HELD_OUT_RISE,
-    N_PAIR_REFITS,
     N_PAIR_RIVALS,
     N_UNSETTLED_PAIRS,
     SIMPLE_SHARE,
@@ -84,7 +83,7 @@ class _Search:
         the best one.
         """
         best = single
-        for pair in self.pairs(simplest_dry(self.singles), N_PAIR_REFITS):
+        for pair in self.pairs(simplest_dry(self.singles), self.base.most_pair_refits):
             best = self._better(best, pair)
         if best is None or best.candidate.partner is None:
             return best
@@ -118,10 +117,11 @@ class _Search:
         """The pairs that leave least and do not raise the error on data held out."""
         found = []
         n_unsettled = 0
+        most_unsettled = N_UNSETTLED_PAIRS if self.base.may_be_far_from_linear else 0
         for pair in self.prospects.pairs(singles, self.base.judging_record):
             self.looked.append(expected(self.base, self.prospects, pair))
             n_unsettled += pair.look is None
-            is_hopeless = pair.look is None and n_unsettled > N_UNSETTLED_PAIRS
+            is_hopeless = pair.look is None and n_unsettled > most_unsettled
             rises = pair.held_out > HELD_OUT_RISE * self.base.judged_misfit
             if not rises and not is_hopeless:
                 found.append(pair)

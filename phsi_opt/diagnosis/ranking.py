@@ -23,7 +23,6 @@ from phsi_opt.criteria import (
     COMPARED_P_VALUE,
     HELD_OUT_RISE,
     HOPELESS_VARIANCE,
-    N_REFITS,
     N_UNSETTLED_REFITS,
     REFIT_P_VALUE,
     RIVAL_SCORE,
@@ -64,9 +63,9 @@ def ranking(base: DiagnosedModel, prospects: Prospects) -> tuple[Candidate, ...]
 def _refitting(base: DiagnosedModel, prospects: Prospects) -> Refitted:
     """Re-fits a prospect, from its own start or from the states of another fit."""
 
-    def refitted(one: Prospect, at: Fit | None) -> Candidate:
+    def refitted(one: Prospect, at: Fit | None, rival: Candidate | None) -> Candidate:
         base.say(f"re-fitting with {one.name}")
-        request = request_of(one, None, [])
+        request = request_of(one, None if rival is None else rival.fit, [])
         states = begins_at(base, at)
         if at is not None and states is not None:
             request = replace(request, base_values=at.model.values, states=states)
@@ -146,9 +145,10 @@ def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospec
 
     What chance explains as well, among so many values scanned, comes last. What raises
     the error on data held out is left out, and all but the best of those whose second
-    look did not settle.
+    look did not settle: all of them where such a look says that there is nothing.
     """
     rows = sorted(prospects.singles, key=lambda one: one.p_value >= 1.0)
+    most_unsettled = N_UNSETTLED_REFITS if base.may_be_far_from_linear else 0
     chosen = []
     n_unsettled = 0
     for one in rows:
@@ -156,10 +156,10 @@ def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospec
             continue
         if one.look is None:
             n_unsettled += 1
-            if n_unsettled > N_UNSETTLED_REFITS:
+            if n_unsettled > most_unsettled:
                 continue
         chosen.append(one)
-    return chosen[:N_REFITS]
+    return chosen[: base.most_refits]
 
 
 def _is_refuted(base: DiagnosedModel, one: Prospect) -> bool:

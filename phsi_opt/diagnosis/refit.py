@@ -17,14 +17,19 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel, n_intervals
 from phsi_opt.diagnosis.friction_sharpening import CornerSharpening
-from phsi_opt.diagnosis.refit_effort import BRIEF, IN_EVERY_WAY, THOROUGH
+from phsi_opt.diagnosis.refit_effort import (
+    BESIDE_SHARP,
+    BRIEF,
+    IN_EVERY_WAY,
+    THOROUGH,
+)
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.settings import FEASIBLE_PATH
+from phsi_opt.optimization.settings import FEASIBLE_PATH, SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs_at_samples
@@ -102,7 +107,7 @@ class _Refitting:
         model = resolve_guesses(model, estimate.grid, estimate.x)
         self.model = model.with_values(request.values)
         self.aligned = base.record.aligned.for_model(self.model)
-        self.sharpening = CornerSharpening(base, self.aligned)
+        self.sharpening = CornerSharpening(base, self.aligned, request.effects)
         # The fast part of a memory, that of a short delay, is not seen by steps as long
         # as the samples.
         has_memory = any(effect.memory for effect in request.effects)
@@ -120,8 +125,7 @@ class _Refitting:
         blunt = None
         if fit is None:
             fit = blunt = self.begun()
-            rival = request.rival
-            if rival is None or delta_bic(rival, fit, 1.0) < -BIC_TIE:
+            if self.is_worth_sharpening(fit):
                 fit = self.sharpening.sharpened(fit, model)
         is_sharpened = fit is not blunt
         trained = self.with_steps_as_fine_as_its_run(fit)
@@ -131,6 +135,13 @@ class _Refitting:
         if self.base.is_held_out:
             judged = compare_record(self.base.judged.record.refitted(trained.fit))
         return Refit(trained.fit, trained, judged, blunt)
+
+    def is_worth_sharpening(self, fit: Fit) -> bool:
+        """Whether dry friction clearly beats its rival, and is to be believed."""
+        rival = self.request.rival
+        if rival is not None and not delta_bic(rival, fit, 1.0) < -BIC_TIE:
+            return False
+        return self.sharpening.is_believed(fit)
 
     def compared(self, fit: Fit) -> Comparison:
         """The free run of a fit on the training record."""
@@ -224,16 +235,16 @@ class _Refitting:
             noise=noise,
             steps=tuple(self.refinement * steps for steps in base.fit.steps),
         )
-        has_corner = bool(self.sharpening.corners(self.model))
-        is_hard = has_corner or base.fit.outcome.way == FEASIBLE_PATH
-        in_every_way = is_hard or self.request.is_likely
         return identify_aligned(
-            self.model,
-            self.aligned,
-            attempt.loss,
-            start=start,
-            settings=IN_EVERY_WAY if in_every_way else BRIEF,
+            self.model, self.aligned, attempt.loss, start=start, settings=self._effort()
         )
+
+    def _effort(self) -> SolverSettings:
+        """How hard a first solve of the larger model tries."""
+        if self.base.is_along_solutions:
+            return BESIDE_SHARP
+        has_corner = bool(self.sharpening.corners(self.model))
+        return IN_EVERY_WAY if has_corner or self.request.is_likely else BRIEF
 
 
 def distance_from_states(trained: Comparison) -> float:

@@ -6,6 +6,7 @@ All are counts: a loaded machine gives the same verdict.
 from dataclasses import replace
 
 from phsi_opt.criteria import (
+    AFTER_PATH_ITERATIONS,
     CORNER_ITERATIONS,
     REFIT_ITERATIONS,
     REFIT_TOLERANCE,
@@ -34,6 +35,11 @@ THOROUGH = replace(IN_EVERY_WAY, thorough=True)
 ALONG_SOLUTIONS = replace(IN_EVERY_WAY, ways=(FEASIBLE_PATH,))
 AT_CORNER = replace(
     IN_EVERY_WAY, max_iterations=CORNER_ITERATIONS, ways=(GAUSS_NEWTON, FEASIBLE_PATH)
+)
+# Beyond a base that was found beside a sharp corner: from where the path ended the
+# exact Hessian converges in a few iterations or never, and Gauss-Newton's not at all.
+BESIDE_SHARP = replace(
+    IN_EVERY_WAY, max_iterations=AFTER_PATH_ITERATIONS, ways=(FEASIBLE_PATH, EXACT)
 )
 # What a study adds.
 ADDED = SolverSettings(max_iterations=THOROUGH_ITERATIONS)

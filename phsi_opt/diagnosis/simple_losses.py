@@ -23,8 +23,9 @@ from phsi_opt.screening.effect_size import new_names
 from phsi_opt.screening.prospects import Prospect, Prospects
 from phsi_opt.statistics import TINY
 
-# A candidate re-fitted: from its own start, or from the states of another fit.
-Refitted = Callable[[Prospect, Fit | None], Candidate]
+# A candidate re-fitted: from its own start, or from the states of another fit; dry
+# friction is made sharp only where it beats the best candidate so far, if there is one.
+Refitted = Callable[[Prospect, Fit | None, Candidate | None], Candidate]
 
 
 def with_simple_losses(
@@ -46,6 +47,8 @@ def with_simple_losses(
     if is_like_noise(base.trained):
         return result
     if best is None:
+        if not base.is_far_off:
+            return result
         return _regressed_losses(base, prospects, result, refitted)
     if _leaves_noise(best):
         return result
@@ -57,7 +60,7 @@ def with_simple_losses(
     tried = [one.name for one in result]
     for one in losses:
         if one.name not in tried:
-            result.append(refitted(one, None))
+            result.append(refitted(one, None, best))
     best = _best(result)
     if best is None or best.fit is None or not is_simple_loss(best.effect):
         return result
@@ -89,7 +92,7 @@ def _regressed_losses(
             base_values={name: values[name] for name in own},
             look=None,
         )
-        another = refitted(start, None)
+        another = refitted(start, None, None)
         result = [known for known in result if known.name != one.name]
         result.append(another)
     return result
@@ -122,7 +125,7 @@ def _again(
     if best.fit is None or present.delta_bic < best.delta_bic + BIC_TIE:
         return candidates
     value = matched(base, best.fit, best.effect, one.effect)
-    another = refitted(replace(one, values=value), best.fit)
+    another = refitted(replace(one, values=value), best.fit, best)
     if another.fit is None:
         return candidates
     if present.fit is not None and delta_bic(present.fit, another.fit, 1.0) > 0:

@@ -32,7 +32,8 @@ from phsi_opt.transcription.parameter_vector import Theta
 
 # Falls of -2 log likelihood: that a step promises at the optimum, that the last steps
 # together make where it has settled, and that they make, or one promises, where a kink
-# is in the way of every longer step.
+# is in the way of every longer step. Where residuals are larger than the noise that is
+# assumed, they are what the noise will be found to be (`_in_deviance`).
 PROMISED = 1e-3
 SETTLED_DEVIANCE = 0.05
 KINK_DEVIANCE = 1.0
@@ -240,7 +241,7 @@ class FeasiblePath:
     def _moved(self, before: _Descent, lower: _Lower) -> _Descent:
         objective = lower.place.objective
         recent = (*before.recent[1:], objective)
-        fall = 2 * self.half * (recent[0] - objective)
+        fall = self._in_deviance(recent[0] - objective, lower.place)
         ending = None
         if fall < SETTLED_DEVIANCE and before.ridge == 0:
             ending = endings.PATH_SETTLED
@@ -250,6 +251,15 @@ class FeasiblePath:
         return _Descent(
             lower.place, recent, ridge, lower.share, before.iterations, ending
         )
+
+    def _in_deviance(self, fall: float, at: _Place) -> float:
+        """A fall of the objective as one of -2 log likelihood.
+
+        The objective is the mean square of the residuals over the noise. Far above one
+        it says that the noise is another one: a model that is wrong leaves a thousand
+        times the noise of its sensors, and beside that a fall of one is nothing.
+        """
+        return 2 * self.half * fall / max(at.objective, 1.0)
 
     def _outcome(
         self,
@@ -287,7 +297,7 @@ class FeasiblePath:
         )
         information = reduced.information
         change = self._bounded(place, reduced, information)
-        promise = -float(place.gradient @ change) * self.half
+        promise = self._in_deviance(-float(place.gradient @ change) / 2, place)
         if ridge > 0:
             diagonal = np.diag(np.diag(information))
             damped = information + ridge * diagonal

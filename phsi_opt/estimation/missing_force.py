@@ -5,6 +5,8 @@ force is, and how large the noise, is chosen by marginal likelihood at the linea
 solution (`linearized_force`). Both take turns until the sizes settle.
 """
 
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -124,15 +126,14 @@ def estimate_force(
         integrator: The scheme of the defects.
         least_noise: Below which noise that is not known does not fall, of all states or
             (n_states,).
-        is_patient: Whether further sizes are tried after many iterations were not
-            enough for one.
+        is_patient: Whether many iterations are taken where few are not enough.
 
     Raises:
         SolveError: No states and force were found that obey the dynamics.
     """
     prior = prior or default_prior(model, grid, point)
     program = MissingForce(integrator).program(model, grid, point, prior, sigma)
-    search = _Search(program, Sizes(sigma, prior, least_noise))
+    search = _Search(program, Sizes(sigma, prior, least_noise), is_patient)
     for n_left in reversed(range(rounds)):
         solution = search.solve(is_last=n_left == 0)
         x = solution.values["x"].reshape(point.x.shape)
@@ -143,9 +144,7 @@ def estimate_force(
         before = search.sizes
         linear = search.update_sizes(solved, known_noise)
         change = search.sizes.change_from(before)
-        has_settled = change < SETTLED_SIZE and solution.outcome.success
-        is_hopeless = search.is_thorough and not solution.outcome.success
-        if has_settled or (is_hopeless and not is_patient):
+        if change < SETTLED_SIZE and solution.outcome.success:
             break
     sizes = search.sizes
     return ForceEstimate(
@@ -165,21 +164,21 @@ class _Search:
 
     Attributes:
         sizes: Of noise and force, at present.
-        is_thorough: Whether it has come to many iterations.
     """
 
-    def __init__(self, program: Program, sizes: Sizes) -> None:
+    def __init__(self, program: Program, sizes: Sizes, is_patient: bool) -> None:
         self.sizes = sizes
+        self._is_patient = is_patient
         self._program = program
         self._solver = Solver(program, ROUGHLY)
         self._start = program.start
-        self.is_thorough = False
 
     def solve(self, *, is_last: bool) -> Solution:
         """The solution for the present sizes, from the last solution.
 
         Raises:
-            SolveError: There is none, with a generous force and many iterations either.
+            SolveError: There is none, with a generous force and, where the search is
+                patient, many iterations either.
         """
         solution = self._solve_from(self._start)
         if _is_lost(solution):
@@ -187,9 +186,8 @@ class _Search:
             self.sizes = self.sizes.with_force(GENEROUS * self.sizes.prior.size)
             solution = self._solve_from(self._program.start)
         is_unfinished = is_last and not solution.outcome.success
-        if _is_lost(solution) or is_unfinished:
+        if self._is_patient and (_is_lost(solution) or is_unfinished):
             self._solver = Solver(self._program, THOROUGHLY)
-            self.is_thorough = True
             solution = self._solve_from(solution.z)
         if _is_lost(solution):
             raise SolveError(
@@ -287,6 +285,8 @@ def force_deviation(estimate: ForceEstimate, most: int = MOST_EXACT) -> np.ndarr
     return deviation
 
 
+# A factor on the width of corners, and the prior of the force, to begin with.
+_Attempt = tuple[float, ForcePrior]
 # Factors on the width of corners that are too sharp.
 ROUNDER = (1.0, 4.0, 16.0, 64.0)
 # Factor on the force's usual size where no search from it ends well: beside a corner of
@@ -356,19 +356,47 @@ def smoothed(
 
     attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
     attempts.append((1.0, replace(usual, size=SMALL * usual.size)))
+    found = None
+    if widths:
+        # Beside a corner that can be rounded, patience is for when all else fails.
+        with suppress(SolveError):
+            found = _first_found(searched, attempts, is_patient=False)
+    if found is not None:
+        if found.estimate.has_converged:
+            return found.estimate
+        attempts = [found.attempt]
+    return _first_found(searched, attempts, is_patient=True).estimate
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """An estimate, with the factor on widths and the prior that it began with."""
+
+    attempt: _Attempt
+    estimate: ForceEstimate
+
+
+def _first_found(
+    searched: Callable[[float, ForcePrior, bool], ForceEstimate],
+    attempts: Sequence[_Attempt],
+    is_patient: bool,
+) -> _Found:
+    """The first estimate whose search ended well, else the first of all.
+
+    Raises:
+        SolveError: No search led anywhere.
+    """
     unfinished = None
-    for factor, begun in attempts:
+    for factor, prior in attempts:
         try:
-            # Beside a corner that can be rounded, patience is for when all else fails.
-            estimate = searched(factor, begun, is_patient=not widths)
+            estimate = searched(factor, prior, is_patient)
         except SolveError as error:
             failure = error
             continue
+        found = _Found((factor, prior), estimate)
         if estimate.has_converged:
-            return estimate
-        if unfinished is None:
-            unfinished = estimate
-            again = (factor, begun)
+            return found
+        unfinished = unfinished or found
     if unfinished is None:
         raise failure
-    return searched(*again, is_patient=True) if widths else unfinished
+    return unfinished

@@ -193,7 +193,8 @@ class SolverChain:
         if way == EXACT and settings.thorough:
             return settings
         if way == EXACT:
-            return replace(settings, max_iterations=BRIEF_ITERATIONS)
+            most = min(BRIEF_ITERATIONS, settings.max_iterations)
+            return replace(settings, max_iterations=most)
         most = min(GAUSS_NEWTON_ITERATIONS, settings.max_iterations)
         return replace(settings, max_iterations=most)
 

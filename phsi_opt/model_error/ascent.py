@@ -99,6 +99,7 @@ def climbed(
     channels: tuple[int, ...],
     most_steps: int,
     worth: float = -np.inf,
+    least_gain: float = LEAST_GAIN,
 ) -> Climbed:
     """The largest log evidence, by damped Newton steps from the coordinates' origin.
 
@@ -109,6 +110,7 @@ def climbed(
         most_steps: uphill, at most.
         worth: log evidence below which what is found is of no use; an ascent ends where
             it promises no more.
+        least_gain: of the log evidence by a step, at which they end.
     """
     lower, upper = np.array(coordinates.bounds).reshape(-1, 2).T
     sums = coordinates.among_slopes()
@@ -122,7 +124,7 @@ def climbed(
         leads_out = (vector <= lower) & (here.gradient < 0)
         leads_out |= (vector >= upper) & (here.gradient > 0)
         hope = HOPE * _promise(here, ~leads_out)
-        if hope < LEAST_GAIN or here.log_evidence + hope < worth:
+        if hope < least_gain or here.log_evidence + hope < worth:
             break
         step = _newton_step(here.gradient, here.information, ~leads_out, damping)
         trial = np.clip(vector + step, lower, upper)
@@ -136,7 +138,7 @@ def climbed(
         vector = trial
         here = there
         damping = max(damping / MORE_DAMPING, LEAST_DAMPING)
-        if gain < LEAST_GAIN:
+        if gain < least_gain:
             break
     return Climbed(vector, here.log_evidence, here.information)
 

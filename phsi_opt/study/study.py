@@ -424,8 +424,11 @@ class Study(Summarised):
         self.steps.append(self._fitting.step(label, (*self.added, *proposed), fit))
 
     def _check_earlier(self) -> None:
-        """Take out each earlier effect without which BIC is lower."""
-        for effect in self.added[:-1]:
+        """Take out each effect of earlier steps without which BIC is lower.
+
+        Of two that this step added each was needed beside the other.
+        """
+        for effect in self.steps[-2].added:
             kept = self._without(effect)
             try:
                 fit = self._fitting.with_effects(self.fit, kept)
