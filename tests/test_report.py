@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import frequency_words, with_units
 from phsi_opt.presentation.durations import times_words
 from phsi_opt.presentation.html_report import html_report, script_json
@@ -38,6 +40,7 @@ from phsi_opt.presentation.report_content import (
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.study.force_content import shortened
+from phsi_opt.study.next_step import advice_of_cause, against_vibration
 from phsi_opt.study.report_content import interval_within, report_content
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
@@ -150,10 +153,91 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
     )
     assert "no effect of the catalogue explains" in headline.sentence
     answers = {fact.question: fact.answer for fact in headline.facts}
-    assert answers["What is wrong"].startswith(
-        "With coulomb friction on p, the model's dp/dt is off by"
+    wrong = answers["What is wrong"]
+    assert wrong.startswith("On the data held out the free run is off: q by 0.0")
+    assert "What to do next" in answers
+
+
+def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
+    study: ph.Study,
+) -> None:
+    named = study.record.diagnoses[0]
+    unknown = replace(
+        named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
     )
-    assert "a term of your own in dp/dt" in answers["What to add"]
+    record = replace(
+        study.record, steps=study.record.steps[:1], diagnoses={0: unknown}, stopped=""
+    )
+    content = report_content(record)
+    headline = content.headline
+    assert re.search(
+        r"no effect of the catalogue explains \(\d+ tried\)", headline.sentence
+    )
+    answers = {fact.question: fact.answer for fact in headline.facts}
+    wrong = answers["What is wrong"]
+    # One scale for error and noise, in numbers that can be compared.
+    assert re.search(
+        r"q by 0\.\d+ m \(\d+ % of its movement; noise alone \d+ %\)", wrong
+    )
+    assert re.search(r"dp/dt lacks [\d.]+ N \(rms\), .* the model's own rate", wrong)
+    assert "times the noise" not in wrong
+    assert "dH_d" not in " ".join(answers.values())
+    do = answers["What to do next"]
+    assert do.startswith("No effect of the catalogue fits. ")
+    assert "a term of your own in dp/dt that depends on q and p" in do
+    (failure,) = content.failures
+    for answer in answers.values():
+        assert answer in failure.told
+
+
+def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None:
+    partly = replace(study.record.diagnoses[0], verdict=ph.Verdict.PARTLY_NAMED)
+    record = replace(
+        study.record, steps=study.record.steps[:1], diagnoses={0: partly}, stopped=""
+    )
+    facts = report_content(record).headline.facts
+    answers = {fact.question: fact.answer for fact in facts}
+    assert answers["What is wrong"].startswith(
+        "Coulomb friction on p is missing, and something without a name beside. "
+    )
+    assert "The held-out error falls from" in answers["What to add"]
+    assert answers["What to add"].endswith("add, and diagnose again.")
+
+
+@pytest.mark.parametrize(
+    ("shares", "kind", "expected"),
+    [
+        ({"unexplained": 0.9}, "thermal", "a further store of heat"),
+        ({"unexplained": 0.9}, "", "a part that moves by itself (play"),
+        ({"parameters": 0.8}, "electrical", "fit its halves apart"),
+        ({"parameters": 0.8}, "electrical", "second resistor and capacitor"),
+        ({"inputs": 0.8}, "", "Look at how the input u enters dp/dt"),
+        ({"time": 0.8}, "", "repeat the run"),
+        ({"conserved": 0.8}, "", "depends on q and p"),
+        ({"dissipated": 0.4, "unexplained": 0.6}, "", "may be missing in the model"),
+    ],
+)
+def test_what_to_do_follows_from_what_the_force_looks_like(
+    shares: dict[str, float], kind: str, expected: str
+) -> None:
+    kinds = dict.fromkeys(("q", "p"), kind) if kind == "electrical" else {}
+    model: ph.Model = replace(spring(), inputs=("u",), kind=kinds)
+    if kind == "thermal":
+        model = ph.FirstOrder(["p"], {"p": ph.formula("-a*p", a=1.0)}, kind=kind)
+    causes = ("parameters", "inputs", "time", "conserved", "dissipated", "constant")
+    row = dict.fromkeys((*causes, "unexplained"), 0.0) | shares
+    fit = SimpleNamespace(model=model)
+    force = SimpleNamespace(
+        equation="p", shares=row, cause="", record=SimpleNamespace(fit=fit)
+    )
+    said = advice_of_cause({}, force)  # type: ignore[arg-type]
+    assert expected in said
+
+
+def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
+    pace = Pace(51.0, 0.75, 1 / 300, 700.0, 18.0)
+    assert pace.is_vibration
+    assert "data.thinned(6)" in against_vibration(pace)
 
 
 def test_units_have_their_powers_raised_and_formulas_stay() -> None:
@@ -206,7 +290,7 @@ def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:
     )
     sentence = report_content(record).headline.sentence
     assert sentence.startswith("Something is missing, and it is named: held-out error")
-    assert len(sentence) < 160 and "Where it fails" in sentence
+    assert len(sentence) < 160
 
 
 def test_verdict_table_and_picture_use_the_same_words(
@@ -442,7 +526,10 @@ def test_numbers_are_rounded_to_what_is_seen() -> None:
         ("J", "s", "W"),
         ("C", "s", "C/s"),  # coulomb or degree Celsius: nobody knows
         ("mm", "s", "mm/s"),
-        ("kg m/s", "min", "(kg m/s)/min"),
+        ("kg m/s", "min", "kg m/(min s)"),
+        ("1/s", "s", "1/s^2"),
+        ("mm/s", "s", "mm/s^2"),
+        ("kN s", "s", "kN"),
         ("", "s", ""),
         ("m", "", ""),
     ],

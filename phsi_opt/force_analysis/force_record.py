@@ -42,6 +42,7 @@ class ForceRecord:
         efforts: dH/dx, (n_intervals, n_states).
         inputs: (n_intervals, n_inputs).
         losses: -R dH/dx of the model, (n_intervals, n_states).
+        rates: dx/dt of the model, (n_intervals, n_states).
         slopes: of dx/dt in the parameters that are free to move, each of rms one,
             (n_intervals, n_states, n_moving).
     """
@@ -59,6 +60,7 @@ class ForceRecord:
     efforts: np.ndarray
     inputs: np.ndarray
     losses: np.ndarray
+    rates: np.ndarray
     slopes: np.ndarray
 
     @classmethod
@@ -82,6 +84,7 @@ class ForceRecord:
             efforts=middles.values(model.function(*model.efforts)),
             inputs=middles.inputs,
             losses=_losses(model, middles),
+            rates=middles.values(model.rhs()),
             slopes=_slopes(model, middles),
         )
 

@@ -61,3 +61,8 @@ def typeset(text: str) -> str:
 def said(text: str) -> str:
     """A sentence with the minus signs that the numbers of a report have."""
     return MINUS.sub("\N{MINUS SIGN}", typeset(text))
+
+
+def capitalised(text: str) -> str:
+    """The text with a capital first letter; the others stay as they are."""
+    return f"{text[:1].upper()}{text[1:]}"

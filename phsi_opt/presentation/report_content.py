@@ -234,6 +234,7 @@ class Failure:
 
     Attributes:
         heading: which model it looks at.
+        told: all of it in a paragraph, as an engineer would write it.
         verdict: in a phrase; ``reason``: in a sentence.
         sentences: where the model fails, in words.
         forces: the missing force of each equation that has a sure one.
@@ -242,6 +243,7 @@ class Failure:
     """
 
     heading: str
+    told: str
     verdict: str
     reason: str
     sentences: tuple[str, ...]

@@ -29,6 +29,7 @@ from phsi_opt.study.headline import errors_in_words, headline_of
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
 from phsi_opt.study.step import Step
+from phsi_opt.study.step_story import step_story
 
 ENDED_AT_BOUND = "at its bound"
 LEVEL = 0.95  # of the intervals: the convention of most tables
@@ -147,7 +148,8 @@ def _failures(study: StudyRecord) -> tuple[Failure, ...]:
             heading = f"After step {number_of_step} ({label})"
         else:
             heading = heading.replace(" (base model)", "")
-        failures.append(failure_of(diagnosis, heading, study.unit))
+        told = step_story(study, number_of_step)
+        failures.append(failure_of(diagnosis, heading, study.unit, told))
     return tuple(failures)
 
 
