@@ -94,7 +94,7 @@ class Pace:
         return f"{told}, {' and '.join(beside)}"
 
     def size_words(self) -> str:
-        """The force beside the model's own rate: a share or a multiple of it.
+        """The force beside the rate that the model has: a share or a multiple of it.
 
         Empty where the model has nothing there.
         """
@@ -102,8 +102,8 @@ class Pace:
             return ""
         ratio = self.strength / self.own
         if ratio >= 1:
-            return f"{number(ratio, 2)} times the model's own rate"
-        return f"{100 * ratio:.2g} % of the model's own rate"
+            return f"{number(ratio, 2)} times its own size"
+        return f"{100 * ratio:.2g} % of its own size"
 
 
 def _frequency_of_motion(record: ForceRecord) -> float:

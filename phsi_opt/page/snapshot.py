@@ -10,6 +10,7 @@ import numpy as np
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.durations import time_words
 from phsi_opt.presentation.numbers import with_error
+from phsi_opt.presentation.report_content import Answer
 
 TRAINING = "training"
 HELD_OUT = "held out"
@@ -171,8 +172,10 @@ class Diagnosed:
         equation: the one whose missing force is the surest; "" where none is.
         run: that of the training data in which this force is strongest; "" likewise.
         window: of this run, from when to when it is strongest; None: at no time.
-        where: the place where the missing force is strongest, in words.
+        wrong: what is wrong.
+        where: the place where the missing force is strongest.
         since: the time from which it is sure, in words.
+        to_do: what to add, or to do where nothing is named.
         proposed: effects to add next.
         candidates: best first.
     """
@@ -185,8 +188,10 @@ class Diagnosed:
     equation: str
     run: str
     window: tuple[float, float] | None
-    where: str
+    wrong: Answer
+    where: Answer
     since: str
+    to_do: Answer
     proposed: tuple[str, ...]
     candidates: tuple[CandidateRow, ...]
 

@@ -12,8 +12,7 @@ from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import THROUGHOUT
-from phsi_opt.force_analysis.state_plots import region_words
-from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.force_analysis.units import force_unit
 from phsi_opt.page.snapshot import (
     HELD_OUT,
     TRAINING,
@@ -26,9 +25,13 @@ from phsi_opt.page.snapshot import (
     RunCurves,
     Snapshot,
 )
-from phsi_opt.presentation import numbers
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.study import Study
+from phsi_opt.study.answers import (
+    to_do_answer,
+    where_answer,
+    wrong_answer,
+)
 from phsi_opt.study.force_content import since_when
 
 
@@ -43,6 +46,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
     runs = _runs(step.train, TRAINING)
     if step.held_out is not None:
         runs += _runs(step.held_out, HELD_OUT)
+    is_held_out = step.held_out is not None
     forces = _forces(step.train.record, TRAINING)
     if step.held_out is not None:
         forces += _forces(step.held_out.record, HELD_OUT)
@@ -56,7 +60,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         warning=step.judged.warning,
         runs=tuple(runs),
         forces=tuple(forces),
-        diagnosed=None if diagnosis is None else _diagnosed(diagnosis),
+        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, is_held_out),
         stopped=study.stopped,
     )
 
@@ -94,7 +98,7 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
     return runs
 
 
-def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
+def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
     proposed = tuple(str(effect) for effect in diagnosis.proposed)
     return Diagnosed(
         verdict=str(diagnosis.verdict),
@@ -103,8 +107,10 @@ def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         is_named=bool(diagnosis.findings),
         sentences=tuple(diagnosis.sentences),
         **_strongest(diagnosis),
-        where=_where(EquationForce.of(diagnosis.analysis, None)),
+        wrong=wrong_answer(diagnosis, is_held_out),
+        where=where_answer(diagnosis),
         since=since_when(diagnosis),
+        to_do=to_do_answer(diagnosis, is_held_out),
         proposed=proposed,
         candidates=tuple(_candidates(diagnosis, proposed)),
     )
@@ -174,15 +180,3 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
                 )
             )
     return forces
-
-
-def _where(force: EquationForce) -> str:
-    """The surest missing force with its place in words."""
-    if force.is_uncertain:
-        return "No equation, time or region stands out."
-    strength = numbers.number(float(force.where["strength"]), 3)
-    unit = spaced(force_unit(force.equation, force.record.units))
-    return (
-        f"In d{force.equation}/dt, {region_words(force)}: a force of rms "
-        f"{strength}{unit} is missing."
-    )

@@ -17,16 +17,29 @@ SEVERITY_WORDS = {GOOD: "In order", LOOK: "Worth a look", BAD: "Not in order"}
 
 
 @dataclass(frozen=True)
+class Answer:
+    """What is to be understood at once, and what stands behind it; "" for nothing."""
+
+    lead: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.lead} {self.detail}".strip()
+
+
+@dataclass(frozen=True)
 class Fact:
     """An answer to one question of the first screen.
 
     Attributes:
         question: such as "Since when".
         answer: in a few words.
+        detail: what stands behind it; "" for nothing.
     """
 
     question: str
     answer: str
+    detail: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The answers to what is wrong, where, and what to do, of one diagnosis.
 
 Report and page tell them on their first screens; a report's paragraph on each step has
-them too.
+them too. Each begins with what is to be understood at once; the numbers come behind.
 """
 
 from phsi_opt.criteria import FAILING_ERROR
@@ -11,37 +11,41 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import place_words
 from phsi_opt.force_analysis.units import force_unit, spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
 from phsi_opt.presentation.numbers import capitalised, number, with_error
+from phsi_opt.presentation.report_content import Answer
 from phsi_opt.study.next_step import next_step
 from phsi_opt.study.off_words import judged_words, off_words
 
 NOTHING_FOLLOWED = "It follows none of the states, the inputs, the time."
+NO_FORCE = "The residuals are no noise, but no missing force is sure."
 MOSTLY = 0.5  # share of a force's mean square that is most of it
 
 
 # ---- what is wrong
 
 
-def wrong_words(diagnosis: Diagnosis, is_held_out: bool) -> str:
-    """What is missing, how far the free run is off, and how large the force is."""
-    told = [_missing_words(diagnosis)]
-    off = off_words(diagnosis.base)
-    told.append(f"On {judged_words(is_held_out)} the free run is off: {off}.")
+def wrong_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
+    """What is missing, how large it is, and how far the model is off."""
     force = EquationForce.of(diagnosis.analysis, None)
-    if force.is_uncertain:
-        told.append("The residuals are no noise, but no missing force is sure.")
-    else:
-        told.append(_lacking(force))
-    return " ".join(told).strip()
+    off = (
+        f"Run freely beside {judged_words(is_held_out)}, the model is off: "
+        f"{off_words(diagnosis.base)}."
+    )
+    lacking = NO_FORCE if force.is_uncertain else _lacking(force)
+    if diagnosis.findings:
+        return Answer(_missing_words(diagnosis), f"{lacking} {off}")
+    if force.is_uncertain or not force.pace.is_vibration:
+        return Answer(lacking, off)
+    lead = f"Something swings {_speed(force)}: {VIBRATION_WORDS}."
+    return Answer(lead, f"{lacking} So fast a force has to be large to be seen. {off}")
 
 
 def _missing_words(diagnosis: Diagnosis) -> str:
-    """The names of what is missing; "" where there is none."""
-    if not diagnosis.findings:
-        return ""
+    """The names of what is missing."""
     names = capitalised(" and ".join(map(class_of, diagnosis.findings)))
     verb = "is" if len(diagnosis.findings) == 1 else "are"
     if diagnosis.verdict == Verdict.NAMED:
@@ -50,19 +54,15 @@ def _missing_words(diagnosis: Diagnosis) -> str:
 
 
 def _lacking(force: EquationForce) -> str:
-    """Size of the missing force, beside the model's own, and whether it only shakes."""
-    pace = force.pace
-    beside = pace.size_words()
-    said = f"d{force.equation}/dt lacks {strength_words(force)}"
-    if beside:
-        said += f", {beside}"
-    if not pace.is_vibration:
-        return f"{said}."
-    speed = pace.speed_words(force.record.units)
-    return (
-        f"{said}, most of it {speed}: {VIBRATION_WORDS}. So fast a force needs that "
-        "size to be seen at all."
-    )
+    """Size of the missing force, alone and beside the rate that the model has."""
+    beside = force.pace.size_words()
+    said = f"The model's d{force.equation}/dt is off by {strength_words(force)}"
+    return f"{said}, {beside}." if beside else f"{said}."
+
+
+def _speed(force: EquationForce) -> str:
+    pace: Pace = force.pace
+    return pace.speed_words(force.record.units)
 
 
 def was_wrong_words(diagnosis: Diagnosis, whose: str) -> str:
@@ -91,7 +91,7 @@ def class_of(finding: Finding) -> str:
 # ---- where
 
 
-def where_words(diagnosis: Diagnosis, is_past: bool = False) -> str:
+def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     """The equation, the values of the states, and what the force follows.
 
     What a cause explains is told while something is missing; afterwards the effect that
@@ -99,42 +99,43 @@ def where_words(diagnosis: Diagnosis, is_past: bool = False) -> str:
     """
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
-        return "No equation, time or region stands out."
+        return Answer("No equation, time or region stands out.")
     place = f"In d{force.equation}/dt, {place_words(force)}."
     cause = force.cause_in_brief if is_past else force.cause
     if cause == NO_PATTERN:
-        return f"{place} {NOTHING_FOLLOWED}"
+        return Answer(place, NOTHING_FOLLOWED)
     left = float(force.shares["unexplained"])
     if is_past or left < MOSTLY:
-        return f"{place} It {cause}."
-    return f"{place} It {cause}; {100 * left:.0f} % of it follows nothing measured."
+        return Answer(place, f"It {cause}.")
+    return Answer(place, f"It {cause}; {100 * left:.0f} % follow nothing measured.")
 
 
 # ---- what to do
 
 
-def to_do_words(diagnosis: Diagnosis, is_held_out: bool) -> str:
+def to_do_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     """What to add, with what that leaves; or what to do where nothing is named."""
     if diagnosis.findings:
         return _addition(diagnosis, is_held_out)
     advice = next_step(diagnosis)
     if not diagnosis.proposed:
-        return f"No effect of the catalogue fits. {advice}"
+        return advice
     names = " and ".join(map(str, diagnosis.proposed))
     against = _proposed(diagnosis).lost
-    reason = f" ({against})" if against else ""
-    return f"The nearest, not established: {names}{reason}. {advice}"
+    reason = f": {against}" if against else ""
+    nearest = f"The nearest of the catalogue is {names}. It is not established{reason}."
+    return Answer(advice.lead, f"{advice.detail} {nearest}".strip())
 
 
-def _addition(diagnosis: Diagnosis, is_held_out: bool) -> str:
+def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     told = capitalised("; ".join(map(finding_words, diagnosis.findings)))
     outcome = _outcome(diagnosis, is_held_out)
-    if diagnosis.verdict == Verdict.NAMED:
-        return f"{told}.{outcome}"
-    return (
-        f"{told}.{outcome} What is left then is more than noise, and has no name: add, "
-        "and diagnose again."
-    )
+    if diagnosis.verdict != Verdict.NAMED:
+        outcome += (
+            " What is left then is more than noise, and has no name: add, and "
+            "diagnose again."
+        )
+    return Answer(f"{told}.", outcome.strip())
 
 
 def finding_words(finding: Finding) -> str:
@@ -159,7 +160,7 @@ def _outcome(diagnosis: Diagnosis, is_held_out: bool) -> str:
     floor = f"noise floor {number(found.noise_floor, 3)}{unit}"
     is_all = found.rmse <= FAILING_ERROR * found.noise_floor
     trend = f"falls from {before} to {after}"
-    return f" The {which} error {trend} ({'at the ' if is_all else ''}{floor})."
+    return f"The {which} error {trend} ({'at the ' if is_all else ''}{floor})."
 
 
 def _proposed(diagnosis: Diagnosis) -> Candidate:

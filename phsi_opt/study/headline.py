@@ -1,18 +1,27 @@
 """The first screen of a report: the verdict, what is wrong, where, since when."""
 
+from collections.abc import Sequence
+
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.numbers import capitalised, number
-from phsi_opt.presentation.report_content import BAD, GOOD, LOOK, Fact, Headline
+from phsi_opt.presentation.report_content import (
+    BAD,
+    GOOD,
+    LOOK,
+    Answer,
+    Fact,
+    Headline,
+)
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.study.answers import (
     finding_words,
-    to_do_words,
+    to_do_answer,
     was_wrong_words,
-    where_words,
-    wrong_words,
+    where_answer,
+    wrong_answer,
 )
 from phsi_opt.study.force_content import since_when
 from phsi_opt.study.record import StudyRecord
@@ -173,24 +182,30 @@ def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
     if diagnosis is study.diagnoses.get(len(study.steps) - 1):
         return _present_facts(study, diagnosis)
     answers = (
-        was_wrong_words(diagnosis, _whose(study, diagnosis)),
-        where_words(diagnosis, is_past=True),
-        since_when(diagnosis),
-        _was_added(study, diagnosis),
+        Answer(was_wrong_words(diagnosis, _whose(study, diagnosis))),
+        where_answer(diagnosis, is_past=True),
+        Answer(since_when(diagnosis)),
+        Answer(_was_added(study, diagnosis)),
     )
-    return [Fact(*pair) for pair in zip(PAST, answers, strict=True)]
+    return _facts(PAST, answers)
 
 
 def _present_facts(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
     is_held_out = study.held_out is not None
     answers = (
-        wrong_words(diagnosis, is_held_out),
-        where_words(diagnosis),
-        since_when(diagnosis),
-        to_do_words(diagnosis, is_held_out),
+        wrong_answer(diagnosis, is_held_out),
+        where_answer(diagnosis),
+        Answer(since_when(diagnosis)),
+        to_do_answer(diagnosis, is_held_out),
     )
-    questions = PRESENT if diagnosis.findings else UNNAMED
-    return [Fact(*pair) for pair in zip(questions, answers, strict=True)]
+    return _facts(PRESENT if diagnosis.findings else UNNAMED, answers)
+
+
+def _facts(questions: Sequence[str], answers: Sequence[Answer]) -> list[Fact]:
+    facts = []
+    for question, answer in zip(questions, answers, strict=True):
+        facts.append(Fact(question, answer.lead, answer.detail))
+    return facts
 
 
 def _whose(study: StudyRecord, diagnosis: Diagnosis) -> str:

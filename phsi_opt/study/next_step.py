@@ -16,40 +16,44 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
 from phsi_opt.model.structure import kind_of, with_kinds_of_units
+from phsi_opt.presentation.report_content import Answer
 
 # A part that moves or stores by itself, as the field calls it.
 FURTHER_STATE = {
-    THERMAL: "A further store of heat (walls beside the air)",
-    HYDRAULIC: "A further vessel or pipe",
-    ELECTRICAL: "A further storage (a second resistor and capacitor)",
-    MECHANICAL: "A part that moves by itself (play, a soft shaft, a second mass)",
-    "": "A further storage, or a part that moves by itself",
+    THERMAL: "a further store of heat (walls beside the air)",
+    HYDRAULIC: "a further vessel or pipe",
+    ELECTRICAL: "a further storage (a second resistor and capacitor)",
+    MECHANICAL: "a part that moves by itself (play, a soft shaft, a second mass)",
+    "": "a further storage, or a part that moves by itself",
 }
+NO_EFFECT = "No effect of the catalogue fits."
 
 
-def next_step(diagnosis: Diagnosis) -> str:
-    """What to do next, in sentences."""
+def next_step(diagnosis: Diagnosis) -> Answer:
+    """What to do next."""
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
-        return (
-            "No force is sure: record longer, or with less noise, and diagnose again."
+        return Answer(
+            "Record longer, or with less noise, and diagnose again.",
+            f"{NO_EFFECT} No missing force is sure.",
         )
     if force.pace.is_vibration:
         return against_vibration(force.pace)
     return advice_of_cause(diagnosis.data.units, force)
 
 
-def against_vibration(pace: Pace) -> str:
+def against_vibration(pace: Pace) -> Answer:
     """What to do about a force that shakes, and to see what is missing beside it."""
     n = pace.samples_per_cycle
-    return (
-        "First find out what swings so fast: loose or soft parts, play, interference, "
-        "a sensor's resolution; repeat the run without it. To see what is missing "
-        f"beside it, take means of {n} samples, data.thinned({n}), and diagnose again."
+    return Answer(
+        "Find what swings so fast, or average it away: take means of "
+        f"{n} samples, data.thinned({n}), and diagnose again.",
+        f"{NO_EFFECT} The means show what is missing beside it. Look for loose or soft "
+        "parts, play, interference, a sensor's resolution.",
     )
 
 
-def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> str:
+def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
     """What follows from the strongest cause of a force, or from there being none.
 
     Args:
@@ -67,14 +71,17 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> str:
     }
     strongest = max(causes, key=lambda cause: float(shares[cause]))
     share = float(shares[strongest])
-    told = []
+    told = causes[strongest](force) if share > NAMED_CAUSE else ""
+    further = _further_state(units, force)
     if share < float(shares["unexplained"]):
-        told.append(_of_nothing(units, force))
-    elif strongest == "parameters":
-        told.append(f"{_further_state(units, force)} may be what they make up for.")
-    if share > NAMED_CAUSE:
-        told.insert(0 if strongest == "parameters" else 1, causes[strongest](force))
-    return " ".join(told)
+        return Answer(
+            f"Give the model {further}, or measure an input that is not recorded.",
+            f"{NO_EFFECT} Most of what is missing follows nothing that was measured "
+            f"at the same time. {told}".strip(),
+        )
+    if strongest == "parameters":
+        return Answer(told, f"{NO_EFFECT} What they make up for may be {further}.")
+    return Answer(told, NO_EFFECT)
 
 
 def _further_state(units: Mapping[str, str], force: EquationForce) -> str:
@@ -83,19 +90,11 @@ def _further_state(units: Mapping[str, str], force: EquationForce) -> str:
     return FURTHER_STATE[kind_of(known, force.equation)]
 
 
-def _of_nothing(units: Mapping[str, str], force: EquationForce) -> str:
-    further = _further_state(units, force)
-    return (
-        "Most of it follows nothing that was measured at the same time: "
-        f"{further[:1].lower()}{further[1:]} may be missing in the model, or an input "
-        "in the record."
-    )
-
-
 def _of_parameters(force: EquationForce) -> str:
     return (
-        "Other values of the model's own parameters would give a part of it, but no "
-        "value for the whole record: fit its halves apart and compare the values."
+        "Fit the halves of the record apart and compare the values: other values of "
+        "the model's own parameters would give a part of it, but none for the whole "
+        "record."
     )
 
 
@@ -112,8 +111,8 @@ def _of_inputs(force: EquationForce) -> str:
 
 def _of_time(force: EquationForce) -> str:
     return (
-        "Something changed with the time: repeat the run, and record what may have "
-        "changed (a load, a temperature, a supply) as an input."
+        "Repeat the run, and record what may have changed with the time (a load, a "
+        "temperature, a supply) as an input."
     )
 
 

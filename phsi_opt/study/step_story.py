@@ -3,9 +3,9 @@
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.study.answers import (
-    to_do_words,
-    where_words,
-    wrong_words,
+    to_do_answer,
+    where_answer,
+    wrong_answer,
 )
 from phsi_opt.study.force_content import since_when
 from phsi_opt.study.off_words import judged_words, off_words
@@ -28,13 +28,13 @@ def step_story(study: StudyRecord, number: int) -> str:
             "noise leaves; these data show nothing that is missing."
         )
     told = (
-        wrong_words(diagnosis, is_held_out),
-        where_words(diagnosis),
+        wrong_answer(diagnosis, is_held_out),
+        where_answer(diagnosis),
         since_when(diagnosis),
-        to_do_words(diagnosis, is_held_out),
+        to_do_answer(diagnosis, is_held_out),
         _done_since(study, number),
     )
-    return " ".join(told).strip()
+    return " ".join(map(str, told)).strip()
 
 
 def _done_since(study: StudyRecord, number: int) -> str:

@@ -98,22 +98,29 @@
     const width = Math.max(10, Math.floor((narrow ? 44 : 72) / Math.max(steps.length, 1)));
     const labels = steps.map((step, k) => wrapped((k && !step.label.startsWith("without ") ? "+ " : "") + step.label, width));
     const held = steps.some((step) => step.held_out !== null);
-    const curve = (key, name, line, symbol, text) => ({
-      x: x, y: steps.map((step) => step[key]), name: name, line: line, mode: text ? "lines+markers+text" : "lines+markers",
-      marker: { size: symbol === "square-open" ? 14 : 9, symbol: symbol }, textposition: "top right", cliponaxis: false,
-      text: text ? steps.map((step) => (step[key] === null ? "" : Number(step[key]).toPrecision(3))) : undefined,
-      textfont: { color: line.color, size: 14 }, hovertemplate: "%{y:.4g}",
+    // Side by side, each with its numbers on its own side: equal errors do not hide each other.
+    const aside = held ? 0.05 : 0;
+    const shown = (value) => (value === null ? "" : Number(value.toPrecision(3)).toString());
+    // A number stands where no line comes from: below a training error that fell, above a floor that lies low.
+    const fell = steps.map((step, k) => k > 0 && step.train < steps[k - 1].train && step.train > 0.2 * Math.max(...steps.map((one) => one.train)));
+    const last = steps[steps.length - 1];
+    const isLow = (held ? last.held_out : last.train) > 2 * last.floor;
+    const curve = (key, name, line, symbol, shift, place) => ({
+      x: x.map((one) => one + shift), y: steps.map((step) => step[key]), name: name, line: line, mode: "lines+markers+text",
+      marker: { size: symbol === "line-ew-open" ? 30 : 9, symbol: symbol }, textposition: place, cliponaxis: false,
+      text: steps.map((step, k) => (key !== "floor" ? shown(step[key]) : k === steps.length - 1 ? "floor " + shown(step[key]) : "")),
+      textfont: { color: line.color, size: 13 }, hovertemplate: "%{y:.4g}",
     });
-    const traces = [curve("train", "training", { color: color("measured"), dash: "dash" }, held ? "square-open" : "square", !held)];
-    if (held) traces.push(curve("held_out", "held out", { color: color("after") }, "circle", true));
-    traces.push(curve("floor", "noise floor", { color: color("floor"), dash: "dot" }, "line-ew-open", false));
+    const traces = [curve("train", "training", { color: color("measured"), dash: "dash" }, "square", -aside, held ? fell.map((one) => (one ? "bottom left" : "top left")) : "top right")];
+    if (held) traces.push(curve("held_out", "held out", { color: color("after") }, "circle", aside, "top right"));
+    traces.push(curve("floor", "noise floor", { color: color("floor"), dash: "dot" }, "line-ew-open", 0, isLow ? "top right" : "bottom right"));
     const errors = steps.flatMap((step) => [step.train, step.held_out, step.floor]).filter((v) => v !== null && v > 0);
     const most = Math.max(...errors), least = Math.min(...errors);
     const log = most >= 10 * least && steps.length > 1;
     const ticks = log ? { dtick: most >= 100 * least ? 1 : "D2", minorloglabels: "complete", tickformat: least > 1e-4 ? "~g" : "" } : {};
-    const unit = content.unit === "standard deviations" ? "std. deviations" : content.unit;
+    const unit = content.unit;
     draw("staircase", traces, {
-      xaxis: { tickvals: x, ticktext: labels, range: [-0.3, steps.length - 0.4], zeroline: false },
+      xaxis: { tickvals: x, ticktext: labels, range: [-0.45, steps.length - 0.55], zeroline: false },
       yaxis: Object.assign(ticks, { type: log ? "log" : "linear", range: log ? [Math.log10(least / 2), Math.log10(2 * most)] : [0, 1.2 * most], title: { text: withUnit("error", unit) } }),
     });
   }
