@@ -1,6 +1,7 @@
 """The HTML report: what it says and in which order, and that nothing can be injected."""
 
 import base64
+import datetime as dt
 import gzip
 import json
 import re
@@ -19,7 +20,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import frequency_words, with_units
-from phsi_opt.presentation.durations import times_words
+from phsi_opt.presentation.durations import date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import html_report, script_json
 from phsi_opt.presentation.numbers import (
     estimate_text,
@@ -283,6 +284,47 @@ def test_long_times_are_told_in_hours_and_days(
     times: str, unit: str, said: str
 ) -> None:
     assert times_words(times, unit) == said
+
+
+def test_times_that_were_dates_are_told_as_dates() -> None:
+    origin = dt.datetime(2021, 11, 22, 6, 30)
+    assert date_words(0.0, origin) == "2021-11-22 06:30"
+    assert date_words(90.0, origin) == "2021-11-22 06:31:30"
+    assert date_words(90.0, None) == ""
+    assert dates_words("3600 to 7200", origin) == "2021-11-22 07:30 to 08:30"
+    told = dates_words("0 to 1e+05 (throughout)", origin)
+    assert told == "2021-11-22 to 2021-11-23"
+    late = dates_words("6e4 to 7e4", origin)
+    assert late == "2021-11-22 23:10 to 2021-11-23 01:56"
+    assert dates_words("0 to 1", None) == ""
+
+
+def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
+    frame = table(5, 2.0)
+    frame = frame[frame["run"].isin(["run 1", "run 2"])]
+    begin = dt.datetime(2021, 11, 22, 6, 30)
+    frame = frame.assign(when=[begin + dt.timedelta(seconds=t) for t in frame["t_s"]])
+    path = tmp_path / "dated.csv"
+    frame.drop(columns="t_s").to_csv(path, index=False)
+    data = ph.Measurements.from_csv(
+        path,
+        time="when",
+        states={"q": "position_m", "p": None},
+        trajectory="run",
+        units={"q": "m", "p": "kg m/s"},
+    )
+    assert data.thinned(2).trajectories[1].origin == begin
+    assert data.between(0.1, None).trajectories[0].origin == begin
+    study = ph.Study(spring(), *data.split(0.5), effects=["coulomb friction"])
+    diagnosis = study.diagnose()
+    assert (
+        "2021-11-22 06:30" in diagnosis.sentences[0]
+        or "about as strong" in (diagnosis.sentences[0])
+    )
+    content = report_content(study.record)
+    assert {run.since for run in content.runs.runs} == {"2021-11-22 06:30"}
+    since = {fact.question: fact.answer for fact in content.headline.facts}
+    assert "(2021-11-22 06:30" in since["Since when"]
 
 
 def test_a_period_of_a_day_is_told_as_one() -> None:

@@ -383,6 +383,7 @@ def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
         analysis.follows,
         analysis.energy,
         {"p": pace},
+        dict.fromkeys(analysis.force.trajectories),
     )
     assert "a vibration or an error of a sensor" in said[0]
 

@@ -53,7 +53,12 @@ class ForceAnalysis:
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
         return sentences(
-            self.force.units, self.where, self.follows, self.energy, self.paces
+            self.force.units,
+            self.where,
+            self.follows,
+            self.energy,
+            self.paces,
+            dict(zip(self.force.trajectories, self.force.origins, strict=True)),
         )
 
     @cached_property

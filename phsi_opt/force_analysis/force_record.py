@@ -5,6 +5,7 @@ inputs and the slopes of the model in its parameters are taken there as well. Wh
 force depends on is judged elsewhere (`dependence`, `energy`, `localization`).
 """
 
+import datetime as dt
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -32,6 +33,7 @@ class ForceRecord:
         fit: the fit whose model lacks the force.
         estimate: the force with its prior and the linearised problem.
         trajectories: their names.
+        origins: the moments at which their times are 0; None where these are no dates.
         units: by name of the state or input, and of ``t``.
         equations: states in whose equations a force was estimated, (n_forced,).
         t: time, (n_intervals,).
@@ -50,6 +52,7 @@ class ForceRecord:
     fit: Fit
     estimate: ForceEstimate
     trajectories: tuple[str, ...]
+    origins: tuple[dt.datetime | None, ...]
     units: Mapping[str, str]
     equations: tuple[str, ...]
     t: np.ndarray
@@ -74,6 +77,7 @@ class ForceRecord:
             fit=record.fit,
             estimate=estimate,
             trajectories=record.trajectories,
+            origins=tuple(run.origin for run in record.data.trajectories),
             units={**record.data.units, **state_units(model, record.data.units)},
             equations=tuple(model.states[row] for row in estimate.prior.rows),
             t=middles.t,
@@ -87,6 +91,10 @@ class ForceRecord:
             rates=middles.values(model.rhs()),
             slopes=_slopes(model, middles),
         )
+
+    def origin_of(self, trajectory: str) -> dt.datetime | None:
+        """The moment at which the time of a trajectory is 0, where it is a date."""
+        return self.origins[self.trajectories.index(trajectory)]
 
     def variable(self, name: str) -> np.ndarray:
         """Values of a state, an effort, an input or the time ``t``, (n_intervals,)."""

@@ -4,6 +4,7 @@ Text and grid take their colours from the page's style, which knows light and da
 curves have colours that stand out from both.
 """
 
+import datetime as dt
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from phsi_opt.page.limits import CHART_POINTS
 from phsi_opt.page.snapshot import ChannelCurves, ErrorStep, ForceCurve, RunCurves
 from phsi_opt.presentation.axes import label
+from phsi_opt.presentation.durations import date_words
 
 Figure = dict[str, Any]
 
@@ -47,7 +49,7 @@ def free_run(
         _curve(t, channel.residual, "residual", MODEL_COLOR, yaxis="y2"),
     ]
     data[-1]["showlegend"] = False  # its axis says what it is
-    layout = _layout(_label("time", t_unit))
+    layout = _layout(_time_label(t_unit, run.origin))
     upper_part = [RESIDUAL_PART + RESIDUAL_GAP, 1]
     layout["yaxis"] = _axis(_label(channel.name, channel.unit), upper_part)
     layout["yaxis2"] = _axis(_label("residual", channel.unit), [0, RESIDUAL_PART])
@@ -67,7 +69,8 @@ def missing_force(
     for number, curve in enumerate(curves):
         color = colors[number % len(colors)]
         data += _banded(curve, color)
-    layout = _layout(_label("time", t_unit))
+    origin = curves[0].origin if curves else None
+    layout = _layout(_time_label(t_unit, origin))
     units = {curve.unit for curve in curves}
     unit = units.pop() if len(units) == 1 else ""
     layout["yaxis"] = _axis(_label("missing force", unit))
@@ -162,6 +165,12 @@ def _broken(text: str) -> str:
 def _escaped(text: str) -> str:
     """A text in which nothing is markup: plotly reads some tags in labels."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _time_label(unit: str, origin: dt.datetime | None) -> str:
+    """Of the axis of time, with the date at which the time is 0."""
+    date = date_words(0.0, origin)
+    return f"{_label('time', unit)} since {date}" if date else _label("time", unit)
 
 
 def _label(name: str, unit: str) -> str:

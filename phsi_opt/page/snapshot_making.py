@@ -94,7 +94,8 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
                 noise = float(comparison.sigma[k])
                 measured = run.x[:, k]
                 channels.append(ChannelCurves(name, unit, measured, shown, noise))
-        runs.append(RunCurves(run.name, part, run.t, tuple(channels)))
+        curves = RunCurves(run.name, part, run.t, tuple(channels), run.origin)
+        runs.append(curves)
     return runs
 
 
@@ -177,6 +178,7 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
                     t=t[inside],
                     force=estimate.w[inside, column],
                     std=deviation[inside, column],
+                    origin=run.origin,
                 )
             )
     return forces

@@ -122,11 +122,15 @@ class ChannelRun:
 
 @dataclass(frozen=True)
 class Run:
-    """One trajectory: its name, its part of the data, its channels."""
+    """One trajectory: its name, its part of the data, its channels.
+
+    ``since`` is the date at which its time is 0, in words; "" where times are no dates.
+    """
 
     name: str
     part: str
     channels: list[ChannelRun]
+    since: str = ""
 
 
 @dataclass(frozen=True)
@@ -163,12 +167,16 @@ class Runs:
 
 @dataclass(frozen=True)
 class ForceRun:
-    """The missing force along one trajectory with its standard deviation."""
+    """The missing force along one trajectory with its standard deviation.
+
+    ``since`` is the date at which its time is 0, in words; "" where times are no dates.
+    """
 
     name: str
     t: Numbers
     force: Numbers
     std: Numbers
+    since: str = ""
 
 
 @dataclass(frozen=True)

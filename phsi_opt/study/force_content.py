@@ -19,7 +19,13 @@ from phsi_opt.force_analysis.state_plots import (
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.axes import label
-from phsi_opt.presentation.durations import scale_of_time, time_words, times_words
+from phsi_opt.presentation.durations import (
+    date_words,
+    dates_words,
+    scale_of_time,
+    time_words,
+    times_words,
+)
 from phsi_opt.presentation.numbers import number, with_error
 from phsi_opt.presentation.report_content import (
     Failure,
@@ -112,7 +118,8 @@ def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
         kept = inside[thinned([force.w[inside]], most)]
         t = rounded(record.t[kept] / size, DIGITS_OF_TIME)
         w = rounded(force.w[kept])
-        runs.append(ForceRun(name, t, w, rounded(deviation[kept])))
+        since = date_words(0.0, record.origins[number_of_run])
+        runs.append(ForceRun(name, t, w, rounded(deviation[kept]), since))
     return runs
 
 
@@ -234,6 +241,7 @@ def since_when(diagnosis: Diagnosis) -> str:
     n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
     name = str(force.where["trajectory"])
     window = str(force.where["time_window"])
+    origin = record.origin_of(name)
     begin = None
     if n_strong == 1:
         inside = np.flatnonzero(record.run == record.trajectories.index(name))
@@ -243,12 +251,20 @@ def since_when(diagnosis: Diagnosis) -> str:
     )
     if begin is not None:
         of_run = name if len(sizes) > 1 else "the training record"
-        since = f"Far stronger from about t = {time_words(begin, unit)} of {of_run} on"
+        when = f"{time_words(begin, unit)}{_in_brackets(date_words(begin, origin))}"
+        since = f"Far stronger from about t = {when} of {of_run} on"
     if THROUGHOUT in window:
         return f"{since}; about as strong all the time."
-    strongest = f"strongest at t = {times_words(window, unit)}"
-    of_run = f" of {name}" if len(sizes) > 1 and begin is None else ""
+    dates = _in_brackets(dates_words(window, origin))
+    strongest = f"strongest at t = {times_words(window, unit)}{dates}"
+    of_run = ""
+    if begin is None:
+        of_run = f" of {name}" if len(sizes) > 1 else " of the training record"
     return f"{since}; {strongest}{of_run}."
+
+
+def _in_brackets(date: str) -> str:
+    return f" ({date})" if date else ""
 
 
 def _in_runs(n_strong: int, n_runs: int) -> str:

@@ -50,6 +50,9 @@
   function withUnit(name, unit) {
     return plain(unit ? `${name} (${unit})` : name);
   }
+  function since(label, date) {
+    return date ? `${label} since ${plain(date)}` : label;
+  }
   function shortened(text, most) {
     return text.length > most ? text.slice(0, most - 1) + "\u2026" : text;
   }
@@ -147,7 +150,7 @@
       notes.push({ xref: "paper", x: 1, xanchor: "right", yref: "paper", y: 0.33, yanchor: "bottom", showarrow: false, text: "residual; band: noise, 2 std. deviations", font: { size: 12, color: color("floor") } });
     }
     draw("measured", traces, {
-      xaxis: { anchor: "y2", title: { text: withUnit("t", content.unit_of_time) } },
+      xaxis: { anchor: "y2", title: { text: since(withUnit("t", content.unit_of_time), run.since) } },
       yaxis: { domain: [0.42, 1], title: { text: withUnit(info.name, info.unit) } },
       yaxis2: { domain: [0, 0.32], title: { text: withUnit("residual", info.unit) } },
       shapes: shapes, annotations: notes, uirevision: run.name + " " + k,
@@ -175,7 +178,7 @@
     const run = content.runs[Number(select.value)];
     const traces = band(run.t, run.force, run.std.map((v) => (v === null ? null : 2 * v)), "2 std. deviations");
     traces.push({ x: run.t, y: run.force, mode: "lines", line: { color: color("after"), width: 2 }, name: "missing force", hovertemplate: "%{y:.3g}" });
-    draw(id + "-time", traces, { xaxis: { title: { text: plain(content.t_label) } }, yaxis: { title: { text: plain(content.label) } } });
+    draw(id + "-time", traces, { xaxis: { title: { text: since(plain(content.t_label), run.since) } }, yaxis: { title: { text: plain(content.label) } } });
     if (content.follows) follows(id + "-follows", content.follows, content.label);
     if (content.map) {
       const one = content.map;
