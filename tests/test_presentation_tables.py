@@ -22,7 +22,6 @@ from phsi_opt.presentation.tables import (
 )
 from phsi_opt.screening.effect_size import Size
 from phsi_opt.study.history import HISTORY_COLUMNS
-from problems.examples.demo import model as spring
 
 LONG = "position-dependent damping on p2, without coupling stiffness on p1, re-fitted"
 EVIL = "<script>alert(1)</script>[bold red]&amp;"

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.force_analysis.next_step import advice_of_cause, against_vibration
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import frequency_words, with_units
 from phsi_opt.presentation.durations import date_words, dates_words, times_words
@@ -41,7 +42,6 @@ from phsi_opt.presentation.report_content import (
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.study.force_content import shortened
-from phsi_opt.study.next_step import advice_of_cause, against_vibration
 from phsi_opt.study.report_content import (
     beside_floor,
     interval_within,

@@ -106,6 +106,9 @@ def origin_in(table: Table, times: Times, rows: np.ndarray) -> dt.datetime | Non
         table: As it was read, its times checked by `times_in`.
         times: Where its times come from.
         rows: The row numbers of the trajectory, (n_samples,).
+
+    Raises:
+        DataError: The first time is no date, or ``start`` is of another kind.
     """
     if times.step is not None or not are_dates(table, times):
         return None

@@ -33,6 +33,7 @@ from phsi_opt.study.answers import (
     wrong_answer,
 )
 from phsi_opt.study.force_content import since_when
+from phsi_opt.study.report_content import scale_of_errors
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -51,7 +52,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
     if step.held_out is not None:
         forces += _forces(step.held_out.record, HELD_OUT)
     return Snapshot(
-        unit=study.unit,
+        unit=scale_of_errors(study.unit)[1],
         t_unit=study.train.units.get("t", ""),
         steps=tuple(_steps(study)),
         added=tuple(str(effect) for effect in study.added),
@@ -66,11 +67,13 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
 
 
 def _steps(study: Study) -> list[ErrorStep]:
+    size, _ = scale_of_errors(study.unit)
     steps = []
     for number, step in enumerate(study.steps):
-        held_out = None if step.held_out is None else step.held_out.rmse
-        floor = step.judged.noise_floor
-        steps.append(ErrorStep(number, step.label, step.train.rmse, held_out, floor))
+        held_out = None if step.held_out is None else size * step.held_out.rmse
+        train = size * step.train.rmse
+        floor = size * step.judged.noise_floor
+        steps.append(ErrorStep(number, step.label, train, held_out, floor))
     return steps
 
 
@@ -138,6 +141,7 @@ def window_of(times: str) -> tuple[float, float] | None:
 
 
 def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[CandidateRow]:
+    size, _ = scale_of_errors(diagnosis.base.error_unit)
     rows = []
     for candidate in diagnosis.ranking:
         effects = tuple(str(effect) for effect in candidate.effects)
@@ -147,8 +151,8 @@ def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[Candida
                 coefficient=float(candidate.coefficient),
                 std_error=float(candidate.std_error),
                 unit=candidate.unit,
-                train=float(candidate.train_rmse),
-                held_out=float(candidate.held_out_rmse),
+                train=size * float(candidate.train_rmse),
+                held_out=size * float(candidate.held_out_rmse),
                 confusable_with=tuple(map(str, candidate.confusable_with)),
                 lost=candidate.lost,
                 is_proposed=bool(proposed) and effects == proposed,

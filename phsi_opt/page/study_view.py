@@ -197,7 +197,7 @@ class StudyView:
                 if len(snapshot.steps) > 1:
                     self._begins("Undo the last step", self._session.undo, True)
                 diagnosed = snapshot.diagnosed
-                if diagnosed is None or diagnosed.is_missing:
+                if diagnosed is None or diagnosed.proposed:
                     auto = self._session.auto
                     self._begins("Add until nothing is left", auto, True)
 

@@ -17,7 +17,6 @@ from phsi_opt.force_analysis.units import force_unit, spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
 from phsi_opt.presentation.numbers import capitalised, number, with_error
 from phsi_opt.presentation.report_content import Answer
-from phsi_opt.study.next_step import next_step
 from phsi_opt.study.off_words import judged_words, off_words
 
 NOTHING_FOLLOWED = "It follows none of the states, the inputs, the time."
@@ -94,18 +93,19 @@ def class_of(finding: Finding) -> str:
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     """The equation, the values of the states, and what the force follows.
 
-    What a cause explains is told while something is missing; afterwards the effect that
-    was added says it better.
+    What a cause explains is told where nothing has a name; the effect that is found, or
+    was added, says it better.
     """
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
         return Answer("No equation, time or region stands out.")
     place = f"In d{force.equation}/dt, {place_words(force)}."
-    cause = force.cause_in_brief if is_past else force.cause
+    is_known = is_past or diagnosis.verdict == Verdict.NAMED
+    cause = force.cause_in_brief if is_known else force.cause
     if cause == NO_PATTERN:
         return Answer(place, NOTHING_FOLLOWED)
     left = float(force.shares["unexplained"])
-    if is_past or left < MOSTLY:
+    if is_known or left < MOSTLY:
         return Answer(place, f"It {cause}.")
     return Answer(place, f"It {cause}; {100 * left:.0f} % follow nothing measured.")
 
@@ -117,7 +117,7 @@ def to_do_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     """What to add, with what that leaves; or what to do where nothing is named."""
     if diagnosis.findings:
         return _addition(diagnosis, is_held_out)
-    advice = next_step(diagnosis)
+    advice = diagnosis.next_step
     if not diagnosis.proposed:
         return advice
     names = " and ".join(map(str, diagnosis.proposed))

@@ -1,6 +1,6 @@
-"""What to do where no effect of the catalogue is named: a measurement, an experiment, a
-part of the model to look at again.
+"""What to do where no effect of the catalogue is named.
 
+That is a measurement, an experiment, or a part of the model to look at again.
 What the missing force looks like decides: one that shakes is sought at the machine, one
 that follows an input where the input enters, one that follows nothing measured in a
 state or an input that the model and the data lack.
@@ -9,7 +9,7 @@ state or an input that the model and the data lack.
 from collections.abc import Mapping
 
 from phsi_opt.criteria import NAMED_CAUSE
-from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.causes import exchange_partners
 from phsi_opt.force_analysis.energy_wording import TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
@@ -29,9 +29,14 @@ FURTHER_STATE = {
 NO_EFFECT = "No effect of the catalogue fits."
 
 
-def next_step(diagnosis: Diagnosis) -> Answer:
-    """What to do next."""
-    force = EquationForce.of(diagnosis.analysis, None)
+def next_step(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
+    """What to do next about the surest missing force.
+
+    Args:
+        analysis: of the missing forces.
+        units: as in `Measurements`.
+    """
+    force = EquationForce.of(analysis, None)
     if force.is_uncertain:
         return Answer(
             "Record longer, or with less noise, and diagnose again.",
@@ -39,7 +44,7 @@ def next_step(diagnosis: Diagnosis) -> Answer:
         )
     if force.pace.is_vibration:
         return against_vibration(force.pace)
-    return advice_of_cause(diagnosis.data.units, force)
+    return advice_of_cause(units, force)
 
 
 def against_vibration(pace: Pace) -> Answer:
@@ -47,7 +52,8 @@ def against_vibration(pace: Pace) -> Answer:
     n = pace.samples_per_cycle
     return Answer(
         "Find what swings so fast, or average it away: take means of "
-        f"{n} samples, data.thinned({n}), and diagnose again.",
+        f"{n} samples (data.thinned({n}), in a study file thinned = {n}), and diagnose "
+        "again.",
         f"{NO_EFFECT} The means show what is missing beside it. Look for loose or soft "
         "parts, play, interference, a sensor's resolution.",
     )
