@@ -251,6 +251,7 @@ def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
 
 def test_units_have_their_powers_raised_and_formulas_stay() -> None:
     assert typeset("714 rad/s^2, 3 +- 1 kg m^2") == "714 rad/s², 3 ± 1 kg m²"
+    assert typeset("1/(%^2 s^2)") == "1/(%² s²)"
     assert typeset("k*q**2/2 + x^n + 2^3") == "k*q**2/2 + x^n + 2^3"
 
 

@@ -51,11 +51,11 @@ def against_vibration(pace: Pace) -> Answer:
     """What to do about a force that shakes, and to see what is missing beside it."""
     n = pace.samples_per_cycle
     return Answer(
-        "Find what swings so fast, or average it away: take means of "
-        f"{n} samples (data.thinned({n}), in a study file thinned = {n}), and diagnose "
-        "again.",
-        f"{NO_EFFECT} The means show what is missing beside it. Look for loose or soft "
-        "parts, play, interference, a sensor's resolution.",
+        f"Find what swings so fast, or average it away by means of {n} samples, and "
+        "diagnose again.",
+        f"{NO_EFFECT} Means, data.thinned({n}) or thinned = {n} in a study file, show "
+        "what is missing beside it. Look for loose or soft parts, play, interference, "
+        "a sensor's resolution.",
     )
 
 

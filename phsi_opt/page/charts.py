@@ -26,6 +26,7 @@ FLOOR_COLOR = "#3b8f5a"
 MARK_COLOR = "#b5459e"
 BAND_OPACITY = 0.22
 FONT = "Roboto, system-ui, sans-serif"  # by name: widths of legends are taken from it
+BEHIND = 0.8  # of a step, that the axis goes on: room for the number of the floor
 ASIDE = 0.05  # of a step, by which training and held-out error stand aside
 FAR_ABOVE = 2.0  # times the noise floor: there is room above the floor's number
 LOW_SHARE = 0.2  # of the largest error, below which there is no room below a number
@@ -110,7 +111,7 @@ def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
         {
             "tickvals": x,
             "ticktext": labels,
-            "range": [-0.5, max(len(x) - 0.5, 1.5)],
+            "range": [-0.5, max(len(x) - 1 + BEHIND, 1.5)],
         }
     )
     values = [*judged, *floor, *(step.train for step in steps)]

@@ -16,6 +16,11 @@
     drawAll();
   });
 
+  // On a phone the answers come first; what stands behind them is opened.
+  if (matchMedia("(max-width: 40rem)").matches) {
+    document.querySelectorAll(".facts details").forEach((one) => { one.open = false; });
+  }
+
   // On paper nothing can be opened: everything is.
   window.addEventListener("beforeprint", function () {
     document.querySelectorAll("details").forEach((one) => { one.open = true; });
@@ -103,14 +108,14 @@
     const held = steps.some((step) => step.held_out !== null);
     // Side by side, each with its numbers on its own side: equal errors do not hide each other.
     const aside = held ? 0.05 : 0;
-    const shown = (value) => (value === null ? "" : Number(value.toPrecision(3)).toString());
+    const shown = (value) => (value === null ? "" : Math.abs(value) < 1e-4 ? value.toExponential(2) : Number(value.toPrecision(3)).toString());
     // A number stands where no line comes from: below a training error that fell, above a floor that lies low.
     const fell = steps.map((step, k) => k > 0 && step.train < steps[k - 1].train && step.train > 0.2 * Math.max(...steps.map((one) => one.train)));
     const last = steps[steps.length - 1];
     const isLow = (held ? last.held_out : last.train) > 2 * last.floor;
     const curve = (key, name, line, symbol, shift, place) => ({
       x: x.map((one) => one + shift), y: steps.map((step) => step[key]), name: name, line: line, mode: "lines+markers+text",
-      marker: { size: symbol === "line-ew-open" ? 30 : 9, symbol: symbol }, textposition: place, cliponaxis: false,
+      marker: { size: symbol === "line-ew-open" ? 20 : 9, symbol: symbol }, textposition: place, cliponaxis: false,
       text: steps.map((step, k) => (key !== "floor" ? shown(step[key]) : k === steps.length - 1 ? "floor " + shown(step[key]) : "")),
       textfont: { color: line.color, size: 13 }, hovertemplate: "%{y:.4g}",
     });
@@ -121,9 +126,12 @@
     const most = Math.max(...errors), least = Math.min(...errors);
     const log = most >= 10 * least && steps.length > 1;
     const ticks = log ? { dtick: most >= 100 * least ? 1 : "D2", minorloglabels: "complete", tickformat: least > 1e-4 ? "~g" : "" } : {};
+    // Room for the number of the floor, behind the last step.
+    const share = 95 / Math.max(document.getElementById("staircase").clientWidth - 76, 200);
+    const behind = Math.max(0.45, (share * (steps.length - 0.4)) / (1 - share));
     const unit = content.unit;
     draw("staircase", traces, {
-      xaxis: { tickvals: x, ticktext: labels, range: [-0.45, steps.length - 0.55], zeroline: false },
+      xaxis: { tickvals: x, ticktext: labels, range: [-0.6, steps.length - 1 + behind], zeroline: false },
       yaxis: Object.assign(ticks, { type: log ? "log" : "linear", range: log ? [Math.log10(least / 2), Math.log10(2 * most)] : [0, 1.2 * most], title: { text: withUnit("error", unit) } }),
     });
   }
