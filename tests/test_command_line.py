@@ -42,6 +42,7 @@ from phsi_opt.study_file.headers import (
 )
 from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.survey import survey
+from phsi_opt.study_file.unfilled import unfilled
 from problems.examples.friction_spring import CSV
 from problems.tools.data_paths import folder
 
@@ -568,6 +569,29 @@ def test_check_tells_what_is_empty(tmp_path: Path) -> None:
     assert content["exit_code"] == ExitCode.DONE
     keys = [one.partition(":")[0] for one in content["empty"]]
     assert keys == ["model.R", "model.F", "model.inputs", "units"]
+
+
+def test_the_unit_of_times_that_are_dates_is_not_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "dated.csv").write_text(
+        "when,q\n2021-11-22 06:30,1.0\n2021-11-22 06:31,0.5\n2021-11-22 06:32,0.2\n"
+    )
+    text = """
+[data]
+files = ["dated.csv"]
+time = { column = "when" }
+[data.states]
+q = { column = "q" }
+[model]
+type = "FirstOrder"
+states = ["q"]
+rate = { q = "-a*q" }
+[parameters]
+a = { start = 0.01 }
+"""
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    assert "the time" in " ".join(unfilled(path))
+    assert "the time" not in " ".join(unfilled(path, has_dates=True))
 
 
 def test_check_of_a_full_study_file_tells_of_nothing_that_is_empty(demo: Path) -> None:

@@ -381,7 +381,7 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert not studied.snapshot.diagnosed.is_missing
     facts = facts_of(studied.snapshot)
     assert facts is not None
-    assert facts.what.startswith(
+    assert str(facts.what).startswith(
         f"Nothing is missing. The error fell from {base.judged:.3g} m to "
         f"{larger.judged:.3g} m; the noise floor is "
     )

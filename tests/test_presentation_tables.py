@@ -12,12 +12,15 @@ import pytest
 from rich.console import Console
 
 import phsi_opt as ph
+from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.presentation.printed_table import PrintedTable
 from phsi_opt.presentation.tables import (
     MOST_ROWS,
     html_of_table,
+    text_of_cell,
     text_of_table,
 )
+from phsi_opt.screening.effect_size import Size
 from phsi_opt.study.history import HISTORY_COLUMNS
 
 LONG = "position-dependent damping on p2, without coupling stiffness on p1, re-fitted"
@@ -226,3 +229,11 @@ def test_the_catalogue_prints_as_a_table_and_is_a_list() -> None:
     for effect in effects:
         row = rf"^{re.escape(effect.name)} +{effect.equation} +{effect.slot} "
         assert re.search(row, str(effects), re.MULTILINE)
+
+
+def test_a_size_without_a_standard_error_is_told_without_one() -> None:
+    effect = ph.catalogue(spring())[0]
+    finding = Finding((effect,), "", 1.5, np.nan, 0.9, "N")
+    assert "nan" not in str(finding) and "1.5 N" in str(finding)
+    assert str(Size(1.5, np.nan, "N")) == "1.5 N"
+    assert text_of_cell(np.nan) == "-"

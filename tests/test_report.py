@@ -1,12 +1,14 @@
 """The HTML report: what it says and in which order, and that nothing can be injected."""
 
 import base64
+import datetime as dt
 import gzip
 import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib
@@ -16,8 +18,10 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.force_analysis.next_step import advice_of_cause, against_vibration
+from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import frequency_words, with_units
-from phsi_opt.presentation.durations import times_words
+from phsi_opt.presentation.durations import date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import html_report, script_json
 from phsi_opt.presentation.numbers import (
     estimate_text,
@@ -38,7 +42,12 @@ from phsi_opt.presentation.report_content import (
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.study.force_content import shortened
-from phsi_opt.study.report_content import interval_within, report_content
+from phsi_opt.study.report_content import (
+    beside_floor,
+    interval_within,
+    report_content,
+    scale_of_errors,
+)
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 
@@ -150,14 +159,99 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
     )
     assert "no effect of the catalogue explains" in headline.sentence
     answers = {fact.question: fact.answer for fact in headline.facts}
-    assert answers["What is wrong"].startswith(
-        "With coulomb friction on p, the model's dp/dt is off by"
+    assert "dp/dt is off by" in answers["What is wrong"]
+    assert "What to do next" in answers
+
+
+def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
+    study: ph.Study,
+) -> None:
+    named = study.record.diagnoses[0]
+    unknown = replace(
+        named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
     )
-    assert "a term of your own in dp/dt" in answers["What to add"]
+    record = replace(
+        study.record, steps=study.record.steps[:1], diagnoses={0: unknown}, stopped=""
+    )
+    content = report_content(record)
+    headline = content.headline
+    assert re.search(
+        r"no effect of the catalogue explains \(\d+ tried\)", headline.sentence
+    )
+    answers = {one.question: f"{one.answer} {one.detail}" for one in headline.facts}
+    wrong = answers["What is wrong"]
+    # One scale for error and noise, in numbers that can be compared.
+    assert re.search(
+        r"q by 0\.\d+ m \(\d+ % of its movement; noise alone \d+ %\)", wrong
+    )
+    assert re.search(r"dp/dt is off by [\d.]+ N \(rms\), .* its own size", wrong)
+    assert "times the noise" not in wrong
+    assert "dH_d" not in " ".join(answers.values())
+    do = answers["What to do next"]
+    assert "No effect of the catalogue fits." in do
+    assert "a term of your own in dp/dt that depends on q and p" in do
+    (failure,) = content.failures
+    for answer in answers.values():
+        assert answer.strip() in failure.told
+
+
+def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None:
+    partly = replace(study.record.diagnoses[0], verdict=ph.Verdict.PARTLY_NAMED)
+    record = replace(
+        study.record, steps=study.record.steps[:1], diagnoses={0: partly}, stopped=""
+    )
+    facts = report_content(record).headline.facts
+    answers = {one.question: f"{one.answer} {one.detail}" for one in facts}
+    assert answers["What is wrong"].startswith(
+        "Coulomb friction on p is missing, and something without a name beside. "
+    )
+    assert "The held-out error falls from" in answers["What to add"]
+    assert answers["What to add"].endswith("add, and diagnose again.")
+
+
+@pytest.mark.parametrize(
+    ("shares", "kind", "expected"),
+    [
+        ({"unexplained": 0.9}, "thermal", "a further store of heat"),
+        ({"unexplained": 0.9}, "", "a part that moves by itself (play"),
+        ({"parameters": 0.8}, "electrical", "Fit the halves of the record apart"),
+        ({"parameters": 0.8}, "electrical", "second resistor and capacitor"),
+        ({"inputs": 0.8}, "", "Look at how the input u enters dp/dt"),
+        ({"time": 0.8}, "", "Repeat the run"),
+        ({"conserved": 0.8}, "", "depends on q and p"),
+        (
+            {"dissipated": 0.4, "unexplained": 0.6},
+            "",
+            "follows nothing that was measured",
+        ),
+    ],
+)
+def test_what_to_do_follows_from_what_the_force_looks_like(
+    shares: dict[str, float], kind: str, expected: str
+) -> None:
+    kinds = dict.fromkeys(("q", "p"), kind) if kind == "electrical" else {}
+    model: ph.Model = replace(spring(), inputs=("u",), kind=kinds)
+    if kind == "thermal":
+        model = ph.FirstOrder(["p"], {"p": ph.formula("-a*p", a=1.0)}, kind=kind)
+    causes = ("parameters", "inputs", "time", "conserved", "dissipated", "constant")
+    row = dict.fromkeys((*causes, "unexplained"), 0.0) | shares
+    fit = SimpleNamespace(model=model)
+    force = SimpleNamespace(
+        equation="p", shares=row, cause="", record=SimpleNamespace(fit=fit)
+    )
+    said = advice_of_cause({}, force)  # type: ignore[arg-type]
+    assert expected in str(said)
+
+
+def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
+    pace = Pace(51.0, 0.75, 1 / 300, 700.0, 18.0)
+    assert pace.is_vibration
+    assert "data.thinned(6)" in str(against_vibration(pace))
 
 
 def test_units_have_their_powers_raised_and_formulas_stay() -> None:
     assert typeset("714 rad/s^2, 3 +- 1 kg m^2") == "714 rad/s², 3 ± 1 kg m²"
+    assert typeset("1/(%^2 s^2)") == "1/(%² s²)"
     assert typeset("k*q**2/2 + x^n + 2^3") == "k*q**2/2 + x^n + 2^3"
 
 
@@ -193,6 +287,47 @@ def test_long_times_are_told_in_hours_and_days(
     assert times_words(times, unit) == said
 
 
+def test_times_that_were_dates_are_told_as_dates() -> None:
+    origin = dt.datetime(2021, 11, 22, 6, 30)
+    assert date_words(0.0, origin) == "2021-11-22 06:30"
+    assert date_words(90.0, origin) == "2021-11-22 06:31:30"
+    assert date_words(90.0, None) == ""
+    assert dates_words("3600 to 7200", origin) == "2021-11-22 07:30 to 08:30"
+    told = dates_words("0 to 1e+05 (throughout)", origin)
+    assert told == "2021-11-22 to 2021-11-23"
+    late = dates_words("6e4 to 7e4", origin)
+    assert late == "2021-11-22 23:10 to 2021-11-23 01:56"
+    assert dates_words("0 to 1", None) == ""
+
+
+def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
+    frame = table(5, 2.0)
+    frame = frame[frame["run"].isin(["run 1", "run 2"])]
+    begin = dt.datetime(2021, 11, 22, 6, 30)
+    frame = frame.assign(when=[begin + dt.timedelta(seconds=t) for t in frame["t_s"]])
+    path = tmp_path / "dated.csv"
+    frame.drop(columns="t_s").to_csv(path, index=False)
+    data = ph.Measurements.from_csv(
+        path,
+        time="when",
+        states={"q": "position_m", "p": None},
+        trajectory="run",
+        units={"q": "m", "p": "kg m/s"},
+    )
+    assert data.thinned(2).trajectories[1].origin == begin
+    assert data.between(0.1, None).trajectories[0].origin == begin
+    study = ph.Study(spring(), *data.split(0.5), effects=["coulomb friction"])
+    diagnosis = study.diagnose()
+    assert (
+        "2021-11-22 06:30" in diagnosis.sentences[0]
+        or "about as strong" in (diagnosis.sentences[0])
+    )
+    content = report_content(study.record)
+    assert {run.since for run in content.runs.runs} == {"2021-11-22 06:30"}
+    since = {fact.question: fact.answer for fact in content.headline.facts}
+    assert "(2021-11-22 06:30" in since["Since when"]
+
+
 def test_a_period_of_a_day_is_told_as_one() -> None:
     assert frequency_words(1.157e-5, {"t": "s"}) == "with a period of 24 h"
     assert frequency_words(51.1, {"t": "s"}) == "at 51.1 Hz"
@@ -206,7 +341,7 @@ def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:
     )
     sentence = report_content(record).headline.sentence
     assert sentence.startswith("Something is missing, and it is named: held-out error")
-    assert len(sentence) < 160 and "Where it fails" in sentence
+    assert len(sentence) < 160
 
 
 def test_verdict_table_and_picture_use_the_same_words(
@@ -416,6 +551,18 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
     assert np.array_equal(thinned([x[:50]], 400), np.arange(50))
 
 
+def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it() -> None:
+    below = "an error just below it is one at it"
+    assert below in beside_floor(0.0423, 0.0424)
+    assert beside_floor(0.0440, 0.0424) == ""
+    assert beside_floor(0.0603, 0.0424) == ""
+
+
+def test_errors_of_several_channels_are_told_in_percent(study: ph.Study) -> None:
+    assert scale_of_errors("standard deviations") == (100.0, "% of the movement")
+    assert scale_of_errors("m") == (1.0, "m")
+
+
 def test_numbers_are_rounded_to_what_is_seen() -> None:
     assert rounded(np.array([1000.123456, np.nan, 1001.0])) == [
         1000.12346,
@@ -442,7 +589,10 @@ def test_numbers_are_rounded_to_what_is_seen() -> None:
         ("J", "s", "W"),
         ("C", "s", "C/s"),  # coulomb or degree Celsius: nobody knows
         ("mm", "s", "mm/s"),
-        ("kg m/s", "min", "(kg m/s)/min"),
+        ("kg m/s", "min", "kg m/(min s)"),
+        ("1/s", "s", "1/s^2"),
+        ("mm/s", "s", "mm/s^2"),
+        ("kN s", "s", "kN"),
         ("", "s", ""),
         ("m", "", ""),
     ],

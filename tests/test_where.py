@@ -1,5 +1,6 @@
 """Where a model fails: in time, states and frequency, and what the force follows."""
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -14,14 +15,19 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_plots import (
     plot_force,
     plot_spectrum,
     plot_where,
 )
 from phsi_opt.force_analysis.force_uncertainty import error_draws
+from phsi_opt.force_analysis.localization import StrongRange
+from phsi_opt.force_analysis.pace import Pace
+from phsi_opt.force_analysis.place_words import place_words, plain_name, range_words
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.force_analysis.state_plots import plot_dependence, plot_map
+from phsi_opt.force_analysis.wording import sentences
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
@@ -220,7 +226,7 @@ def test_what_the_hidden_force_does_with_energy_is_named(
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     case = spring_with(friction, model=spring(D))
     found = ForceAnalysis.of(case).energy
-    assert "takes energy out (it opposes the velocity dH_dp)" in found.sentences[0]
+    assert "takes energy out (it opposes the velocity dq/dt)" in found.sentences[0]
     speed = np.abs(case.estimate.x[:, 1] / M).mean()
     # Minus friction times speed, but for what smoothing takes off where the velocity
     # turns.
@@ -344,6 +350,48 @@ def test_sentences_say_size_place_and_cause_with_units(cases: dict[str, Case]) -
         "Best predicted from t",
     ):
         assert part in said
+
+
+def test_a_place_is_told_as_people_say_it(cases: dict[str, Case]) -> None:
+    force = EquationForce.of(ForceAnalysis.of(cases["cubic"]), None)
+    assert re.search(r"where q is highest \(above 0\.\d+ m\)", place_words(force))
+    assert plain_name(force, "dH_dp") == "the velocity of q"
+    ends = [StrongRange(-2.0, -1.0, True, False), StrongRange(1.0, 2.0, False, True)]
+    assert range_words(force, "dH_dp", ends) == (
+        "at high speed, either way (the velocity of q below -1 or above 1 m/s)"
+    )
+    assert range_words(force, "q", ends[:1]) == "where q is lowest (below -1 m)"
+    assert range_words(force, "q", ends[1:]) == "where q is highest (above 1 m)"
+    inside = StrongRange(0.1, 0.2, False, False)
+    assert range_words(force, "q", [inside]) == "where q is 0.1 to 0.2 m"
+
+
+def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
+    cases: dict[str, Case],
+) -> None:
+    analysis = ForceAnalysis.of(cases["wave"])
+    assert not analysis.paces["p"].is_vibration
+    row = analysis.where.iloc[0].copy()
+    row["frequency"] = 20 * analysis.paces["p"].motion
+    pace = Pace.of(analysis.force, row)
+    assert pace.is_vibration
+    assert "20 times as fast as the motion" in pace.speed_words({"t": "s"})
+    assert pace.samples_per_cycle >= 2
+    said = sentences(
+        analysis.force.units,
+        row.to_frame().T,
+        analysis.follows,
+        analysis.energy,
+        {"p": pace},
+        dict.fromkeys(analysis.force.trajectories),
+    )
+    assert "a vibration or an error of a sensor" in said[0]
+
+
+def test_a_force_is_told_beside_the_models_own_rate() -> None:
+    assert Pace(1.0, 1.0, 0.1, 5.0, 2.0).size_words() == "2.5 times its own size"
+    assert Pace(1.0, 1.0, 0.1, 1.0, 2.0).size_words() == "50 % of its own size"
+    assert Pace(1.0, 1.0, 0.1, 1.0, 0.0).size_words() == ""
 
 
 @pytest.fixture

@@ -28,7 +28,8 @@ def checked(path: Path) -> Answer:
     except ModelError as error:
         wrong = StudyFileError(path, [Complaint("model", "", str(error))])
         return _with_empty(answer_to(wrong), empty)
-    return _with_empty(_summary(path, file), empty)
+    has_dates = any(run.origin is not None for run in file.measurements())
+    return _with_empty(_summary(path, file), unfilled(path, has_dates))
 
 
 def _with_empty(answer: Answer, empty: tuple[str, ...]) -> Answer:

@@ -178,10 +178,16 @@ def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
         "reason": found.reason,
         "proposed": [str(effect) for effect in found.proposed],
         "sentences": list(found.sentences),
+        "next": _next_step(found),
         "candidates": table_content(found.candidates),
     }
     text = f"{found}\n\n{sentences}"
     return Answer(text, plain(content), _code(found, job))
+
+
+def _next_step(found: Diagnosis) -> str:
+    """What to do where no effect is named; "" where one is, or nothing is missing."""
+    return str(found.next_step) if found.verdict == Verdict.UNEXPLAINED else ""
 
 
 def _code(found: Diagnosis, job: Job) -> int:
@@ -191,10 +197,13 @@ def _code(found: Diagnosis, job: Job) -> int:
 
 def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     code = ExitCode.DONE
+    advice = ""
     if job.is_auto:
         study.auto(job.max_steps or file.steps.max_steps)
         code = ExitCode(_code(study.diagnose(), job))
+        advice = _next_step(study.diagnose())
     content = {
+        "next": advice,
         "stopped": study.stopped,
         "history": table_content(study.history),
         "added": [str(effect) for effect in study.added],
@@ -213,6 +222,8 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     ]
     if study.stopped:
         text += ["", study.stopped]
+    if advice:
+        text.append(f"next: {advice}")
     return Answer("\n".join(text), plain(content), code)
 
 

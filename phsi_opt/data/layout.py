@@ -3,6 +3,7 @@
 Files and data frames meet here: both are tables by now, read by `tables`.
 """
 
+import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from phsi_opt.data.checks import check_unique, checked_names
 from phsi_opt.data.tables import Table, numbers_in
-from phsi_opt.data.times import Times, are_dates, times_in
+from phsi_opt.data.times import Times, are_dates, origin_in, times_in
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, did_you_mean
 
@@ -108,7 +109,8 @@ def trajectories_in(tables: Sequence[Table], layout: Layout) -> tuple[Trajectory
         is_named = layout.trajectory is not None
         prefix = f"{table.run}/" if is_named and len(tables) > 1 else ""
         for name, rows in rows_by_name.items():
-            trajectories.append(samples.trajectory(prefix + name, rows))
+            origin = origin_in(table, layout.times, rows)
+            trajectories.append(samples.trajectory(prefix + name, rows, origin))
     return tuple(trajectories)
 
 
@@ -142,8 +144,10 @@ class _Samples:
     x: np.ndarray  # (n_rows, n_states)
     u: np.ndarray  # (n_rows, n_inputs)
 
-    def trajectory(self, name: str, rows: np.ndarray) -> Trajectory:
-        return Trajectory(name, self.t[rows], self.x[rows], self.u[rows])
+    def trajectory(
+        self, name: str, rows: np.ndarray, origin: dt.datetime | None
+    ) -> Trajectory:
+        return Trajectory(name, self.t[rows], self.x[rows], self.u[rows], origin)
 
 
 def _samples(

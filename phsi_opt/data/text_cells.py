@@ -52,15 +52,18 @@ class TextFormat:
         is_sign = isinstance(separator, str) and len(separator) == 1
         if separator is not None and (not is_sign or separator in '"\r\n'):
             raise DataError(
-                f"separator={separator!r} is not a single sign; expected ',', ';', "
+                f"the separator {separator!r} is not a single sign; expected ',', ';', "
                 "'\\t', or ' ' for blanks."
             )
         if self.decimal is not None and self.decimal not in DECIMALS:
-            raise DataError(f"decimal={self.decimal!r}; expected '.' or ','.")
+            raise DataError(
+                f"the sign of decimals {self.decimal!r} is unknown; "
+                "expected '.' or ','."
+            )
         if self.decimal == "," and separator == ",":
             raise DataError(
-                "separator=',' and decimal=',' leave no way to tell them apart; "
-                "expected two signs."
+                "a comma as separator and as sign of decimals leaves no way to tell "
+                "them apart; expected two signs."
             )
 
 
@@ -71,7 +74,7 @@ def _check_columns(columns: Any) -> None:
     if not is_list or not columns:
         raise DataError(
             f"columns={columns!r} is not a list of names; expected the name of each "
-            "column, such as columns=['t', 'q']."
+            'column, such as columns = ["t", "q"].'
         )
     for name in columns:
         if not isinstance(name, str) or not name:

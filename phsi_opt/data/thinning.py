@@ -1,7 +1,7 @@
 """A part of a trajectory in time, and a trajectory with fewer samples."""
 
 import operator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
 
@@ -107,7 +107,7 @@ def mean_of_groups(run: Trajectory, n: int, hold: str) -> Trajectory:
     t = _means(run.t[:, np.newaxis], n_groups, n)[:, 0]
     x = _means(run.x, n_groups, n)
     u = _held_means(run, t) if hold == "zero" else _means(run.u, n_groups, n)
-    return Trajectory(run.name, t, x, u)
+    return replace(run, t=t, x=x, u=u)
 
 
 def _check_enough(run: Trajectory, n: int, n_left: int) -> None:

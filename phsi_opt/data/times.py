@@ -99,6 +99,25 @@ def times_in(table: Table, times: Times, runs: Iterable[np.ndarray]) -> np.ndarr
     return t
 
 
+def origin_in(table: Table, times: Times, rows: np.ndarray) -> dt.datetime | None:
+    """The moment at which t is 0 in a trajectory; None where times are no dates.
+
+    Args:
+        table: As it was read, its times checked by `times_in`.
+        times: Where its times come from.
+        rows: The row numbers of the trajectory, (n_samples,).
+
+    Raises:
+        DataError: The first time is no date, or ``start`` is of another kind.
+    """
+    if times.step is not None or not are_dates(table, times):
+        return None
+    place = int(rows[0])
+    first = _moment_at(table, times, table.frame[times.column].iloc[place], place)
+    origin = _start(times, first) or first
+    return origin if isinstance(origin, dt.datetime) else None
+
+
 def _from_first(table: Table, column: Any) -> np.ndarray:
     """Times that are numbers, (n_rows,); see `checks.from_first`."""
     t = numbers_in(table, column, may_be_missing=False)

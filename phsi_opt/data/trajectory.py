@@ -4,6 +4,7 @@ A trajectory knows neither the names nor the units of its channels: all trajecto
 a `Measurements` share those. `check_channels` is the check that needs the names.
 """
 
+import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,6 +28,7 @@ class Trajectory:
         t: Times, (n_samples,), at least 2.
         x: States, (n_samples, n_states), NaN where not measured.
         u: Inputs, (n_samples, n_inputs).
+        origin: The moment at which t is 0, where the times were dates; else None.
 
     Raises:
         DataError: The name is no text, an array is not real or has another shape, or
@@ -37,6 +39,7 @@ class Trajectory:
     t: np.ndarray
     x: np.ndarray
     u: np.ndarray
+    origin: dt.datetime | None = None
 
     def __post_init__(self) -> None:
         is_text = isinstance(self.name, str) and self.name
@@ -64,7 +67,7 @@ class Trajectory:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because unpickled arrays would be writeable."""
-        return type(self), (self.name, self.t, self.x, self.u)
+        return type(self), (self.name, self.t, self.x, self.u, self.origin)
 
 
 def part_of(run: Trajectory, rows: slice) -> Trajectory:

@@ -1,6 +1,7 @@
 """What is established to be missing: an effect by its name, or a class of them."""
 
 from dataclasses import dataclass
+from math import isfinite
 
 from phsi_opt.model.effect import Effect
 
@@ -34,7 +35,10 @@ class Finding:
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
-        size = f"{self.coefficient:.4g} +- {self.std_error:.2g}{unit}"
+        size = f"{self.coefficient:.4g}"
+        if isfinite(self.std_error):
+            size += f" +- {self.std_error:.2g}"
+        size += unit
         first = self.effects[0]
         if self.is_name:
             return f"{first} ({size})"

@@ -17,7 +17,9 @@ from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import leading
+from phsi_opt.force_analysis.next_step import next_step
 from phsi_opt.model.effect import Effect
+from phsi_opt.presentation.report_content import Answer
 from phsi_opt.presentation.summary import (
     Part,
     Summarised,
@@ -200,6 +202,11 @@ class Diagnosis(Summarised):
             return self.analysis.sentences
         return [self.base.warning, *self.analysis.sentences]
 
+    @property
+    def next_step(self) -> Answer:
+        """What to measure, to try or to look at again where no effect is named."""
+        return next_step(self.analysis, self.data.units)
+
     @cached_property
     def separation(self) -> Separation | None:
         """The experiment that would tell the first two candidates of a tie apart.
@@ -294,6 +301,8 @@ class Diagnosis(Summarised):
         said = [self.reason]
         if self.base.warning:
             said.append(self.base.warning)
+        if self.verdict == Verdict.UNEXPLAINED:
+            said.append(f"next: {self.next_step}")
         best = self.candidates[list(PRINTED_COLUMNS)].head(N_PRINTED)
         best = best.assign(lost=[brief_reason(lost) for lost in best["lost"]])
         return Summary(

@@ -35,5 +35,5 @@ def with_second_storages(
     tried = [one.name for one in result]
     for one in prospects.singles:
         if is_second_storage(one.effect) and one.name not in tried:
-            result.append(refitted(one, base.fit))
+            result.append(refitted(one, base.fit, None))
     return result

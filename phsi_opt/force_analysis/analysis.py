@@ -12,6 +12,7 @@ from phsi_opt.force_analysis.dependence import depends_on
 from phsi_opt.force_analysis.energy import EnergyExchange, energy_exchange
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.localization import located
+from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.wording import sentences
 
 if TYPE_CHECKING:
@@ -51,4 +52,19 @@ class ForceAnalysis:
     @cached_property
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
-        return sentences(self.force.units, self.where, self.follows, self.energy)
+        return sentences(
+            self.force.units,
+            self.where,
+            self.follows,
+            self.energy,
+            self.paces,
+            dict(zip(self.force.trajectories, self.force.origins, strict=True)),
+        )
+
+    @cached_property
+    def paces(self) -> dict[str, Pace]:
+        """How fast and how large each force is beside motion and model, by equation."""
+        paces = {}
+        for _, row in self.where.iterrows():
+            paces[str(row["equation"])] = Pace.of(self.force, row)
+        return paces

@@ -29,11 +29,13 @@ class EnergyExchange:
             conserved, inputs, time and unexplained. These shares are parts of the
             force's mean square on stretches of time left out, each what its cause adds
             to the stronger ones; they sum to one.
-        sentences: the end of a sentence on each equation's force.
+        sentences: the end of a sentence on each equation's force, with shares.
+        causes: the same without shares.
     """
 
     table: "pd.DataFrame"
     sentences: tuple[str, ...]
+    causes: tuple[str, ...]
 
 
 def energy_exchange(force: ForceRecord) -> EnergyExchange:
@@ -48,14 +50,17 @@ def energy_exchange(force: ForceRecord) -> EnergyExchange:
     """
     rows = []
     sentences = []
+    without_shares = []
     for equation in force.equations:
         causes = Causes.of(force, equation)
         shares = [causes.contributions.get(kind, 0.0) for kind in SHARES]
         mean_power = _mean_power(force, equation)
         rows.append((equation, mean_power, *shares, 1 - sum(shares)))
         sentences.append(energy_sentence(causes))
+        without_shares.append(energy_sentence(causes, with_shares=False))
     columns = ["equation", "mean_power", *SHARES, "unexplained"]
-    return EnergyExchange(printed_table(rows, columns=columns), tuple(sentences))
+    table = printed_table(rows, columns=columns)
+    return EnergyExchange(table, tuple(sentences), tuple(without_shares))
 
 
 def _mean_power(force: ForceRecord, equation: str) -> float:

@@ -22,7 +22,7 @@ from phsi_opt.force_analysis.piecewise_linear import (
     piecewise_linear_basis,
 )
 from phsi_opt.force_analysis.time_basis import period_of
-from phsi_opt.model.model import FirstOrder
+from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.durations import time_words
 from phsi_opt.statistics import TINY
@@ -31,8 +31,15 @@ NO_PATTERN = "no clear pattern"
 TOGETHER = "which moves together with the input"
 
 
-def energy_sentence(causes: Causes) -> str:
-    """What the force does, with the share of each cause that is worth naming."""
+def energy_sentence(causes: Causes, with_shares: bool = True) -> str:
+    """What the force does, with the share of each cause that is worth naming.
+
+    Args:
+        causes: of the force of one equation.
+        with_shares: whether the shares are told. They are those of the estimate, with
+            its errors: beside the statement that an effect was all that was missing,
+            they seem to contradict it.
+    """
     contributions = causes.contributions
     if sum(contributions.values()) < CLEAR_PATTERN:
         return NO_PATTERN
@@ -40,8 +47,8 @@ def energy_sentence(causes: Causes) -> str:
     for kind, share in contributions.items():
         least = NAMED_CAUSE if kind in CAUSES else MOSTLY_PARAMETERS
         if share > least:
-            explained = f"which explains {100 * share:.0f} % of it"
-            parts.append(f"{_words(causes, kind)}, {explained}")
+            explained = f", which explains {100 * share:.0f} % of it"
+            parts.append(_words(causes, kind) + (explained if with_shares else ""))
     return (", and ".join(parts) + _tie(causes)) or NO_PATTERN
 
 
@@ -79,9 +86,8 @@ def _closed_loop(causes: Causes) -> str:
     together = 1 - np.var(effort - fitted) / np.var(effort)
     if together < GOING_TOGETHER:
         return ""
-    is_momentum = causes.equation in position_of_momentum(force.fit.model)
-    name = f"{'velocity' if is_momentum else 'effort'} dH_d{causes.equation}"
-    return f"; not told apart from the {name}, {TOGETHER} here"
+    name = effort_words(force.fit.model, causes.equation)
+    return f"; not told apart from {name}, {TOGETHER} here"
 
 
 def _words(causes: Causes, kind: str) -> str:
@@ -108,6 +114,14 @@ def _exchange_words(causes: Causes) -> str:
     return f"stores and returns energy (it follows {followed})"
 
 
+def effort_words(model: Model, equation: str) -> str:
+    """The effort of an equation as people call it: a velocity by its position."""
+    position = position_of_momentum(model).get(equation, "")
+    if position:
+        return f"the velocity d{position}/dt"
+    return f"the effort dH_d{equation}"
+
+
 def _loss_words(causes: Causes) -> str:
     """Whether the force, and it with the model's own loss, opposes the effort."""
     force = causes.force
@@ -115,8 +129,7 @@ def _loss_words(causes: Causes) -> str:
     model = force.fit.model
     if isinstance(model, FirstOrder):
         return f"follows {equation} itself"
-    is_momentum = equation in position_of_momentum(model)
-    name = f"the {'velocity' if is_momentum else 'effort'} dH_d{equation}"
+    name = effort_words(model, equation)
     effort = force.effort_of(equation)
     fitted = odd_basis(effort) @ _loss_coefficients(causes)
     if _relative_power(fitted, effort) < OPPOSING_POWER:

@@ -10,6 +10,7 @@ from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import CONSTANT, variables
 from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import force_unit, with_units
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
@@ -74,6 +75,31 @@ class EquationForce:
         """The equation's row of `located`."""
         table = self.analysis.where
         return table[table["equation"] == self.equation].iloc[0]
+
+    @property
+    def pace(self) -> Pace:
+        """How fast and how large the force is beside the motion and the model."""
+        return self.analysis.paces[self.equation]
+
+    @property
+    def shares(self) -> "pd.Series":
+        """The equation's row of `energy_exchange`: what each cause explains."""
+        table = self.analysis.energy.table
+        return table[table["equation"] == self.equation].iloc[0]
+
+    @property
+    def cause(self) -> str:
+        """What the force follows and does with energy: the end of a sentence."""
+        energy = self.analysis.energy
+        causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
+        return causes[self.equation]
+
+    @property
+    def cause_in_brief(self) -> str:
+        """The same without shares."""
+        energy = self.analysis.energy
+        causes = dict(zip(energy.table["equation"], energy.causes, strict=True))
+        return causes[self.equation]
 
     @property
     def follows(self) -> "pd.DataFrame":

@@ -5,6 +5,7 @@ inputs and the slopes of the model in its parameters are taken there as well. Wh
 force depends on is judged elsewhere (`dependence`, `energy`, `localization`).
 """
 
+import datetime as dt
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -32,6 +33,7 @@ class ForceRecord:
         fit: the fit whose model lacks the force.
         estimate: the force with its prior and the linearised problem.
         trajectories: their names.
+        origins: the moments at which their times are 0; None where these are no dates.
         units: by name of the state or input, and of ``t``.
         equations: states in whose equations a force was estimated, (n_forced,).
         t: time, (n_intervals,).
@@ -42,6 +44,7 @@ class ForceRecord:
         efforts: dH/dx, (n_intervals, n_states).
         inputs: (n_intervals, n_inputs).
         losses: -R dH/dx of the model, (n_intervals, n_states).
+        rates: dx/dt of the model, (n_intervals, n_states).
         slopes: of dx/dt in the parameters that are free to move, each of rms one,
             (n_intervals, n_states, n_moving).
     """
@@ -49,6 +52,7 @@ class ForceRecord:
     fit: Fit
     estimate: ForceEstimate
     trajectories: tuple[str, ...]
+    origins: tuple[dt.datetime | None, ...]
     units: Mapping[str, str]
     equations: tuple[str, ...]
     t: np.ndarray
@@ -59,6 +63,7 @@ class ForceRecord:
     efforts: np.ndarray
     inputs: np.ndarray
     losses: np.ndarray
+    rates: np.ndarray
     slopes: np.ndarray
 
     @classmethod
@@ -72,6 +77,7 @@ class ForceRecord:
             fit=record.fit,
             estimate=estimate,
             trajectories=record.trajectories,
+            origins=tuple(run.origin for run in record.data.trajectories),
             units={**record.data.units, **state_units(model, record.data.units)},
             equations=tuple(model.states[row] for row in estimate.prior.rows),
             t=middles.t,
@@ -82,8 +88,13 @@ class ForceRecord:
             efforts=middles.values(model.function(*model.efforts)),
             inputs=middles.inputs,
             losses=_losses(model, middles),
+            rates=middles.values(model.rhs()),
             slopes=_slopes(model, middles),
         )
+
+    def origin_of(self, trajectory: str) -> dt.datetime | None:
+        """The moment at which the time of a trajectory is 0, where it is a date."""
+        return self.origins[self.trajectories.index(trajectory)]
 
     def variable(self, name: str) -> np.ndarray:
         """Values of a state, an effort, an input or the time ``t``, (n_intervals,)."""

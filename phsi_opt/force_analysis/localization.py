@@ -129,45 +129,70 @@ def strong_region(force: ForceRecord, w: np.ndarray, names: Sequence[str]) -> st
     """
     regions = []
     for name in names:
-        ranges = _strong_ranges(force.variable(name), w)
+        ranges = strong_ranges(force.variable(name), w)
         if ranges:
-            regions.append(f"{name} {ranges}")
+            regions.append(f"{name} {' or '.join(map(str, ranges))}")
     return ", ".join(regions) or EVERYWHERE
 
 
-def _strong_ranges(z: np.ndarray, w: np.ndarray) -> str:
-    """Ranges of a variable z (n,) in which w (n,) is strong; "" for none."""
+@dataclass(frozen=True)
+class StrongRange:
+    """Values of a variable between which a force is strong.
+
+    Attributes:
+        begin: of the range; ``end``: of it.
+        is_lowest: whether no smaller values were visited (but a few).
+        is_highest: whether no larger ones were.
+    """
+
+    begin: float
+    end: float
+    is_lowest: bool
+    is_highest: bool
+
+    def __str__(self) -> str:
+        return f"{self.begin:.3g} to {self.end:.3g}"
+
+
+def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
+    """Ranges of a variable in which a force is strong; none where none stands out.
+
+    Args:
+        z: the variable, (n_intervals,).
+        w: the force, (n_intervals,).
+    """
     low, high = np.quantile(z, RANGE_QUANTILES)
     edges = np.unique(np.linspace(low, high, N_RANGE_BINS + 1))
     n_bins = len(edges) - 1
     if n_bins < 1:
-        return ""
+        return []
     below = np.searchsorted(edges, z) - 1
     part = np.clip(below, 0, n_bins - 1)
     is_visited = np.bincount(part, minlength=n_bins) > VISITED_BIN * len(w)
     is_large = _rms_in_parts(w, part, n_bins) > OUTSTANDING_FORCE * _rms(w)
     is_strong = is_visited & is_large
     if is_strong.all():
-        return ""
+        return []
     ranges = _joined(edges, is_strong)
-    if len(ranges) > MOST_STRONG_RANGES:
-        return ""
-    return " or ".join(ranges)
+    return ranges if len(ranges) <= MOST_STRONG_RANGES else []
 
 
-def _joined(edges: np.ndarray, is_strong: np.ndarray) -> list[str]:
-    """Ranges of neighbouring strong bins: ['-1 to -0.6', '0.7 to 1'].
+def _joined(edges: np.ndarray, is_strong: np.ndarray) -> list[StrongRange]:
+    """Ranges of neighbouring strong bins.
 
     Args:
         edges: of the bins, (n_bins + 1,).
         is_strong: (n_bins,) of bool.
     """
     change = np.diff(np.r_[False, is_strong, False].astype(int))
-    begins = edges[change == 1]
-    ends = edges[change == -1]
+    begins = np.flatnonzero(change == 1)
+    ends = np.flatnonzero(change == -1)
     ranges = []
     for begin, end in zip(begins, ends, strict=True):
-        ranges.append(f"{begin:.3g} to {end:.3g}")
+        is_highest = end == len(is_strong)
+        ranges.append(
+            StrongRange(edges[begin], edges[end], bool(begin == 0), bool(is_highest))
+        )
     return ranges
 
 

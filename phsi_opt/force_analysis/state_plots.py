@@ -73,19 +73,6 @@ def map_variables(force: EquationForce) -> tuple[str, ...]:
     return tuple(usual if is_usual else pair)
 
 
-def region_words(force: EquationForce) -> str:
-    """Where over position and velocity, or the states, a force is strong, in words.
-
-    Such as 'strong where q -1 to -0.6 m'; memories of effects are left out.
-    """
-    memory = force.record.fit.model.memory
-    names = [name for name in map_variables(force) if name not in memory]
-    region = strong_region(force.record, force.w, names)
-    if region == EVERYWHERE:
-        return "all over the visited states"
-    return f"strong where {force.region_words(region)}"
-
-
 @dataclass(frozen=True, eq=False)
 class ForceMap:
     """Mean missing force in cells of two variables.

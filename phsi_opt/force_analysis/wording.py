@@ -3,6 +3,7 @@
 Nothing is computed here; the numbers come from the tables of an analysis.
 """
 
+import datetime as dt
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -11,16 +12,19 @@ from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.energy import EnergyExchange
 from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.localization import EVERYWHERE, THROUGHOUT
+from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import (
     force_unit,
     frequency_words,
     spaced,
     with_units,
 )
-from phsi_opt.presentation.durations import times_words
+from phsi_opt.presentation.durations import dates_words, times_words
 
 if TYPE_CHECKING:
     import pandas as pd
+
+VIBRATION_WORDS = "a vibration or an error of a sensor, rather than a law of the motion"
 
 
 def sentences(
@@ -28,6 +32,8 @@ def sentences(
     where: "pd.DataFrame",
     follows: "pd.DataFrame",
     energy: EnergyExchange,
+    paces: Mapping[str, Pace],
+    origins: Mapping[str, dt.datetime | None],
 ) -> list[str]:
     """Plain sentences on where the model fails, an equation each, strongest first.
 
@@ -36,17 +42,23 @@ def sentences(
         where: from `located`.
         follows: from `depends_on`.
         energy: from `energy_exchange`.
+        paces: of the missing forces by equation.
+        origins: moments at which the time is 0, by trajectory; None: no dates.
     """
     causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
     texts = []
     for _, row in where.iterrows():
         equation = row["equation"]
         pattern = _pattern(causes[equation], leading(follows, equation))
-        texts.append(_sentence(row, pattern, units))
+        origin = origins[str(row["trajectory"])]
+        place = _place(row, units, paces[equation], origin)
+        texts.append(_sentence(row, pattern, units, place))
     return texts
 
 
-def _sentence(row: "pd.Series", pattern: str, units: Mapping[str, str]) -> str:
+def _sentence(
+    row: "pd.Series", pattern: str, units: Mapping[str, str], place: str
+) -> str:
     """Size and place of one row of `located`, and the pattern of its force."""
     equation = row["equation"]
     times_noise = row["times_noise"]
@@ -54,7 +66,6 @@ def _sentence(row: "pd.Series", pattern: str, units: Mapping[str, str]) -> str:
     certainty = f"{times_noise:.2g} times its standard deviation"
     if times_noise < CERTAIN_FORCE:
         return f"d{equation}/dt: no missing force is sure ({size}, {certainty})."
-    place = _place(row, units)
     return f"d{equation}/dt lacks a force of {size}, {certainty}; {place}. {pattern}"
 
 
@@ -69,7 +80,12 @@ def _pattern(cause: str, best: "pd.Series | None") -> str:
     return f"{pattern} Best predicted from {best['variable']}: {percent} of it."
 
 
-def _place(row: "pd.Series", units: Mapping[str, str]) -> str:
+def _place(
+    row: "pd.Series",
+    units: Mapping[str, str],
+    pace: Pace,
+    origin: dt.datetime | None,
+) -> str:
     """Trajectory, times, region and frequency of one row of `located`, in words."""
     window = row["time_window"]
     region = row["state_region"]
@@ -79,9 +95,14 @@ def _place(row: "pd.Series", units: Mapping[str, str]) -> str:
     else:
         times = times_words(window, units.get("t", ""))
         place = f"strongest in {row['trajectory']}, t = {times}"
+        dates = dates_words(window, origin)
+        if dates:
+            place += f" ({dates})"
     if region != EVERYWHERE:
         mark = ";" if is_throughout else ","
         place += f"{mark} strong where {with_units(region, units)}"
+    if pace.is_vibration:
+        return f"{place}; mostly {pace.speed_words(units)}: {VIBRATION_WORDS}"
     if row["frequency"] > 0:
         place += f"; mostly {frequency_words(float(row['frequency']), units)}"
     return place

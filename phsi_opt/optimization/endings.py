@@ -60,8 +60,9 @@ IPOPT_ENDINGS = (
         "Maximum_Iterations_Exceeded",
         False,
         "the iteration limit was reached before an optimum",
-        "Give starting values nearer to the solution, or allow more iterations "
-        "(ph.SolverSettings(max_iterations=...)).",
+        "Give starting values nearer to the solution (start in [parameters] of a study "
+        "file), or allow more iterations (in Python, "
+        "ph.SolverSettings(max_iterations=...)).",
     ),
     Ending(
         "Restoration_Failed",

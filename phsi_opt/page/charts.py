@@ -4,7 +4,9 @@ Text and grid take their colours from the page's style, which knows light and da
 curves have colours that stand out from both.
 """
 
+import datetime as dt
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ import numpy as np
 from phsi_opt.page.limits import CHART_POINTS
 from phsi_opt.page.snapshot import ChannelCurves, ErrorStep, ForceCurve, RunCurves
 from phsi_opt.presentation.axes import label
+from phsi_opt.presentation.durations import date_words
 
 Figure = dict[str, Any]
 
@@ -23,6 +26,10 @@ FLOOR_COLOR = "#3b8f5a"
 MARK_COLOR = "#b5459e"
 BAND_OPACITY = 0.22
 FONT = "Roboto, system-ui, sans-serif"  # by name: widths of legends are taken from it
+BEHIND = 0.8  # of a step, that the axis goes on: room for the number of the floor
+ASIDE = 0.05  # of a step, by which training and held-out error stand aside
+FAR_ABOVE = 2.0  # times the noise floor: there is room above the floor's number
+LOW_SHARE = 0.2  # of the largest error, below which there is no room below a number
 N_WORDS_A_LINE = 16  # letters of a step's label below the staircase
 # Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
 # chosen: nested lists in the configuration make plotly's ``react`` draw without end.
@@ -43,7 +50,7 @@ def free_run(
         _curve(t, channel.residual, "residual", MODEL_COLOR, yaxis="y2"),
     ]
     data[-1]["showlegend"] = False  # its axis says what it is
-    layout = _layout(_label("time", t_unit))
+    layout = _layout(_time_label(t_unit, run.origin))
     upper_part = [RESIDUAL_PART + RESIDUAL_GAP, 1]
     layout["yaxis"] = _axis(_label(channel.name, channel.unit), upper_part)
     layout["yaxis2"] = _axis(_label("residual", channel.unit), [0, RESIDUAL_PART])
@@ -63,7 +70,8 @@ def missing_force(
     for number, curve in enumerate(curves):
         color = colors[number % len(colors)]
         data += _banded(curve, color)
-    layout = _layout(_label("time", t_unit))
+    origin = curves[0].origin if curves else None
+    layout = _layout(_time_label(t_unit, origin))
     units = {curve.unit for curve in curves}
     unit = units.pop() if len(units) == 1 else ""
     layout["yaxis"] = _axis(_label("missing force", unit))
@@ -81,30 +89,53 @@ def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
     data = []
     if is_held_out:
         train = [step.train for step in steps]
-        training = _step_curve(x, train, "training", MEASURED_COLOR, "dash")
-        # Around the other's, so that equal errors are both seen.
-        training["marker"] |= {"symbol": "square-open", "size": 13}
+        # Aside, so that equal errors do not hide each other.
+        left = [place - ASIDE for place in x]
+        training = _step_curve(left, train, "training", MEASURED_COLOR, "dash")
+        training["marker"]["symbol"] = "square"
+        _write_values(training, [f"{value:.3g}" for value in train], _free_sides(train))
         data.append(training)
     name = "held out" if is_held_out else "training"
-    main = _step_curve(x, judged, name, MODEL_COLOR, "solid")
-    main["mode"] = "lines+markers+text"
-    main["text"] = [f"{value:.3g}" for value in judged]
-    main["textposition"] = "top center"
+    right = [place + ASIDE for place in x] if is_held_out else x
+    main = _step_curve(right, judged, name, MODEL_COLOR, "solid")
+    _write_values(main, [f"{value:.3g}" for value in judged], "top right")
     data.append(main)
     floor = [step.floor for step in steps]
-    data.append(_step_curve(x, floor, "noise floor", FLOOR_COLOR, "dot"))
+    lowest = _step_curve(x, floor, "noise floor", FLOOR_COLOR, "dot")
+    told = ["" for _ in floor[:-1]] + [f"floor {floor[-1]:.3g}"]
+    is_low = judged[-1] > FAR_ABOVE * floor[-1]
+    _write_values(lowest, told, "top right" if is_low else "bottom right")
+    data.append(lowest)
     layout = _layout("")
     layout["xaxis"].update(
         {
             "tickvals": x,
             "ticktext": labels,
-            "range": [-0.5, max(len(x) - 0.5, 1.5)],
+            "range": [-0.5, max(len(x) - 1 + BEHIND, 1.5)],
         }
     )
     values = [*judged, *floor, *(step.train for step in steps)]
     layout["yaxis"] = _axis(_label("error", unit))
     layout["yaxis"].update(_error_axis(values, len(steps)))
     return _figure(data, layout)
+
+
+def _free_sides(errors: Sequence[float]) -> list[str]:
+    """Where numbers stand beside points on the left: below where the line falls."""
+    places = ["top left"]
+    lowest = LOW_SHARE * max(errors)
+    for before, after in pairwise(errors):
+        is_free_below = after < before and after > lowest
+        places.append("bottom left" if is_free_below else "top left")
+    return places
+
+
+def _write_values(curve: Figure, values: list[str], place: str | list[str]) -> None:
+    """Numbers beside the points of a curve, in its colour."""
+    curve["mode"] = "lines+markers+text"
+    curve["text"] = values
+    curve["textposition"] = place
+    curve["textfont"] = {"color": curve["line"]["color"]}
 
 
 def _error_axis(values: Sequence[float], n_steps: int) -> Figure:
@@ -135,6 +166,12 @@ def _broken(text: str) -> str:
 def _escaped(text: str) -> str:
     """A text in which nothing is markup: plotly reads some tags in labels."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _time_label(unit: str, origin: dt.datetime | None) -> str:
+    """Of the axis of time, with the date at which the time is 0."""
+    date = date_words(0.0, origin)
+    return f"{_label('time', unit)} since {date}" if date else _label("time", unit)
 
 
 def _label(name: str, unit: str) -> str:
@@ -216,7 +253,7 @@ def _transparent(color: str) -> str:
 
 
 def _step_curve(
-    x: Sequence[int], y: Sequence[float], name: str, color: str, dash: str
+    x: Sequence[float], y: Sequence[float], name: str, color: str, dash: str
 ) -> Figure:
     return {
         "type": "scatter",

@@ -11,6 +11,7 @@ from phsi_opt.page import charts
 from phsi_opt.page.parts import card, choice, heading
 from phsi_opt.page.session import Look, Session
 from phsi_opt.page.snapshot import RunCurves, Snapshot, force_near
+from phsi_opt.presentation.numbers import said
 
 CHART_HEIGHT = "height: 360px"
 FORCE_HEIGHT = "height: 260px"
@@ -106,8 +107,8 @@ class FitView:
                 ).classes("bad")
                 return
             for curve in snapshot.forces_along(run):
-                said = force_near(curve, t, snapshot.t_unit)
-                ui.label(said).style("font-weight: 600")
+                near = force_near(curve, t, snapshot.t_unit)
+                ui.label(said(near)).style("font-weight: 600")
 
     def _mark(self, run: RunCurves) -> float | None:
         """The time that is marked, where the run has it."""

@@ -3,13 +3,15 @@
 Made in the worker from a study; the views draw them and ask nothing else.
 """
 
+import datetime as dt
 from dataclasses import dataclass
 
 import numpy as np
 
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.presentation.durations import time_words
+from phsi_opt.presentation.durations import date_words, time_words
 from phsi_opt.presentation.numbers import with_error
+from phsi_opt.presentation.report_content import Answer
 
 TRAINING = "training"
 HELD_OUT = "held out"
@@ -69,12 +71,14 @@ class RunCurves:
         part: ``TRAINING`` or ``HELD_OUT``.
         t: (n_samples,) times.
         channels: those that were measured.
+        origin: the moment at which the time is 0; None where times are no dates.
     """
 
     name: str
     part: str
     t: np.ndarray
     channels: tuple[ChannelCurves, ...]
+    origin: dt.datetime | None = None
 
     @property
     def title(self) -> str:
@@ -108,6 +112,7 @@ class ForceCurve:
         t: (n_intervals,) middles of the intervals.
         force: (n_intervals,).
         std: (n_intervals,) its standard deviation.
+        origin: the moment at which the time is 0; None where times are no dates.
     """
 
     run: str
@@ -117,6 +122,7 @@ class ForceCurve:
     t: np.ndarray
     force: np.ndarray
     std: np.ndarray
+    origin: dt.datetime | None = None
 
 
 @dataclass(frozen=True)
@@ -171,8 +177,10 @@ class Diagnosed:
         equation: the one whose missing force is the surest; "" where none is.
         run: that of the training data in which this force is strongest; "" likewise.
         window: of this run, from when to when it is strongest; None: at no time.
-        where: the place where the missing force is strongest, in words.
+        wrong: what is wrong.
+        where: the place where the missing force is strongest.
         since: the time from which it is sure, in words.
+        to_do: what to add, or to do where nothing is named.
         proposed: effects to add next.
         candidates: best first.
     """
@@ -185,8 +193,10 @@ class Diagnosed:
     equation: str
     run: str
     window: tuple[float, float] | None
-    where: str
+    wrong: Answer
+    where: Answer
     since: str
+    to_do: Answer
     proposed: tuple[str, ...]
     candidates: tuple[CandidateRow, ...]
 
@@ -292,8 +302,10 @@ def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
     std = curve.std[place]
     is_sure = abs(force) > SURE * std
     sure = "surely not zero" if is_sure else "may as well be zero"
+    date = date_words(t, curve.origin)
+    when = f"{time_words(t, t_unit)} ({date})" if date else time_words(t, t_unit)
     return (
-        f"At t = {time_words(t, t_unit)} of {curve.run}, "
+        f"At t = {when} of {curve.run}, "
         f"d{curve.equation}/dt lacks {with_error(force, std)}{spaced(curve.unit)} "
         f"(± one standard deviation; {sure})."
     )

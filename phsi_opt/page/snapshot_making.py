@@ -12,8 +12,7 @@ from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import THROUGHOUT
-from phsi_opt.force_analysis.state_plots import region_words
-from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.force_analysis.units import force_unit
 from phsi_opt.page.snapshot import (
     HELD_OUT,
     TRAINING,
@@ -26,10 +25,15 @@ from phsi_opt.page.snapshot import (
     RunCurves,
     Snapshot,
 )
-from phsi_opt.presentation import numbers
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.study import Study
+from phsi_opt.study.answers import (
+    to_do_answer,
+    where_answer,
+    wrong_answer,
+)
 from phsi_opt.study.force_content import since_when
+from phsi_opt.study.report_content import scale_of_errors
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -43,11 +47,12 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
     runs = _runs(step.train, TRAINING)
     if step.held_out is not None:
         runs += _runs(step.held_out, HELD_OUT)
+    is_held_out = step.held_out is not None
     forces = _forces(step.train.record, TRAINING)
     if step.held_out is not None:
         forces += _forces(step.held_out.record, HELD_OUT)
     return Snapshot(
-        unit=study.unit,
+        unit=scale_of_errors(study.unit)[1],
         t_unit=study.train.units.get("t", ""),
         steps=tuple(_steps(study)),
         added=tuple(str(effect) for effect in study.added),
@@ -56,17 +61,19 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         warning=step.judged.warning,
         runs=tuple(runs),
         forces=tuple(forces),
-        diagnosed=None if diagnosis is None else _diagnosed(diagnosis),
+        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, is_held_out),
         stopped=study.stopped,
     )
 
 
 def _steps(study: Study) -> list[ErrorStep]:
+    size, _ = scale_of_errors(study.unit)
     steps = []
     for number, step in enumerate(study.steps):
-        held_out = None if step.held_out is None else step.held_out.rmse
-        floor = step.judged.noise_floor
-        steps.append(ErrorStep(number, step.label, step.train.rmse, held_out, floor))
+        held_out = None if step.held_out is None else size * step.held_out.rmse
+        train = size * step.train.rmse
+        floor = size * step.judged.noise_floor
+        steps.append(ErrorStep(number, step.label, train, held_out, floor))
     return steps
 
 
@@ -90,11 +97,12 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
                 noise = float(comparison.sigma[k])
                 measured = run.x[:, k]
                 channels.append(ChannelCurves(name, unit, measured, shown, noise))
-        runs.append(RunCurves(run.name, part, run.t, tuple(channels)))
+        curves = RunCurves(run.name, part, run.t, tuple(channels), run.origin)
+        runs.append(curves)
     return runs
 
 
-def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
+def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
     proposed = tuple(str(effect) for effect in diagnosis.proposed)
     return Diagnosed(
         verdict=str(diagnosis.verdict),
@@ -103,8 +111,10 @@ def _diagnosed(diagnosis: Diagnosis) -> Diagnosed:
         is_named=bool(diagnosis.findings),
         sentences=tuple(diagnosis.sentences),
         **_strongest(diagnosis),
-        where=_where(EquationForce.of(diagnosis.analysis, None)),
+        wrong=wrong_answer(diagnosis, is_held_out),
+        where=where_answer(diagnosis),
         since=since_when(diagnosis),
+        to_do=to_do_answer(diagnosis, is_held_out),
         proposed=proposed,
         candidates=tuple(_candidates(diagnosis, proposed)),
     )
@@ -131,6 +141,7 @@ def window_of(times: str) -> tuple[float, float] | None:
 
 
 def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[CandidateRow]:
+    size, _ = scale_of_errors(diagnosis.base.error_unit)
     rows = []
     for candidate in diagnosis.ranking:
         effects = tuple(str(effect) for effect in candidate.effects)
@@ -140,8 +151,8 @@ def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[Candida
                 coefficient=float(candidate.coefficient),
                 std_error=float(candidate.std_error),
                 unit=candidate.unit,
-                train=float(candidate.train_rmse),
-                held_out=float(candidate.held_out_rmse),
+                train=size * float(candidate.train_rmse),
+                held_out=size * float(candidate.held_out_rmse),
                 confusable_with=tuple(map(str, candidate.confusable_with)),
                 lost=candidate.lost,
                 is_proposed=bool(proposed) and effects == proposed,
@@ -171,18 +182,7 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
                     t=t[inside],
                     force=estimate.w[inside, column],
                     std=deviation[inside, column],
+                    origin=run.origin,
                 )
             )
     return forces
-
-
-def _where(force: EquationForce) -> str:
-    """The surest missing force with its place in words."""
-    if force.is_uncertain:
-        return "No equation, time or region stands out."
-    strength = numbers.number(float(force.where["strength"]), 3)
-    unit = spaced(force_unit(force.equation, force.record.units))
-    return (
-        f"In d{force.equation}/dt, {region_words(force)}: a force of rms "
-        f"{strength}{unit} is missing."
-    )

@@ -120,20 +120,37 @@ class StudyView:
                     heading("What is wrong", 3).classes("faint")
                     color = "bad" if facts.add or snapshot.diagnosed else ""
                     is_good = snapshot.diagnosed and not snapshot.diagnosed.is_missing
-                    ui.label(facts.what).classes("good" if is_good else color).style(
-                        "font-size: 18px; font-weight: 600; line-height: 1.35"
-                    )
+                    self._lead(facts.what.lead, "good" if is_good else color)
+                    self._detail(facts.what.detail)
                 with ui.element("div"):
                     heading("Where", 3).classes("faint")
-                    ui.label(facts.where)
+                    self._lead(facts.where.lead)
+                    self._detail(facts.where.detail)
                 with ui.element("div"):
                     heading("Since when", 3).classes("faint")
-                    ui.label(facts.since)
+                    self._lead(facts.since)
                 with ui.element("div"):
-                    heading("What to add", 3).classes("faint")
-                    self._what_to_add(snapshot, facts.add, facts.preview)
+                    is_told = bool(facts.to_do.lead)
+                    question = "What to do next" if is_told else "What to add"
+                    heading(question, 3).classes("faint")
+                    if is_told:
+                        self._lead(facts.to_do.lead)
+                        self._detail(facts.to_do.detail)
+                    if facts.add or not is_told:
+                        self._what_to_add(snapshot, facts.add, facts.preview)
             if snapshot.warning:
                 alert(snapshot.warning)
+
+    @staticmethod
+    def _lead(text: str, color: str = "") -> None:
+        """What is to be understood at once."""
+        ui.label(said(text)).classes(color).style("font-weight: 600; line-height: 1.35")
+
+    @staticmethod
+    def _detail(text: str) -> None:
+        """What stands behind it."""
+        if text:
+            ui.label(said(text)).classes("faint")
 
     def _not_asked(self, snapshot: Snapshot) -> None:
         error = snapshot.steps[-1]
@@ -180,7 +197,7 @@ class StudyView:
                 if len(snapshot.steps) > 1:
                     self._begins("Undo the last step", self._session.undo, True)
                 diagnosed = snapshot.diagnosed
-                if diagnosed is None or diagnosed.is_missing:
+                if diagnosed is None or diagnosed.proposed:
                     auto = self._session.auto
                     self._begins("Add until nothing is left", auto, True)
 

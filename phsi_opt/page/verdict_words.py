@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.page.snapshot import CandidateRow, Diagnosed, Snapshot
-from phsi_opt.presentation.numbers import said
+from phsi_opt.presentation.numbers import capitalised, said
+from phsi_opt.presentation.report_content import Answer
 
 
 @dataclass(frozen=True)
@@ -12,18 +13,20 @@ class Facts:
     """The four answers.
 
     Attributes:
-        what: what is wrong.
+        what: what is wrong, with how much.
         where: where it is.
         since: since when.
         add: what to add; "" for nothing.
         preview: the error that it would leave, in words.
+        to_do: what to do where nothing is named; "" where something is.
     """
 
-    what: str
-    where: str
+    what: Answer
+    where: Answer
     since: str
     add: str
     preview: str
+    to_do: Answer
 
 
 def facts_of(snapshot: Snapshot) -> Facts | None:
@@ -34,28 +37,23 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
     if not diagnosed.is_missing:
         reason = said(diagnosed.reason)
         return Facts(
-            f"Nothing is missing. {_left_words(snapshot)}",
-            "No place stands out: what is left looks like noise.",
+            Answer("Nothing is missing.", _left_words(snapshot)),
+            Answer("No place stands out: what is left looks like noise."),
             "No time stands out.",
             "",
-            f"{reason[:1].upper()}{reason[1:]}.",
+            f"{capitalised(reason)}.",
+            Answer(""),
         )
     row = _proposed(diagnosed)
     preview = "" if row is None else preview_words(snapshot, row)
     return Facts(
-        what_is_wrong(diagnosed),
-        diagnosed.where or "At no single place.",
+        diagnosed.wrong,
+        diagnosed.where,
         diagnosed.since,
         " and ".join(diagnosed.proposed),
         preview,
+        Answer("") if diagnosed.is_named else diagnosed.to_do,
     )
-
-
-def what_is_wrong(diagnosed: Diagnosed) -> str:
-    """The verdict as a sentence of its own."""
-    if diagnosed.proposed and diagnosed.is_named:
-        return f"The model lacks {' and '.join(diagnosed.proposed)}."
-    return "Something is missing that no known effect explains for sure."
 
 
 def preview_words(snapshot: Snapshot, row: CandidateRow) -> str:

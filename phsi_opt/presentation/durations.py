@@ -1,11 +1,16 @@
 """Times as people say them: hours and days where seconds would run into thousands."""
 
+import datetime as dt
 import re
 from dataclasses import dataclass
 
 SECONDS_UNIT = "s"
 # A range of times in words, such as "7.93e+05 to 1.06e+06".
 RANGE_OF_TIMES = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?) to (-?[\d.]+(?:e[+-]?\d+)?)")
+
+
+DAY = 86400.0  # s
+MANY_MINUTES = 600.0  # s, of which seconds say nothing
 
 
 @dataclass(frozen=True)
@@ -50,3 +55,39 @@ def times_words(times: str, unit: str, digits: int = 3) -> str:
         return f"{times} {unit}".rstrip()
     begin, end = (f"{end / scale.size:.{digits}g}" for end in ends)
     return f"{begin} to {end} {scale.unit}"
+
+
+def date_words(t: float, origin: dt.datetime | None, span: float = 0.0) -> str:
+    """The moment of a time in seconds: "2021-11-22 06:30"; "" without an origin.
+
+    Args:
+        t: the time.
+        origin: the moment at which the time is 0.
+        span: seconds of which the moment is a part; it is told as exactly as they ask.
+    """
+    if origin is None:
+        return ""
+    moment = origin + dt.timedelta(seconds=round(t))
+    if span >= DAY:
+        return f"{moment:%Y-%m-%d}"
+    if span >= MANY_MINUTES:
+        return f"{moment:%Y-%m-%d %H:%M}"
+    return f"{moment:%Y-%m-%d %H:%M:%S}".removesuffix(":00")
+
+
+def dates_words(times: str, origin: dt.datetime | None) -> str:
+    """The moments of a range of times in words; "" without an origin.
+
+    Args:
+        times: in seconds, such as "7.93e+05 to 1.06e+06".
+        origin: the moment at which the time is 0.
+    """
+    found = RANGE_OF_TIMES.search(times)
+    if origin is None or found is None:
+        return ""
+    ends = (float(found[1]), float(found[2]))
+    span = ends[1] - ends[0]
+    begin = date_words(ends[0], origin, span)
+    end = date_words(ends[1], origin, span)
+    day, _, clock = end.partition(" ")
+    return f"{begin} to {clock if clock and begin.startswith(day) else end}"

@@ -16,7 +16,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from phsi_opt.presentation.numbers import number, said, typeset
+from phsi_opt.presentation.numbers import capitalised, number, said, typeset
 from phsi_opt.presentation.report_content import Force, Report
 from phsi_opt.presentation.report_pictures import (
     follows_picture,
@@ -58,6 +58,7 @@ def html_report(report: Report) -> str:
     environment.filters["number"] = number
     environment.filters["typeset"] = typeset
     environment.filters["said"] = said
+    environment.filters["capital"] = capitalised
     template = environment.get_template("report.html.jinja")
     pictures = []
     for failure in report.failures:

@@ -5,7 +5,7 @@ import re
 
 TEXT_DIGITS = 4  # of a number in a text
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
-UNIT_POWER = re.compile(r"(?<=[A-Za-z])\^([2-9])")  # formulas have ** for it
+UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
 SUPERSCRIPTS = dict(zip("23456789", "²³⁴⁵⁶⁷⁸⁹", strict=True))
 LEAST_P_VALUE = 1e-6  # below which it only says that chance is ruled out
 
@@ -61,3 +61,8 @@ def typeset(text: str) -> str:
 def said(text: str) -> str:
     """A sentence with the minus signs that the numbers of a report have."""
     return MINUS.sub("\N{MINUS SIGN}", typeset(text))
+
+
+def capitalised(text: str) -> str:
+    """The text with a capital first letter; the others stay as they are."""
+    return f"{text[:1].upper()}{text[1:]}"

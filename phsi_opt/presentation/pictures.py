@@ -9,6 +9,7 @@ Pictures of where a missing force acts stand in `force_analysis`.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from textwrap import fill
+from typing import Literal
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -24,6 +25,9 @@ LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
 RESIDUAL_HEIGHT = 0.5  # of the panel of residuals, over that of the curves
 STATE_HEIGHT = 1.8  # inches of a panel
 DECADE = 10  # ratio of errors from which on their axis is logarithmic
+FAR_ABOVE_FLOOR = 2.0  # times: there is room above the floor's number
+HALF_STEP = 0.45  # of a step, that the axis goes on to either side
+ASIDE = 0.05  # of a step, by which training and held-out error stand aside
 N_CURVE = 200  # points of a smooth curve: no corner is seen between them
 
 
@@ -281,36 +285,56 @@ def draw_errors(
         unit: Of the errors.
     """
     steps = np.arange(len(labels))
-    # An open square around the other's dot, so that equal errors are both seen.
-    ax.plot(steps, train, "s--", color=MEASURED, label="training", mfc="none", ms=10)
-    judged = train
-    if np.isfinite(held_out).any():
-        ax.plot(steps, held_out, "o-", color=MODEL, label="held out")
-        judged = held_out
-    ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=14)
+    is_held_out = bool(np.isfinite(held_out).any())
+    # Side by side, so that equal errors do not hide each other.
+    aside = ASIDE if is_held_out else 0.0
+    ax.plot(steps - aside, train, "s--", color=MEASURED, label="training", ms=7)
+    _write_errors(ax, steps - aside, train, MEASURED, "right" if aside else "left")
+    if is_held_out:
+        ax.plot(steps + aside, held_out, "o-", color=MODEL, label="held out")
+        _write_errors(ax, steps + aside, held_out, MODEL, "left")
+    ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=30)
     ax.set_xticks(steps, _step_labels(ax, labels))
     ax.set_ylabel(label("free-run rmse", unit))
     ax.set_title("Free-run error after each added effect")
     _scale_errors(ax, np.concatenate([train, held_out, floor]), len(labels))
-    for step, error in zip(steps, judged, strict=True):
-        if np.isfinite(error):
-            ax.annotate(
-                f"{error:.3g}",
-                (step, error),
-                xytext=(6, 6),
-                textcoords="offset points",
-                color=MODEL if judged is held_out else BASELINE,
-            )
     if len(floor) and np.isfinite(floor[-1]):
+        judged = held_out if is_held_out else train
+        is_low = judged[-1] > FAR_ABOVE_FLOOR * floor[-1]
         ax.annotate(
-            f"floor {floor[-1]:.3g}",
+            f"noise floor {floor[-1]:.3g}",
             (steps[-1], floor[-1]),
-            xytext=(10, -12),
+            xytext=(10, 4) if is_low else (10, -14),
             textcoords="offset points",
             color=FLOOR,
         )
-    ax.margins(x=0.2)
+    ax.set_xlim(-HALF_STEP, len(labels) - 1 + HALF_STEP)
     ax.legend(frameon=False, loc="upper right")
+
+
+def _write_errors(
+    ax: Axes,
+    x: np.ndarray,
+    errors: np.ndarray,
+    color: str,
+    side: Literal["left", "right"],
+) -> None:
+    """The numbers beside the points (n,), as far as they are known.
+
+    A number on the left stands below where the line falls, for the line comes from
+    there.
+    """
+    for k, (place, error) in enumerate(zip(x, errors, strict=True)):
+        if np.isfinite(error):
+            has_line_above = side == "right" and k > 0 and errors[k - 1] > error
+            ax.annotate(
+                f"{error:.3g}",
+                (place, error),
+                xytext=(-6 if side == "right" else 6, -14 if has_line_above else 5),
+                textcoords="offset points",
+                ha=side,
+                color=color,
+            )
 
 
 def _scale_errors(ax: Axes, errors: np.ndarray, n_steps: int) -> None:

@@ -17,16 +17,29 @@ SEVERITY_WORDS = {GOOD: "In order", LOOK: "Worth a look", BAD: "Not in order"}
 
 
 @dataclass(frozen=True)
+class Answer:
+    """What is to be understood at once, and what stands behind it; "" for nothing."""
+
+    lead: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.lead} {self.detail}".strip()
+
+
+@dataclass(frozen=True)
 class Fact:
     """An answer to one question of the first screen.
 
     Attributes:
         question: such as "Since when".
         answer: in a few words.
+        detail: what stands behind it; "" for nothing.
     """
 
     question: str
     answer: str
+    detail: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,11 +122,15 @@ class ChannelRun:
 
 @dataclass(frozen=True)
 class Run:
-    """One trajectory: its name, its part of the data, its channels."""
+    """One trajectory: its name, its part of the data, its channels.
+
+    ``since`` is the date at which its time is 0, in words; "" where times are no dates.
+    """
 
     name: str
     part: str
     channels: list[ChannelRun]
+    since: str = ""
 
 
 @dataclass(frozen=True)
@@ -150,12 +167,16 @@ class Runs:
 
 @dataclass(frozen=True)
 class ForceRun:
-    """The missing force along one trajectory with its standard deviation."""
+    """The missing force along one trajectory with its standard deviation.
+
+    ``since`` is the date at which its time is 0, in words; "" where times are no dates.
+    """
 
     name: str
     t: Numbers
     force: Numbers
     std: Numbers
+    since: str = ""
 
 
 @dataclass(frozen=True)
@@ -234,6 +255,7 @@ class Failure:
 
     Attributes:
         heading: which model it looks at.
+        told: all of it in a paragraph, as an engineer would write it.
         verdict: in a phrase; ``reason``: in a sentence.
         sentences: where the model fails, in words.
         forces: the missing force of each equation that has a sure one.
@@ -242,6 +264,7 @@ class Failure:
     """
 
     heading: str
+    told: str
     verdict: str
     reason: str
     sentences: tuple[str, ...]

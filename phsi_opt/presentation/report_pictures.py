@@ -91,7 +91,7 @@ def runs_picture(content: Runs) -> str:
         for k, channel in enumerate(run.channels):
             pair = (axes[2 * k], axes[2 * k + 1])
             _draw_channel(pair, content, k, channel)
-        axes[-1].set_xlabel(label("t", content.unit_of_time))
+        axes[-1].set_xlabel(_since(label("t", content.unit_of_time), run.since))
         axes[0].set_title(f"{_short(run.name)} ({run.part})", loc="left", fontsize=10)
 
     return svg(draw, 0.4 + 3.2 * n_channels)
@@ -144,7 +144,7 @@ def force_picture(content: Force) -> str:
         )
         ax.plot(t, force, color=MODEL, lw=1.2, label="missing force")
         ax.axhline(0, color=BASELINE, lw=0.6)
-        ax.set(xlabel=_short(content.t_label), ylabel=_short(content.label))
+        ax.set(xlabel=_since(content.t_label, run.since), ylabel=_short(content.label))
         ax.set_title(_short(run.name), loc="left", fontsize=10)
         ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=2)
 
@@ -194,6 +194,11 @@ def follows_picture(content: Follows, force_label: str) -> str:
         ax.legend(frameon=False, fontsize=8, ncols=3, loc="upper center")
 
     return svg(draw, 3.6)
+
+
+def _since(t_label: str, date: str) -> str:
+    """The label of an axis of time, with the date at which the time is 0."""
+    return f"{_short(t_label)} since {date}" if date else _short(t_label)
 
 
 def _short(name: str) -> str:

@@ -26,6 +26,7 @@ LEAST_TEXT = 12  # characters to which a column of texts is narrowed: a word or 
 KEY_SHARE = 0.5  # of the line that the first columns may take in every block
 HEADER_PIECE = re.compile(r"[^_\s]+_?|_")
 CUT = "..."
+UNKNOWN = "-"  # in place of NaN
 CELL_STYLE = "padding: 0.15em 0.7em; vertical-align: top"
 
 
@@ -92,11 +93,14 @@ def _column(
 
 
 def text_of_cell(value: Any) -> str:
-    """A cell on one line: numbers with four digits, nothing for None."""
+    """A cell on one line: numbers with four digits, a dash for one that is not known.
+
+    Nothing stands for None.
+    """
     if value is None:
         return ""
     if isinstance(value, float | np.floating):
-        return f"{value:.4g}"
+        return UNKNOWN if np.isnan(value) else f"{value:.4g}"
     return " ".join(str(value).split())
 
 

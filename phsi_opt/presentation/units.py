@@ -66,9 +66,20 @@ def rate_unit(unit: str, unit_of_time: str) -> str:
         for name, known in NAMED.items():
             if _without_zeros(powers) == known:
                 return name
+    written = powers_as_written(unit)
+    time_as_written = powers_as_written(unit_of_time)
+    if written is not None and time_as_written is not None:
+        return _written(_quotient(written, time_as_written))
     if " " in unit or "/" in unit:
         return f"({unit})/{unit_of_time}"
     return f"{unit}/{unit_of_time}"
+
+
+def _quotient(above: Powers, below: Powers) -> Powers:
+    powers = dict(above)
+    for name, power in below.items():
+        powers[name] = powers.get(name, 0) - power
+    return {name: power for name, power in powers.items() if power}
 
 
 def powers_of(unit: str) -> Counter[str] | None:

@@ -26,6 +26,8 @@ class Size:
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
+        if not np.isfinite(self.std_error):
+            return f"{self.value:.3g}{unit}"
         return f"{self.value:.3g} +- {self.std_error:.2g}{unit}"
 
 

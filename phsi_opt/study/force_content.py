@@ -19,7 +19,13 @@ from phsi_opt.force_analysis.state_plots import (
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.axes import label
-from phsi_opt.presentation.durations import scale_of_time, time_words, times_words
+from phsi_opt.presentation.durations import (
+    date_words,
+    dates_words,
+    scale_of_time,
+    time_words,
+    times_words,
+)
 from phsi_opt.presentation.numbers import number, with_error
 from phsi_opt.presentation.report_content import (
     Failure,
@@ -48,8 +54,15 @@ BEGINNING = 3.0
 MOST_FORCES = 4  # equations whose missing force is drawn
 
 
-def failure_of(diagnosis: Diagnosis, heading: str, unit: str) -> Failure:
-    """A diagnosis as a report tells it; ``unit`` is that of the errors."""
+def failure_of(diagnosis: Diagnosis, heading: str, unit: str, told: str) -> Failure:
+    """A diagnosis as a report tells it.
+
+    Args:
+        diagnosis: of one step's model.
+        heading: which model that is.
+        unit: of the errors.
+        told: the diagnosis in a paragraph.
+    """
     ranking = diagnosis.candidates
     classes = _classes(diagnosis)
     listed = []
@@ -57,6 +70,7 @@ def failure_of(diagnosis: Diagnosis, heading: str, unit: str) -> Failure:
         listed.append(_ranked(row, unit, classes))
     return Failure(
         heading,
+        told,
         str(diagnosis.verdict),
         diagnosis.reason,
         tuple(diagnosis.sentences),
@@ -104,7 +118,8 @@ def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
         kept = inside[thinned([force.w[inside]], most)]
         t = rounded(record.t[kept] / size, DIGITS_OF_TIME)
         w = rounded(force.w[kept])
-        runs.append(ForceRun(name, t, w, rounded(deviation[kept])))
+        since = date_words(0.0, record.origins[number_of_run])
+        runs.append(ForceRun(name, t, w, rounded(deviation[kept]), since))
     return runs
 
 
@@ -212,7 +227,8 @@ def _known(value: object) -> Number:
 def since_when(diagnosis: Diagnosis) -> str:
     """Since when the surest missing force is there, where it is strongest, how often.
 
-    A beginning is told where the force is several times weaker before it.
+    A beginning is told where one trajectory alone has the force, which is several times
+    weaker before it.
     """
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
@@ -223,26 +239,41 @@ def since_when(diagnosis: Diagnosis) -> str:
     for number_of_run in range(len(record.trajectories)):
         sizes.append(_rms(force.w[record.run == number_of_run]))
     n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
-    if len(sizes) == 1:
-        runs = ""
-    elif n_strong == len(sizes):
-        runs = f" in all {n_strong} trajectories"
-    else:
-        runs = f" in {n_strong} of {len(sizes)} trajectories"
     name = str(force.where["trajectory"])
-    inside = np.flatnonzero(record.run == record.trajectories.index(name))
-    begin = _beginning(force, inside)
-    since = "From the start on, as far as the data tell"
+    window = str(force.where["time_window"])
+    origin = record.origin_of(name)
+    begin = None
+    if n_strong == 1:
+        inside = np.flatnonzero(record.run == record.trajectories.index(name))
+        begin = _beginning(force, inside)
+    since = (
+        f"From the start on, as far as the data tell{_in_runs(n_strong, len(sizes))}"
+    )
     if begin is not None:
         of_run = name if len(sizes) > 1 else "the training record"
-        when = time_words(begin, unit)
+        when = f"{time_words(begin, unit)}{_in_brackets(date_words(begin, origin))}"
         since = f"Far stronger from about t = {when} of {of_run} on"
-    window = str(force.where["time_window"])
     if THROUGHOUT in window:
-        return f"{since}{runs}, about as strong all the time."
-    strongest = f"strongest at t = {times_words(window, unit)}"
-    of_run = f" of {name}" if len(sizes) > 1 and begin is None else ""
-    return f"{since}{runs}; {strongest}{of_run}."
+        return f"{since}; about as strong all the time."
+    dates = _in_brackets(dates_words(window, origin))
+    strongest = f"strongest at t = {times_words(window, unit)}{dates}"
+    of_run = ""
+    if begin is None:
+        of_run = f" of {name}" if len(sizes) > 1 else " of the training record"
+    return f"{since}; {strongest}{of_run}."
+
+
+def _in_brackets(date: str) -> str:
+    return f" ({date})" if date else ""
+
+
+def _in_runs(n_strong: int, n_runs: int) -> str:
+    """In how many trajectories a force is strong; "" where there is only one."""
+    if n_runs == 1:
+        return ""
+    if n_strong == n_runs:
+        return f", in all {n_runs} trajectories"
+    return f", in {n_strong} of {n_runs} trajectories"
 
 
 def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:

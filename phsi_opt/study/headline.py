@@ -1,18 +1,28 @@
 """The first screen of a report: the verdict, what is wrong, where, since when."""
 
-import numpy as np
+from collections.abc import Sequence
 
-from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.energy_wording import NO_PATTERN, TOGETHER
-from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.state_plots import region_words
-from phsi_opt.force_analysis.units import force_unit, frequency_words, spaced
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect
-from phsi_opt.presentation.numbers import number, with_error
-from phsi_opt.presentation.report_content import BAD, GOOD, LOOK, Fact, Headline
+from phsi_opt.presentation.numbers import capitalised, number
+from phsi_opt.presentation.report_content import (
+    BAD,
+    GOOD,
+    LOOK,
+    Answer,
+    Fact,
+    Headline,
+)
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
+from phsi_opt.study.answers import (
+    finding_words,
+    to_do_answer,
+    was_wrong_words,
+    where_answer,
+    wrong_answer,
+)
 from phsi_opt.study.force_content import since_when
 from phsi_opt.study.record import StudyRecord
 
@@ -24,16 +34,13 @@ SEVERITIES = {
     str(Verdict.UNEXPLAINED): BAD,
     NOT_ASKED: LOOK,
 }
-MOST_REASON = 240  # letters that are read in a few seconds
-NEAR_SAMPLING = 0.2  # cycles per sample from which on a force is as fast as the samples
 # What is said of a model to which effects were added.
 NOW = {
     Verdict.NOTHING_MISSING: "Now nothing is missing.",
     Verdict.NAMED: "Something more is missing, and it is named below.",
     Verdict.PARTLY_NAMED: "More is missing; a part of it is named below.",
     Verdict.UNEXPLAINED: (
-        "Something is still missing that no effect of the catalogue explains; why "
-        "stands under Where it fails."
+        "Something is still missing that no effect of the catalogue explains."
     ),
 }
 # What is said of a model to which nothing was added.
@@ -47,6 +54,7 @@ SAID = {
 }
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
+UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
 PAST = ("What was wrong", "Where it was", "Since when", "What was added")
 
 
@@ -87,7 +95,7 @@ def errors_in_words(study: StudyRecord) -> str:
     of_floor = unit
     if study.unit == STANDARD_DEVIATIONS:  # of channels with several units
         size = 0.01
-        unit = " % of the standard deviation of what was measured"
+        unit = " % of the measured movement"
         of_floor = " %"
     floor = f"noise floor {number(last.noise_floor / size, 3)}{of_floor}"
     after = f"{number(last.rmse / size, 3)}{unit}"
@@ -112,8 +120,7 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
             f"What the model lacks has not been asked yet: {errors}. "
             "Call study.diagnose() or study.auto()."
         )
-    said = _said(present, errors)
-    return f"{said[:1].upper()}{said[1:]}"
+    return _said(present, errors)
 
 
 def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -> str:
@@ -161,126 +168,65 @@ def _unestablished(study: StudyRecord) -> set[str]:
 
 
 def _said(diagnosis: Diagnosis, errors: str) -> str:
-    """Verdict and reason; a long reason is told further below in the report."""
+    """The verdict with the errors; the facts say more."""
     said = SAID[diagnosis.verdict]
-    is_unexplained = diagnosis.verdict == Verdict.UNEXPLAINED
-    if len(diagnosis.reason) <= MOST_REASON and not is_unexplained:
+    if diagnosis.verdict == Verdict.NOTHING_MISSING:
         return f"{said}: {diagnosis.reason}."
-    return f"{said}: {errors}. The reason stands under Where it fails."
+    n_tried = len(diagnosis.ranking)
+    if diagnosis.verdict == Verdict.UNEXPLAINED and n_tried:
+        return f"{said} ({n_tried} tried): {errors}."
+    return f"{said}: {errors}."
 
 
 def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
-    is_past = diagnosis is not study.diagnoses.get(len(study.steps) - 1)
+    if diagnosis is study.diagnoses.get(len(study.steps) - 1):
+        return _present_facts(study, diagnosis)
     answers = (
-        _wrong(study, diagnosis, is_past),
-        _where(diagnosis),
-        since_when(diagnosis),
-        _addition(study, diagnosis, is_past),
+        Answer(was_wrong_words(diagnosis, _whose(study, diagnosis))),
+        where_answer(diagnosis, is_past=True),
+        Answer(since_when(diagnosis)),
+        Answer(_was_added(study, diagnosis)),
     )
-    questions = PAST if is_past else PRESENT
-    return [Fact(*pair) for pair in zip(questions, answers, strict=True)]
+    return _facts(PAST, answers)
 
 
-def _wrong(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
-    """What the model that was diagnosed lacks, or lacked, and how much of it."""
+def _present_facts(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
+    is_held_out = study.held_out is not None
+    answers = (
+        wrong_answer(diagnosis, is_held_out),
+        where_answer(diagnosis),
+        Answer(since_when(diagnosis)),
+        to_do_answer(diagnosis, is_held_out),
+    )
+    return _facts(PRESENT if diagnosis.findings else UNNAMED, answers)
+
+
+def _facts(questions: Sequence[str], answers: Sequence[Answer]) -> list[Fact]:
+    facts = []
+    for question, answer in zip(questions, answers, strict=True):
+        facts.append(Fact(question, answer.lead, answer.detail))
+    return facts
+
+
+def _whose(study: StudyRecord, diagnosis: Diagnosis) -> str:
+    """Of which model a past diagnosis speaks."""
     added: tuple[Effect, ...] = ()
     for number_of_step, known in study.diagnoses.items():
         if known is diagnosis:
             added = study.steps[number_of_step].added
-    whose = "the base model's"
-    if added:
-        whose = f"with {' and '.join(map(str, added))}, the model's"
-    force = EquationForce.of(diagnosis.analysis, None)
-    unit = spaced(force_unit(force.equation, force.record.units))
-    size = f"{number(float(force.where['strength']), 3)}{unit} (rms)"
-    if force.is_uncertain:
-        return f"The residuals show it; no missing force is sure: {size}."
-    verb = "was" if is_past else "is"
-    names = " and ".join(_class_of(finding) for finding in diagnosis.findings)
-    begin = f"{names} {verb} missing: " if names else ""
-    said = f"{begin}{whose} d{force.equation}/dt {verb} off by {size}"
-    if not is_past:
-        said += _worst_channel(study)
-    said = f"{said[:1].upper()}{said[1:]}"
-    frequency = float(force.where["frequency"])
-    if frequency * float(np.median(force.record.h)) > NEAR_SAMPLING:
-        told = frequency_words(frequency, force.record.units)
-        said += (
-            f", most of it {told}, near the sampling rate: an error of the sensor "
-            "looks so, rather than a force"
-        )
-    return f"{said}."
+    if not added:
+        return "the base model's"
+    return f"with {' and '.join(map(str, added))}, the model's"
 
 
-def _worst_channel(study: StudyRecord) -> str:
-    """How far the free run of the present model is off, where it is worst."""
-    table = study.last.judged.table
-    ratios = table["rmse"].to_numpy() / table["noise_floor"].to_numpy()
-    if not np.isfinite(ratios).any():
-        return ""
-    place = int(np.nanargmax(ratios))
-    worst = table.iloc[place]
-    size = f"{number(float(worst['rmse']), 3)}{spaced(str(worst['unit']))}"
-    return (
-        f", its free run of {worst['state']} by {size}, {ratios[place]:.3g} times the "
-        "noise"
-    )
-
-
-def _class_of(finding: Finding) -> str:
-    """What was found, with the others of its class."""
-    return " or ".join(str(effect) for effect in finding.effects)
-
-
-def _where(diagnosis: Diagnosis) -> str:
-    """The equation, the region of the states, and what the force follows."""
-    force = EquationForce.of(diagnosis.analysis, None)
-    if force.is_uncertain:
-        return "No equation, time or region stands out."
-    place = f"In d{force.equation}/dt, {region_words(force)}"
-    energy = diagnosis.analysis.energy
-    causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
-    cause = causes[force.equation]
-    if cause == NO_PATTERN:
-        return f"{place}. No single cause explains it."
-    return f"{place}. It {cause}."
-
-
-def _addition(study: StudyRecord, diagnosis: Diagnosis, is_past: bool) -> str:
-    """What to add, or what was added since."""
+def _was_added(study: StudyRecord, diagnosis: Diagnosis) -> str:
+    """What was added since, with its size where it is what was proposed."""
     added = {str(effect) for effect in study.last.added}
-    if is_past and not added >= set(map(str, diagnosis.proposed)):
-        return f"{', '.join(sorted(added)) or 'Nothing'}."
-    texts = []
-    for finding in diagnosis.findings:
-        effect = finding.effects[0]
-        unit = spaced(finding.unit)
-        size = with_error(finding.coefficient, finding.std_error)
-        text = f"{effect}, {size}{unit}"
-        if not finding.is_name:
-            others = ", ".join(str(other) for other in finding.effects[1:])
-            text += f" (or {others}: the data do not tell)"
-        texts.append(text)
-    if not texts:
-        texts = [f"nearest: {effect}" for effect in diagnosis.proposed]
-    if not texts:
-        return _advice(diagnosis)
-    text = "; ".join(texts)
-    return f"{text[:1].upper()}{text[1:]}."
-
-
-def _advice(diagnosis: Diagnosis) -> str:
-    """What to do where no effect of the catalogue explains enough."""
-    force = EquationForce.of(diagnosis.analysis, None)
-    begin = "Nothing of the catalogue: try a term of your own"
-    if force.is_uncertain:
-        return f"{begin}, or record more data."
-    energy = diagnosis.analysis.energy
-    causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
-    record = "record more data where it is strong"
-    if TOGETHER in causes[force.equation]:
-        record = "record data in which the input and what it moves with go apart"
-    return f"{begin} in d{force.equation}/dt, or {record}."
+    if not added >= set(map(str, diagnosis.proposed)):
+        return f"{capitalised(', '.join(sorted(added)) or 'Nothing')}."
+    told = [finding_words(finding) for finding in diagnosis.findings]
+    told = told or [f"nearest: {effect}" for effect in diagnosis.proposed]
+    return f"{capitalised('; '.join(told) or 'Nothing')}."
 
 
 def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
@@ -288,7 +234,7 @@ def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
     judged = study.last.judged
     ratio = f"{judged.rmse / judged.noise_floor:.3g} times the noise floor"
     error = errors_in_words(study)
-    error = f"{error[:1].upper()}{error[1:]}: {ratio}."
+    error = f"{capitalised(error)}: {ratio}."
     if present is None:
         return [
             Fact("What is wrong", "Not asked yet."),

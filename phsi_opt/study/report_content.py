@@ -29,6 +29,7 @@ from phsi_opt.study.headline import errors_in_words, headline_of
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
 from phsi_opt.study.step import Step
+from phsi_opt.study.step_story import step_story
 
 ENDED_AT_BOUND = "at its bound"
 LEVEL = 0.95  # of the intervals: the convention of most tables
@@ -65,12 +66,13 @@ def report_content(study: StudyRecord, laws: Sequence[EffectLaw] = ()) -> Report
 
 
 def _staircase(study: StudyRecord) -> Staircase:
+    size, unit = scale_of_errors(study.unit)
     steps = []
     for step in study.steps:
-        held_out = None if step.held_out is None else step.held_out.rmse
-        floor = step.judged.noise_floor
-        error = ErrorStep(step.label, step.train.rmse, held_out, floor, step.fit.bic)
-        steps.append(error)
+        held_out = None if step.held_out is None else size * step.held_out.rmse
+        train = size * step.train.rmse
+        floor = size * step.judged.noise_floor
+        steps.append(ErrorStep(step.label, train, held_out, floor, step.fit.bic))
     said = errors_in_words(study)
     sentence = f"{said[:1].upper()}{said[1:]}."
     if _only_follows(study.last):
@@ -78,9 +80,34 @@ def _staircase(study: StudyRecord) -> Staircase:
             " On training data the last model is at or below the noise floor: it "
             "follows what it was fitted to, and does not foretell the rest."
         )
+    else:
+        judged = study.last.judged
+        sentence += beside_floor(judged.rmse, judged.noise_floor)
     if study.unit == STANDARD_DEVIATIONS:
-        sentence += " One standard deviation is that of a channel's measurements."
-    return Staircase(tuple(steps), study.unit, sentence)
+        sentence += (
+            " The movement of a channel is the standard deviation of its measurements."
+        )
+    return Staircase(tuple(steps), unit, sentence)
+
+
+def scale_of_errors(unit: str) -> tuple[float, str]:
+    """A factor on errors and the unit that they then have.
+
+    Those of several channels are told in percent of what was measured.
+    """
+    if unit == STANDARD_DEVIATIONS:
+        return 100.0, "% of the movement"
+    return 1.0, unit
+
+
+def beside_floor(error: float, floor: float) -> str:
+    """What an error below the noise floor means; "" for one above."""
+    if error >= floor:
+        return ""
+    return (
+        " The noise floor is an estimate, too: an error just below it is one at it, "
+        "as low as noise lets it be."
+    )
 
 
 def _only_follows(step: Step) -> bool:
@@ -147,7 +174,8 @@ def _failures(study: StudyRecord) -> tuple[Failure, ...]:
             heading = f"After step {number_of_step} ({label})"
         else:
             heading = heading.replace(" (base model)", "")
-        failures.append(failure_of(diagnosis, heading, study.unit))
+        told = step_story(study, number_of_step)
+        failures.append(failure_of(diagnosis, heading, study.unit, told))
     return tuple(failures)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.presentation.durations import scale_of_time
+from phsi_opt.presentation.durations import date_words, scale_of_time
 from phsi_opt.presentation.report_content import Channel, ChannelRun, Run, Runs
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.study.record import StudyRecord
@@ -81,7 +81,7 @@ def _run(
             # A state with a memory comes behind those of the base model.
             shown = [one.shown[number][:, k] for one in comparisons]
             channels.append(_channel_run(run.t / size, run.x[:, k], shown, most))
-    return Run(run.name, part, channels)
+    return Run(run.name, part, channels, date_words(0.0, run.origin))
 
 
 def _channel_run(

@@ -14,11 +14,12 @@ from phsi_opt.study_file.toml_text import toml_value
 NAMES_IN_MODEL = ("states", "inputs", "pairs", "kind", "memory", "type")
 
 
-def unfilled(path: Path) -> tuple[str, ...]:
+def unfilled(path: Path, has_dates: bool = False) -> tuple[str, ...]:
     """What stands empty, a sentence each, with an example.
 
     Args:
         path: of the study file.
+        has_dates: whether the times are dates, which are read in seconds.
 
     Raises:
         StudyFileError: it cannot be read, or is no TOML.
@@ -46,7 +47,7 @@ def unfilled(path: Path) -> tuple[str, ...]:
             f"{pair}, position first"
         )
     said += _idle_inputs(content, inputs)
-    return (*said, *_without_unit(content))
+    return (*said, *_without_unit(content, has_dates))
 
 
 def _table(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
@@ -79,11 +80,11 @@ def _idle_inputs(content: Mapping[str, Any], inputs: list[str]) -> list[str]:
     return [f"model.inputs: no formula has {', '.join(idle)}"]
 
 
-def _without_unit(content: Mapping[str, Any]) -> list[str]:
+def _without_unit(content: Mapping[str, Any], has_dates: bool) -> list[str]:
     """Channels without a unit; these are printed beside numbers, no more."""
     data = _table(content, "data")
     without = []
-    if not _table(data, "time").get("unit"):
+    if not has_dates and not _table(data, "time").get("unit"):
         without.append("the time")
     for what in ("states", "inputs"):
         channels = _table(data, what)

@@ -105,4 +105,5 @@ def _continued(first: Trajectory, then: Trajectory) -> Trajectory:
         np.concatenate([first.t, then.t]),
         np.concatenate([first.x, then.x]),
         np.concatenate([first.u, then.u]),
+        first.origin,
     )

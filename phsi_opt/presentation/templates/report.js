@@ -16,6 +16,11 @@
     drawAll();
   });
 
+  // On a phone the answers come first; what stands behind them is opened.
+  if (matchMedia("(max-width: 40rem)").matches) {
+    document.querySelectorAll(".facts details").forEach((one) => { one.open = false; });
+  }
+
   // On paper nothing can be opened: everything is.
   window.addEventListener("beforeprint", function () {
     document.querySelectorAll("details").forEach((one) => { one.open = true; });
@@ -49,6 +54,9 @@
   }
   function withUnit(name, unit) {
     return plain(unit ? `${name} (${unit})` : name);
+  }
+  function since(label, date) {
+    return date ? `${label} since ${plain(date)}` : label;
   }
   function shortened(text, most) {
     return text.length > most ? text.slice(0, most - 1) + "\u2026" : text;
@@ -98,22 +106,32 @@
     const width = Math.max(10, Math.floor((narrow ? 44 : 72) / Math.max(steps.length, 1)));
     const labels = steps.map((step, k) => wrapped((k && !step.label.startsWith("without ") ? "+ " : "") + step.label, width));
     const held = steps.some((step) => step.held_out !== null);
-    const curve = (key, name, line, symbol, text) => ({
-      x: x, y: steps.map((step) => step[key]), name: name, line: line, mode: text ? "lines+markers+text" : "lines+markers",
-      marker: { size: symbol === "square-open" ? 14 : 9, symbol: symbol }, textposition: "top right", cliponaxis: false,
-      text: text ? steps.map((step) => (step[key] === null ? "" : Number(step[key]).toPrecision(3))) : undefined,
-      textfont: { color: line.color, size: 14 }, hovertemplate: "%{y:.4g}",
+    // Side by side, each with its numbers on its own side: equal errors do not hide each other.
+    const aside = held ? 0.05 : 0;
+    const shown = (value) => (value === null ? "" : Math.abs(value) < 1e-4 ? value.toExponential(2) : Number(value.toPrecision(3)).toString());
+    // A number stands where no line comes from: below a training error that fell, above a floor that lies low.
+    const fell = steps.map((step, k) => k > 0 && step.train < steps[k - 1].train && step.train > 0.2 * Math.max(...steps.map((one) => one.train)));
+    const last = steps[steps.length - 1];
+    const isLow = (held ? last.held_out : last.train) > 2 * last.floor;
+    const curve = (key, name, line, symbol, shift, place) => ({
+      x: x.map((one) => one + shift), y: steps.map((step) => step[key]), name: name, line: line, mode: "lines+markers+text",
+      marker: { size: symbol === "line-ew-open" ? 20 : 9, symbol: symbol }, textposition: place, cliponaxis: false,
+      text: steps.map((step, k) => (key !== "floor" ? shown(step[key]) : k === steps.length - 1 ? "floor " + shown(step[key]) : "")),
+      textfont: { color: line.color, size: 13 }, hovertemplate: "%{y:.4g}",
     });
-    const traces = [curve("train", "training", { color: color("measured"), dash: "dash" }, held ? "square-open" : "square", !held)];
-    if (held) traces.push(curve("held_out", "held out", { color: color("after") }, "circle", true));
-    traces.push(curve("floor", "noise floor", { color: color("floor"), dash: "dot" }, "line-ew-open", false));
+    const traces = [curve("train", "training", { color: color("measured"), dash: "dash" }, "square", -aside, held ? fell.map((one) => (one ? "bottom left" : "top left")) : "top right")];
+    if (held) traces.push(curve("held_out", "held out", { color: color("after") }, "circle", aside, "top right"));
+    traces.push(curve("floor", "noise floor", { color: color("floor"), dash: "dot" }, "line-ew-open", 0, isLow ? "top right" : "bottom right"));
     const errors = steps.flatMap((step) => [step.train, step.held_out, step.floor]).filter((v) => v !== null && v > 0);
     const most = Math.max(...errors), least = Math.min(...errors);
     const log = most >= 10 * least && steps.length > 1;
     const ticks = log ? { dtick: most >= 100 * least ? 1 : "D2", minorloglabels: "complete", tickformat: least > 1e-4 ? "~g" : "" } : {};
-    const unit = content.unit === "standard deviations" ? "std. deviations" : content.unit;
+    // Room for the number of the floor, behind the last step.
+    const share = 95 / Math.max(document.getElementById("staircase").clientWidth - 76, 200);
+    const behind = Math.max(0.45, (share * (steps.length - 0.4)) / (1 - share));
+    const unit = content.unit;
     draw("staircase", traces, {
-      xaxis: { tickvals: x, ticktext: labels, range: [-0.3, steps.length - 0.4], zeroline: false },
+      xaxis: { tickvals: x, ticktext: labels, range: [-0.6, steps.length - 1 + behind], zeroline: false },
       yaxis: Object.assign(ticks, { type: log ? "log" : "linear", range: log ? [Math.log10(least / 2), Math.log10(2 * most)] : [0, 1.2 * most], title: { text: withUnit("error", unit) } }),
     });
   }
@@ -140,7 +158,7 @@
       notes.push({ xref: "paper", x: 1, xanchor: "right", yref: "paper", y: 0.33, yanchor: "bottom", showarrow: false, text: "residual; band: noise, 2 std. deviations", font: { size: 12, color: color("floor") } });
     }
     draw("measured", traces, {
-      xaxis: { anchor: "y2", title: { text: withUnit("t", content.unit_of_time) } },
+      xaxis: { anchor: "y2", title: { text: since(withUnit("t", content.unit_of_time), run.since) } },
       yaxis: { domain: [0.42, 1], title: { text: withUnit(info.name, info.unit) } },
       yaxis2: { domain: [0, 0.32], title: { text: withUnit("residual", info.unit) } },
       shapes: shapes, annotations: notes, uirevision: run.name + " " + k,
@@ -168,7 +186,7 @@
     const run = content.runs[Number(select.value)];
     const traces = band(run.t, run.force, run.std.map((v) => (v === null ? null : 2 * v)), "2 std. deviations");
     traces.push({ x: run.t, y: run.force, mode: "lines", line: { color: color("after"), width: 2 }, name: "missing force", hovertemplate: "%{y:.3g}" });
-    draw(id + "-time", traces, { xaxis: { title: { text: plain(content.t_label) } }, yaxis: { title: { text: plain(content.label) } } });
+    draw(id + "-time", traces, { xaxis: { title: { text: since(plain(content.t_label), run.since) } }, yaxis: { title: { text: plain(content.label) } } });
     if (content.follows) follows(id + "-follows", content.follows, content.label);
     if (content.map) {
       const one = content.map;

@@ -1,0 +1,114 @@
+"""How fast a missing force is beside the motion, and how large beside the model.
+
+A force that goes back and forth many times as fast as the motion is no law of the
+motion: it shakes what is measured, takes a large rate to be seen at all, and hides what
+bends the motion itself.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.force_analysis.spectrum import spectrum
+from phsi_opt.force_analysis.units import frequency_words
+from phsi_opt.presentation.numbers import number
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Times the frequency of the motion from which a force is a vibration beside it.
+VIBRATION = 10.0
+# Cycles per sample from which on a force is as fast as the samples: two fifths of the
+# fastest that they show.
+NEAR_SAMPLING = 0.2
+FEWEST_IN_MEAN = 2  # samples
+
+
+@dataclass(frozen=True)
+class Pace:
+    """A force beside the motion and the samples.
+
+    Attributes:
+        frequency: at which the force is strongest, in cycles per unit of time; 0 where
+            it is mostly constant.
+        motion: frequency at which the fastest of the states is strongest.
+        interval: typical time between samples.
+        strength: rms of the force.
+        own: rms of what the model itself has in the equation.
+    """
+
+    frequency: float
+    motion: float
+    interval: float
+    strength: float
+    own: float
+
+    @classmethod
+    def of(cls, record: ForceRecord, where: "pd.Series") -> "Pace":
+        """The pace of a missing force.
+
+        Args:
+            record: the forces of all equations.
+            where: the row of `located` of the one.
+        """
+        equation = record.fit.model.states.index(str(where["equation"]))
+        own = record.rates[:, equation]
+        return cls(
+            float(where["frequency"]),
+            _frequency_of_motion(record),
+            float(np.median(record.h)),
+            float(where["strength"]),
+            float(np.sqrt(np.mean(own**2))),
+        )
+
+    @property
+    def is_vibration(self) -> bool:
+        """Whether the force is many times as fast as the motion, or as the samples."""
+        return self.is_near_sampling or self._times_motion > VIBRATION
+
+    @property
+    def is_near_sampling(self) -> bool:
+        """Whether the force is as fast as the samples."""
+        return self.frequency * self.interval > NEAR_SAMPLING
+
+    @property
+    def samples_per_cycle(self) -> int:
+        """Samples in one cycle of the force: their mean does not show it."""
+        return max(round(1 / (self.frequency * self.interval)), FEWEST_IN_MEAN)
+
+    @property
+    def _times_motion(self) -> float:
+        return self.frequency / self.motion if self.motion > 0 else 0.0
+
+    def speed_words(self, units: Mapping[str, str]) -> str:
+        """How fast a vibration is: its frequency beside motion and samples."""
+        told = frequency_words(self.frequency, units)
+        beside = []
+        if self._times_motion > VIBRATION:
+            beside.append(f"{self._times_motion:.2g} times as fast as the motion")
+        if self.is_near_sampling or not beside:
+            beside.append("near the sampling rate")
+        return f"{told}, {' and '.join(beside)}"
+
+    def size_words(self) -> str:
+        """The force beside the rate that the model has: a share or a multiple of it.
+
+        Empty where the model has nothing there.
+        """
+        if not self.own > 0:
+            return ""
+        ratio = self.strength / self.own
+        if ratio >= 1:
+            return f"{number(ratio, 2)} times its own size"
+        return f"{100 * ratio:.2g} % of its own size"
+
+
+def _frequency_of_motion(record: ForceRecord) -> float:
+    """Frequency of the state whose strongest part is fastest."""
+    moving = record.states - np.mean(record.states, axis=0)
+    found = spectrum(record.t, record.run, moving)
+    strongest = np.argmax(found.amplitudes, axis=0)
+    return float(np.max(found.frequencies[strongest]))
