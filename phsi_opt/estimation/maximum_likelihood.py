@@ -113,7 +113,10 @@ def _starting_point(problem: LikelihoodProblem, start: Fit | None) -> StartingPo
 def _with_fine_steps(
     solver: LikelihoodSolver, estimate: LikelihoodEstimate
 ) -> LikelihoodEstimate:
-    """Solved again with finer steps until the integration error is not visible."""
+    """Solved again with finer steps until the integration error is not visible.
+
+    Where these lead nowhere the last optimum stays, with a note.
+    """
     for _ in range(MOST_STEP_REFINEMENTS):
         steps = finer_steps(estimate) if estimate.is_success else None
         if steps is None:
@@ -125,8 +128,19 @@ def _with_fine_steps(
         )
         there = replace(StartingPoint.at(estimate, steps), is_optimum=True)
         finer = solver.solve(there)
+        if not finer.is_success:
+            return replace(estimate, notes=(*estimate.notes, _coarse(most)))
         estimate = replace(finer, notes=estimate.notes)
     return estimate
+
+
+def _coarse(most: int) -> str:
+    return (
+        "the steps of integration are too long for these estimates, which shift with "
+        f"them; with up to {most} between two samples it could not be solved. A rate "
+        "of the model is far above those that the record shows: bound its parameters, "
+        "or find what the model lacks (diagnose)"
+    )
 
 
 def _with_few_terms(

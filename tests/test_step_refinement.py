@@ -1,0 +1,58 @@
+"""Steps between samples that follow from what they do to the estimates."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
+from phsi_opt.estimation.starting_point import StartingPoint
+
+T = np.linspace(0.0, 12.0, 25)  # some six samples a period
+STIFFNESS = 4.0
+
+
+def coarse_record() -> ph.Measurements:
+    rng = np.random.default_rng(0)
+    runs = []
+    for x0 in ([1.0, 0.0], [0.3, 1.5]):
+        x = ph.simulate(spring(STIFFNESS), T, x0)
+        runs.append(x + 0.01 * rng.normal(size=x.shape))
+    return ph.Measurements.from_arrays([T] * 2, runs, states=["q", "p"])
+
+
+def spring(k: float) -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(k, lower=0.0)),
+    )
+
+
+def test_coarse_samples_get_finer_steps() -> None:
+    fit = ph.identify(spring(3.0), coarse_record())
+    assert max(int(np.max(steps)) for steps in fit.steps) > 1
+    assert abs(fit.estimates["k"] - STIFFNESS) < 4 * fit.std_errors["k"]
+
+
+def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solve = LikelihoodSolver.solve
+
+    def failing_beyond_one(
+        self: LikelihoodSolver, start: StartingPoint, **options: object
+    ) -> LikelihoodEstimate:
+        found = solve(self, start, **options)  # type: ignore[arg-type]
+        if not start.steps or max(int(np.max(s)) for s in start.steps) == 1:
+            return found
+        outcome = replace(found.solution.outcome, success=False)
+        return replace(found, solution=replace(found.solution, outcome=outcome))
+
+    monkeypatch.setattr(LikelihoodSolver, "solve", failing_beyond_one)
+    fit = ph.identify(spring(3.0), coarse_record())
+    assert fit.outcome.success
+    assert max(int(np.max(steps)) for steps in fit.steps) == 1
+    assert any("steps of integration are too long" in one for one in fit.warnings)
