@@ -10,7 +10,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.roles import Role, role_of
 from phsi_opt.model.terms import formula
 
-NAMES = {Role.HEAT: "second heat storage", Role.CIRCUIT: "second charge storage"}
+STORAGES = {Role.HEAT: "second heat storage", Role.CIRCUIT: "second charge storage"}
 FAMILY = "a storage that nobody measures"
 # Times in which it follows, to try, as shares of the longest record; what takes longer
 # than the record is told from a constant by nothing. A re-fit begins at the one in the
@@ -36,9 +36,9 @@ def second_storages(model: BaseModel, state: str) -> list[Effect]:
         state: in whose equation it acts.
     """
     role = role_of(model, state)
-    if role not in NAMES or state in model.memory:
+    if role not in STORAGES or state in model.memory:
         return []
-    name = NAMES[role]
+    name = STORAGES[role]
     second = f"{state}_second"
     tau = f"following_time_{state}"
     inner = {tau: tried("t", FOLLOWING_TIMES, most=1.0, unit="s")}
