@@ -115,6 +115,9 @@ HELD_OUT_RISE = 1.1
 # by half a percent, had three such re-fits in vain.
 FAR_RUN_SHARE = 0.3
 N_REFITS = 5  # effects that are re-fitted alone, at most
+# Equations in which a storage that nobody measures is re-fitted, at most: those whose
+# missing force is largest beside their motion.
+N_STORAGE_REFITS = 2
 N_PAIR_REFITS = 4  # pairs of effects that are re-fitted, at most
 # The same along solutions of a long record, where each takes ten times as long: EMPS'
 # second diagnosis named none of the others, which took 10 of its 28 s.

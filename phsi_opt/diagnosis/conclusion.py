@@ -1,7 +1,7 @@
 """The verdict of a diagnosis with its reason in words."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from phsi_opt.comparison.model_selection import (
     explained_share,
@@ -25,7 +25,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import fitted_size, unconfirmed, z_beside_others
 from phsi_opt.diagnosis.finding import Finding
-from phsi_opt.diagnosis.proposal import Proposal
+from phsi_opt.diagnosis.proposal import Proposal, parts_alone
 from phsi_opt.diagnosis.remainder import Remainder, share_of_motion
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
@@ -66,6 +66,8 @@ def conclusion(
 ) -> Conclusion:
     """The verdict on a model from what is proposed to be added to it.
 
+    Of a pair that is not established, one that is so alone is named.
+
     Args:
         base: the model that is diagnosed.
         proposed: the best effect or pair; None where none is significant.
@@ -74,6 +76,37 @@ def conclusion(
     """
     if proposed is None:
         return _without_effect(base, ranked)
+    concluded = _concluded(base, proposed, ranked, pairs)
+    if concluded.findings:
+        return concluded
+    for single in parts_alone(base, proposed, ranked):
+        alone = _concluded(base, single, ranked, pairs)
+        if alone.findings:
+            return replace(alone, reason=f"{alone.reason}. {_beside(proposed, single)}")
+    return concluded
+
+
+def _beside(proposed: Proposal, named: Proposal) -> str:
+    """The one of a pair that is not named, in a sentence."""
+    (other,) = (
+        effect
+        for effect in proposed.candidate.effects
+        if effect != named.candidate.effect
+    )
+    after = proposed.done.judged
+    return (
+        f"With {other} too the error would be {after.rmse:.4g}"
+        f"{spaced(after.error_unit)}, but its size is not clear enough"
+    )
+
+
+def _concluded(
+    base: DiagnosedModel,
+    proposed: Proposal,
+    ranked: Sequence[Candidate],
+    pairs: Sequence[Candidate],
+) -> Conclusion:
+    """The verdict on what is proposed as it is."""
     done = proposed.done
     effects = proposed.candidate.effects
     is_all = is_explained(base.judged, done.trained, done.judged)

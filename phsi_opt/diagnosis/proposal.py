@@ -322,6 +322,22 @@ def _by_all_data(
     return best
 
 
+def parts_alone(
+    base: DiagnosedModel, proposed: Proposal, ranked: Sequence[Candidate]
+) -> list[Proposal]:
+    """The effects of a pair that are significant alone, best first."""
+    found: list[Proposal] = []
+    if proposed.candidate.partner is None:
+        return found
+    for candidate in ranked:
+        is_part = candidate.effect in proposed.candidate.effects
+        if is_part and _is_significant(base, candidate):
+            single = _single(candidate)
+            if single is not None:
+                found.append(single)
+    return found
+
+
 def is_rival_law(other: Effect, effect: Effect) -> bool:
     """Whether another effect is a law of the same family there, and no larger."""
     if other == effect or other.equation != effect.equation:

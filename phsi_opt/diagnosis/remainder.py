@@ -11,6 +11,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
 
 
@@ -60,6 +61,18 @@ class Remainder:
             f"{100 * self.gone:.0f} % is gone (rms {self.before:.3g} before, "
             f"{self.after:.3g}{unit} after)"
         )
+
+
+def weakest_equations(model: Model, estimate: ForceEstimate) -> list[str]:
+    """Equations that may lack a force, the one first that lacks most of its motion's.
+
+    Args:
+        model: whose missing force it is.
+        estimate: of that force.
+    """
+    shares = _shares_of_motion(estimate)
+    rows = np.array(estimate.prior.rows)[np.argsort(-shares, kind="stable")]
+    return [model.states[row] for row in rows]
 
 
 def share_of_motion(estimate: ForceEstimate) -> float:

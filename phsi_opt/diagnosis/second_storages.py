@@ -1,14 +1,16 @@
 """Storages that nobody measures, where the candidates leave more than noise.
 
 What is expected of one by a linearisation of the model without it says nothing (see
-``is_second_storage``), so that each is re-fitted.
+``is_second_storage``), so that those of the equations that lack most are re-fitted.
 """
 
 from collections.abc import Sequence
 
 from phsi_opt.comparison.model_selection import is_like_noise
+from phsi_opt.criteria import N_STORAGE_REFITS
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.diagnosis.remainder import weakest_equations
 from phsi_opt.diagnosis.simple_losses import Refitted
 from phsi_opt.model.catalogue_storages import is_second_storage
 from phsi_opt.screening.prospects import Prospects
@@ -33,7 +35,10 @@ def with_second_storages(
     if any(run is not None and is_like_noise(run) for run in runs):
         return result
     tried = [one.name for one in result]
-    for one in prospects.singles:
-        if is_second_storage(one.effect) and one.name not in tried:
-            result.append(refitted(one, base.fit, None))
+    weakest = weakest_equations(base.fit.model, base.record.estimate)
+    for equation in weakest[:N_STORAGE_REFITS]:
+        for one in prospects.singles:
+            is_there = one.effect.equation == equation and one.name not in tried
+            if is_there and is_second_storage(one.effect):
+                result.append(refitted(one, base.fit, None))
     return result
