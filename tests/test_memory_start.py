@@ -5,7 +5,11 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.augmented_states import memory_start_bounds, with_memory
+from phsi_opt.transcription.augmented_states import (
+    memory_of_sensors,
+    memory_start_bounds,
+    with_memory,
+)
 from phsi_opt.transcription.grid import Grid
 
 T = np.linspace(0.0, 4.0, 401)
@@ -120,3 +124,59 @@ def test_the_memory_of_a_lag_is_that_of_its_equation() -> None:
     decay = LAG * gain * np.exp(-T / LAG)
     expected = gain * (np.sin(T) - LAG * np.cos(T)) + decay
     np.testing.assert_allclose(states[:, 2], expected, atol=1e-4)
+
+
+def delayed(delay: float) -> tuple[ph.Model, ph.Measurements]:
+    """A driven spring whose sensor is late, without a value for how late."""
+    late = pushed_at_once().add("sensor delay", "q")
+    rng = np.random.default_rng(3)
+    times = np.linspace(0.0, 20.0, 201)
+    force = np.interp(times, times[::10], rng.normal(size=len(times[::10])))
+    known = late.with_values({"k": 1.5, "sensor_delay_q": delay})
+    start = [0.5, 0.0, 0.5, 0.0, 0.0]
+    x = ph.simulate(known, times, start, u=force[:, None])
+    shown = known.output()(x.T, force[None, :], times[None, :], known.theta).full().T
+    shown[:, 0] += 0.005 * rng.normal(size=len(times))
+    shown[:, 1] = np.nan
+    data = ph.Measurements.from_arrays(
+        times,
+        shown[:, :2],
+        force[:, None],
+        states=["q", "p"],
+        inputs=["u"],
+        hold="linear",
+    )
+    return late, data
+
+
+def pushed_at_once() -> ph.PseudoHamiltonian:
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0, lower=0.0)),
+        F={"p": ph.formula("u")},
+    )
+
+
+@pytest.mark.parametrize("delay", [0.15, 0.4])
+def test_a_sensor_that_is_late_is_found_without_a_value_to_start_from(
+    delay: float,
+) -> None:
+    model, data = delayed(delay)
+    fit = ph.identify(model, data)
+    assert abs(fit.estimates["sensor_delay_q"] - delay) < 4 * max(
+        fit.std_errors["sensor_delay_q"], 1e-3
+    )
+    assert abs(fit.estimates["k"] - 1.5) < 4 * max(fit.std_errors["k"], 1e-3)
+
+
+def test_the_memory_of_sensors_is_what_no_rate_but_its_own_reads() -> None:
+    late = pushed_at_once().add("sensor delay", "q")
+    assert memory_of_sensors(late) == late.memory
+    assert memory_of_sensors(pushed()) == ()  # the lagged input pushes
+    both = pushed_at_once().add("input lag", "p").add("sensor delay", "q")
+    assert memory_of_sensors(both) == both.memory[1:]
+    bare = both.without_memory(memory_of_sensors(both))
+    assert bare.states == ("q", "p", *both.memory[:1]) and not bare.sensor
+    assert set(bare.free) == set(both.free) - {"sensor_delay_q"}

@@ -340,8 +340,8 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
     monkeypatch.setattr("sys.argv", ["run.py"])
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
     monkeypatch.setattr(run, "examine", record)
-    run.main(["gap_0.01"], 2, jobs=1)
-    run.main(["gap_0.01", "nothing"], 3, jobs=1)
+    run.main(["gap_0.01"], range(2), jobs=1)
+    run.main(["gap_0.01", "nothing"], range(3), jobs=1)
     first, then = (
         [("gap_0.01", 0), ("gap_0.01", 1)],
         [("nothing", 0), ("nothing", 1), ("gap_0.01", 2), ("nothing", 2)],
@@ -353,6 +353,15 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
     assert "| gap 0.01 | 3 | 100%" in text and "command:" in text
     assert "commit abc1234: 6 cases" in text
     assert (tmp_path / "hidden_effects.png").exists()
+    # New seeds stand beside the first ones and are not counted among them.
+    run.main(["gap_0.01"], range(1000, 1002), jobs=1)
+    text = (tmp_path / "hidden_effects.md").read_text(encoding="utf-8")
+    assert "| gap 0.01 | 3 | 100%" in text and "commit abc1234: 6 cases" in text
+    all_three, both = "100% (44% to 100%)", "100% (34% to 100%)"
+    told = f"| 3 | {all_three} | {all_three} | 2 | {both} | {both} |"
+    (line,) = [x for x in text.splitlines() if x.startswith("| one effect")]
+    assert line == f"| one effect, noise 1 % {told}"
+    assert "Commits: abc1234 (2 cases)" in text
 
 
 def test_rows_are_chosen_by_their_beginning_and_an_unknown_one_is_refused() -> None:

@@ -13,6 +13,7 @@ from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.diagnosis.remainder import Remainder
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
+from phsi_opt.screening.effect_size import size_of
 from phsi_opt.screening.prospects import Prospects
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.second_look import second_look
@@ -186,3 +187,12 @@ def test_a_model_fitted_elsewhere_is_fitted_again_before_anything_is_missing() -
     found = ph.diagnose(elsewhere, data)
     assert found.verdict == ph.Verdict.NOTHING_MISSING
     assert found.fit.values["k"] == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_variance_that_rounding_made_negative_leaves_the_error_unknown() -> None:
+    model = base()
+    drag = effect_of("quadratic drag")
+    larger = model.add(drag)
+    (name,) = [one for one in larger.free if one not in model.entries]
+    size = size_of(drag, larger, [name], {name: 0.3}, np.array([[-1e-20]]))
+    assert size.value == 0.3 and np.isnan(size.std_error)

@@ -6,6 +6,7 @@ force, then parameters by the PHSI loss. Further points beside the first are tho
 `multi_start`.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,11 @@ from phsi_opt.initialization.scaling import invert_sensors, point_at, with_state
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.augmented_states import with_memory
+from phsi_opt.transcription.augmented_states import (
+    memory_of_sensors,
+    padded,
+    with_memory,
+)
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.transcription.parameter_vector import Theta
@@ -36,12 +41,60 @@ LONG_RECORD = 20_000
 
 def from_data(problem: LikelihoodProblem) -> StartingPoint:
     """The starting point found from scratch."""
+    problem.task.say("starting values")
+    of_sensors = memory_of_sensors(problem.task.model)
+    if not of_sensors:
+        return _of_motion(problem)
+    # No state that is measured tells such a memory: it follows from the motion.
+    start = _of_motion(_without_memory(problem, of_sensors))
+    return _with_memory_of_sensors(problem, start)
+
+
+def _of_motion(problem: LikelihoodProblem) -> StartingPoint:
     task = problem.task
-    task.say("starting values")
     grid = invert_sensors(task.model, task.grid)
     if grid.measured.all():
         return _from_complete_data(problem, grid)
     return _from_data_with_gaps(problem, grid)
+
+
+def _without_memory(
+    problem: LikelihoodProblem, names: Sequence[str]
+) -> LikelihoodProblem:
+    """The problem of the motion alone, its sensors without what remembers."""
+    task = replace(
+        problem.task,
+        model=problem.task.model.without_memory(names),
+        aligned=problem.task.aligned.without_states(names),
+    )
+    return LikelihoodProblem.of(task, problem.loss)
+
+
+def _with_memory_of_sensors(
+    problem: LikelihoodProblem, start: StartingPoint
+) -> StartingPoint:
+    """A start of the motion, with the memory that follows from it."""
+    task = problem.task
+    grid = task.grid
+    x = np.concatenate(start.states)
+    model = task.model.with_values(start.model.values)
+    model = resolve_guesses(model, grid, padded(model, x))
+    unknown = Theta.of(model, task.runs)
+    named = dict(zip(Theta.of(start.model, task.runs).names, start.theta, strict=True))
+    theta = unknown.from_values(named, unknown.spread(model.theta))
+    parameters = np.asarray(unknown.by_trajectory(theta))
+    n_memory = model.n_states - x.shape[1]
+    another = start.alternative
+    return replace(
+        start,
+        model=model,
+        theta=theta,
+        states=grid.split(with_memory(model, grid, x, parameters)),
+        sigma=np.append(start.sigma, problem.noise.sigma[-n_memory:]),
+        alternative=None
+        if another is None
+        else lambda: _with_memory_of_sensors(problem, another()),
+    )
 
 
 def simple_start(problem: LikelihoodProblem) -> StartingPoint | None:

@@ -193,7 +193,9 @@ class WhiteRecord:
         information = self._information_about(components, felt, channels)
         size = np.sqrt(np.maximum(np.diag(information), TINY))
         excess = self._excess(components, felt, size)
-        information = information / np.outer(size, size)
+        with np.errstate(over="ignore"):  # a component that leaves no trace
+            correlation = information / np.outer(size, size)
+        information = np.clip(correlation, -1.0, 1.0)
         of_forces = slice(0, len(forces))
         of_sensors = slice(len(forces), len(components))
         return PromisedGain(

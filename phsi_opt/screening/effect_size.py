@@ -69,10 +69,15 @@ def size_of(
     found = np.array([values[names[k]] for k in linear])
     within = covariance[np.ix_(linear, linear)]
     if not (is_wave(effect) and len(found) == 2):
-        return Size(float(found[-1]), float(np.sqrt(within[-1, -1])))
+        return Size(float(found[-1]), _deviation(within[-1, -1]))
     amplitude = float(np.linalg.norm(found))
     direction = found / max(amplitude, TINY)
-    return Size(amplitude, float(np.sqrt(direction @ within @ direction)))
+    return Size(amplitude, _deviation(direction @ within @ direction))
+
+
+def _deviation(variance: float) -> float:
+    """NaN where rounding has made the variance negative: then nothing is known."""
+    return float(np.sqrt(variance)) if variance >= 0 else np.nan
 
 
 def size_unit(base: Model, effect: Effect, units: Mapping[str, str]) -> str:

@@ -31,9 +31,12 @@ from problems.hidden_effects.scores import (
     target_of,
 )
 from problems.tools import markdown
+from problems.tools.intervals import share
 from problems.tools.provenance import write
 
 Tables = Mapping[str, pd.DataFrame]  # cases by row
+# Seeds from here on were not looked at while the diagnosis became what it is.
+FIRST_NEW = 1000
 LOUDNESS = [0, 5, 10, 40]  # error before over noise floor, ends of the groups
 
 INTRODUCTION = markdown.paragraph(f"""
@@ -64,15 +67,26 @@ TERMS = markdown.paragraph(f"""
 
 def write_page() -> None:
     """Write the page and the figure from the tables of all rows that have been run."""
-    found = {name: store.table(name) for name in ROWS if store.path_of(name).exists()}
-    write("hidden_effects.md", page(found))
+    kept = {name: store.table(name) for name in ROWS if store.path_of(name).exists()}
+    found = {}
+    new = {}
+    for name, rows in kept.items():
+        is_new = rows["seed"].ge(FIRST_NEW)
+        found[name] = rows[~is_new]
+        new[name] = rows[is_new]
+    write("hidden_effects.md", page(found, new))
     one = _of_one_effect(found)
     if one:
         figure(one)
 
 
-def page(found: Tables) -> str:
-    """The page as Markdown."""
+def page(found: Tables, new: Tables | None = None) -> str:
+    """The page as Markdown.
+
+    Args:
+        found: cases by row.
+        new: those of new seeds.
+    """
     lines = ["# Hidden effects", "", INTRODUCTION, "", TERMS, ""]
     one = _of_one_effect(found)
     others = {name: rows for name, rows in found.items() if name not in one}
@@ -80,12 +94,52 @@ def page(found: Tables) -> str:
         lines += _one_effect(one)
     if others:
         lines += _other_kinds(others)
+    if new and any(len(rows) for rows in new.values()):
+        lines += _new_seeds(found, new)
     if found:
         everything = pd.concat(found.values(), ignore_index=True)
         lines += _instead(everything)
         lines += _failures(everything)
         lines += _commits(everything)
     return "\n".join(lines)
+
+
+def _new_seeds(found: Tables, new: Tables) -> list[str]:
+    """Rates on new seeds beside those on the first ones, names alone and with ties."""
+    after = pd.concat(list(new.values()), ignore_index=True)
+    text = markdown.paragraph(f"""
+        Seeds from {FIRST_NEW} on, not looked at before, beside the first ones, above,
+        which were examined while the diagnosis was developed. Named: the right effect
+        comes first. With ties: or a declared, true tie of it.
+        """)
+    records = []
+    for label, names in _groups_of_rows(found).items():
+        record: dict[str, object] = {"rows": label}
+        for when, tables in (("first seeds", found), ("new seeds", new)):
+            rows = [tables[name] for name in names if len(tables.get(name, []))]
+            if rows:
+                kept = scored(pd.concat(rows, ignore_index=True))
+                named = share(int(kept["right"].astype(bool).sum()), len(kept))
+                record[f"{when}: n"] = str(len(kept))
+                record[f"{when}: named"] = named
+                record[f"{when}: with ties"] = share_right(kept)
+        records.append(record)
+    commits = after["commit"].value_counts()
+    told = ", ".join(f"{commit} ({count} cases)" for commit, count in commits.items())
+    table = markdown.table(records)
+    return ["## New seeds", "", text, "", table, "", f"Commits: {told}.", ""]
+
+
+def _groups_of_rows(found: Tables) -> dict[str, list[str]]:
+    """Rows of one effect by noise, and the other kinds by themselves."""
+    groups: dict[str, list[str]] = {}
+    for name in found:
+        row = ROWS[name]
+        label = name.replace("_", " ")
+        if row.kind == "one":
+            label = f"one effect, noise {100 * row.noise[0]:g} %"
+        groups.setdefault(label, []).append(name)
+    return groups
 
 
 def _of_one_effect(found: Tables) -> dict[str, pd.DataFrame]:

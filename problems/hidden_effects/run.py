@@ -2,12 +2,14 @@
 nothing is hidden?
 
     python -m problems.hidden_effects.run [--quick] [--page] [--list] [--jobs=N]
-        [--scheduler=ADDRESS] [--seeds=N] [row ...]
+        [--scheduler=ADDRESS] [--first=SEED] [--seeds=N] [row ...]
 
 A row is named in full (coulomb_friction_0.03) or by its beginning (coulomb_friction,
 sensor). What came out of each case is kept in results/hidden_effects/<row>.csv as it is
 computed: a run that was interrupted goes on where it stopped, and --page writes the
-page anew. --quick runs one seed of each row in this process and writes nothing.
+page anew. --quick runs one seed of each row in this process and writes nothing. Seeds
+from 1000 on (--first=1000) are those that nobody looked at while the diagnosis became
+what it is; the page tells them apart from the first ones.
 """
 
 import os
@@ -32,12 +34,12 @@ N_SEEDS = 50
 Task = tuple[str, int]  # row and seed
 
 
-def main(names: list[str], n_seeds: int, jobs: int | None = None) -> None:
+def main(names: list[str], seeds: range, jobs: int | None = None) -> None:
     """Examine what is not yet in the tables, and write the page.
 
     The first seeds of all rows come first.
     """
-    tasks = _open_tasks(names, n_seeds)
+    tasks = _open_tasks(names, seeds)
     with workers(jobs) as executor:
         for done in sweep(_examined, tasks, executor=executor, progress=_say):
             store.append(done.result)
@@ -46,10 +48,10 @@ def main(names: list[str], n_seeds: int, jobs: int | None = None) -> None:
     write_page()
 
 
-def _open_tasks(names: list[str], n_seeds: int) -> dict[str, Task]:
+def _open_tasks(names: list[str], seeds: range) -> dict[str, Task]:
     done = {name: set(store.table(name)["seed"]) for name in names}
     tasks = {}
-    for seed in range(n_seeds):
+    for seed in seeds:
         for name in names:
             if seed not in done[name]:
                 tasks[f"{name}, seed {seed}"] = (name, seed)
@@ -95,5 +97,6 @@ if __name__ == "__main__":
         found = quick(selected, int(option("seeds", "1")))
         print(found.dropna(axis=1, how="all").to_string(index=False))
     else:
+        first = int(option("first", "0"))
         n_given = int(option("seeds", str(N_SEEDS)))
-        main(selected, n_given)
+        main(selected, range(first, first + n_given))
