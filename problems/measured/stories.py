@@ -8,6 +8,12 @@ else. It is `Study.auto`: what a verdict names, or proposes, is added.
     python -m problems.measured.stories [NAME ...]
 """
 
+import os
+
+# Before NumPy is loaded: processor seconds of one thread, not of those that wait.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import sys
 import time
 from collections.abc import Callable
