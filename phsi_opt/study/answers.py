@@ -9,19 +9,16 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.place_words import place_words
+from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import force_unit, spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
 from phsi_opt.presentation.numbers import capitalised, number, with_error
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.study.off_words import judged_words, off_words
 
-NOTHING_FOLLOWED = "It follows none of the states, the inputs, the time."
 NO_FORCE = "The residuals are no noise, but no missing force is sure."
-MOSTLY = 0.5  # share of a force's mean square that is most of it
 
 
 # ---- what is wrong
@@ -91,7 +88,7 @@ def class_of(finding: Finding) -> str:
 
 
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
-    """The equation, the values of the states, and what the force follows.
+    """The equation, what the force follows, or else the place where it is largest.
 
     What a cause explains is told where nothing has a name; the effect that is found, or
     was added, says it better.
@@ -99,15 +96,9 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
         return Answer("No equation, time or region stands out.")
-    place = f"In d{force.equation}/dt, {place_words(force)}."
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
-    cause = force.cause_in_brief if is_known else force.cause
-    if cause == NO_PATTERN:
-        return Answer(place, NOTHING_FOLLOWED)
-    left = float(force.shares["unexplained"])
-    if is_known or left < MOSTLY:
-        return Answer(place, f"It {cause}.")
-    return Answer(place, f"It {cause}; {100 * left:.0f} % follow nothing measured.")
+    is_named = is_past or bool(diagnosis.findings)
+    return place_answer(force, is_named, is_known)
 
 
 # ---- what to do
