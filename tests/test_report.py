@@ -18,7 +18,12 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.force_analysis.next_step import advice_of_cause, against_vibration
+from phsi_opt.force_analysis.causes import CAUSES
+from phsi_opt.force_analysis.next_step import (
+    advice_of_cause,
+    against_vibration,
+    likely_cause,
+)
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import frequency_words, with_units
 from phsi_opt.presentation.durations import date_words, dates_words, times_words
@@ -158,7 +163,7 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
         "With it, the held-out error fell from"
     )
     assert "no effect of the catalogue explains" in headline.sentence
-    answers = {fact.question: fact.answer for fact in headline.facts}
+    answers = {fact.question: fact.detail for fact in headline.facts}
     assert "dp/dt is off by" in answers["What is wrong"]
     assert "What to do next" in answers
 
@@ -184,7 +189,14 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     assert re.search(
         r"q by 0\.\d+ m \(\d+ % of its movement; noise alone \d+ %\)", wrong
     )
-    assert re.search(r"dp/dt is off by [\d.]+ N \(rms\), .* its own size", wrong)
+    assert re.search(
+        r"dp/dt is off by [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
+    )
+    assert re.match(
+        r"The free run misses q by 0\.\d+ m where noise alone is 0\.\d+ m\. The model's",
+        wrong,
+    )
+    assert "Simulated on data not used for fitting, the model is off: q by" in wrong
     assert "times the noise" not in wrong
     assert "dH_d" not in " ".join(answers.values())
     do = answers["What to do next"]
@@ -214,7 +226,7 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     [
         ({"unexplained": 0.9}, "thermal", "a further store of heat"),
         ({"unexplained": 0.9}, "", "a part that moves by itself (play"),
-        ({"parameters": 0.8}, "electrical", "Fit the halves of the record apart"),
+        ({"parameters": 0.8}, "electrical", "fit each half separately to see it"),
         ({"parameters": 0.8}, "electrical", "second resistor and capacitor"),
         ({"inputs": 0.8}, "", "Look at how the input u enters dp/dt"),
         ({"time": 0.8}, "", "Repeat the run"),
@@ -243,10 +255,36 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
     assert expected in str(said)
 
 
+@pytest.mark.parametrize(
+    ("shares", "expected"),
+    [
+        ({"unexplained": 0.9}, "A store or an input of heat seems to be missing"),
+        ({"inputs": 0.8}, "The way the input enters dTi/dt seems to be wrong"),
+        ({"time": 0.8}, "Something that changes with the time seems to be missing"),
+        ({"dissipated": 0.8}, ""),
+    ],
+)
+def test_the_likely_cause_comes_before_the_symptom(
+    shares: dict[str, float], expected: str
+) -> None:
+    model = ph.FirstOrder(
+        ["Ti"], {"Ti": ph.formula("-a*Ti", a=1.0)}, kind="thermal", inputs=["Q"]
+    )
+    row = dict.fromkeys(("parameters", *CAUSES, "unexplained"), 0.0) | shares
+    fit = SimpleNamespace(model=model)
+    force = SimpleNamespace(
+        equation="Ti", shares=row, cause="", record=SimpleNamespace(fit=fit)
+    )
+    assert likely_cause({}, force) == expected  # type: ignore[arg-type]
+
+
 def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
     pace = Pace(51.0, 0.75, 1 / 300, 700.0, 18.0)
     assert pace.is_vibration
-    assert "data.thinned(6)" in str(against_vibration(pace))
+    assert against_vibration(pace).lead == (
+        "Average every 6 samples (thinned = 6) and diagnose again; anything else that "
+        "is missing then shows."
+    )
 
 
 def test_units_have_their_powers_raised_and_formulas_stay() -> None:

@@ -447,9 +447,14 @@ def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
 
 
 def test_a_force_is_told_beside_the_models_own_rate() -> None:
-    assert Pace(1.0, 1.0, 0.1, 5.0, 2.0).size_words() == "2.5 times its own size"
-    assert Pace(1.0, 1.0, 0.1, 1.0, 2.0).size_words() == "50 % of its own size"
-    assert Pace(1.0, 1.0, 0.1, 1.0, 0.0).size_words() == ""
+    assert Pace(1.0, 1.0, 0.1, 5.0, 2.0).size_words("dp/dt") == (
+        "2.5 times the size of the model's own dp/dt"
+    )
+    assert (
+        Pace(1.0, 1.0, 0.1, 1.0, 2.0).size_words("dp/dt")
+        == "50 % of the model's own dp/dt"
+    )
+    assert Pace(1.0, 1.0, 0.1, 1.0, 0.0).size_words("dp/dt") == ""
 
 
 @pytest.fixture

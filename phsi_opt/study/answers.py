@@ -10,13 +10,14 @@ from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import force_unit, spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
 from phsi_opt.presentation.numbers import capitalised, number, with_error
 from phsi_opt.presentation.report_content import Answer
-from phsi_opt.study.off_words import judged_words, off_words
+from phsi_opt.study.off_words import judged_words, misses_words, off_words
 
 NO_FORCE = "The residuals are no noise, but no missing force is sure."
 
@@ -28,16 +29,27 @@ def wrong_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     """What is missing, how large it is, and how far the model is off."""
     force = EquationForce.of(diagnosis.analysis, None)
     off = (
-        f"Run freely beside {judged_words(is_held_out)}, the model is off: "
+        f"Simulated on {judged_words(is_held_out)}, the model is off: "
         f"{off_words(diagnosis.base)}."
     )
     lacking = NO_FORCE if force.is_uncertain else _lacking(force)
     if diagnosis.findings:
         return Answer(_missing_words(diagnosis), f"{lacking} {off}")
     if force.is_uncertain or not force.pace.is_vibration:
-        return Answer(lacking, off)
+        return _by_cause(diagnosis, force, f"{lacking} {off}")
     lead = f"Something swings {_speed(force)}: {VIBRATION_WORDS}."
-    return Answer(lead, f"{lacking} So fast a force has to be large to be seen. {off}")
+    return Answer(lead, f"{lacking} {off}")
+
+
+def _by_cause(diagnosis: Diagnosis, force: EquationForce, detail: str) -> Answer:
+    """The likely cause with what the free run misses; else the size alone."""
+    cause = ""
+    if not force.is_uncertain:
+        cause = likely_cause(force.record.units, force)
+    misses = misses_words(diagnosis.base)
+    if cause:
+        return Answer(f"{cause}: the free run {misses}.", detail)
+    return Answer(f"The free run {misses}.", detail)
 
 
 def _missing_words(diagnosis: Diagnosis) -> str:
@@ -51,7 +63,7 @@ def _missing_words(diagnosis: Diagnosis) -> str:
 
 def _lacking(force: EquationForce) -> str:
     """Size of the missing force, alone and beside the rate that the model has."""
-    beside = force.pace.size_words()
+    beside = force.pace.size_words(f"d{force.equation}/dt")
     said = f"The model's d{force.equation}/dt is off by {strength_words(force)}"
     return f"{said}, {beside}." if beside else f"{said}."
 

@@ -24,8 +24,8 @@ def step_story(study: StudyRecord, number: int) -> str:
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
         off = off_words(diagnosis.base)
         return (
-            f"On {judged_words(is_held_out)} the free run is off: {off}. That is what "
-            "noise leaves; these data show nothing that is missing."
+            f"Simulated on {judged_words(is_held_out)}, the model is off: {off}. "
+            "That is what noise leaves; these data show nothing that is missing."
         )
     told = (
         wrong_answer(diagnosis, is_held_out),
