@@ -143,7 +143,10 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     ]
     assert re.search(r"dp/dt was off by [\d.]+ N", answers["What was wrong"])
     assert "In dp/dt" in answers["Where it was"]
-    assert "From the start on" in answers["Since when"]
+    assert re.fullmatch(
+        r"In \w+ \d( of \d)? runs, (from their beginning|throughout); .* of run \d\.",
+        answers["Since when"],
+    )
     assert answers["What was added"].startswith("Coulomb friction on p, ")
     assert answers["What was added"].endswith(" N.")
     assert "lacked coulomb friction on p" in content.headline.sentence

@@ -32,8 +32,8 @@ from phsi_opt.study.answers import (
     where_answer,
     wrong_answer,
 )
-from phsi_opt.study.force_content import since_when
 from phsi_opt.study.report_content import scale_of_errors
+from phsi_opt.study.since_when import since_when
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:

@@ -23,8 +23,8 @@ from phsi_opt.study.answers import (
     where_answer,
     wrong_answer,
 )
-from phsi_opt.study.force_content import since_when
 from phsi_opt.study.record import StudyRecord
+from phsi_opt.study.since_when import since_when
 
 NOT_ASKED = "not diagnosed yet"
 SEVERITIES = {

@@ -185,7 +185,7 @@ def _settings(study: StudyRecord) -> tuple[Fact, ...]:
     if study.held_out is not None:
         held_out = _data(study.held_out)
     facts.append(Fact("Data held out", held_out))
-    starts = "estimated from the whole record of each trajectory, held out or not"
+    starts = "estimated from the whole record of each run, held out or not"
     facts.append(Fact("Starting states", starts))
     facts.append(Fact("Units", _units(study.train)))
     if study.train.inputs:
@@ -209,7 +209,7 @@ def _data(data: Measurements) -> str:
     if max(lengths) > min(lengths):
         extent += f" to {max(lengths) / scale.size:.4g}"
     n_runs = len(lengths)
-    runs = "1 trajectory" if n_runs == 1 else f"{n_runs} trajectories"
+    runs = "1 run" if n_runs == 1 else f"{n_runs} runs"
     return (
         f"{runs}, {data.n_samples} samples, {extent} {scale.unit}".rstrip()
         + f" each; SHA-256 {data.digest}"

@@ -38,7 +38,7 @@ def runs_of(study: StudyRecord) -> Runs:
     shown = _worst(runs, parts[0][1][0].weights)
     left_out = ""
     if n_runs > MOST_DRAWN_RUNS:
-        left_out = f"The first {MOST_DRAWN_RUNS} of {n_runs} trajectories are drawn."
+        left_out = f"The first {MOST_DRAWN_RUNS} of {n_runs} runs are drawn."
     labels = tuple(_label(step, number) for number, step in _numbered(study))
     sentence = _sentence(study, len(labels))
     return Runs(scale.unit, channels, labels, runs, shown, sentence, left_out)
@@ -119,7 +119,7 @@ def _sentence(study: StudyRecord, n_models: int) -> str:
     """What the reader should look for."""
     text = (
         "Free runs: each begins at a starting state estimated from the whole record "
-        "of its trajectory and never looks at the measurements again. Residuals "
+        "of its run and never looks at the measurements again. Residuals "
         "(measured less model) that stay within the noise band are what noise leaves."
     )
     if n_models > 1:

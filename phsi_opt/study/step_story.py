@@ -7,9 +7,9 @@ from phsi_opt.study.answers import (
     where_answer,
     wrong_answer,
 )
-from phsi_opt.study.force_content import since_when
 from phsi_opt.study.off_words import judged_words, off_words
 from phsi_opt.study.record import StudyRecord
+from phsi_opt.study.since_when import since_when
 
 
 def step_story(study: StudyRecord, number: int) -> str:
