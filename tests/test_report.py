@@ -46,6 +46,11 @@ from phsi_opt.presentation.report_content import (
 )
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit
+from phsi_opt.study.certainty import (
+    certainty_words,
+    disturbance_word,
+    undetermined_words,
+)
 from phsi_opt.study.force_content import shortened
 from phsi_opt.study.report_content import (
     beside_floor,
@@ -210,6 +215,31 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
         assert answer.strip() in failure.told
 
 
+def test_one_line_says_how_sure_it_is(study: ph.Study) -> None:
+    named = study.record.diagnoses[0]
+    said = certainty_words(named)
+    assert re.fullmatch(
+        r"(Certain that something is missing|The residuals are no noise) \(error "
+        r"1\.\d times the noise\)\. Cause: named\. ± is one standard error\.",
+        said,
+    )
+    unknown = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
+    assert "Cause: not known." in certainty_words(unknown)
+    assert report_content(study.record).headline.certainty.startswith("Nothing is seen")
+    assert disturbance_word(unknown) == ""
+
+
+def test_parameters_that_the_data_leave_open_are_named_on_the_first_screen(
+    study: ph.Study, page: str
+) -> None:
+    table = study.fit.parameters
+    assert undetermined_words(table) == ""
+    table = table.assign(std_error=[2 * abs(value) for value in table["value"]])
+    assert undetermined_words(table.head(2)) == (
+        "Not determined by these data: k, m (standard error above the value)."
+    )
+
+
 def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None:
     partly = replace(study.record.diagnoses[0], verdict=ph.Verdict.PARTLY_NAMED)
     record = replace(
@@ -218,7 +248,11 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     facts = report_content(record).headline.facts
     answers = {one.question: f"{one.answer} {one.detail}" for one in facts}
     assert answers["What is wrong"].startswith(
-        "Coulomb friction on p is missing, and something without a name beside. "
+        "Coulomb friction on p is missing, plus something not yet identified ("
+    )
+    assert re.search(
+        r"\(\d+(\.\d+)? % of the error above the noise; [\d.]+ times the noise\)\. ",
+        answers["What is wrong"],
     )
     assert "The held-out error falls from" in answers["What to add"]
     assert answers["What to add"].endswith("add, and diagnose again.")

@@ -58,7 +58,24 @@ def _missing_words(diagnosis: Diagnosis) -> str:
     verb = "is" if len(diagnosis.findings) == 1 else "are"
     if diagnosis.verdict == Verdict.NAMED:
         return f"{names} {verb} missing."
-    return f"{names} {verb} missing, and something without a name beside."
+    rest = _rest_words(diagnosis)
+    return f"{names} {verb} missing, plus something not yet identified{rest}."
+
+
+def _rest_words(diagnosis: Diagnosis) -> str:
+    """What is left with what is proposed, beside the error before and the noise."""
+    found = _proposed(diagnosis).comparison
+    if found is None:
+        return ""
+    floor = found.noise_floor
+    above = diagnosis.base.rmse - diagnosis.base.noise_floor
+    if not above > 0 or not floor > 0:
+        return ""
+    share = 100 * max(found.rmse - floor, 0.0) / above
+    times = number(found.rmse / floor, 2)
+    return (
+        f" ({number(share, 2)} % of the error above the noise; {times} times the noise)"
+    )
 
 
 def _lacking(force: EquationForce) -> str:

@@ -23,6 +23,11 @@ from phsi_opt.study.answers import (
     where_answer,
     wrong_answer,
 )
+from phsi_opt.study.certainty import (
+    certainty_words,
+    disturbance_word,
+    undetermined_words,
+)
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.since_when import since_when
 
@@ -68,7 +73,15 @@ def headline_of(study: StudyRecord) -> Headline:
     else:
         facts = _facts_without(study, present)
     sentence = _sentence(study, present)
-    return Headline(status, SEVERITIES[status], sentence, tuple(facts))
+    return Headline(
+        status,
+        SEVERITIES[status],
+        sentence,
+        tuple(facts),
+        beside="" if present is None else disturbance_word(present),
+        certainty="" if present is None else certainty_words(present),
+        caution=undetermined_words(study.last.fit.parameters),
+    )
 
 
 def _telling(study: StudyRecord, present: Diagnosis | None) -> Diagnosis | None:
