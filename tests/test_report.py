@@ -32,6 +32,9 @@ from phsi_opt.presentation.numbers import (
     estimate_text,
     number,
     p_value_words,
+    proper_names,
+    said,
+    short_constants,
     typeset,
     with_error,
 )
@@ -53,8 +56,9 @@ from phsi_opt.study.certainty import (
 )
 from phsi_opt.study.force_content import shortened
 from phsi_opt.study.report_content import (
-    beside_floor,
+    _at_floor,
     interval_within,
+    is_just_below,
     report_content,
     scale_of_errors,
 )
@@ -339,6 +343,23 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert estimate_text(1.87766, 0.0612) == "1.878 +- 0.061"
     assert estimate_text(0.00402, 0.006) == "0.004 +- 0.006"
     assert estimate_text(2.5, np.nan) == "2.5"
+    assert estimate_text(263.3, 1895.4) == "260 +- 1900"
+    assert number(2.6e2, 2) == "260" and number(748.6, 2) == "750"
+    assert number(2.79e-6, 3) == "2.79×10⁻⁶" and number(3.1e9, 2) == "3.1×10⁹"
+    assert said("a floor of 2.79e-06 m, run_1e5") == "a floor of 2.79×10⁻⁶ m, run_1e5"
+    assert short_constants("(0.00474972 m/s)**4") == "(0.00475 m/s)**4"
+    kept = "(0.123456 +- 0.000012 N) + 9.81*x"
+    assert short_constants(kept) == kept
+
+
+def test_coulomb_has_a_capital_where_people_read() -> None:
+    assert proper_names("+ coulomb friction on p") == "+ Coulomb friction on p"
+    code = "study.add('coulomb friction', 'p'); coulomb_friction_p.v0"
+    assert said("coulomb_friction_p.v0") == "coulomb_friction_p.v0"
+    assert proper_names(code).startswith("study.add('Coulomb") is False
+
+
+def test_bounds_cut_an_interval() -> None:
     damping = ph.Parameter(0.04, lower=0)
     assert damping.nearest_bound(9.6e-19) == 0
     assert interval_within(damping, -0.12, 0.2) == "0 to 0.2"
@@ -427,7 +448,8 @@ def test_verdict_table_and_picture_use_the_same_words(
     assert content.headline.status == verdict
     assert f"<title>Study of q: {verdict}</title>" in page
     for step in study.history["effect"]:
-        assert step in text
+        assert proper_names(step) in text
+    assert "coulomb friction" not in text.split("To reproduce it")[1].split("Seeds")[0]
     last = study.history.iloc[-1]
     assert f"{last['held_out_rmse']:.4g}" in text and number(last["bic"], 6) in text
     held_out = [step.held_out for step in content.staircase.steps]
@@ -627,10 +649,16 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
 
 
 def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it() -> None:
-    below = "an error just below it is one at it"
-    assert below in beside_floor(0.0423, 0.0424)
-    assert beside_floor(0.0440, 0.0424) == ""
-    assert beside_floor(0.0603, 0.0424) == ""
+    assert is_just_below(0.0423, 0.0424)
+    assert not is_just_below(0.0440, 0.0424)
+    assert not is_just_below(0.0203, 0.0424)
+    comparison = SimpleNamespace(rmse=0.0423, noise_floor=0.0424)
+    training = SimpleNamespace(rmse=0.0412, noise_floor=0.0424)
+    step = SimpleNamespace(judged=comparison, held_out=comparison, train=training)
+    assert _at_floor(step, 1.0) == (  # type: ignore[arg-type]
+        " 0.0423 and 0.0412 (training) equal the noise floor within its own "
+        "uncertainty."
+    )
 
 
 def test_errors_of_several_channels_are_told_in_percent(study: ph.Study) -> None:

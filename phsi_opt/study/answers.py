@@ -15,10 +15,13 @@ from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import force_unit, spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
+from phsi_opt.model.model import Model
+from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.numbers import capitalised, number, with_error
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.study.off_words import judged_words, misses_words, off_words
 
+QUADRATIC_INPUT = "quadratic input"
 NO_FORCE = "The residuals are no noise, but no missing force is sure."
 
 
@@ -54,12 +57,28 @@ def _by_cause(diagnosis: Diagnosis, force: EquationForce, detail: str) -> Answer
 
 def _missing_words(diagnosis: Diagnosis) -> str:
     """The names of what is missing."""
-    names = capitalised(" and ".join(map(class_of, diagnosis.findings)))
+    model = diagnosis.base.model
+    told = [
+        _plainly(finding, model) or class_of(finding) for finding in diagnosis.findings
+    ]
+    names = capitalised(" and ".join(told))
     verb = "is" if len(diagnosis.findings) == 1 else "are"
     if diagnosis.verdict == Verdict.NAMED:
         return f"{names} {verb} missing."
     rest = _rest_words(diagnosis)
     return f"{names} {verb} missing, plus something not yet identified{rest}."
+
+
+def _plainly(finding: Finding, model: Model) -> str:
+    """What an effect is where its name alone says little; "" for others."""
+    effect = finding.effects[0]
+    if not finding.is_name or not effect.name.startswith(QUADRATIC_INPUT):
+        return ""
+    (term,) = effect.term
+    is_force = effect.equation in position_of_momentum(model)
+    what = "a force" if is_force else "something"
+    law = term.body.replace("**", "^")
+    return f"{what} in proportion to {law} in d{effect.equation}/dt ({effect.name})"
 
 
 def _rest_words(diagnosis: Diagnosis) -> str:

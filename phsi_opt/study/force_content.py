@@ -19,7 +19,7 @@ from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.axes import label
 from phsi_opt.presentation.durations import date_words, scale_of_time
-from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.numbers import number, proper_names, with_error
 from phsi_opt.presentation.report_content import (
     Failure,
     Follows,
@@ -142,8 +142,8 @@ def law_of(law: EffectLaw) -> Law:
         f"The law that was added: what d{law.force.equation}/dt lacks where "
         f"{law.effect} is left out of the present model and all other values stay"
     )
-    follows = _beside(law.dependence, sentence)
-    return Law(law.title, law.force.force_label(), follows)
+    follows = _beside(law.dependence, proper_names(sentence))
+    return Law(proper_names(law.title), law.force.force_label(), follows)
 
 
 def _beside(found: Dependence, sentence: str) -> Follows:
@@ -195,6 +195,8 @@ def _ranked(row: pd.Series, unit: str, classes: Mapping[str, list[str]]) -> Rank
         if other and other not in alike:
             alike.append(other)
     confused = shortened(", ".join(alike))
+    name = proper_names(name)
+    confused = proper_names(confused)
     return Ranked(name, size, explains, share, error, confused, str(row["lost"]))
 
 

@@ -245,7 +245,7 @@ def _was_added(study: StudyRecord, diagnosis: Diagnosis) -> str:
 def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
     """The answers where no diagnosis has found anything missing."""
     judged = study.last.judged
-    ratio = f"{judged.rmse / judged.noise_floor:.3g} times the noise floor"
+    ratio = f"{number(judged.rmse / judged.noise_floor, 3)} times the noise floor"
     error = errors_in_words(study)
     error = f"{capitalised(error)}: {ratio}."
     if present is None:

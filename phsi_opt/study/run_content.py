@@ -4,6 +4,7 @@ import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.presentation.durations import date_words, scale_of_time
+from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.presentation.report_content import Channel, ChannelRun, Run, Runs
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.study.record import StudyRecord
@@ -58,7 +59,8 @@ def _label(step: Step, number: int) -> str:
     if number == 0:
         return step.label
     is_addition = not step.label.startswith("without ")
-    return f"step {number}: {'with ' if is_addition else ''}{step.label}"
+    named = proper_names(step.label)
+    return f"step {number}: {'with ' if is_addition else ''}{named}"
 
 
 def _channels(study: StudyRecord) -> tuple[Channel, ...]:
