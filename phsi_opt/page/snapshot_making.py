@@ -26,11 +26,17 @@ from phsi_opt.page.snapshot import (
     Snapshot,
 )
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
+from phsi_opt.presentation.numbers import short_constants
 from phsi_opt.study import Study
 from phsi_opt.study.answers import (
     to_do_answer,
     where_answer,
     wrong_answer,
+)
+from phsi_opt.study.certainty import (
+    certainty_words,
+    disturbance_word,
+    undetermined_words,
 )
 from phsi_opt.study.report_content import scale_of_errors
 from phsi_opt.study.since_when import since_when
@@ -56,9 +62,10 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         t_unit=study.train.units.get("t", ""),
         steps=tuple(_steps(study)),
         added=tuple(str(effect) for effect in study.added),
-        equations=tuple(equation_lines(study.fit)),
+        equations=tuple(map(short_constants, equation_lines(study.fit))),
         parameters=tuple(_parameters(study.fit.parameters)),
         warning=step.judged.warning,
+        caution=undetermined_words(study.fit.parameters),
         runs=tuple(runs),
         forces=tuple(forces),
         diagnosed=None if diagnosis is None else _diagnosed(diagnosis, is_held_out),
@@ -109,6 +116,8 @@ def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
         reason=diagnosis.reason,
         is_missing=diagnosis.verdict != Verdict.NOTHING_MISSING,
         is_named=bool(diagnosis.findings),
+        certainty=certainty_words(diagnosis),
+        beside=disturbance_word(diagnosis),
         sentences=tuple(diagnosis.sentences),
         **_strongest(diagnosis),
         wrong=wrong_answer(diagnosis, is_held_out),
