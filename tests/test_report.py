@@ -25,7 +25,12 @@ from phsi_opt.force_analysis.next_step import (
     likely_cause,
 )
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.units import frequency_words, with_units
+from phsi_opt.force_analysis.units import (
+    RateScale,
+    frequency_words,
+    scale_of_rate,
+    with_units,
+)
 from phsi_opt.presentation.durations import date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import html_report, script_json
 from phsi_opt.presentation.numbers import (
@@ -422,6 +427,16 @@ def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
     assert {run.since for run in content.runs.runs} == {"2021-11-22 06:30"}
     since = {fact.question: fact.answer for fact in content.headline.facts}
     assert "(2021-11-22 06:30" in since["Since when"]
+
+
+def test_rates_of_long_records_are_told_per_hour() -> None:
+    units = {"Ti": "degC", "p": "kg m/s", "q": "m", "t": "s"}
+    day = 86400.0
+    assert scale_of_rate("Ti", units, day) == RateScale("degC/h", 1 / 3600)
+    assert scale_of_rate("Ti", units, 600.0) == RateScale("degC/s")
+    assert scale_of_rate("p", units, day) == RateScale("N")
+    assert scale_of_rate("q", units, day) == RateScale("m/s")
+    assert scale_of_rate("Ti", units | {"t": "h"}, 300.0) == RateScale("degC/h")
 
 
 def test_a_period_of_a_day_is_told_as_one() -> None:

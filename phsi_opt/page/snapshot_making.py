@@ -12,7 +12,7 @@ from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import THROUGHOUT
-from phsi_opt.force_analysis.units import force_unit
+from phsi_opt.force_analysis.units import scale_of_rate
 from phsi_opt.page.snapshot import (
     HELD_OUT,
     TRAINING,
@@ -177,20 +177,23 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
     t = grid.t[grid.begin] + grid.h / 2
     run_of = grid.trajectory[grid.begin]
     deviation = force_deviation(estimate)
+    units = record.data.units
+    longest = float(t.max())
     forces = []
     for number, run in enumerate(record.data.trajectories):
         inside = run_of == number
         for column, row in enumerate(estimate.prior.rows):
             equation = record.model.states[row]
+            scale = scale_of_rate(equation, units, longest)
             forces.append(
                 ForceCurve(
                     run=run.name,
                     part=part,
                     equation=equation,
-                    unit=force_unit(equation, record.data.units),
+                    unit=scale.unit,
                     t=t[inside],
-                    force=estimate.w[inside, column],
-                    std=deviation[inside, column],
+                    force=estimate.w[inside, column] / scale.size,
+                    std=deviation[inside, column] / scale.size,
                     origin=run.origin,
                 )
             )

@@ -7,7 +7,9 @@ TEXT_DIGITS = 4  # of a number in a text
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
 SUPERSCRIPTS = dict(zip("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹", strict=True))
-POWER_OF_TEN = re.compile(r"(?<=\d)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.])")
+POWER_OF_TEN = re.compile(
+    r"(?<![\w.])(\d+(?:\.\d+)?)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
+)
 LARGEST_DECIMAL = 1e6  # up to which a number is written without a power of ten
 # Names of people; names of effects are small letters in code.
 PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
@@ -90,8 +92,8 @@ def said(text: str) -> str:
 
 
 def _power_of_ten(found: re.Match[str]) -> str:
-    sign = "" if found[1] in ("", "+") else "\N{SUPERSCRIPT MINUS}"
-    return f"\N{MULTIPLICATION SIGN}10{sign}{found[2].translate(RAISED)}"
+    sign = "" if found[2] in ("", "+") else "\N{SUPERSCRIPT MINUS}"
+    return f"{found[1]}\N{MULTIPLICATION SIGN}10{sign}{found[3].translate(RAISED)}"
 
 
 def proper_names(text: str) -> str:

@@ -13,7 +13,7 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import place_answer
-from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
@@ -123,8 +123,9 @@ def was_wrong_words(diagnosis: Diagnosis, whose: str) -> str:
 
 def strength_words(force: EquationForce) -> str:
     """Root mean square of a missing force with its unit."""
-    unit = spaced(force_unit(force.equation, force.record.units))
-    return f"{number(float(force.where['strength']), 3)}{unit} (rms)"
+    scale = force.scale
+    strength = float(force.where["strength"]) / scale.size
+    return f"{number(strength, 3)}{spaced(scale.unit)} (rms)"
 
 
 def class_of(finding: Finding) -> str:

@@ -83,7 +83,7 @@ def _force(force: EquationForce) -> Force:
     t_label = label("t", scale.unit)
     return Force(
         f"d{force.equation}/dt",
-        force.force_label(),
+        force.told_label,
         t_label,
         force.sentence,
         _force_runs(force, scale.size),
@@ -104,9 +104,10 @@ def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
         inside = np.flatnonzero(record.run == number_of_run)
         kept = inside[thinned([force.w[inside]], most)]
         t = rounded(record.t[kept] / size, DIGITS_OF_TIME)
-        w = rounded(force.w[kept])
+        rate = force.scale.size
+        w = rounded(force.w[kept] / rate)
         since = date_words(0.0, record.origins[number_of_run])
-        runs.append(ForceRun(name, t, w, rounded(deviation[kept]), since))
+        runs.append(ForceRun(name, t, w, rounded(deviation[kept] / rate), since))
     return runs
 
 
@@ -117,7 +118,7 @@ def _map(force: EquationForce) -> ForceMap | None:
     found = MeanForce.of(force, names)
     rows = []
     for row in found.mean.T:
-        rows.append(rounded(np.ma.filled(row, np.nan)))
+        rows.append(rounded(np.ma.filled(row, np.nan) / force.scale.size))
     return ForceMap(
         force.variable_label(names[0]),
         force.variable_label(names[1]),
@@ -133,7 +134,7 @@ def _follows(force: EquationForce) -> Follows | None:
         return None
     variable = force.single_variable(None)
     found = Dependence.of(force, variable)
-    return _beside(found, dependence_title(force, variable))
+    return _beside(found, dependence_title(force, variable), force.scale.size)
 
 
 def law_of(law: EffectLaw) -> Law:
@@ -142,17 +143,20 @@ def law_of(law: EffectLaw) -> Law:
         f"The law that was added: what d{law.force.equation}/dt lacks where "
         f"{law.effect} is left out of the present model and all other values stay"
     )
-    follows = _beside(law.dependence, proper_names(sentence))
-    return Law(proper_names(law.title), law.force.force_label(), follows)
+    rate = law.force.scale.size
+    follows = _beside(law.dependence, proper_names(sentence), rate)
+    return Law(proper_names(law.title), law.force.told_label, follows)
 
 
-def _beside(found: Dependence, sentence: str) -> Follows:
-    bins = Bins.of(found.z, found.w)
+def _beside(found: Dependence, sentence: str, rate: float) -> Follows:
+    """A force against what it follows; ``rate``: unit in which it is told."""
+    w = found.w / rate
+    bins = Bins.of(found.z, w)
     step = max(1, len(found.z) // MOST_DRAWN_DOTS)
     return Follows(
         found.label,
         rounded(found.z[::step]),
-        rounded(found.w[::step]),
+        rounded(w[::step]),
         rounded(bins.centre),
         rounded(bins.mean),
         rounded(bins.std),
