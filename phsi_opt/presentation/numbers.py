@@ -13,7 +13,7 @@ POWER_OF_TEN = re.compile(
 LARGEST_DECIMAL = 1e6  # up to which a number is written without a power of ten
 # Names of people; names of effects are small letters in code.
 PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
-CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
+LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
 SHOWN_DIGITS = 5  # of a constant that somebody may have chosen
 RAISED = str.maketrans(SUPERSCRIPTS)
 LEAST_P_VALUE = 1e-6  # below which it only says that chance is ruled out
@@ -64,7 +64,7 @@ def estimate_text(value: float, std_error: float) -> str:
 
 def short_constants(line: str) -> str:
     """An equation whose constants of six digits have three; estimates stay."""
-    return CONSTANT.sub(_three_digits, line)
+    return LONG_CONSTANT.sub(_three_digits, line)
 
 
 def _three_digits(found: re.Match[str]) -> str:

@@ -11,6 +11,7 @@ from phsi_opt.presentation.numbers import number
 ONE_ERROR = "\N{PLUS-MINUS SIGN} is one standard error."
 # Times the noise floor from which an error alone says that something is missing.
 SURE_ERROR = 1.5
+AT_NOISE = 1.05  # times the noise floor up to which an error is that of the noise
 MOST_NAMED = 4  # parameters
 FAST_DISTURBANCE = "fast disturbance"
 
@@ -20,6 +21,8 @@ def certainty_words(diagnosis: Diagnosis) -> str:
     base = diagnosis.base
     ratio = base.rmse / base.noise_floor
     times = f"error {number(ratio, 2)} times the noise"
+    if ratio < AT_NOISE:
+        times = "the error is that of the noise"
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
         return f"Nothing is seen to be missing ({times}). {ONE_ERROR}"
     sure = "The residuals are no noise"
