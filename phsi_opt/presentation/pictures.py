@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
-from phsi_opt.presentation.numbers import number
+from phsi_opt.presentation.numbers import number, proper_names
 from phsi_opt.presentation.units import rate_unit
 
 LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
@@ -295,7 +295,8 @@ def draw_errors(
         ax.plot(steps + aside, held_out, "o-", color=MODEL, label="held out")
         _write_errors(ax, steps + aside, held_out, MODEL, "left")
     ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=30)
-    ax.set_xticks(steps, _step_labels(ax, labels))
+    called = [proper_names(one) for one in labels]
+    ax.set_xticks(steps, _step_labels(ax, called))
     ax.set_ylabel(label("free-run rmse", unit))
     ax.set_title("Free-run error after each added effect")
     _scale_errors(ax, np.concatenate([train, held_out, floor]), len(labels))
