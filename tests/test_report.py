@@ -228,12 +228,16 @@ def test_one_line_says_how_sure_it_is(study: ph.Study) -> None:
     named = study.record.diagnoses[0]
     said = certainty_words(named)
     assert re.fullmatch(
-        r"(Certain that something is missing|The residuals are no noise) \(error "
+        r"Certain that something is missing \(error "
         r"1\.\d times the noise\)\. Cause: named\. ± is one standard error\.",
         said,
     )
     unknown = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
+    # The error alone, a little above the noise, makes nothing certain.
+    assert certainty_words(unknown).startswith("The residuals are no noise (error 1.")
     assert "Cause: not known." in certainty_words(unknown)
+    partly = replace(named, verdict=ph.Verdict.PARTLY_NAMED)
+    assert "Cause: a part is named." in certainty_words(partly)
     assert report_content(study.record).headline.certainty.startswith("Nothing is seen")
     assert disturbance_word(unknown) == ""
 

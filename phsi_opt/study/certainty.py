@@ -26,7 +26,7 @@ def certainty_words(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
         return f"Nothing is seen to be missing ({times}). {ONE_ERROR}"
     sure = "The residuals are no noise"
-    if ratio > SURE_ERROR:
+    if ratio > SURE_ERROR or diagnosis.findings:  # these are established
         sure = "Certain that something is missing"
     return f"{sure} ({times}). Cause: {_cause(diagnosis)}. {ONE_ERROR}"
 
