@@ -35,6 +35,7 @@ from phsi_opt.page.snapshot import (
     RunCurves,
     Snapshot,
     force_near,
+    worst_within,
 )
 from phsi_opt.page.snapshot_making import window_of
 from phsi_opt.page.unknown_names import unknown_names
@@ -464,6 +465,17 @@ def test_the_charts_open_on_the_channel_that_is_farthest_off() -> None:
     run = RunCurves("run 1", "training", t, (q, v))
     snapshot = SimpleNamespace(runs=(run,))
     assert Snapshot.worst_channel(snapshot, 0) == "v"  # type: ignore[arg-type]
+
+
+def test_the_worst_moment_is_where_the_model_is_off_while_the_force_is_sure() -> None:
+    t = np.arange(11.0)
+    off = np.array([0.0, 0, 0, 0, 1, 0, 0, 5, 0, 9, 0])
+    strong = np.array([0.0, 0, 0, 0, 8, 0, 4, 4, 0, 0, 0])
+    curve = ForceCurve("run 1", "training", "p", "N", t, strong, 0 * t + 1.0)
+    assert worst_within(curve, t, off, (0.0, 10.0)) == 7.0
+    assert worst_within(curve, t, off, (0.0, 5.0)) == 4.0
+    unsure = replace(curve, force=strong / 10)
+    assert worst_within(unsure, t, off, (0.0, 10.0)) == 4.0
 
 
 def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days() -> (

@@ -270,16 +270,21 @@ class Snapshot:
 
     @property
     def first_time(self) -> float | None:
-        """The time of that run at which the missing force stands out most, if any.
+        """The time of that run at which a sure force has done most, if there is any.
 
         It lies within the window that the diagnosis names, where it names one.
         """
         if self.diagnosed is None or not self.diagnosed.run:
             return None
         window = self.diagnosed.window or (-np.inf, np.inf)
-        for curve in self.forces_along(self.runs[self.first_run]):
+        number_of_run = self.first_run
+        run = self.runs[number_of_run]
+        shown = self.worst_channel(number_of_run)
+        (channel,) = (one for one in run.channels if one.name == shown)
+        off = np.abs(np.nan_to_num(channel.residual))
+        for curve in self.forces_along(run):
             if curve.equation == self.diagnosed.equation:
-                return strongest_within(curve, *window)
+                return worst_within(curve, run.t, off, window)
         return None
 
     def worst_channel(self, run: int) -> str:
@@ -304,13 +309,27 @@ class Snapshot:
         return found
 
 
-def strongest_within(curve: ForceCurve, begin: float, end: float) -> float:
-    """The time at which a force is surest, in a part of its run."""
+def worst_within(
+    curve: ForceCurve, t: np.ndarray, off: np.ndarray, window: tuple[float, float]
+) -> float:
+    """The time at which a run is farthest off while the missing force is sure.
+
+    Where the force is sure at no time of the window, that at which it is surest.
+
+    Args:
+        curve: the missing force.
+        t: (n_samples,) of the run; ``off``: sizes of its residual.
+        window: of the run.
+    """
     sureness = np.abs(curve.force) / curve.std
-    inside = (curve.t >= begin) & (curve.t <= end)
-    if inside.any():
-        sureness = np.where(inside, sureness, -1.0)
-    return float(curve.t[np.argmax(sureness)])
+    inside = (curve.t >= window[0]) & (curve.t <= window[1])
+    if not inside.any():
+        inside = np.ones(len(curve.t), dtype=bool)
+    is_sure = inside & (sureness > SURE)
+    if not is_sure.any():
+        return float(curve.t[np.argmax(np.where(inside, sureness, -1.0))])
+    found = np.where(is_sure, np.interp(curve.t, t, off), -1.0)
+    return float(curve.t[np.argmax(found)])
 
 
 def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
