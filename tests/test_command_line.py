@@ -681,7 +681,7 @@ def test_a_study_finds_what_is_missing_and_writes_it_down(demo: Path) -> None:
     assert result.returncode == ExitCode.DONE, result.stderr
     assert "coulomb friction on p" in result.stdout
     assert "written: report.html" in result.stderr
-    assert "coulomb friction on p" in demo.with_name("report.html").read_text()
+    assert "Coulomb friction on p" in demo.with_name("report.html").read_text()
     names = ph.Fit.load(demo.with_name("fit.json")).names
     assert "coulomb_friction_p" in names
     assert ph.StudyFile.read(demo).steps.added == ("coulomb friction on p",)

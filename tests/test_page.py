@@ -23,8 +23,8 @@ SHOWN_WITHIN = 20_000  # ms, for what needs no solve; a busy machine takes its t
 SOLVED_WITHIN = 90_000  # ms
 CANCELLED_WITHIN = 2.0  # s
 CLICKED = re.compile("^At t = ")
-EFFECT = "coulomb friction on p"
-NAMED = f"{EFFECT.capitalize()} is missing."
+CALLED = "Coulomb friction on p"
+NAMED = f"{CALLED} is missing."
 # The framework asks plotly to resize charts of a part that is not shown, in vain.
 HARMLESS = "Resize must be passed a displayed plot div element."
 expect.set_options(timeout=SHOWN_WITHIN)
@@ -103,9 +103,13 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     said = facts(page)
     assert NAMED in said
     assert "In dp/dt" in said
-    assert "; strongest at t = " in said
+    assert re.search("; (strongest|seen most clearly) at t = ", said)
     assert "is off by" in said
-    assert f"{EFFECT}, " in said
+    assert f"{CALLED}, " in said
+    assert "missing: named" in said
+    assert "Cause: named. ± is one standard error." in said
+    expect(page.get_by_text("worst moment").first).to_be_visible()
+    expect(page.get_by_text("Ready.")).to_be_hidden()
     nothing_is_solved(page)
     error_before = held_out_error(page, step=0)
 
@@ -121,16 +125,16 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert float(looked_at) > 2.0
     run_shown = page.get_by_label("run", exact=True).input_value()
 
-    page.get_by_role("button", name=f"Add {EFFECT}", exact=True).press("Enter")
+    page.get_by_role("button", name=f"Add {CALLED}", exact=True).press("Enter")
     expect(page.get_by_text("Nothing is missing.")).to_be_visible(timeout=SOLVED_WITHIN)
     nothing_is_solved(page)
     assert held_out_error(page, step=1) < 0.8 * error_before
     # The same place before and after, and nothing more is offered.
     assert page.get_by_label("look at the time (s)").input_value() == looked_at
     assert page.get_by_label("run", exact=True).input_value() == run_shown
-    expect(page.get_by_role("button", name="Add until nothing is left")).to_have_count(
-        0
-    )
+    automatic = page.get_by_role("button", name="Add effects automatically until")
+    expect(automatic).to_have_count(0)
+    expect(page.get_by_text("Tried, none needed")).to_be_visible()
     assert unlabelled_fields(page) == []
 
     with page.expect_download() as download:
@@ -140,7 +144,7 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert report.suffix == ".html"
     page.goto(report.as_uri())
     expect(page.get_by_role("heading", level=1)).to_be_visible()
-    assert EFFECT in page.inner_text("body")
+    assert CALLED in page.inner_text("body")
 
 
 def held_out_error(page: Page, step: int) -> float:

@@ -19,7 +19,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.errors import Complaint
 from phsi_opt.force_analysis.localization import THROUGHOUT
-from phsi_opt.page import style
+from phsi_opt.page import charts, style
 from phsi_opt.page.complaint_words import complaint_words
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
 from phsi_opt.page.gallery import GALLERY, SPRING, BaseModel
@@ -28,7 +28,15 @@ from phsi_opt.page.matching import match_states
 from phsi_opt.page.serve import is_loopback, serve
 from phsi_opt.page.session import Job, Look, Session
 from phsi_opt.page.sessions import Sessions
-from phsi_opt.page.snapshot import ErrorStep, force_near
+from phsi_opt.page.snapshot import (
+    ChannelCurves,
+    ErrorStep,
+    ForceCurve,
+    RunCurves,
+    Snapshot,
+    force_near,
+    worst_within,
+)
 from phsi_opt.page.snapshot_making import window_of
 from phsi_opt.page.unknown_names import unknown_names
 from phsi_opt.page.upload_limit import UploadLimit
@@ -448,6 +456,43 @@ def test_the_charts_open_where_the_diagnosis_says(studied: Session) -> None:
     assert studied.look.run == nowhere.worst_run
     assert studied.look.t is None
     studied._show(known)
+
+
+def test_the_charts_open_on_the_channel_that_is_farthest_off() -> None:
+    t = np.linspace(0.0, 10.0, 101)
+    q = ChannelCurves("q", "rad", np.sin(t), np.sin(t) + 0.1, 0.01)
+    v = ChannelCurves("v", "rad/s", 5 * np.cos(t), 3 * np.cos(t), 0.1)
+    run = RunCurves("run 1", "training", t, (q, v))
+    snapshot = SimpleNamespace(runs=(run,))
+    assert Snapshot.worst_channel(snapshot, 0) == "v"  # type: ignore[arg-type]
+
+
+def test_the_worst_moment_is_where_the_model_is_off_while_the_force_is_sure() -> None:
+    t = np.arange(11.0)
+    off = np.array([0.0, 0, 0, 0, 1, 0, 0, 5, 0, 9, 0])
+    strong = np.array([0.0, 0, 0, 0, 8, 0, 4, 4, 0, 0, 0])
+    curve = ForceCurve("run 1", "training", "p", "N", t, strong, 0 * t + 1.0)
+    assert worst_within(curve, t, off, (0.0, 10.0)) == 7.0
+    assert worst_within(curve, t, off, (0.0, 5.0)) == 4.0
+    unsure = replace(curve, force=strong / 10)
+    assert worst_within(unsure, t, off, (0.0, 10.0)) == 4.0
+
+
+def test_the_worst_moment_is_marked_with_its_words_and_long_times_told_in_days() -> (
+    None
+):
+    t = np.linspace(0.0, 20 * 86400.0, 101)
+    channel = ChannelCurves("Ti", "degC", np.sin(t), np.cos(t), 0.01)
+    run = RunCurves("house", "training", t, (channel,))
+    figure = charts.free_run(run, channel, "s", mark=5 * 86400.0, is_worst=True)
+    notes = {note["text"]: note for note in figure["layout"]["annotations"]}
+    assert notes["worst moment"]["x"] == 5.0
+    assert figure["data"][0]["x"][-1] == 20.0
+    assert figure["layout"]["xaxis"]["title"]["text"] == "time (days)"
+    looked_at = charts.free_run(run, channel, "s", mark=5 * 86400.0)
+    assert "the time looked at" in str(looked_at["layout"]["annotations"])
+    force = ForceCurve("house", "training", "Ti", "degC/h", t, np.cos(t), 0 * t + 0.1)
+    assert "At t = 0.25 days of house" in force_near(force, 6 * 3600.0, "s")
 
 
 def test_after_a_step_the_charts_stay_where_the_user_looked(studied: Session) -> None:

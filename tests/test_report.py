@@ -18,15 +18,28 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.force_analysis.next_step import advice_of_cause, against_vibration
+from phsi_opt.force_analysis.causes import CAUSES
+from phsi_opt.force_analysis.next_step import (
+    advice_of_cause,
+    against_vibration,
+    likely_cause,
+)
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.units import frequency_words, with_units
+from phsi_opt.force_analysis.units import (
+    RateScale,
+    frequency_words,
+    scale_of_rate,
+    with_units,
+)
 from phsi_opt.presentation.durations import date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import html_report, script_json
 from phsi_opt.presentation.numbers import (
     estimate_text,
     number,
     p_value_words,
+    proper_names,
+    said,
+    short_constants,
     typeset,
     with_error,
 )
@@ -41,10 +54,16 @@ from phsi_opt.presentation.report_content import (
 )
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit
+from phsi_opt.study.certainty import (
+    certainty_words,
+    disturbance_word,
+    undetermined_words,
+)
 from phsi_opt.study.force_content import shortened
 from phsi_opt.study.report_content import (
-    beside_floor,
+    _at_floor,
     interval_within,
+    is_just_below,
     report_content,
     scale_of_errors,
 )
@@ -138,7 +157,10 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     ]
     assert re.search(r"dp/dt was off by [\d.]+ N", answers["What was wrong"])
     assert "In dp/dt" in answers["Where it was"]
-    assert "From the start on" in answers["Since when"]
+    assert re.fullmatch(
+        r"In \w+ \d( of \d)? runs, (from their beginning|throughout); .* of run \d\.",
+        answers["Since when"],
+    )
     assert answers["What was added"].startswith("Coulomb friction on p, ")
     assert answers["What was added"].endswith(" N.")
     assert "lacked coulomb friction on p" in content.headline.sentence
@@ -158,7 +180,7 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
         "With it, the held-out error fell from"
     )
     assert "no effect of the catalogue explains" in headline.sentence
-    answers = {fact.question: fact.answer for fact in headline.facts}
+    answers = {fact.question: fact.detail for fact in headline.facts}
     assert "dp/dt is off by" in answers["What is wrong"]
     assert "What to do next" in answers
 
@@ -184,7 +206,14 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     assert re.search(
         r"q by 0\.\d+ m \(\d+ % of its movement; noise alone \d+ %\)", wrong
     )
-    assert re.search(r"dp/dt is off by [\d.]+ N \(rms\), .* its own size", wrong)
+    assert re.search(
+        r"dp/dt is off by [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
+    )
+    assert re.match(
+        r"The free run misses q by 0\.\d+ m where noise alone is 0\.\d+ m\. The model's",
+        wrong,
+    )
+    assert "Simulated on data not used for fitting, the model is off: q by" in wrong
     assert "times the noise" not in wrong
     assert "dH_d" not in " ".join(answers.values())
     do = answers["What to do next"]
@@ -195,6 +224,35 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
         assert answer.strip() in failure.told
 
 
+def test_one_line_says_how_sure_it_is(study: ph.Study) -> None:
+    named = study.record.diagnoses[0]
+    said = certainty_words(named)
+    assert re.fullmatch(
+        r"Certain that something is missing \(error "
+        r"1\.\d times the noise\)\. Cause: named\. ± is one standard error\.",
+        said,
+    )
+    unknown = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
+    # The error alone, a little above the noise, makes nothing certain.
+    assert certainty_words(unknown).startswith("The residuals are no noise (error 1.")
+    assert "Cause: not known." in certainty_words(unknown)
+    partly = replace(named, verdict=ph.Verdict.PARTLY_NAMED)
+    assert "Cause: a part is named." in certainty_words(partly)
+    assert report_content(study.record).headline.certainty.startswith("Nothing is seen")
+    assert disturbance_word(unknown) == ""
+
+
+def test_parameters_that_the_data_leave_open_are_named_on_the_first_screen(
+    study: ph.Study, page: str
+) -> None:
+    table = study.fit.parameters
+    assert undetermined_words(table) == ""
+    table = table.assign(std_error=[2 * abs(value) for value in table["value"]])
+    assert undetermined_words(table.head(2)) == (
+        "Not determined by these data: k, m (standard error above the value)."
+    )
+
+
 def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None:
     partly = replace(study.record.diagnoses[0], verdict=ph.Verdict.PARTLY_NAMED)
     record = replace(
@@ -203,7 +261,11 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     facts = report_content(record).headline.facts
     answers = {one.question: f"{one.answer} {one.detail}" for one in facts}
     assert answers["What is wrong"].startswith(
-        "Coulomb friction on p is missing, and something without a name beside. "
+        "Coulomb friction on p is missing, plus something not yet identified ("
+    )
+    assert re.search(
+        r"\(\d+(\.\d+)? % of the error above the noise; [\d.]+ times the noise\)\. ",
+        answers["What is wrong"],
     )
     assert "The held-out error falls from" in answers["What to add"]
     assert answers["What to add"].endswith("add, and diagnose again.")
@@ -214,7 +276,7 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     [
         ({"unexplained": 0.9}, "thermal", "a further store of heat"),
         ({"unexplained": 0.9}, "", "a part that moves by itself (play"),
-        ({"parameters": 0.8}, "electrical", "Fit the halves of the record apart"),
+        ({"parameters": 0.8}, "electrical", "fit each half separately to see it"),
         ({"parameters": 0.8}, "electrical", "second resistor and capacitor"),
         ({"inputs": 0.8}, "", "Look at how the input u enters dp/dt"),
         ({"time": 0.8}, "", "Repeat the run"),
@@ -243,10 +305,36 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
     assert expected in str(said)
 
 
+@pytest.mark.parametrize(
+    ("shares", "expected"),
+    [
+        ({"unexplained": 0.9}, "A store or an input of heat seems to be missing"),
+        ({"inputs": 0.8}, "The way the input enters dTi/dt seems to be wrong"),
+        ({"time": 0.8}, "Something that changes with the time seems to be missing"),
+        ({"dissipated": 0.8}, ""),
+    ],
+)
+def test_the_likely_cause_comes_before_the_symptom(
+    shares: dict[str, float], expected: str
+) -> None:
+    model = ph.FirstOrder(
+        ["Ti"], {"Ti": ph.formula("-a*Ti", a=1.0)}, kind="thermal", inputs=["Q"]
+    )
+    row = dict.fromkeys(("parameters", *CAUSES, "unexplained"), 0.0) | shares
+    fit = SimpleNamespace(model=model)
+    force = SimpleNamespace(
+        equation="Ti", shares=row, cause="", record=SimpleNamespace(fit=fit)
+    )
+    assert likely_cause({}, force) == expected  # type: ignore[arg-type]
+
+
 def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
     pace = Pace(51.0, 0.75, 1 / 300, 700.0, 18.0)
     assert pace.is_vibration
-    assert "data.thinned(6)" in str(against_vibration(pace))
+    assert against_vibration(pace).lead == (
+        "Average every 6 samples (thinned = 6) and diagnose again; anything else that "
+        "is missing then shows."
+    )
 
 
 def test_units_have_their_powers_raised_and_formulas_stay() -> None:
@@ -264,6 +352,23 @@ def test_digits_stop_where_they_say_nothing() -> None:
     assert estimate_text(1.87766, 0.0612) == "1.878 +- 0.061"
     assert estimate_text(0.00402, 0.006) == "0.004 +- 0.006"
     assert estimate_text(2.5, np.nan) == "2.5"
+    assert estimate_text(263.3, 1895.4) == "260 +- 1900"
+    assert number(2.6e2, 2) == "260" and number(748.6, 2) == "750"
+    assert number(2.79e-6, 3) == "2.79×10⁻⁶" and number(3.1e9, 2) == "3.1×10⁹"
+    assert said("a floor of 2.79e-06 m, run_1e5") == "a floor of 2.79×10⁻⁶ m, run_1e5"
+    assert short_constants("(0.00474972 m/s)**4") == "(0.00475 m/s)**4"
+    kept = "(0.123456 +- 0.000012 N) + 9.81*x"
+    assert short_constants(kept) == kept
+
+
+def test_coulomb_has_a_capital_where_people_read() -> None:
+    assert proper_names("+ coulomb friction on p") == "+ Coulomb friction on p"
+    code = "study.add('coulomb friction', 'p'); coulomb_friction_p.v0"
+    assert said("coulomb_friction_p.v0") == "coulomb_friction_p.v0"
+    assert proper_names(code).startswith("study.add('Coulomb") is False
+
+
+def test_bounds_cut_an_interval() -> None:
     damping = ph.Parameter(0.04, lower=0)
     assert damping.nearest_bound(9.6e-19) == 0
     assert interval_within(damping, -0.12, 0.2) == "0 to 0.2"
@@ -328,6 +433,16 @@ def test_a_study_of_data_with_dates_says_them(tmp_path: Path) -> None:
     assert "(2021-11-22 06:30" in since["Since when"]
 
 
+def test_rates_of_long_records_are_told_per_hour() -> None:
+    units = {"Ti": "degC", "p": "kg m/s", "q": "m", "t": "s"}
+    day = 86400.0
+    assert scale_of_rate("Ti", units, day) == RateScale("degC/h", 1 / 3600)
+    assert scale_of_rate("Ti", units, 600.0) == RateScale("degC/s")
+    assert scale_of_rate("p", units, day) == RateScale("N")
+    assert scale_of_rate("q", units, day) == RateScale("m/s")
+    assert scale_of_rate("Ti", units | {"t": "h"}, 300.0) == RateScale("degC/h")
+
+
 def test_a_period_of_a_day_is_told_as_one() -> None:
     assert frequency_words(1.157e-5, {"t": "s"}) == "with a period of 24 h"
     assert frequency_words(51.1, {"t": "s"}) == "at 51.1 Hz"
@@ -352,7 +467,8 @@ def test_verdict_table_and_picture_use_the_same_words(
     assert content.headline.status == verdict
     assert f"<title>Study of q: {verdict}</title>" in page
     for step in study.history["effect"]:
-        assert step in text
+        assert proper_names(step) in text
+    assert "coulomb friction" not in text.split("To reproduce it")[1].split("Seeds")[0]
     last = study.history.iloc[-1]
     assert f"{last['held_out_rmse']:.4g}" in text and number(last["bic"], 6) in text
     held_out = [step.held_out for step in content.staircase.steps]
@@ -552,10 +668,16 @@ def test_thinning_keeps_the_extremes_the_ends_and_a_gap() -> None:
 
 
 def test_an_error_just_below_the_noise_floor_is_said_to_be_at_it() -> None:
-    below = "an error just below it is one at it"
-    assert below in beside_floor(0.0423, 0.0424)
-    assert beside_floor(0.0440, 0.0424) == ""
-    assert beside_floor(0.0603, 0.0424) == ""
+    assert is_just_below(0.0423, 0.0424)
+    assert not is_just_below(0.0440, 0.0424)
+    assert not is_just_below(0.0203, 0.0424)
+    comparison = SimpleNamespace(rmse=0.0423, noise_floor=0.0424)
+    training = SimpleNamespace(rmse=0.0412, noise_floor=0.0424)
+    step = SimpleNamespace(judged=comparison, held_out=comparison, train=training)
+    assert _at_floor(step, 1.0) == (  # type: ignore[arg-type]
+        " 0.0423 and 0.0412 (training) equal the noise floor within its own "
+        "uncertainty."
+    )
 
 
 def test_errors_of_several_channels_are_told_in_percent(study: ph.Study) -> None:

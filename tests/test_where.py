@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,6 +16,7 @@ from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
+from phsi_opt.force_analysis.energy_wording import NO_PATTERN, TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_plots import (
     plot_force,
@@ -24,7 +26,12 @@ from phsi_opt.force_analysis.force_plots import (
 from phsi_opt.force_analysis.force_uncertainty import error_draws
 from phsi_opt.force_analysis.localization import StrongRange
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.place_words import place_words, plain_name, range_words
+from phsi_opt.force_analysis.place_words import (
+    place_answer,
+    place_words,
+    plain_name,
+    range_words,
+)
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.force_analysis.state_plots import plot_dependence, plot_map
 from phsi_opt.force_analysis.wording import sentences
@@ -366,6 +373,57 @@ def test_a_place_is_told_as_people_say_it(cases: dict[str, Case]) -> None:
     assert range_words(force, "q", [inside]) == "where q is 0.1 to 0.2 m"
 
 
+def with_energy(
+    force: EquationForce, cause: str, shares: dict[str, float]
+) -> EquationForce:
+    """The force, said to have another cause."""
+    row = force.shares.copy()
+    row[list(shares)] = list(shares.values())
+    energy = SimpleNamespace(table=row.to_frame().T, sentences=[cause], causes=[cause])
+    analysis = replace(force.analysis)
+    analysis.__dict__["energy"] = energy
+    return EquationForce(analysis, force.equation)
+
+
+def test_a_place_never_contradicts_what_the_force_follows(
+    cases: dict[str, Case],
+) -> None:
+    told = {}
+    for name in ("friction", "wave", "cubic"):
+        force = EquationForce.of(ForceAnalysis.of(cases[name]), None)
+        told[name] = str(place_answer(force, is_named=False, is_known=False))
+    assert told["friction"].startswith(
+        "In dp/dt. It depends on the velocity dq/dt. It changes how energy is lost"
+    )
+    assert told["wave"].startswith("In dp/dt. It depends on the time, not on a place.")
+    assert told["cubic"].startswith(
+        "In dp/dt. It depends on the position q; largest where q is highest"
+    )
+    force = EquationForce.of(ForceAnalysis.of(cases["cubic"]), None)
+    nothing = with_energy(force, NO_PATTERN, {"conserved": 0.0, "unexplained": 1.0})
+    told["nothing"] = str(place_answer(nothing, is_named=False, is_known=False))
+    assert re.fullmatch(
+        r"In dp/dt, largest where q is highest \(above [\d.]+ m\).*, but no state, "
+        "input or time explains it.",
+        told["nothing"],
+    )
+    assert "alike" not in " ".join(told.values())
+
+
+def test_what_moves_together_is_said_not_to_be_separable(
+    cases: dict[str, Case],
+) -> None:
+    force = EquationForce.of(ForceAnalysis.of(cases["friction"]), None)
+    shares = {"inputs": 0.82, "dissipated": 0.0, "unexplained": 0.18}
+    closed_loop = with_energy(force, f"follows the input u, {TOGETHER} here", shares)
+    said = str(place_answer(closed_loop, is_named=True, is_known=False))
+    assert "It depends on the velocity dq/dt or on the input u" in said
+    assert (
+        "82 % of it is explained by the velocity dq/dt or by the input u; these data "
+        "cannot separate the two."
+    ) in said
+
+
 def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
     cases: dict[str, Case],
 ) -> None:
@@ -389,9 +447,14 @@ def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
 
 
 def test_a_force_is_told_beside_the_models_own_rate() -> None:
-    assert Pace(1.0, 1.0, 0.1, 5.0, 2.0).size_words() == "2.5 times its own size"
-    assert Pace(1.0, 1.0, 0.1, 1.0, 2.0).size_words() == "50 % of its own size"
-    assert Pace(1.0, 1.0, 0.1, 1.0, 0.0).size_words() == ""
+    assert Pace(1.0, 1.0, 0.1, 5.0, 2.0).size_words("dp/dt") == (
+        "2.5 times the size of the model's own dp/dt"
+    )
+    assert (
+        Pace(1.0, 1.0, 0.1, 1.0, 2.0).size_words("dp/dt")
+        == "50 % of the model's own dp/dt"
+    )
+    assert Pace(1.0, 1.0, 0.1, 1.0, 0.0).size_words("dp/dt") == ""
 
 
 @pytest.fixture

@@ -59,6 +59,7 @@ class ForceAnalysis:
             self.energy,
             self.paces,
             dict(zip(self.force.trajectories, self.force.origins, strict=True)),
+            float(self.force.t.max()),
         )
 
     @cached_property

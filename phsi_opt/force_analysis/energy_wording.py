@@ -47,7 +47,9 @@ def energy_sentence(causes: Causes, with_shares: bool = True) -> str:
     for kind, share in contributions.items():
         least = NAMED_CAUSE if kind in CAUSES else MOSTLY_PARAMETERS
         if share > least:
-            explained = f", which explains {100 * share:.0f} % of it"
+            is_several = kind == "inputs" and len(causes.force.fit.model.inputs) > 1
+            verb = "explain" if is_several else "explains"
+            explained = f", which {verb} {100 * share:.0f} % of it"
             parts.append(_words(causes, kind) + (explained if with_shares else ""))
     return (", and ".join(parts) + _tie(causes)) or NO_PATTERN
 
@@ -100,7 +102,7 @@ def _words(causes: Causes, kind: str) -> str:
     if kind == "conserved":
         return _exchange_words(causes)
     if kind == "inputs":
-        return f"follows {_listed(causes.force.fit.model.inputs, 'input')}"
+        return f"follows {listed(causes.force.fit.model.inputs, 'input')}"
     if kind == "time":
         return _time_words(causes)
     return _loss_words(causes)
@@ -109,9 +111,13 @@ def _words(causes: Causes, kind: str) -> str:
 def _exchange_words(causes: Causes) -> str:
     model = causes.force.fit.model
     partners = exchange_partners(model, causes.equation)
-    is_momentum = causes.equation in position_of_momentum(model)
-    followed = _listed(partners, "position" if is_momentum else "state")
+    followed = listed(partners, exchange_noun(model, causes.equation))
     return f"stores and returns energy (it follows {followed})"
+
+
+def exchange_noun(model: Model, equation: str) -> str:
+    """What the states are called that an equation exchanges energy with."""
+    return "position" if equation in position_of_momentum(model) else "state"
 
 
 def effort_words(model: Model, equation: str) -> str:
@@ -172,7 +178,7 @@ def _longest_run(force: ForceRecord) -> float:
     return max(float(np.ptp(force.t[force.run == run])) for run in runs)
 
 
-def _listed(names: Sequence[str], noun: str) -> str:
+def listed(names: Sequence[str], noun: str) -> str:
     """The names with their noun: "the input u", "the positions q1, q2"."""
     plural = "s" if len(names) > 1 else ""
     return f"the {noun}{plural} {', '.join(names)}"

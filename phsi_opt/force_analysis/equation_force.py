@@ -11,7 +11,12 @@ from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import CONSTANT, variables
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.units import force_unit, with_units
+from phsi_opt.force_analysis.units import (
+    RateScale,
+    force_unit,
+    scale_of_rate,
+    with_units,
+)
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
 
@@ -154,9 +159,20 @@ class EquationForce:
             )
         return variable
 
+    @property
+    def scale(self) -> RateScale:
+        """The unit in which a text or a report tells the force."""
+        longest = float(self.record.t.max())
+        return scale_of_rate(self.equation, self.record.units, longest)
+
     def force_label(self, quantity: str = "missing force") -> str:
         """Label of an axis for the force, with its unit."""
         return label(quantity, force_unit(self.equation, self.record.units))
+
+    @property
+    def told_label(self) -> str:
+        """Label of an axis for the force in the unit in which it is told."""
+        return label("missing force", self.scale.unit)
 
     def variable_label(self, name: str) -> str:
         """Name and unit of a variable; a velocity has that of its position by time."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from phsi_opt.criteria import NAMED_CAUSE
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.causes import exchange_partners
+from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
 from phsi_opt.force_analysis.energy_wording import TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import Pace
@@ -25,6 +25,14 @@ FURTHER_STATE = {
     ELECTRICAL: "a further storage (a second resistor and capacitor)",
     MECHANICAL: "a part that moves by itself (play, a soft shaft, a second mass)",
     "": "a further storage, or a part that moves by itself",
+}
+# What is missing where most of a force follows nothing that was measured.
+UNSEEN = {
+    THERMAL: "A store or an input of heat",
+    HYDRAULIC: "A vessel, a pipe or an inflow",
+    ELECTRICAL: "A storage or a source",
+    MECHANICAL: "A part that moves by itself, or a force from outside,",
+    "": "A storage, or an input that was not measured,",
 }
 NO_EFFECT = "No effect of the catalogue fits."
 
@@ -51,12 +59,44 @@ def against_vibration(pace: Pace) -> Answer:
     """What to do about a force that shakes, and to see what is missing beside it."""
     n = pace.samples_per_cycle
     return Answer(
-        f"Find what swings so fast, or average it away by means of {n} samples, and "
-        "diagnose again.",
-        f"{NO_EFFECT} Means, data.thinned({n}) or thinned = {n} in a study file, show "
-        "what is missing beside it. Look for loose or soft parts, play, interference, "
-        "a sensor's resolution.",
+        f"Average every {n} samples (thinned = {n}) and diagnose again; anything else "
+        "that is missing then shows.",
+        f"{NO_EFFECT} In Python that is data.thinned({n}). To find what swings so "
+        "fast, look for loose or soft parts, play, interference, a sensor's "
+        "resolution.",
     )
+
+
+def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
+    """What seems to be wrong, by what a force follows: the begin of a sentence.
+
+    Empty where one is as likely as another.
+
+    Args:
+        units: as in `Measurements`; they tell of which field the equation is.
+        force: that is missing.
+    """
+    strongest, share = _strongest(force)
+    if share < float(force.shares["unexplained"]):
+        known = with_kinds_of_units(force.record.fit.model, units)
+        unseen = UNSEEN[kind_of(known, force.equation)]
+        return f"{unseen} seems to be missing"
+    inputs = force.record.fit.model.inputs
+    if strongest == "inputs" and TOGETHER not in force.cause:
+        several = "inputs enter" if len(inputs) > 1 else "input enters"
+        return f"The way the {several} d{force.equation}/dt seems to be wrong"
+    if strongest == "time":
+        return "Something that changes with the time seems to be missing"
+    if strongest == "parameters":
+        return "The model's parameters seem to change along the record"
+    return ""
+
+
+def _strongest(force: EquationForce) -> tuple[str, float]:
+    """The cause that explains most of a force, and its share."""
+    causes = ("parameters", *CAUSES)
+    strongest = max(causes, key=lambda cause: float(force.shares[cause]))
+    return strongest, float(force.shares[strongest])
 
 
 def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
@@ -75,8 +115,7 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
         "dissipated": _of_states,
         "constant": _of_states,
     }
-    strongest = max(causes, key=lambda cause: float(shares[cause]))
-    share = float(shares[strongest])
+    strongest, share = _strongest(force)
     told = causes[strongest](force) if share > NAMED_CAUSE else ""
     further = _further_state(units, force)
     if share < float(shares["unexplained"]):
@@ -98,9 +137,8 @@ def _further_state(units: Mapping[str, str], force: EquationForce) -> str:
 
 def _of_parameters(force: EquationForce) -> str:
     return (
-        "Fit the halves of the record apart and compare the values: other values of "
-        "the model's own parameters would give a part of it, but none for the whole "
-        "record."
+        "Changing the parameters helps on parts of the record, but no one set of "
+        "values fits all of it: fit each half separately to see it."
     )
 
 

@@ -93,17 +93,20 @@ class Pace:
             beside.append("near the sampling rate")
         return f"{told}, {' and '.join(beside)}"
 
-    def size_words(self) -> str:
+    def size_words(self, rate: str) -> str:
         """The force beside the rate that the model has: a share or a multiple of it.
 
         Empty where the model has nothing there.
+
+        Args:
+            rate: what it is called, such as "dp/dt".
         """
         if not self.own > 0:
             return ""
         ratio = self.strength / self.own
         if ratio >= 1:
-            return f"{number(ratio, 2)} times its own size"
-        return f"{100 * ratio:.2g} % of its own size"
+            return f"{number(ratio, 2)} times the size of the model's own {rate}"
+        return f"{100 * ratio:.2g} % of the model's own {rate}"
 
 
 def _frequency_of_motion(record: ForceRecord) -> float:

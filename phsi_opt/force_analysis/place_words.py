@@ -4,28 +4,151 @@ The tables and sentences of an analysis list ranges of variables; here a range s
 it is among the values that occurred, and a velocity has no symbol.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
+from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
+from phsi_opt.force_analysis.energy_wording import (
+    NO_PATTERN,
+    TOGETHER,
+    effort_words,
+    exchange_noun,
+    listed,
+)
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import StrongRange, strong_ranges
 from phsi_opt.force_analysis.state_plots import map_variables
 from phsi_opt.force_analysis.units import force_unit, spaced
-from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.model.model import FirstOrder
+from phsi_opt.model.structure import position_of_momentum, position_rows
+from phsi_opt.presentation.report_content import Answer
 
-ALIKE = "for all values of the states alike"
+MOSTLY = 0.5  # share of a force's mean square that is most of it
 AT_THE_ENDS = 2  # ranges at both ends of what occurred
 
 
-def place_words(force: EquationForce) -> str:
-    """At which values of its variables a force is strong; memories are left out."""
+def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
+    """The equation of a force, and what it follows or else where it is largest.
+
+    What is clearly followed comes first; a place stands beside it, or alone where
+    nothing is followed.
+
+    Args:
+        force: that is missing.
+        is_named: whether an effect is named; then nothing is said of what does not
+            explain the force.
+        is_known: whether effects say all that the force is; then no shares are told.
+    """
+    cause = _clear_cause(force)
+    rate = f"In d{force.equation}/dt"
+    place = place_words(force)
+    largest = f", largest {place}" if place else ""
+    if cause:
+        return Answer(f"{rate}. {_following(force, cause)}.", _shares(force, is_known))
+    if is_named:
+        return Answer(f"{rate}{largest}.", _shares(force, is_known))
+    is_part = any(float(force.shares[kind]) > NAMED_CAUSE for kind in CAUSES)
+    explained = "explains most of it" if is_part else "explains it"
+    begin = f"{rate}{largest}, but" if place else f"{rate}, at no place of its own:"
+    lead = f"{begin} no state, input or time {explained}."
+    return Answer(lead, _shares(force, is_known))
+
+
+def _clear_cause(force: EquationForce) -> str:
+    """The kind of cause that the force clearly follows; "" where there is none."""
+    strongest = max(CAUSES, key=lambda kind: float(force.shares[kind]))
+    is_clear = float(force.shares[strongest]) >= CLEAR_PATTERN
+    return strongest if is_clear else ""
+
+
+def _following(force: EquationForce, cause: str) -> str:
+    """What a force of a clear cause follows, and that no place stands out."""
+    model = force.record.fit.model
+    effort = effort_words(model, force.equation)
+    if cause == "conserved":
+        return _exchanged(force)
+    if cause == "constant":
+        return "It is the same everywhere and at all times"
+    if cause == "time":
+        said = "It depends on the time"
+    elif cause == "inputs":
+        inputs = listed(model.inputs, "input")
+        said = f"It depends on {inputs}"
+        if TOGETHER in force.cause:
+            said = f"It depends on {effort} or on {inputs}"
+    elif isinstance(model, FirstOrder):
+        return f"It follows {force.equation} itself"
+    else:
+        said = f"It depends on {effort}"
+    if not position_of_momentum(model):
+        return said
+    positions = [model.states[row] for row in position_rows(model)]
+    return said if place_words(force, positions) else f"{said}, not on a place"
+
+
+def _exchanged(force: EquationForce) -> str:
+    """What a force that stores energy depends on, and where that is strong."""
+    model = force.record.fit.model
+    partners = exchange_partners(model, force.equation)
+    place = place_words(force, partners)
+    said = f"It depends on {listed(partners, exchange_noun(model, force.equation))}"
+    return f"{said}; largest {place}" if place else said
+
+
+def _shares(force: EquationForce, is_known: bool) -> str:
+    """How much of the force each cause explains."""
+    cause = _clear_cause(force)
+    if is_known:
+        # The lead has said it, but for how energy is lost and for periods.
+        is_said = cause in ("inputs", "constant")
+        is_said = is_said or force.cause == NO_PATTERN
+        said = "" if is_said else force.cause_in_brief
+    elif TOGETHER in force.cause and cause == "inputs":
+        return _together(force)
+    else:
+        said = "" if force.cause == NO_PATTERN else force.cause
+    left = float(force.shares["unexplained"])
+    if not said:
+        return ""
+    if is_known or left < MOSTLY:
+        return f"It {said}."
+    return f"It {said}; {100 * left:.0f} % follow nothing measured."
+
+
+def _together(force: EquationForce) -> str:
+    """That input and velocity go together, with what either explains."""
+    model = force.record.fit.model
+    effort = effort_words(model, force.equation)
+    inputs = listed(model.inputs, "input")
+    share = 100 * float(force.shares["inputs"])
+    said = (
+        f"{share:.0f} % of it is explained by {effort} or by {inputs}; these data "
+        "cannot separate the two."
+    )
+    place = place_words(force, [f"dH_d{force.equation}"])
+    return f"{said} It is largest {place}." if place else said
+
+
+def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str:
+    """At which values of its variables a force is strong; memories are left out.
+
+    Args:
+        force: that is missing.
+        names: of the variables; None: those of the force's map.
+
+    Returns:
+        Such as "where q is highest (above 0.7 m)"; "" where no values stand out.
+    """
     memory = force.record.fit.model.memory
     told = []
-    for name in map_variables(force):
+    for name in map_variables(force) if names is None else names:
         if name not in memory:
             ranges = strong_ranges(force.record.variable(name), force.w)
             if ranges:
                 told.append(range_words(force, name, ranges))
-    return ", and ".join(told) or ALIKE
+    return ", and ".join(told)
 
 
 def plain_name(force: EquationForce, name: str) -> str:

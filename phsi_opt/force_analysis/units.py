@@ -1,9 +1,12 @@
 """Units of a missing force and its frequency, as labels and sentences print them."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from phsi_opt.presentation.durations import scale_of_time, time_words
-from phsi_opt.presentation.units import rate_unit
+from phsi_opt.presentation.units import NAMED, rate_unit
+
+HOUR = 3600.0  # s
 
 
 def frequency_unit(units: Mapping[str, str]) -> str:
@@ -34,6 +37,31 @@ def with_units(region: str, units: Mapping[str, str]) -> str:
 def force_unit(equation: str, units: Mapping[str, str]) -> str:
     """Unit of the missing force of an equation, "" where units are not known."""
     return rate_unit(units.get(equation, ""), units.get("t", ""))
+
+
+@dataclass(frozen=True)
+class RateScale:
+    """A unit in which a rate is told, and how many of its own unit that is."""
+
+    unit: str
+    size: float = 1.0
+
+
+def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> RateScale:
+    """A rate per hour where a record of seconds lasts for hours: degC/h.
+
+    Rates with a name of their own (N, m/s) and other units of time stay.
+
+    Args:
+        equation: the state whose rate it is.
+        units: as in `Measurements`.
+        longest: the last time of the record.
+    """
+    unit = force_unit(equation, units)
+    in_seconds = scale_of_time(longest, units.get("t", "")).size >= HOUR
+    if not in_seconds or unit != f"{units.get(equation, '')}/s" or unit in NAMED:
+        return RateScale(unit)
+    return RateScale(rate_unit(units[equation], "h"), 1 / HOUR)
 
 
 def spaced(unit: str) -> str:

@@ -14,8 +14,9 @@ from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.localization import EVERYWHERE, THROUGHOUT
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import (
-    force_unit,
+    RateScale,
     frequency_words,
+    scale_of_rate,
     spaced,
     with_units,
 )
@@ -34,6 +35,7 @@ def sentences(
     energy: EnergyExchange,
     paces: Mapping[str, Pace],
     origins: Mapping[str, dt.datetime | None],
+    longest: float = 0.0,
 ) -> list[str]:
     """Plain sentences on where the model fails, an equation each, strongest first.
 
@@ -44,6 +46,7 @@ def sentences(
         energy: from `energy_exchange`.
         paces: of the missing forces by equation.
         origins: moments at which the time is 0, by trajectory; None: no dates.
+        longest: the last time of the record; long ones have rates per hour.
     """
     causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
     texts = []
@@ -52,17 +55,16 @@ def sentences(
         pattern = _pattern(causes[equation], leading(follows, equation))
         origin = origins[str(row["trajectory"])]
         place = _place(row, units, paces[equation], origin)
-        texts.append(_sentence(row, pattern, units, place))
+        scale = scale_of_rate(equation, units, longest)
+        texts.append(_sentence(row, pattern, scale, place))
     return texts
 
 
-def _sentence(
-    row: "pd.Series", pattern: str, units: Mapping[str, str], place: str
-) -> str:
+def _sentence(row: "pd.Series", pattern: str, scale: RateScale, place: str) -> str:
     """Size and place of one row of `located`, and the pattern of its force."""
     equation = row["equation"]
     times_noise = row["times_noise"]
-    size = f"rms {row['strength']:.3g}{spaced(force_unit(equation, units))}"
+    size = f"rms {row['strength'] / scale.size:.3g}{spaced(scale.unit)}"
     certainty = f"{times_noise:.2g} times its standard deviation"
     if times_noise < CERTAIN_FORCE:
         return f"d{equation}/dt: no missing force is sure ({size}, {certainty})."

@@ -6,6 +6,7 @@ curves have colours that stand out from both.
 
 import datetime as dt
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +15,8 @@ import numpy as np
 from phsi_opt.page.limits import CHART_POINTS
 from phsi_opt.page.snapshot import ChannelCurves, ErrorStep, ForceCurve, RunCurves
 from phsi_opt.presentation.axes import label
-from phsi_opt.presentation.durations import date_words
+from phsi_opt.presentation.durations import TimeScale, date_words, scale_of_time
+from phsi_opt.presentation.numbers import number, proper_names
 
 Figure = dict[str, Any]
 
@@ -34,15 +36,28 @@ N_WORDS_A_LINE = 16  # letters of a step's label below the staircase
 # Of plotly's buttons, all but zoom in, zoom out and the whole. They are taken out, not
 # chosen: nested lists in the configuration make plotly's ``react`` draw without end.
 UNUSED_BUTTONS = ("toImage", "zoom2d", "pan2d", "select2d", "lasso2d", "autoScale2d")
+WORST = "worst moment"
 RESIDUAL_PART = 0.3  # of the chart's height
 RESIDUAL_GAP = 0.1  # of it, above the residual
 
 
 def free_run(
-    run: RunCurves, channel: ChannelCurves, t_unit: str, mark: float | None = None
+    run: RunCurves,
+    channel: ChannelCurves,
+    t_unit: str,
+    mark: float | None = None,
+    is_worst: bool = False,
 ) -> Figure:
-    """Measured and free run of one channel, with the residual below."""
-    t = _thinned(run.t)
+    """Measured and free run of one channel, with the residual below.
+
+    Args:
+        run: that is drawn; ``channel``: of it.
+        t_unit: of the times of the run; long ones are drawn in hours or days.
+        mark: the time that is marked, in the unit of the run.
+        is_worst: whether that is the moment that the page has chosen.
+    """
+    scale = scale_of_run(run, t_unit)
+    t = _thinned(run.t) / scale.size
     noise = 2 * channel.noise
     data = [
         _curve(t, channel.measured, "measured", MEASURED_COLOR, mode="markers"),
@@ -50,40 +65,52 @@ def free_run(
         _curve(t, channel.residual, "residual", MODEL_COLOR, yaxis="y2"),
     ]
     data[-1]["showlegend"] = False  # its axis says what it is
-    layout = _layout(_time_label(t_unit, run.origin))
+    layout = _layout(_time_label(scale.unit, run.origin))
     upper_part = [RESIDUAL_PART + RESIDUAL_GAP, 1]
     layout["yaxis"] = _axis(_label(channel.name, channel.unit), upper_part)
     layout["yaxis2"] = _axis(_label("residual", channel.unit), [0, RESIDUAL_PART])
     layout["xaxis"]["anchor"] = "y2"  # times stand below the residual
     layout["shapes"] = [_band(-noise, noise, "y2")]
     layout["annotations"] = [_note("shaded: noise, two standard deviations")]
-    _mark(layout, mark)
+    _mark(layout, mark, scale, is_worst)
     return _figure(data, layout)
 
 
+def scale_of_run(run: RunCurves | ForceCurve, t_unit: str) -> TimeScale:
+    """The unit in which the times of a run are told: days where it lasts for days."""
+    return scale_of_time(float(run.t[-1]), t_unit)
+
+
 def missing_force(
-    curves: Sequence[ForceCurve], t_unit: str, mark: float | None = None
+    curves: Sequence[ForceCurve],
+    t_unit: str,
+    mark: float | None = None,
+    is_worst: bool = False,
 ) -> Figure:
-    """The missing force of one run with two standard deviations, an equation each."""
+    """The missing force of one run with two standard deviations, an equation each.
+
+    Arguments as in `free_run`.
+    """
+    scale = scale_of_run(curves[0], t_unit) if curves else TimeScale(t_unit, 1.0)
     data: list[Figure] = []
     colors = (MODEL_COLOR, OTHER_COLOR, FLOOR_COLOR, MARK_COLOR)
-    for number, curve in enumerate(curves):
-        color = colors[number % len(colors)]
-        data += _banded(curve, color)
+    for place, curve in enumerate(curves):
+        color = colors[place % len(colors)]
+        data += _banded(replace(curve, t=curve.t / scale.size), color)
     origin = curves[0].origin if curves else None
-    layout = _layout(_time_label(t_unit, origin))
+    layout = _layout(_time_label(scale.unit, origin))
     units = {curve.unit for curve in curves}
     unit = units.pop() if len(units) == 1 else ""
     layout["yaxis"] = _axis(_label("missing force", unit))
     layout["shapes"] = [_line("y", 0)]
-    _mark(layout, mark)
+    _mark(layout, mark, scale, is_worst)
     return _figure(data, layout)
 
 
 def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
     """The error of every step, with its value, down to the noise floor."""
     x = [step.number for step in steps]
-    labels = [_broken(_change(step)) for step in steps]
+    labels = [_broken(proper_names(_change(step))) for step in steps]
     judged = [step.judged for step in steps]
     is_held_out = steps[-1].held_out is not None
     data = []
@@ -93,16 +120,18 @@ def staircase(steps: Sequence[ErrorStep], unit: str) -> Figure:
         left = [place - ASIDE for place in x]
         training = _step_curve(left, train, "training", MEASURED_COLOR, "dash")
         training["marker"]["symbol"] = "square"
-        _write_values(training, [f"{value:.3g}" for value in train], _free_sides(train))
+        _write_values(
+            training, [number(value, 3) for value in train], _free_sides(train)
+        )
         data.append(training)
     name = "held out" if is_held_out else "training"
     right = [place + ASIDE for place in x] if is_held_out else x
     main = _step_curve(right, judged, name, MODEL_COLOR, "solid")
-    _write_values(main, [f"{value:.3g}" for value in judged], "top right")
+    _write_values(main, [number(value, 3) for value in judged], "top right")
     data.append(main)
     floor = [step.floor for step in steps]
     lowest = _step_curve(x, floor, "noise floor", FLOOR_COLOR, "dot")
-    told = ["" for _ in floor[:-1]] + [f"floor {floor[-1]:.3g}"]
+    told = ["" for _ in floor[:-1]] + [f"floor {number(floor[-1], 3)}"]
     is_low = judged[-1] > FAR_ABOVE * floor[-1]
     _write_values(lowest, told, "top right" if is_low else "bottom right")
     data.append(lowest)
@@ -330,12 +359,13 @@ def _line(axis: str, y: float) -> Figure:
     }
 
 
-def _mark(layout: Figure, t: float | None) -> None:
+def _mark(layout: Figure, t: float | None, scale: TimeScale, is_worst: bool) -> None:
     """A vertical line at the time that is looked at."""
     if t is None:
         return
+    t = t / scale.size
     note = {
-        "text": "the time looked at",
+        "text": WORST if is_worst else "the time looked at",
         "xref": "x",
         "yref": "paper",
         "x": t,

@@ -11,9 +11,14 @@ from phsi_opt.page import charts
 from phsi_opt.page.parts import card, choice, heading
 from phsi_opt.page.session import Look, Session
 from phsi_opt.page.snapshot import RunCurves, Snapshot, force_near
-from phsi_opt.presentation.numbers import said
+from phsi_opt.presentation.durations import TimeScale
+from phsi_opt.presentation.numbers import number, said
 
 CHART_HEIGHT = "height: 360px"
+HOW_TO_LOOK = (
+    "Click into a chart to see the missing force there; drag to zoom, double-click to "
+    "see all."
+)
 FORCE_HEIGHT = "height: 260px"
 
 
@@ -37,6 +42,7 @@ class FitView:
             heading("Measured and model")
             self._choices(snapshot)
             self.overlay()
+            ui.label(HOW_TO_LOOK).classes("faint")
         with card():
             heading("The missing force")
             self.force()
@@ -51,16 +57,32 @@ class FitView:
         titles = {number: run.title for number, run in enumerate(snapshot.runs)}
         names = [channel.name for channel in snapshot.runs[self._look.run].channels]
         if self._look.channel not in names:
-            self._look.channel = names[0]
+            self._look.channel = snapshot.worst_channel(self._look.run)
         with ui.element("div").classes("fields"):
             choice("run", titles, self._look.run, self._set_run, width="15em")
             if len(names) > 1:
                 choice("channel", names, self._look.channel, self._set_channel)
             self._time_field()
-        ui.label(
-            "Click into a chart to see the missing force there; drag to zoom, "
-            "double-click to see all."
-        ).classes("faint")
+
+    @property
+    def _scale(self) -> TimeScale:
+        """The unit in which the times of the run are told."""
+        run = self._shown
+        snapshot = self._session.snapshot
+        if run is None or snapshot is None:
+            return TimeScale("", 1.0)
+        return charts.scale_of_run(run, snapshot.t_unit)
+
+    @property
+    def _is_worst(self) -> bool:
+        """Whether the time that is marked is the one that the diagnosis names."""
+        snapshot = self._session.snapshot
+        if snapshot is None or self._look.t is None:
+            return False
+        return (self._look.run, self._look.t) == (
+            snapshot.first_run,
+            snapshot.first_time,
+        )
 
     def _set_run(self, run: int) -> None:
         self._look.run = run
@@ -75,16 +97,17 @@ class FitView:
 
     def _time_field(self) -> None:
         t = self._look.t
+        scale = self._scale
         field = ui.number(
-            _labelled("look at the time", self._session.snapshot),
-            value=None if t is None else float(f"{t:.6g}"),
+            _labelled("look at the time", scale.unit),
+            value=None if t is None else float(f"{t / scale.size:.6g}"),
             on_change=lambda e: self._look_at(e.value),
         )
         field.props("dense outlined debounce=400").style("width: 12em")
         self._field = field
 
     def _look_at(self, t: float | None) -> None:
-        self._look.t = t
+        self._look.t = None if t is None else t * self._scale.size
         self.overlay.refresh()
         self.force.refresh()
 
@@ -100,10 +123,12 @@ class FitView:
             return
         with ui.element("div").props('role="status"'):
             if not run.holds(t):
-                unit = spaced(snapshot.t_unit)
+                size = self._scale.size
+                unit = spaced(self._scale.unit)
+                begin, end, asked = (number(one / size) for one in (*run.t[[0, -1]], t))
                 ui.label(
-                    f"{run.name} was measured from t = {run.t[0]:.4g} to "
-                    f"{run.t[-1]:.4g}{unit}; there is nothing at {t:.4g}{unit}."
+                    f"{run.name} was measured from t = {begin} to {end}{unit}; "
+                    f"there is nothing at {asked}{unit}."
                 ).classes("bad")
                 return
             for curve in snapshot.forces_along(run):
@@ -122,14 +147,16 @@ class FitView:
         snapshot = self._session.snapshot
         if run is None or snapshot is None:
             return
-        self._at_the_mark(snapshot, run)
         name = self._look.channel
         channel = next(one for one in run.channels if one.name == name)
-        figure = charts.free_run(run, channel, snapshot.t_unit, self._mark(run))
+        figure = charts.free_run(
+            run, channel, snapshot.t_unit, self._mark(run), self._is_worst
+        )
         label = f"Chart: {channel.name} of {run.title}, measured and model"
         plot = ui.plotly(figure).classes("w-full").style(CHART_HEIGHT)
         plot.props(f'role="img" aria-label="{_plain(label)}"')
         plot.on("plotly_click", self._click)
+        self._at_the_mark(snapshot, run)
 
     @ui.refreshable_method
     def force(self) -> None:
@@ -139,15 +166,16 @@ class FitView:
         if run is None or snapshot is None:
             return
         curves = snapshot.forces_along(run)
-        figure = charts.missing_force(curves, snapshot.t_unit, self._mark(run))
+        figure = charts.missing_force(
+            curves, snapshot.t_unit, self._mark(run), self._is_worst
+        )
         plot = ui.plotly(figure).classes("w-full").style(FORCE_HEIGHT)
         plot.props('role="img" aria-label="Chart: the missing force over time"')
         plot.on("plotly_click", self._click)
 
 
-def _labelled(text: str, snapshot: Snapshot | None) -> str:
+def _labelled(text: str, unit: str) -> str:
     """A label with the unit of the times."""
-    unit = "" if snapshot is None else snapshot.t_unit
     return f"{text} ({unit})" if unit else text
 
 

@@ -40,6 +40,7 @@ BY_ARROWS = """(key) => {
 DATA_PART = "1 Data"
 MODEL_PART = "2 Model"
 STUDY_PART = "3 Study"
+READY = "Ready."
 THEMES = {None: "as the system", False: "light", True: "dark"}
 
 
@@ -78,7 +79,7 @@ class Shell:
                 self._model.build()
             with ui.tab_panel(STUDY_PART), ui.column().classes("w-full gap-3"):
                 self._study.build()
-        with ui.footer().classes("q-pa-none"):
+        with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
         ui.timer(ASK_EVERY, self._keep_up)
 
@@ -150,8 +151,11 @@ class Shell:
         for part in (self._spinner, self._times, self._cancel):
             part.set_visibility(job is not None)
         if job is None:
-            self._line.set_text(self._session.message or _standing(self._session))
+            said = self._session.message or _standing(self._session)
+            self._line.set_text(said)
+            self._footer.set_value(said != READY)  # it would only cover what is below
             return
+        self._footer.set_value(True)
         self._line.set_text(job.words)
         self._times.set_text(job.forecast.words)
 
@@ -208,7 +212,7 @@ def _can_begin(session: Session) -> bool:
 def _standing(session: Session) -> str:
     """What to do next, where nothing goes on."""
     if session.snapshot is not None:
-        return "Ready."
+        return READY
     if session.draft.data is None:
         return "Begin with the measurements: part 1."
     if not session.draft.model.states:

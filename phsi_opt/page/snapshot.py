@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.presentation.durations import date_words, time_words
-from phsi_opt.presentation.numbers import with_error
+from phsi_opt.presentation.durations import date_words, scale_of_time
+from phsi_opt.presentation.numbers import number, with_error
 from phsi_opt.presentation.report_content import Answer
 
 TRAINING = "training"
@@ -60,6 +60,13 @@ class ChannelCurves:
     def residual(self) -> np.ndarray:
         """Measured less shown, (n_samples,)."""
         return self.measured - self.shown
+
+    @property
+    def share_off(self) -> float:
+        """Root mean square of the residual over the standard deviation measured."""
+        movement = float(np.nanstd(self.measured))
+        off = float(np.sqrt(np.nanmean(self.residual**2)))
+        return off / movement if movement > 0 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,6 +180,8 @@ class Diagnosed:
         reason: in a sentence.
         is_missing: whether something is missing.
         is_named: whether what is missing has a name, at least partly.
+        certainty: how sure that is, in one line.
+        beside: what stands beside the verdict; "" for nothing.
         sentences: where it fails, an equation each.
         equation: the one whose missing force is the surest; "" where none is.
         run: that of the training data in which this force is strongest; "" likewise.
@@ -189,6 +198,8 @@ class Diagnosed:
     reason: str
     is_missing: bool
     is_named: bool
+    certainty: str
+    beside: str
     sentences: tuple[str, ...]
     equation: str
     run: str
@@ -223,6 +234,7 @@ class Snapshot:
         equations: of the present model.
         parameters: of the present model.
         warning: what to do where the free run is flat; "" where it is not.
+        caution: which parameters the data leave open; "" for none.
         runs: the free run beside the measurements, training and held out.
         forces: the missing force of each equation and run.
         diagnosed: None before the present model was diagnosed.
@@ -236,6 +248,7 @@ class Snapshot:
     equations: tuple[str, ...]
     parameters: tuple[ParameterRow, ...]
     warning: str
+    caution: str
     runs: tuple[RunCurves, ...]
     forces: tuple[ForceCurve, ...]
     diagnosed: Diagnosed | None
@@ -257,17 +270,27 @@ class Snapshot:
 
     @property
     def first_time(self) -> float | None:
-        """The time of that run at which the missing force stands out most, if any.
+        """The time of that run at which a sure force has done most, if there is any.
 
         It lies within the window that the diagnosis names, where it names one.
         """
         if self.diagnosed is None or not self.diagnosed.run:
             return None
         window = self.diagnosed.window or (-np.inf, np.inf)
-        for curve in self.forces_along(self.runs[self.first_run]):
+        number_of_run = self.first_run
+        run = self.runs[number_of_run]
+        shown = self.worst_channel(number_of_run)
+        (channel,) = (one for one in run.channels if one.name == shown)
+        off = np.abs(np.nan_to_num(channel.residual))
+        for curve in self.forces_along(run):
             if curve.equation == self.diagnosed.equation:
-                return strongest_within(curve, *window)
+                return worst_within(curve, run.t, off, window)
         return None
+
+    def worst_channel(self, run: int) -> str:
+        """The channel of a run whose error is largest beside its movement."""
+        sizes = [channel.share_off for channel in self.runs[run].channels]
+        return self.runs[run].channels[int(np.argmax(sizes))].name
 
     @property
     def worst_run(self) -> int:
@@ -286,13 +309,27 @@ class Snapshot:
         return found
 
 
-def strongest_within(curve: ForceCurve, begin: float, end: float) -> float:
-    """The time at which a force is surest, in a part of its run."""
+def worst_within(
+    curve: ForceCurve, t: np.ndarray, off: np.ndarray, window: tuple[float, float]
+) -> float:
+    """The time at which a run is farthest off while the missing force is sure.
+
+    Where the force is sure at no time of the window, that at which it is surest.
+
+    Args:
+        curve: the missing force.
+        t: (n_samples,) of the run; ``off``: sizes of its residual.
+        window: of the run.
+    """
     sureness = np.abs(curve.force) / curve.std
-    inside = (curve.t >= begin) & (curve.t <= end)
-    if inside.any():
-        sureness = np.where(inside, sureness, -1.0)
-    return float(curve.t[np.argmax(sureness)])
+    inside = (curve.t >= window[0]) & (curve.t <= window[1])
+    if not inside.any():
+        inside = np.ones(len(curve.t), dtype=bool)
+    is_sure = inside & (sureness > SURE)
+    if not is_sure.any():
+        return float(curve.t[np.argmax(np.where(inside, sureness, -1.0))])
+    found = np.where(is_sure, np.interp(curve.t, t, off), -1.0)
+    return float(curve.t[np.argmax(found)])
 
 
 def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
@@ -303,7 +340,9 @@ def force_near(curve: ForceCurve, t: float, t_unit: str = "") -> str:
     is_sure = abs(force) > SURE * std
     sure = "surely not zero" if is_sure else "may as well be zero"
     date = date_words(t, curve.origin)
-    when = f"{time_words(t, t_unit)} ({date})" if date else time_words(t, t_unit)
+    scale = scale_of_time(float(curve.t[-1]), t_unit)
+    when = f"{number(t / scale.size, 3)}{spaced(scale.unit)}"
+    when = f"{when} ({date})" if date else when
     return (
         f"At t = {when} of {curve.run}, "
         f"d{curve.equation}/dt lacks {with_error(force, std)}{spaced(curve.unit)} "

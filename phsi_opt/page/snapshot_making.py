@@ -12,7 +12,7 @@ from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import THROUGHOUT
-from phsi_opt.force_analysis.units import force_unit
+from phsi_opt.force_analysis.units import scale_of_rate
 from phsi_opt.page.snapshot import (
     HELD_OUT,
     TRAINING,
@@ -26,14 +26,20 @@ from phsi_opt.page.snapshot import (
     Snapshot,
 )
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
+from phsi_opt.presentation.numbers import short_constants
 from phsi_opt.study import Study
 from phsi_opt.study.answers import (
     to_do_answer,
     where_answer,
     wrong_answer,
 )
-from phsi_opt.study.force_content import since_when
+from phsi_opt.study.certainty import (
+    certainty_words,
+    disturbance_word,
+    undetermined_words,
+)
 from phsi_opt.study.report_content import scale_of_errors
+from phsi_opt.study.since_when import since_when
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -56,9 +62,10 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         t_unit=study.train.units.get("t", ""),
         steps=tuple(_steps(study)),
         added=tuple(str(effect) for effect in study.added),
-        equations=tuple(equation_lines(study.fit)),
+        equations=tuple(map(short_constants, equation_lines(study.fit))),
         parameters=tuple(_parameters(study.fit.parameters)),
         warning=step.judged.warning,
+        caution=undetermined_words(study.fit.parameters),
         runs=tuple(runs),
         forces=tuple(forces),
         diagnosed=None if diagnosis is None else _diagnosed(diagnosis, is_held_out),
@@ -109,6 +116,8 @@ def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
         reason=diagnosis.reason,
         is_missing=diagnosis.verdict != Verdict.NOTHING_MISSING,
         is_named=bool(diagnosis.findings),
+        certainty=certainty_words(diagnosis),
+        beside=disturbance_word(diagnosis),
         sentences=tuple(diagnosis.sentences),
         **_strongest(diagnosis),
         wrong=wrong_answer(diagnosis, is_held_out),
@@ -168,20 +177,23 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
     t = grid.t[grid.begin] + grid.h / 2
     run_of = grid.trajectory[grid.begin]
     deviation = force_deviation(estimate)
+    units = record.data.units
+    longest = float(t.max())
     forces = []
     for number, run in enumerate(record.data.trajectories):
         inside = run_of == number
         for column, row in enumerate(estimate.prior.rows):
             equation = record.model.states[row]
+            scale = scale_of_rate(equation, units, longest)
             forces.append(
                 ForceCurve(
                     run=run.name,
                     part=part,
                     equation=equation,
-                    unit=force_unit(equation, record.data.units),
+                    unit=scale.unit,
                     t=t[inside],
-                    force=estimate.w[inside, column],
-                    std=deviation[inside, column],
+                    force=estimate.w[inside, column] / scale.size,
+                    std=deviation[inside, column] / scale.size,
                     origin=run.origin,
                 )
             )

@@ -11,7 +11,7 @@ from phsi_opt.page import charts
 from phsi_opt.page.fit_view import FitView
 from phsi_opt.page.parts import alert, button, card, heading
 from phsi_opt.page.session import Session
-from phsi_opt.page.snapshot import CandidateRow, Snapshot
+from phsi_opt.page.snapshot import CandidateRow, Diagnosed, Snapshot
 from phsi_opt.page.verdict_words import (
     error_words,
     facts_of,
@@ -19,7 +19,13 @@ from phsi_opt.page.verdict_words import (
     proposed_size,
     share_left,
 )
-from phsi_opt.presentation.numbers import said, typeset
+from phsi_opt.presentation.numbers import (
+    capitalised,
+    proper_names,
+    said,
+    typeset,
+    with_error,
+)
 
 N_SHOWN = 5  # candidates that are shown at once
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
@@ -28,6 +34,11 @@ FOCUS_ON = """setTimeout(() => {
   if (now === document.body || now.disabled)
     document.getElementById('verdict')?.focus({preventScroll: true});
 }, 400)"""
+ADD_ALL = "Add effects automatically until the error reaches noise"
+BAR = (
+    "A bar is the error that would be left with the effect; a full bar is the error "
+    "of the present model, and the mark in it is the noise floor."
+)
 STAIRCASE_HEIGHT = "height: 280px"
 
 
@@ -115,6 +126,7 @@ class StudyView:
             if facts is None:
                 self._not_asked(snapshot)
                 return
+            self._badge(snapshot)
             with ui.element("div").classes("facts w-full"):
                 with ui.element("div"):
                     heading("What is wrong", 3).classes("faint")
@@ -142,6 +154,21 @@ class StudyView:
                 alert(snapshot.warning)
 
     @staticmethod
+    def _badge(snapshot: Snapshot) -> None:
+        """The verdict in its own words, how sure it is, what the data leave open."""
+        diagnosed = snapshot.diagnosed
+        if diagnosed is None:
+            return
+        color = "bad" if diagnosed.is_missing else "good"
+        with ui.row().classes("w-full items-center gap-2"):
+            ui.label(diagnosed.verdict).classes(f"badge {color}")
+            if diagnosed.beside:
+                ui.label(diagnosed.beside).classes("badge")
+            ui.label(diagnosed.certainty)
+            if snapshot.caution:
+                ui.label(snapshot.caution).style("font-weight: 600")
+
+    @staticmethod
     def _lead(text: str, color: str = "") -> None:
         """What is to be understood at once."""
         ui.label(said(text)).classes(color).style("font-weight: 600; line-height: 1.35")
@@ -165,16 +192,18 @@ class StudyView:
         if not add or snapshot.diagnosed is None:
             ui.label("Nothing more." if snapshot.added else "Nothing.")
             if snapshot.added:
-                ui.label(f"Added: {' and '.join(snapshot.added)}.")
+                ui.label(proper_names(f"Added: {' and '.join(snapshot.added)}."))
             ui.label(preview).classes("faint")
             return
         proposed = snapshot.diagnosed.proposed
         size = proposed_size(snapshot)
         nearest = "" if snapshot.diagnosed.is_named else "Nearest, not established: "
-        ui.label(f"{nearest}{add}{size}").style("font-weight: 600")
+        told = capitalised(f"{nearest}{add}{size}")
+        ui.label(said(told)).style("font-weight: 600")
         ui.label(preview)
         if not self._session.is_stale:
-            self._add_button(f"Add {add}", proposed)
+            begin = "Add" if snapshot.diagnosed.is_named else "Add anyway:"
+            self._add_button(proper_names(f"{begin} {add}"), proposed)
 
     def _add_button(
         self, label: str, effects: tuple[str, ...], quiet: bool = False
@@ -191,26 +220,23 @@ class StudyView:
                 f"{step.label} {step.judged:.3g}" for step in snapshot.steps
             )
             plot = ui.plotly(figure).classes("w-full").style(STAIRCASE_HEIGHT)
-            said = f"Chart: error after each step: {errors}".replace('"', "'")
-            plot.props(f'role="img" aria-label="{said}"')
+            told = f"Chart: error after each step: {errors}".replace('"', "'")
+            plot.props(f'role="img" aria-label="{told}"')
             with ui.row():
                 if len(snapshot.steps) > 1:
                     self._begins("Undo the last step", self._session.undo, True)
                 diagnosed = snapshot.diagnosed
                 if diagnosed is None or diagnosed.proposed:
                     auto = self._session.auto
-                    self._begins("Add until nothing is left", auto, True)
+                    self._begins(ADD_ALL, auto, True)
 
     def _ranking(self, snapshot: Snapshot) -> None:
         diagnosed = snapshot.diagnosed
         if diagnosed is None:
             return
         with card():
-            heading("Effects, best first")
-            ui.label(
-                "The bar is the error that an effect would leave, as a share of the "
-                "present one; the mark is the noise floor."
-            ).classes("faint")
+            heading(_title_of_ranking(diagnosed))
+            ui.label(BAR).classes("faint")
             for row in diagnosed.candidates[:N_SHOWN]:
                 self._candidate(snapshot, row)
             further = diagnosed.candidates[N_SHOWN:]
@@ -224,7 +250,7 @@ class StudyView:
             proposed = " (proposed)" if row.is_proposed else ""
             size = f": {row.size}" if row.size else ""
             with ui.row().classes("w-full items-center no-wrap justify-between"):
-                told = typeset(f"{row.label}{size}{proposed}")
+                told = proper_names(typeset(f"{row.label}{size}{proposed}"))
                 ui.label(told).style("font-weight: 600")
                 if not self._session.is_stale:
                     self._add_of_ranking(row)
@@ -236,15 +262,18 @@ class StudyView:
             if row.lost:
                 ui.label(f"Not proposed: {said(row.lost)}.").classes("faint")
             if row.confusable_with:
-                others = ", ".join(row.confusable_with)
+                others = proper_names(", ".join(row.confusable_with))
                 ui.label(f"The data do not tell it from {others}.").classes("faint")
 
     def _add_of_ranking(self, row: CandidateRow) -> None:
         """The button of a candidate; flat where something speaks against it."""
-        label = "Add anyway" if row.lost else "Add"
+        diagnosed = self._session.snapshot and self._session.snapshot.diagnosed
+        is_against = bool(row.lost) or not (diagnosed and diagnosed.is_named)
+        label = "Add anyway" if is_against else "Add"
         add = self._add_button(label, row.effects, quiet=True)
-        add.props(f'dense aria-label="{label} {row.label}, of the ranking"')
-        if row.lost:
+        named = proper_names(row.label)
+        add.props(f'dense aria-label="{label} {named}, of the ranking"')
+        if is_against:
             add.props("flat").props(remove="outline")
 
     # ---- the model and the exports ---------------------------------------------------
@@ -256,8 +285,8 @@ class StudyView:
                 ui.label(typeset(equation)).classes("formula")
             with ui.expansion("Parameters").classes("w-full"):
                 for row in snapshot.parameters:
-                    error = f" ± {row.std_error:.2g}" if row.std_error > 0 else ""
-                    text = f"{row.name} = {row.value:.4g}{error} {row.unit}"
+                    value = with_error(row.value, row.std_error)
+                    text = f"{row.name} = {value} {row.unit}"
                     ui.label(typeset(text)).classes("formula")
             if snapshot.diagnosed is not None:
                 with ui.expansion("What the diagnosis says").classes("w-full"):
@@ -310,3 +339,10 @@ class StudyView:
         except PhsiOptError as error:
             self._session.message = str(error)
             self._session.version += 1
+
+
+def _title_of_ranking(diagnosed: Diagnosed) -> str:
+    """What the list of effects is: none of them may be what is missing."""
+    if diagnosed.is_named:
+        return "Effects, best first"
+    return "Tried, none accepted" if diagnosed.is_missing else "Tried, none needed"

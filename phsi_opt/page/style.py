@@ -25,7 +25,9 @@ body { background: var(--ground) !important; color: var(--ink); }
 }
 .two { display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 12px; }
 .facts {
-  display: grid; grid-template-columns: repeat(4, minmax(0, 1fr)); gap: 14px;
+  display: grid; gap: 14px;
+  grid-template-columns:
+    minmax(0, 1.5fr) minmax(0, 1fr) minmax(0, 0.8fr) minmax(0, 1.1fr);
 }
 .tiles {
   display: grid; gap: 10px; width: 100%;
@@ -42,6 +44,10 @@ body { background: var(--ground) !important; color: var(--ink); }
 h1, h2, h3 { margin: 0; padding: 0; line-height: 1.3; font-weight: 600; }
 h1 { font-size: 20px; } h2 { font-size: 17px; } h3 { font-size: 15px; }
 p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
+.badge {
+  border: 2px solid currentColor; border-radius: 8px; padding: 1px 10px;
+  font-weight: 600; font-size: 17px;
+}
 .faint { color: var(--faint); }
 .good { color: var(--good); } .bad { color: var(--bad); }
 .alert {

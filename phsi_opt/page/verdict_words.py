@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from phsi_opt.criteria import FAILING_ERROR
 from phsi_opt.page.snapshot import CandidateRow, Diagnosed, Snapshot
-from phsi_opt.presentation.numbers import capitalised, said
+from phsi_opt.presentation.numbers import capitalised, number, said
 from phsi_opt.presentation.report_content import Answer
 
 
@@ -106,7 +106,7 @@ def proposed_size(snapshot: Snapshot) -> str:
 def error_words(snapshot: Snapshot, value: float) -> str:
     """An error with its unit."""
     unit = f" {snapshot.unit}" if snapshot.unit else ""
-    return f"{value:.3g}{unit}"
+    return f"{number(value, 3)}{unit}"
 
 
 def share_left(snapshot: Snapshot, row: CandidateRow) -> tuple[float, float]:

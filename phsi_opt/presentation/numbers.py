@@ -6,7 +6,16 @@ import re
 TEXT_DIGITS = 4  # of a number in a text
 MINUS = re.compile(r"(?<![\w.)])-(?=\d)")  # before a number, not in 1e-5
 UNIT_POWER = re.compile(r"(?<=[A-Za-z%])\^([2-9])")  # formulas have ** for it
-SUPERSCRIPTS = dict(zip("23456789", "²³⁴⁵⁶⁷⁸⁹", strict=True))
+SUPERSCRIPTS = dict(zip("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹", strict=True))
+POWER_OF_TEN = re.compile(
+    r"(?<![\w.])(\d+(?:\.\d+)?)e([+\-\N{MINUS SIGN}]?)0*(\d+)(?![\w.]\w)"
+)
+LARGEST_DECIMAL = 1e6  # up to which a number is written without a power of ten
+# Names of people; names of effects are small letters in code.
+PEOPLE = re.compile(r"(?<![\w'\"])(coulomb|stribeck)\b")
+LONG_CONSTANT = re.compile(r"(?<![\w.])\d+\.\d+(?![\w.]| \+-)")
+SHOWN_DIGITS = 5  # of a constant that somebody may have chosen
+RAISED = str.maketrans(SUPERSCRIPTS)
 LEAST_P_VALUE = 1e-6  # below which it only says that chance is ruled out
 
 
@@ -14,7 +23,15 @@ def number(value: float | None, digits: int = TEXT_DIGITS) -> str:
     """The value with a few digits, "not known" where there is none."""
     if value is None or not math.isfinite(value):
         return "not known"
-    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}", 1)
+    return said(decimal(value, digits))
+
+
+def decimal(value: float, digits: int) -> str:
+    """A number with so many digits, up to a million as 260 and not as 2.6e+02."""
+    text = f"{value:.{digits}g}"
+    if "e+" in text and abs(value) < LARGEST_DECIMAL:
+        return f"{float(text):.0f}"
+    return text
 
 
 def with_error(value: float, std_error: float) -> str:
@@ -25,7 +42,7 @@ def with_error(value: float, std_error: float) -> str:
         return number(value)
     n_decimals = 1 - math.floor(math.log10(std_error))
     if abs(n_decimals) > TEXT_DIGITS + 1:
-        return f"{number(value)} \N{PLUS-MINUS SIGN} {std_error:.2g}"
+        return f"{number(value)} \N{PLUS-MINUS SIGN} {number(std_error, 2)}"
     n_decimals = max(n_decimals, 0)
     text = f"{value:.{n_decimals}f}".replace("-", "\N{MINUS SIGN}", 1)
     return f"{text} \N{PLUS-MINUS SIGN} {std_error:.{n_decimals}f}"
@@ -39,10 +56,20 @@ def estimate_text(value: float, std_error: float) -> str:
     if not math.isfinite(std_error):
         return f"{value:.6g}"
     if std_error <= 0 or not math.isfinite(value):
-        return f"{value:.6g} +- {std_error:.2g}"
+        return f"{value:.6g} +- {decimal(std_error, 2)}"
     size = max(abs(value), std_error)
     n_digits = math.floor(math.log10(size)) - math.floor(math.log10(std_error)) + 2
-    return f"{value:.{n_digits}g} +- {std_error:.2g}"
+    return f"{decimal(value, n_digits)} +- {decimal(std_error, 2)}"
+
+
+def short_constants(line: str) -> str:
+    """An equation whose constants of six digits have three; estimates stay."""
+    return LONG_CONSTANT.sub(_three_digits, line)
+
+
+def _three_digits(found: re.Match[str]) -> str:
+    digits = found[0].replace(".", "").lstrip("0")
+    return f"{float(found[0]):.3g}" if len(digits) > SHOWN_DIGITS else found[0]
 
 
 def p_value_words(p_value: float) -> str:
@@ -59,8 +86,19 @@ def typeset(text: str) -> str:
 
 
 def said(text: str) -> str:
-    """A sentence with the minus signs that the numbers of a report have."""
-    return MINUS.sub("\N{MINUS SIGN}", typeset(text))
+    """A sentence as a report has it: minus signs, powers of ten, Coulomb's name."""
+    signed = MINUS.sub("\N{MINUS SIGN}", proper_names(typeset(text)))
+    return POWER_OF_TEN.sub(_power_of_ten, signed)
+
+
+def _power_of_ten(found: re.Match[str]) -> str:
+    sign = "" if found[2] in ("", "+") else "\N{SUPERSCRIPT MINUS}"
+    return f"{found[1]}\N{MULTIPLICATION SIGN}10{sign}{found[3].translate(RAISED)}"
+
+
+def proper_names(text: str) -> str:
+    """A text in which people have capital letters: Coulomb friction."""
+    return PEOPLE.sub(lambda found: found[0].title(), text)
 
 
 def capitalised(text: str) -> str:

@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from scipy.interpolate import PchipInterpolator
 
 from phsi_opt.presentation.axes import BASELINE, FLOOR, MEASURED, MODEL, axes_of, label
+from phsi_opt.presentation.numbers import number, proper_names
 from phsi_opt.presentation.units import rate_unit
 
 LETTERS_PER_INCH = 10  # of a tick label in matplotlib's default font
@@ -294,7 +295,8 @@ def draw_errors(
         ax.plot(steps + aside, held_out, "o-", color=MODEL, label="held out")
         _write_errors(ax, steps + aside, held_out, MODEL, "left")
     ax.plot(steps, floor, ":", color=FLOOR, label="noise floor", marker="_", ms=30)
-    ax.set_xticks(steps, _step_labels(ax, labels))
+    called = [proper_names(one) for one in labels]
+    ax.set_xticks(steps, _step_labels(ax, called))
     ax.set_ylabel(label("free-run rmse", unit))
     ax.set_title("Free-run error after each added effect")
     _scale_errors(ax, np.concatenate([train, held_out, floor]), len(labels))
@@ -302,7 +304,7 @@ def draw_errors(
         judged = held_out if is_held_out else train
         is_low = judged[-1] > FAR_ABOVE_FLOOR * floor[-1]
         ax.annotate(
-            f"noise floor {floor[-1]:.3g}",
+            f"noise floor {number(floor[-1], 3)}",
             (steps[-1], floor[-1]),
             xytext=(10, 4) if is_low else (10, -14),
             textcoords="offset points",
@@ -328,7 +330,7 @@ def _write_errors(
         if np.isfinite(error):
             has_line_above = side == "right" and k > 0 and errors[k - 1] > error
             ax.annotate(
-                f"{error:.3g}",
+                number(error, 3),
                 (place, error),
                 xytext=(-6 if side == "right" else 6, -14 if has_line_above else 5),
                 textcoords="offset points",

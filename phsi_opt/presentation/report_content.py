@@ -50,12 +50,18 @@ class Headline:
         status: the verdict in a phrase; ``severity``: how bad that is.
         sentence: what was found and what it changed.
         facts: what is wrong, where, since when, what to add.
+        beside: what stands beside the status, such as "fast disturbance"; "": nothing.
+        certainty: how sure it is that something is missing, and whether why is known.
+        caution: what else to know before anything is believed; "" for nothing.
     """
 
     status: str
     severity: str
     sentence: str
     facts: tuple[Fact, ...]
+    beside: str = ""
+    certainty: str = ""
+    caution: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,19 +9,20 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.energy_wording import NO_PATTERN
 from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.place_words import place_words
-from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.force_analysis.place_words import place_answer
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
+from phsi_opt.model.model import Model
+from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.numbers import capitalised, number, with_error
 from phsi_opt.presentation.report_content import Answer
-from phsi_opt.study.off_words import judged_words, off_words
+from phsi_opt.study.off_words import judged_words, misses_words, off_words
 
-NOTHING_FOLLOWED = "It follows none of the states, the inputs, the time."
+QUADRATIC_INPUT = "quadratic input"
 NO_FORCE = "The residuals are no noise, but no missing force is sure."
-MOSTLY = 0.5  # share of a force's mean square that is most of it
 
 
 # ---- what is wrong
@@ -31,30 +32,74 @@ def wrong_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     """What is missing, how large it is, and how far the model is off."""
     force = EquationForce.of(diagnosis.analysis, None)
     off = (
-        f"Run freely beside {judged_words(is_held_out)}, the model is off: "
+        f"Simulated on {judged_words(is_held_out)}, the model is off: "
         f"{off_words(diagnosis.base)}."
     )
     lacking = NO_FORCE if force.is_uncertain else _lacking(force)
     if diagnosis.findings:
         return Answer(_missing_words(diagnosis), f"{lacking} {off}")
     if force.is_uncertain or not force.pace.is_vibration:
-        return Answer(lacking, off)
+        return _by_cause(diagnosis, force, f"{lacking} {off}")
     lead = f"Something swings {_speed(force)}: {VIBRATION_WORDS}."
-    return Answer(lead, f"{lacking} So fast a force has to be large to be seen. {off}")
+    return Answer(lead, f"{lacking} {off}")
+
+
+def _by_cause(diagnosis: Diagnosis, force: EquationForce, detail: str) -> Answer:
+    """The likely cause with what the free run misses; else the size alone."""
+    cause = ""
+    if not force.is_uncertain:
+        cause = likely_cause(force.record.units, force)
+    misses = misses_words(diagnosis.base)
+    if cause:
+        return Answer(f"{cause}: the free run {misses}.", detail)
+    return Answer(f"The free run {misses}.", detail)
 
 
 def _missing_words(diagnosis: Diagnosis) -> str:
     """The names of what is missing."""
-    names = capitalised(" and ".join(map(class_of, diagnosis.findings)))
+    model = diagnosis.base.model
+    told = [
+        _plainly(finding, model) or class_of(finding) for finding in diagnosis.findings
+    ]
+    names = capitalised(" and ".join(told))
     verb = "is" if len(diagnosis.findings) == 1 else "are"
     if diagnosis.verdict == Verdict.NAMED:
         return f"{names} {verb} missing."
-    return f"{names} {verb} missing, and something without a name beside."
+    rest = _rest_words(diagnosis)
+    return f"{names} {verb} missing, plus something not yet identified{rest}."
+
+
+def _plainly(finding: Finding, model: Model) -> str:
+    """What an effect is where its name alone says little; "" for others."""
+    effect = finding.effects[0]
+    if not finding.is_name or not effect.name.startswith(QUADRATIC_INPUT):
+        return ""
+    (term,) = effect.term
+    is_force = effect.equation in position_of_momentum(model)
+    what = "a force" if is_force else "something"
+    law = term.body.replace("**", "^")
+    return f"{what} in proportion to {law} in d{effect.equation}/dt ({effect.name})"
+
+
+def _rest_words(diagnosis: Diagnosis) -> str:
+    """What is left with what is proposed, beside the error before and the noise."""
+    found = _proposed(diagnosis).comparison
+    if found is None:
+        return ""
+    floor = found.noise_floor
+    above = diagnosis.base.rmse - diagnosis.base.noise_floor
+    if not above > 0 or not floor > 0:
+        return ""
+    share = 100 * max(found.rmse - floor, 0.0) / above
+    times = number(found.rmse / floor, 2)
+    return (
+        f" ({number(share, 2)} % of the error above the noise; {times} times the noise)"
+    )
 
 
 def _lacking(force: EquationForce) -> str:
     """Size of the missing force, alone and beside the rate that the model has."""
-    beside = force.pace.size_words()
+    beside = force.pace.size_words(f"d{force.equation}/dt")
     said = f"The model's d{force.equation}/dt is off by {strength_words(force)}"
     return f"{said}, {beside}." if beside else f"{said}."
 
@@ -78,8 +123,9 @@ def was_wrong_words(diagnosis: Diagnosis, whose: str) -> str:
 
 def strength_words(force: EquationForce) -> str:
     """Root mean square of a missing force with its unit."""
-    unit = spaced(force_unit(force.equation, force.record.units))
-    return f"{number(float(force.where['strength']), 3)}{unit} (rms)"
+    scale = force.scale
+    strength = float(force.where["strength"]) / scale.size
+    return f"{number(strength, 3)}{spaced(scale.unit)} (rms)"
 
 
 def class_of(finding: Finding) -> str:
@@ -91,7 +137,7 @@ def class_of(finding: Finding) -> str:
 
 
 def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
-    """The equation, the values of the states, and what the force follows.
+    """The equation, what the force follows, or else the place where it is largest.
 
     What a cause explains is told where nothing has a name; the effect that is found, or
     was added, says it better.
@@ -99,15 +145,9 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
         return Answer("No equation, time or region stands out.")
-    place = f"In d{force.equation}/dt, {place_words(force)}."
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
-    cause = force.cause_in_brief if is_known else force.cause
-    if cause == NO_PATTERN:
-        return Answer(place, NOTHING_FOLLOWED)
-    left = float(force.shares["unexplained"])
-    if is_known or left < MOSTLY:
-        return Answer(place, f"It {cause}.")
-    return Answer(place, f"It {cause}; {100 * left:.0f} % follow nothing measured.")
+    is_named = is_past or bool(diagnosis.findings)
+    return place_answer(force, is_named, is_known)
 
 
 # ---- what to do

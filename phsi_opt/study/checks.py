@@ -69,10 +69,10 @@ def _horizon(row: pd.Series, judged: Comparison, unit_of_time: str) -> Check:
     scale = scale_of_time(shortest, unit_of_time)
     unit = spaced(scale.unit)
     if horizon >= WHOLE_RECORD * shortest:
-        return Check(subject, GOOD, "within the noise to the end of every trajectory")
+        return Check(subject, GOOD, "within the noise to the end of every run")
     is_far = float(row["rmse"]) > WHITE_ERROR * float(row["noise_floor"])
     severity = BAD if is_far else LOOK
-    said = "in the worst trajectory a residual leaves the noise "
+    said = "in the worst run a residual leaves the noise "
     if horizon < FROM_START * shortest:
         return Check(subject, severity, f"{said}from the start on")
     said += f"after {horizon / scale.size:.3g} of {shortest / scale.size:.3g}{unit}"

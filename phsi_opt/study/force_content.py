@@ -8,7 +8,6 @@ import pandas as pd
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_uncertainty import deviation_of
-from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT
 from phsi_opt.force_analysis.plot_parts import Bins
 from phsi_opt.force_analysis.state_plots import (
     Dependence,
@@ -19,14 +18,8 @@ from phsi_opt.force_analysis.state_plots import (
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.axes import label
-from phsi_opt.presentation.durations import (
-    date_words,
-    dates_words,
-    scale_of_time,
-    time_words,
-    times_words,
-)
-from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.durations import date_words, scale_of_time
+from phsi_opt.presentation.numbers import number, proper_names, with_error
 from phsi_opt.presentation.report_content import (
     Failure,
     Follows,
@@ -38,7 +31,6 @@ from phsi_opt.presentation.report_content import (
     Ranked,
 )
 from phsi_opt.presentation.thinning import rounded, thinned
-from phsi_opt.statistics import TINY
 from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.run_content import DIGITS_OF_TIME, FEWEST_PER_CURVE, MOST_PER_CURVE
 
@@ -46,11 +38,6 @@ MOST_FORCE_SAMPLES = 20_000  # of one force, in all trajectories
 MOST_DRAWN_DOTS = 1_500  # of a force against what it follows
 MOST_LISTED = 12  # candidates that are listed
 MOST_CONFUSED = 3  # effects that are named of those that one is confused with
-# Share of the strongest trajectory's force from which on another has it as well.
-STRONG_RUN = 0.5
-# Times that a force is stronger behind its beginning than before; where it follows a
-# motion that decays or grows, tenths differ by less.
-BEGINNING = 3.0
 MOST_FORCES = 4  # equations whose missing force is drawn
 
 
@@ -96,7 +83,7 @@ def _force(force: EquationForce) -> Force:
     t_label = label("t", scale.unit)
     return Force(
         f"d{force.equation}/dt",
-        force.force_label(),
+        force.told_label,
         t_label,
         force.sentence,
         _force_runs(force, scale.size),
@@ -117,9 +104,10 @@ def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
         inside = np.flatnonzero(record.run == number_of_run)
         kept = inside[thinned([force.w[inside]], most)]
         t = rounded(record.t[kept] / size, DIGITS_OF_TIME)
-        w = rounded(force.w[kept])
+        rate = force.scale.size
+        w = rounded(force.w[kept] / rate)
         since = date_words(0.0, record.origins[number_of_run])
-        runs.append(ForceRun(name, t, w, rounded(deviation[kept]), since))
+        runs.append(ForceRun(name, t, w, rounded(deviation[kept] / rate), since))
     return runs
 
 
@@ -130,7 +118,7 @@ def _map(force: EquationForce) -> ForceMap | None:
     found = MeanForce.of(force, names)
     rows = []
     for row in found.mean.T:
-        rows.append(rounded(np.ma.filled(row, np.nan)))
+        rows.append(rounded(np.ma.filled(row, np.nan) / force.scale.size))
     return ForceMap(
         force.variable_label(names[0]),
         force.variable_label(names[1]),
@@ -146,7 +134,7 @@ def _follows(force: EquationForce) -> Follows | None:
         return None
     variable = force.single_variable(None)
     found = Dependence.of(force, variable)
-    return _beside(found, dependence_title(force, variable))
+    return _beside(found, dependence_title(force, variable), force.scale.size)
 
 
 def law_of(law: EffectLaw) -> Law:
@@ -155,17 +143,20 @@ def law_of(law: EffectLaw) -> Law:
         f"The law that was added: what d{law.force.equation}/dt lacks where "
         f"{law.effect} is left out of the present model and all other values stay"
     )
-    follows = _beside(law.dependence, sentence)
-    return Law(law.title, law.force.force_label(), follows)
+    rate = law.force.scale.size
+    follows = _beside(law.dependence, proper_names(sentence), rate)
+    return Law(proper_names(law.title), law.force.told_label, follows)
 
 
-def _beside(found: Dependence, sentence: str) -> Follows:
-    bins = Bins.of(found.z, found.w)
+def _beside(found: Dependence, sentence: str, rate: float) -> Follows:
+    """A force against what it follows; ``rate``: unit in which it is told."""
+    w = found.w / rate
+    bins = Bins.of(found.z, w)
     step = max(1, len(found.z) // MOST_DRAWN_DOTS)
     return Follows(
         found.label,
         rounded(found.z[::step]),
-        rounded(found.w[::step]),
+        rounded(w[::step]),
         rounded(bins.centre),
         rounded(bins.mean),
         rounded(bins.std),
@@ -208,6 +199,8 @@ def _ranked(row: pd.Series, unit: str, classes: Mapping[str, list[str]]) -> Rank
         if other and other not in alike:
             alike.append(other)
     confused = shortened(", ".join(alike))
+    name = proper_names(name)
+    confused = proper_names(confused)
     return Ranked(name, size, explains, share, error, confused, str(row["lost"]))
 
 
@@ -222,73 +215,3 @@ def shortened(listed: str) -> str:
 def _known(value: object) -> Number:
     found = float(value)  # type: ignore[arg-type]
     return found if np.isfinite(found) else None
-
-
-def since_when(diagnosis: Diagnosis) -> str:
-    """Since when the surest missing force is there, where it is strongest, how often.
-
-    A beginning is told where one trajectory alone has the force, which is several times
-    weaker before it.
-    """
-    force = EquationForce.of(diagnosis.analysis, None)
-    if force.is_uncertain:
-        return "At no time surely."
-    record = force.record
-    unit = record.units.get("t", "")
-    sizes = []
-    for number_of_run in range(len(record.trajectories)):
-        sizes.append(_rms(force.w[record.run == number_of_run]))
-    n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
-    name = str(force.where["trajectory"])
-    window = str(force.where["time_window"])
-    origin = record.origin_of(name)
-    begin = None
-    if n_strong == 1:
-        inside = np.flatnonzero(record.run == record.trajectories.index(name))
-        begin = _beginning(force, inside)
-    since = (
-        f"From the start on, as far as the data tell{_in_runs(n_strong, len(sizes))}"
-    )
-    if begin is not None:
-        of_run = name if len(sizes) > 1 else "the training record"
-        when = f"{time_words(begin, unit)}{_in_brackets(date_words(begin, origin))}"
-        since = f"Far stronger from about t = {when} of {of_run} on"
-    if THROUGHOUT in window:
-        return f"{since}; about as strong all the time."
-    dates = _in_brackets(dates_words(window, origin))
-    strongest = f"strongest at t = {times_words(window, unit)}{dates}"
-    of_run = ""
-    if begin is None:
-        of_run = f" of {name}" if len(sizes) > 1 else " of the training record"
-    return f"{since}; {strongest}{of_run}."
-
-
-def _in_brackets(date: str) -> str:
-    return f" ({date})" if date else ""
-
-
-def _in_runs(n_strong: int, n_runs: int) -> str:
-    """In how many trajectories a force is strong; "" where there is only one."""
-    if n_runs == 1:
-        return ""
-    if n_strong == n_runs:
-        return f", in all {n_runs} trajectories"
-    return f", in {n_strong} of {n_runs} trajectories"
-
-
-def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:
-    """The time before which the force is far weaker; None: there is none such."""
-    tenths = np.array_split(inside, min(N_WINDOWS, len(inside)))
-    contrasts = []
-    for k in range(1, len(tenths)):
-        before = _rms(force.w[np.concatenate(tenths[:k])])
-        after = _rms(force.w[np.concatenate(tenths[k:])])
-        contrasts.append(after / max(before, TINY))
-    if not contrasts or max(contrasts) < BEGINNING:
-        return None
-    first = tenths[int(np.argmax(contrasts)) + 1][0]
-    return float(force.record.t[first] - force.record.h[first] / 2)
-
-
-def _rms(w: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(w**2)))

@@ -23,8 +23,13 @@ from phsi_opt.study.answers import (
     where_answer,
     wrong_answer,
 )
-from phsi_opt.study.force_content import since_when
+from phsi_opt.study.certainty import (
+    certainty_words,
+    disturbance_word,
+    undetermined_words,
+)
 from phsi_opt.study.record import StudyRecord
+from phsi_opt.study.since_when import since_when
 
 NOT_ASKED = "not diagnosed yet"
 SEVERITIES = {
@@ -68,7 +73,15 @@ def headline_of(study: StudyRecord) -> Headline:
     else:
         facts = _facts_without(study, present)
     sentence = _sentence(study, present)
-    return Headline(status, SEVERITIES[status], sentence, tuple(facts))
+    return Headline(
+        status,
+        SEVERITIES[status],
+        sentence,
+        tuple(facts),
+        beside="" if present is None else disturbance_word(present),
+        certainty="" if present is None else certainty_words(present),
+        caution=undetermined_words(study.last.fit.parameters),
+    )
 
 
 def _telling(study: StudyRecord, present: Diagnosis | None) -> Diagnosis | None:
@@ -232,7 +245,7 @@ def _was_added(study: StudyRecord, diagnosis: Diagnosis) -> str:
 def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
     """The answers where no diagnosis has found anything missing."""
     judged = study.last.judged
-    ratio = f"{judged.rmse / judged.noise_floor:.3g} times the noise floor"
+    ratio = f"{number(judged.rmse / judged.noise_floor, 3)} times the noise floor"
     error = errors_in_words(study)
     error = f"{capitalised(error)}: {ratio}."
     if present is None:

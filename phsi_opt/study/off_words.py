@@ -36,6 +36,17 @@ def _channel_words(row: pd.Series) -> str:
     return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
 
 
+def misses_words(judged: Comparison) -> str:
+    """Such as "misses q by 0.122 rad where noise alone is 0.002 rad", the worst one."""
+    table = judged.table
+    shares = PERCENT - table["fit_percent"].to_numpy(dtype=float)
+    row = table.iloc[int(np.argmax(np.nan_to_num(shares)))]
+    unit = spaced(str(row["unit"]))
+    rmse = number(float(row["rmse"]), 3)
+    floor = number(float(row["noise_floor"]), 3)
+    return f"misses {row['state']} by {rmse}{unit} where noise alone is {floor}{unit}"
+
+
 def judged_words(is_held_out: bool) -> str:
     """On which data an error is."""
-    return "the data held out" if is_held_out else "the training data"
+    return "data not used for fitting" if is_held_out else "the training data"

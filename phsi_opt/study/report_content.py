@@ -11,7 +11,12 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_report import equation_lines
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.presentation.durations import scale_of_time
-from phsi_opt.presentation.numbers import number, with_error
+from phsi_opt.presentation.numbers import (
+    number,
+    proper_names,
+    short_constants,
+    with_error,
+)
 from phsi_opt.presentation.report_content import (
     Equations,
     ErrorStep,
@@ -72,7 +77,9 @@ def _staircase(study: StudyRecord) -> Staircase:
         held_out = None if step.held_out is None else size * step.held_out.rmse
         train = size * step.train.rmse
         floor = size * step.judged.noise_floor
-        steps.append(ErrorStep(step.label, train, held_out, floor, step.fit.bic))
+        steps.append(
+            ErrorStep(proper_names(step.label), train, held_out, floor, step.fit.bic)
+        )
     said = errors_in_words(study)
     sentence = f"{said[:1].upper()}{said[1:]}."
     if _only_follows(study.last):
@@ -81,8 +88,7 @@ def _staircase(study: StudyRecord) -> Staircase:
             "follows what it was fitted to, and does not foretell the rest."
         )
     else:
-        judged = study.last.judged
-        sentence += beside_floor(judged.rmse, judged.noise_floor)
+        sentence += _at_floor(study.last, size)
     if study.unit == STANDARD_DEVIATIONS:
         sentence += (
             " The movement of a channel is the standard deviation of its measurements."
@@ -100,14 +106,26 @@ def scale_of_errors(unit: str) -> tuple[float, str]:
     return 1.0, unit
 
 
-def beside_floor(error: float, floor: float) -> str:
-    """What an error below the noise floor means; "" for one above."""
-    if error >= floor:
+def _at_floor(step: Step, size: float) -> str:
+    """What errors just below the noise floor mean; ``size``: factor on errors."""
+    floor = step.judged.noise_floor
+    errors = {"": step.judged.rmse}
+    if step.held_out is not None:
+        errors[" (training)"] = step.train.rmse
+    told = []
+    for which, error in errors.items():
+        if is_just_below(error, floor):
+            told.append(f"{number(size * error, 3)}{which}")
+    if not told:
         return ""
-    return (
-        " The noise floor is an estimate, too: an error just below it is one at it, "
-        "as low as noise lets it be."
-    )
+    verb = "equals" if len(told) == 1 else "equal"
+    listed = " and ".join(told)
+    return f" {listed} {verb} the noise floor within its own uncertainty."
+
+
+def is_just_below(error: float, floor: float) -> bool:
+    """Whether an error is below the noise floor, and no further than it is known."""
+    return floor / NEAR_FLOOR < error < floor
 
 
 def _only_follows(step: Step) -> bool:
@@ -152,7 +170,8 @@ def _model(heading: str, fit: Fit) -> Equations:
             value = number(parameter.nearest_bound(float(row["value"])))
         known = ", ".join(one for one in (interval, remark) if one)
         rows.append(ParameterRow(name, value, known, str(row["unit"])))
-    return Equations(heading, tuple(equation_lines(fit)), tuple(rows))
+    lines = tuple(short_constants(line) for line in equation_lines(fit))
+    return Equations(proper_names(heading), lines, tuple(rows))
 
 
 def interval_within(parameter: Parameter, lower: float, upper: float) -> str:
@@ -175,6 +194,7 @@ def _failures(study: StudyRecord) -> tuple[Failure, ...]:
         else:
             heading = heading.replace(" (base model)", "")
         told = step_story(study, number_of_step)
+        heading = proper_names(heading)
         failures.append(failure_of(diagnosis, heading, study.unit, told))
     return tuple(failures)
 
@@ -185,7 +205,7 @@ def _settings(study: StudyRecord) -> tuple[Fact, ...]:
     if study.held_out is not None:
         held_out = _data(study.held_out)
     facts.append(Fact("Data held out", held_out))
-    starts = "estimated from the whole record of each trajectory, held out or not"
+    starts = "estimated from the whole record of each run, held out or not"
     facts.append(Fact("Starting states", starts))
     facts.append(Fact("Units", _units(study.train)))
     if study.train.inputs:
@@ -209,7 +229,7 @@ def _data(data: Measurements) -> str:
     if max(lengths) > min(lengths):
         extent += f" to {max(lengths) / scale.size:.4g}"
     n_runs = len(lengths)
-    runs = "1 trajectory" if n_runs == 1 else f"{n_runs} trajectories"
+    runs = "1 run" if n_runs == 1 else f"{n_runs} runs"
     return (
         f"{runs}, {data.n_samples} samples, {extent} {scale.unit}".rstrip()
         + f" each; SHA-256 {data.digest}"

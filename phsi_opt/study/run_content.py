@@ -4,6 +4,7 @@ import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.presentation.durations import date_words, scale_of_time
+from phsi_opt.presentation.numbers import proper_names
 from phsi_opt.presentation.report_content import Channel, ChannelRun, Run, Runs
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.study.record import StudyRecord
@@ -38,7 +39,7 @@ def runs_of(study: StudyRecord) -> Runs:
     shown = _worst(runs, parts[0][1][0].weights)
     left_out = ""
     if n_runs > MOST_DRAWN_RUNS:
-        left_out = f"The first {MOST_DRAWN_RUNS} of {n_runs} trajectories are drawn."
+        left_out = f"The first {MOST_DRAWN_RUNS} of {n_runs} runs are drawn."
     labels = tuple(_label(step, number) for number, step in _numbered(study))
     sentence = _sentence(study, len(labels))
     return Runs(scale.unit, channels, labels, runs, shown, sentence, left_out)
@@ -58,7 +59,8 @@ def _label(step: Step, number: int) -> str:
     if number == 0:
         return step.label
     is_addition = not step.label.startswith("without ")
-    return f"step {number}: {'with ' if is_addition else ''}{step.label}"
+    named = proper_names(step.label)
+    return f"step {number}: {'with ' if is_addition else ''}{named}"
 
 
 def _channels(study: StudyRecord) -> tuple[Channel, ...]:
@@ -119,7 +121,7 @@ def _sentence(study: StudyRecord, n_models: int) -> str:
     """What the reader should look for."""
     text = (
         "Free runs: each begins at a starting state estimated from the whole record "
-        "of its trajectory and never looks at the measurements again. Residuals "
+        "of its run and never looks at the measurements again. Residuals "
         "(measured less model) that stay within the noise band are what noise leaves."
     )
     if n_models > 1:

@@ -7,9 +7,9 @@ from phsi_opt.study.answers import (
     where_answer,
     wrong_answer,
 )
-from phsi_opt.study.force_content import since_when
 from phsi_opt.study.off_words import judged_words, off_words
 from phsi_opt.study.record import StudyRecord
+from phsi_opt.study.since_when import since_when
 
 
 def step_story(study: StudyRecord, number: int) -> str:
@@ -24,8 +24,8 @@ def step_story(study: StudyRecord, number: int) -> str:
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
         off = off_words(diagnosis.base)
         return (
-            f"On {judged_words(is_held_out)} the free run is off: {off}. That is what "
-            "noise leaves; these data show nothing that is missing."
+            f"Simulated on {judged_words(is_held_out)}, the model is off: {off}. "
+            "That is what noise leaves; these data show nothing that is missing."
         )
     told = (
         wrong_answer(diagnosis, is_held_out),

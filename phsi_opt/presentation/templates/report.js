@@ -61,6 +61,12 @@
   function shortened(text, most) {
     return text.length > most ? text.slice(0, most - 1) + "\u2026" : text;
   }
+  // As in the text: 2.79×10⁻⁶, where a decimal would have many zeros.
+  function powerOfTen(value) {
+    const [digits, power] = value.toExponential(2).split("e");
+    const raised = power.replace("+", "").replace(/[-\d]/g, (sign) => (sign === "-" ? "\u207b" : "\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"[sign]));
+    return `${Number(digits)}\u00d710${raised}`;
+  }
   function wrapped(text, width) {
     const lines = [""];
     for (const word of text.split(" ")) {
@@ -108,7 +114,7 @@
     const held = steps.some((step) => step.held_out !== null);
     // Side by side, each with its numbers on its own side: equal errors do not hide each other.
     const aside = held ? 0.05 : 0;
-    const shown = (value) => (value === null ? "" : Math.abs(value) < 1e-4 ? value.toExponential(2) : Number(value.toPrecision(3)).toString());
+    const shown = (value) => (value === null ? "" : Math.abs(value) < 1e-4 ? powerOfTen(value) : Number(value.toPrecision(3)).toString());
     // A number stands where no line comes from: below a training error that fell, above a floor that lies low.
     const fell = steps.map((step, k) => k > 0 && step.train < steps[k - 1].train && step.train > 0.2 * Math.max(...steps.map((one) => one.train)));
     const last = steps[steps.length - 1];

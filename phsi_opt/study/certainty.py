@@ -1,0 +1,68 @@
+"""How sure a verdict is, in one line, and what the data do not determine at all."""
+
+import numpy as np
+import pandas as pd
+
+from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.presentation.numbers import number
+
+ONE_ERROR = "\N{PLUS-MINUS SIGN} is one standard error."
+# Times the noise floor from which an error alone says that something is missing.
+SURE_ERROR = 1.5
+AT_NOISE = 1.05  # times the noise floor up to which an error is that of the noise
+MOST_NAMED = 4  # parameters
+FAST_DISTURBANCE = "fast disturbance"
+
+
+def certainty_words(diagnosis: Diagnosis) -> str:
+    """Whether something is missing, how far the error is off, whether why is known."""
+    base = diagnosis.base
+    ratio = base.rmse / base.noise_floor
+    times = f"error {number(ratio, 2)} times the noise"
+    if ratio < AT_NOISE:
+        times = "the error is that of the noise"
+    if diagnosis.verdict == Verdict.NOTHING_MISSING:
+        return f"Nothing is seen to be missing ({times}). {ONE_ERROR}"
+    sure = "The residuals are no noise"
+    if ratio > SURE_ERROR or diagnosis.findings:  # these are established
+        sure = "Certain that something is missing"
+    return f"{sure} ({times}). Cause: {_cause(diagnosis)}. {ONE_ERROR}"
+
+
+def _cause(diagnosis: Diagnosis) -> str:
+    if not diagnosis.findings:
+        return "not known"
+    is_class = any(not finding.is_name for finding in diagnosis.findings)
+    named = "one of a class" if is_class else "named"
+    if diagnosis.verdict == Verdict.PARTLY_NAMED:
+        return f"a part is {named}"
+    return named
+
+
+def undetermined_words(parameters: pd.DataFrame) -> str:
+    """The parameters whose standard error exceeds their value; "" for none.
+
+    Args:
+        parameters: of a fit: name, value, std_error.
+    """
+    value = parameters["value"].to_numpy(dtype=float)
+    error = parameters["std_error"].to_numpy(dtype=float)
+    is_open = np.isfinite(error) & (error > np.abs(value))
+    names = [str(name) for name in parameters["name"][is_open]]
+    if not names:
+        return ""
+    listed = ", ".join(names[:MOST_NAMED])
+    if len(names) > MOST_NAMED:
+        listed += f" and {len(names) - MOST_NAMED} more"
+    return f"Not determined by these data: {listed} (standard error above the value)."
+
+
+def disturbance_word(diagnosis: Diagnosis) -> str:
+    """What stands beside a verdict whose force shakes; "" for others."""
+    force = EquationForce.of(diagnosis.analysis, None)
+    is_open = not diagnosis.findings and not force.is_uncertain
+    is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
+    is_fast = is_missing and is_open and force.pace.is_vibration
+    return FAST_DISTURBANCE if is_fast else ""
