@@ -224,7 +224,9 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
         assert answer.strip() in failure.told
 
 
-def test_one_line_says_how_sure_it_is(study: ph.Study) -> None:
+def test_one_line_says_how_sure_it_is(
+    study: ph.Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
     named = study.record.diagnoses[0]
     said = certainty_words(named)
     assert re.fullmatch(
@@ -235,7 +237,15 @@ def test_one_line_says_how_sure_it_is(study: ph.Study) -> None:
     unknown = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
     # The error alone, a little above the noise, makes nothing certain.
     assert certainty_words(unknown).startswith("The residuals are no noise (error 1.")
+    # That it follows the velocity is no suspicion of a thing outside.
     assert "Cause: not known." in certainty_words(unknown)
+    monkeypatch.setattr("phsi_opt.study.certainty.likely_cause", lambda *_: "Heat")
+    assert "Cause: suspected, not proven." in certainty_words(unknown)
+    monkeypatch.setattr(
+        "phsi_opt.study.certainty.disturbance_word", lambda *_: "fast disturbance"
+    )
+    assert "Cause: a disturbance, not found yet." in certainty_words(unknown)
+    monkeypatch.undo()
     partly = replace(named, verdict=ph.Verdict.PARTLY_NAMED)
     assert "Cause: a part is named." in certainty_words(partly)
     assert report_content(study.record).headline.certainty.startswith("Nothing is seen")
@@ -249,7 +259,8 @@ def test_parameters_that_the_data_leave_open_are_named_on_the_first_screen(
     assert undetermined_words(table) == ""
     table = table.assign(std_error=[2 * abs(value) for value in table["value"]])
     assert undetermined_words(table.head(2)) == (
-        "Not determined by these data: k, m (standard error above the value)."
+        "Not determined by these data: k, m (standard error above the value); "
+        "do not rely on them."
     )
 
 

@@ -403,8 +403,8 @@ def test_a_place_never_contradicts_what_the_force_follows(
     nothing = with_energy(force, NO_PATTERN, {"conserved": 0.0, "unexplained": 1.0})
     told["nothing"] = str(place_answer(nothing, is_named=False, is_known=False))
     assert re.fullmatch(
-        r"In dp/dt, largest where q is highest \(above [\d.]+ m\).*, but no state, "
-        "input or time explains it.",
+        r"In dp/dt; no state, input or time explains it\. "
+        r"It is largest where q is highest \(above [\d.]+ m\).*",
         told["nothing"],
     )
     assert "alike" not in " ".join(told.values())

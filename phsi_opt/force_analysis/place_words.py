@@ -32,8 +32,8 @@ AT_THE_ENDS = 2  # ranges at both ends of what occurred
 def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer:
     """The equation of a force, and what it follows or else where it is largest.
 
-    What is clearly followed comes first; a place stands beside it, or alone where
-    nothing is followed.
+    What is clearly followed comes first, a place beside it. Where nothing is followed
+    a place is a detail: it would promise a cause.
 
     Args:
         force: that is missing.
@@ -51,9 +51,9 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
         return Answer(f"{rate}{largest}.", _shares(force, is_known))
     is_part = any(float(force.shares[kind]) > NAMED_CAUSE for kind in CAUSES)
     explained = "explains most of it" if is_part else "explains it"
-    begin = f"{rate}{largest}, but" if place else f"{rate}, at no place of its own:"
-    lead = f"{begin} no state, input or time {explained}."
-    return Answer(lead, _shares(force, is_known))
+    lead = f"{rate}; no state, input or time {explained}."
+    shares = _shares(force, is_known)
+    return Answer(lead, f"It is largest {place}. {shares}" if place else shares)
 
 
 def _clear_cause(force: EquationForce) -> str:

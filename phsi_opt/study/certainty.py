@@ -6,6 +6,7 @@ import pandas as pd
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
+from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.presentation.numbers import number
 
 ONE_ERROR = "\N{PLUS-MINUS SIGN} is one standard error."
@@ -33,7 +34,11 @@ def certainty_words(diagnosis: Diagnosis) -> str:
 
 def _cause(diagnosis: Diagnosis) -> str:
     if not diagnosis.findings:
-        return "not known"
+        force = EquationForce.of(diagnosis.analysis, None)
+        if disturbance_word(diagnosis):
+            return "a disturbance, not found yet"
+        is_suspected = likely_cause(diagnosis.record.data.units, force)
+        return "suspected, not proven" if is_suspected else "not known"
     is_class = any(not finding.is_name for finding in diagnosis.findings)
     named = "one of a class" if is_class else "named"
     if diagnosis.verdict == Verdict.PARTLY_NAMED:
@@ -56,7 +61,10 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     listed = ", ".join(names[:MOST_NAMED])
     if len(names) > MOST_NAMED:
         listed += f" and {len(names) - MOST_NAMED} more"
-    return f"Not determined by these data: {listed} (standard error above the value)."
+    return (
+        f"Not determined by these data: {listed} (standard error above the value); "
+        "do not rely on them."
+    )
 
 
 def disturbance_word(diagnosis: Diagnosis) -> str:
