@@ -65,7 +65,7 @@ nitpick_ignore_regex = [
     ),
     (
         "py:.*",
-        r"(abc|ast|collections|concurrent|enum|functools|os|pathlib|types|typing)(\..*)?",
+        r"(abc|ast|collections|concurrent|datetime|enum|functools|os|pathlib|types|typing)(\..*)?",
     ),
     ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
     (

@@ -94,7 +94,7 @@ class EquationForce:
 
     @property
     def cause(self) -> str:
-        """What the force follows and does with energy: the end of a sentence."""
+        """The end of a sentence on what the force follows and does with energy."""
         energy = self.analysis.energy
         causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
         return causes[self.equation]

@@ -76,7 +76,7 @@ class Pace:
 
     @property
     def samples_per_cycle(self) -> int:
-        """Samples in one cycle of the force: their mean does not show it."""
+        """As many samples as a cycle of the force has; their mean does not show it."""
         return max(round(1 / (self.frequency * self.interval)), FEWEST_IN_MEAN)
 
     @property

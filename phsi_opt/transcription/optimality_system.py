@@ -95,7 +95,7 @@ class OptimalitySystem:
 
         Raises:
             SolveError: the states do not follow from the parameters and the data.
-            LinAlgError: an entry is no number.
+            np.linalg.LinAlgError: an entry is no number.
         """
         n_theta = self.n_theta
         factors = Banded.of(self._layout, self._band_entries(hessian, jacobian))
