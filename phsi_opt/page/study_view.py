@@ -150,12 +150,14 @@ class StudyView:
                         self._detail(facts.to_do.detail)
                     if facts.add or not is_told:
                         self._what_to_add(snapshot, facts.add, facts.preview)
+            if snapshot.caution:
+                ui.label(snapshot.caution)
             if snapshot.warning:
                 alert(snapshot.warning)
 
     @staticmethod
     def _badge(snapshot: Snapshot) -> None:
-        """The verdict in its own words, how sure it is, what the data leave open."""
+        """The verdict in its own words, and how sure it is."""
         diagnosed = snapshot.diagnosed
         if diagnosed is None:
             return
@@ -165,8 +167,6 @@ class StudyView:
             if diagnosed.beside:
                 ui.label(diagnosed.beside).classes("badge")
             ui.label(diagnosed.certainty)
-            if snapshot.caution:
-                ui.label(snapshot.caution).style("font-weight: 600")
 
     @staticmethod
     def _lead(text: str, color: str = "") -> None:
