@@ -131,12 +131,18 @@ def test_the_chaotic_systems(readme: str) -> None:
 
 
 def test_the_hidden_effects(readme: str) -> None:
+    from problems.hidden_effects.page import FIRST_NEW
     from problems.hidden_effects.rows import ONE, ROWS
     from problems.hidden_effects.scores import scored
 
-    found = {
-        name: pd.read_csv(RESULTS / "hidden_effects" / f"{name}.csv") for name in ROWS
-    }
+    found = {}
+    n_new = 0
+    for name in ROWS:
+        rows = pd.read_csv(RESULTS / "hidden_effects" / f"{name}.csv")
+        is_new = rows["seed"] >= FIRST_NEW
+        found[name] = rows[~is_new]
+        n_new += int(is_new.sum())
+    assert f"{n_new} cases on new seeds" in " ".join(readme.split())
     good = {name: scored(rows)["good"].mean() for name, rows in found.items()}
     one = [good[name] for name, row in ROWS.items() if row.kind == "one"]
     covered = {
