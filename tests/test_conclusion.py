@@ -22,7 +22,8 @@ def proposal_of(*effects: ph.Effect) -> Any:
 
 
 BOTH, ALONE = proposal_of(FRICTION, DELAY), proposal_of(DELAY)
-UNCLEAR = Conclusion(ph.Verdict.UNEXPLAINED, "the size of friction is not clear")
+AGAINST = "the size of friction on p, 0.4 +- 0.1, is not clear enough"
+UNCLEAR = Conclusion(ph.Verdict.UNEXPLAINED, "the nearest is both", against=AGAINST)
 NAMED = Conclusion(
     ph.Verdict.PARTLY_NAMED,
     "sensor delay on q",
@@ -53,7 +54,7 @@ def test_of_a_pair_that_is_not_established_the_one_that_is_so_alone_is_named(
     assert found.effects == (DELAY,)
     assert found.reason == (
         "sensor delay on q. With friction on p too the error would be 0.0213 rad, "
-        "but its size is not clear enough"
+        f"but {AGAINST}"
     )
 
 

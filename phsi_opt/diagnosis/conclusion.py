@@ -82,12 +82,13 @@ def conclusion(
     for single in parts_alone(base, proposed, ranked):
         alone = _concluded(base, single, ranked, pairs)
         if alone.findings:
-            return replace(alone, reason=f"{alone.reason}. {_beside(proposed, single)}")
+            beside = _beside(proposed, single, concluded.against)
+            return replace(alone, reason=f"{alone.reason}. {beside}")
     return concluded
 
 
-def _beside(proposed: Proposal, named: Proposal) -> str:
-    """The one of a pair that is not named, in a sentence."""
+def _beside(proposed: Proposal, named: Proposal, against: str) -> str:
+    """The one of a pair that is not named, and what is against both, in a sentence."""
     (other,) = (
         effect
         for effect in proposed.candidate.effects
@@ -96,7 +97,7 @@ def _beside(proposed: Proposal, named: Proposal) -> str:
     after = proposed.done.judged
     return (
         f"With {other} too the error would be {after.rmse:.4g}"
-        f"{spaced(after.error_unit)}, but its size is not clear enough"
+        f"{spaced(after.error_unit)}, but {against}"
     )
 
 
