@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from problems.examples.friction_spring import CSV, STARTS, table
@@ -19,6 +20,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
 SEED = 11
 RUNS = ("run 1", "run 2", "run 3")
+LONG_TABLES = 3  # with eight runs each
 
 
 def thinned_table(text: str) -> bytes:
@@ -41,6 +43,17 @@ def plain_spring_table() -> bytes:
     frame = table(SEED, friction=0.0)
     assert len(STARTS) >= len(RUNS)
     return thinned_table(frame.to_csv(index=False, lineterminator="\n"))
+
+
+def long_spring_table() -> bytes:
+    """So many runs of the spring that a diagnosis takes seconds: time to cancel it."""
+    frames = []
+    for number in range(LONG_TABLES):
+        frame = table(SEED + number)
+        frame["run"] = f"{number}, " + frame["run"]
+        frames.append(frame)
+    whole = pd.concat(frames, ignore_index=True)
+    return whole.to_csv(index=False, lineterminator="\n").encode()
 
 
 def bad_table() -> bytes:
