@@ -25,7 +25,16 @@ from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import position_of_momentum, position_rows
 from phsi_opt.presentation.report_content import Answer
 
+# What the rate of a momentum or a velocity is called, by its unit.
+RATES = {
+    "N": "force on",
+    "N m": "torque on",
+    "m/s^2": "acceleration of",
+    "rad/s^2": "acceleration of",
+}
 MOSTLY = 0.5  # share of a force's mean square that is most of it
+FOLLOWS = "follows "
+SHARE_BEGINS = ", which explains "  # behind what a force follows
 AT_THE_ENDS = 2  # ranges at both ends of what occurred
 
 
@@ -42,7 +51,7 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
         is_known: whether effects say all that the force is; then no shares are told.
     """
     cause = _clear_cause(force)
-    rate = f"In d{force.equation}/dt"
+    rate = rate_words(force)
     place = place_words(force)
     largest = f", largest {place}" if place else ""
     if cause:
@@ -54,6 +63,14 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
     lead = f"{rate}; no state, input or time {explained}."
     shares = _shares(force, is_known)
     return Answer(lead, f"It is largest {place}. {shares}" if place else shares)
+
+
+def rate_words(force: EquationForce) -> str:
+    """The equation, and what its rate is: "In dp/dt, the force on q"."""
+    rate = f"In d{force.equation}/dt"
+    position = position_of_momentum(force.record.fit.model).get(force.equation, "")
+    called = RATES.get(force.scale.unit, "")
+    return f"{rate}, the {called} {position}" if position and called else rate
 
 
 def _clear_cause(force: EquationForce) -> str:
@@ -112,9 +129,12 @@ def _shares(force: EquationForce, is_known: bool) -> str:
     left = float(force.shares["unexplained"])
     if not said:
         return ""
+    follows, is_told, share = said.partition(SHARE_BEGINS)
+    is_said = bool(cause and is_told) and follows.startswith(FOLLOWS)
+    told = f"That explains {share}" if is_said else f"It {said}"
     if is_known or left < MOSTLY:
-        return f"It {said}."
-    return f"It {said}; {100 * left:.0f} % follow nothing measured."
+        return f"{told}."
+    return f"{told}; {100 * left:.0f} % follow nothing measured."
 
 
 def _together(force: EquationForce) -> str:

@@ -26,6 +26,7 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
+from phsi_opt.presentation.report_content import Answer
 
 N_SHOWN = 5  # candidates that are shown at once
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
@@ -127,6 +128,7 @@ class StudyView:
                 self._not_asked(snapshot)
                 return
             self._badge(snapshot)
+            ui.label(said(facts.sentence)).classes("sentence")
             with ui.element("div").classes("facts w-full"):
                 with ui.element("div"):
                     heading("What is wrong", 3).classes("faint")
@@ -140,14 +142,14 @@ class StudyView:
                     self._detail(facts.where.detail)
                 with ui.element("div"):
                     heading("Since when", 3).classes("faint")
-                    self._lead(facts.since)
+                    self._lead(facts.since.lead)
+                    self._detail(facts.since.detail)
                 with ui.element("div"):
                     is_told = bool(facts.to_do.lead)
                     question = "What to do next" if is_told else "What to add"
                     heading(question, 3).classes("faint")
                     if is_told:
-                        self._lead(facts.to_do.lead)
-                        self._detail(facts.to_do.detail)
+                        self._to_do(snapshot, facts.to_do)
                     if facts.add or not is_told:
                         self._what_to_add(snapshot, facts.add, facts.preview)
             if snapshot.caution:
@@ -188,6 +190,15 @@ class StudyView:
         )
         self._begins("Look for what is missing", self._session.diagnose, False)
 
+    def _to_do(self, snapshot: Snapshot, to_do: Answer) -> None:
+        """What to do where nothing is named, with a button where the page can."""
+        self._lead(to_do.lead)
+        averaged = 0 if snapshot.diagnosed is None else snapshot.diagnosed.averaged
+        if averaged and not self._session.is_stale:
+            label = f"Average every {averaged} samples and fit again"
+            self._begins(label, lambda: self._session.average(averaged), quiet=False)
+        self._detail(to_do.detail)
+
     def _what_to_add(self, snapshot: Snapshot, add: str, preview: str) -> None:
         if not add or snapshot.diagnosed is None:
             ui.label("Nothing more." if snapshot.added else "Nothing.")
@@ -195,7 +206,7 @@ class StudyView:
                 ui.label(proper_names(f"Added: {' and '.join(snapshot.added)}."))
             ui.label(preview).classes("faint")
             return
-        proposed = snapshot.diagnosed.proposed
+        wanted = snapshot.diagnosed.proposed or snapshot.diagnosed.nearest
         size = proposed_size(snapshot)
         nearest = "" if snapshot.diagnosed.is_named else "Nearest, not established: "
         told = capitalised(f"{nearest}{add}{size}")
@@ -203,7 +214,7 @@ class StudyView:
         ui.label(preview)
         if not self._session.is_stale:
             begin = "Add" if snapshot.diagnosed.is_named else "Add anyway:"
-            self._add_button(proper_names(f"{begin} {add}"), proposed)
+            self._add_button(proper_names(f"{begin} {add}"), wanted)
 
     def _add_button(
         self, label: str, effects: tuple[str, ...], quiet: bool = False

@@ -48,6 +48,7 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
   border: 2px solid currentColor; border-radius: 8px; padding: 1px 10px;
   font-weight: 600; font-size: 17px;
 }
+.sentence { font-size: 18px; line-height: 1.35; font-weight: 600; }
 .faint { color: var(--faint); }
 .good { color: var(--good); } .bad { color: var(--bad); }
 .alert {

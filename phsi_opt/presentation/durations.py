@@ -4,7 +4,7 @@ import datetime as dt
 import re
 from dataclasses import dataclass
 
-SECONDS_UNIT = "s"
+SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told anew
 # A range of times in words, such as "7.93e+05 to 1.06e+06".
 RANGE_OF_TIMES = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?) to (-?[\d.]+(?:e[+-]?\d+)?)")
 
@@ -30,11 +30,14 @@ LEAST_SECONDS = (
 
 
 def scale_of_time(longest: float, unit: str) -> TimeScale:
-    """The unit in which times up to the longest are told; seconds alone are changed."""
-    if unit == SECONDS_UNIT:
-        for least, scale in LEAST_SECONDS:
-            if abs(longest) >= least:
-                return scale
+    """The unit in which times up to the longest are told: days for 200 h.
+
+    None smaller than the user's; other units than s, min and h stay.
+    """
+    size = SECONDS.get(unit, 0.0)
+    for least, scale in LEAST_SECONDS:
+        if size and abs(longest) * size >= least and scale.size > size:
+            return TimeScale(scale.unit, scale.size / size)
     return TimeScale(unit, 1.0)
 
 

@@ -234,6 +234,28 @@ class Force:
 
 
 @dataclass(frozen=True)
+class Glance:
+    """Where it shows: one channel of one run, and the force that is missing there.
+
+    Attributes:
+        run: number of the trajectory in `Runs.runs`; ``channel``: of its channel.
+        failure: number of the diagnosis that found the force, among those told.
+        force: of its equation, among the forces of that diagnosis.
+        force_run: of the trajectory in `Force.runs`.
+        window: from when to when the force is strongest; None: at no time.
+        sentence: what to see.
+    """
+
+    run: int
+    channel: int
+    failure: int
+    force: int
+    force_run: int
+    window: tuple[float, float] | None
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Law:
     """The force that is missing without an effect; ``label`` is that of the force."""
 
@@ -303,6 +325,7 @@ class Report:
     title: str
     headline: Headline
     staircase: Staircase
+    glance: Glance | None
     equations: tuple[Equations, ...]
     runs: Runs
     laws: tuple[Law, ...]

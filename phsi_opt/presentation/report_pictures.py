@@ -28,6 +28,8 @@ from phsi_opt.presentation.report_content import (
     Follows,
     Force,
     ForceMap,
+    ForceRun,
+    Glance,
     Numbers,
     Runs,
     Staircase,
@@ -97,6 +99,32 @@ def runs_picture(content: Runs) -> str:
     return svg(draw, 0.4 + 3.2 * n_channels)
 
 
+def glance_picture(content: Glance, runs: Runs, force: Force) -> str:
+    """One channel measured and simulated, the missing force below, as SVG."""
+    run = runs.runs[content.run]
+    channel = run.channels[content.channel]
+    info = runs.channels[content.channel]
+
+    def draw(figure: Figure) -> None:
+        upper, lower = figure.subplots(2, 1, sharex=True)
+        t = values(channel.t)
+        upper.plot(t, values(channel.measured), ".", ms=3, color=MEASURED)
+        upper.lines[-1].set_label("measured")
+        for m, style in enumerate(model_styles(len(runs.models))):
+            name = _short(runs.models[m])
+            upper.plot(t, values(channel.models[m]), lw=1.2, label=name, **style)
+        _draw_force(lower, force, force.runs[content.force_run])
+        for ax in (upper, lower):
+            if content.window is not None:
+                ax.axvspan(*content.window, color=ATTENTION, alpha=0.15, lw=0)
+            ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=4)
+            ax.margins(y=0.25)
+        upper.set_ylabel(_short(label(info.name, info.unit)))
+        lower.set_xlabel(_since(label("t", runs.unit_of_time), run.since))
+
+    return svg(draw, 3.6)
+
+
 def _draw_channel(
     axes: tuple[Axes, Axes], content: Runs, k: int, channel: ChannelRun
 ) -> None:
@@ -136,19 +164,25 @@ def force_picture(content: Force) -> str:
 
     def draw(figure: Figure) -> None:
         ax = figure.subplots()
-        t = values(run.t)
-        force = values(run.force)
-        band = 2 * values(run.std)
-        ax.fill_between(
-            t, force - band, force + band, color=MODEL, alpha=0.2, lw=0, label="2 std."
-        )
-        ax.plot(t, force, color=MODEL, lw=1.2, label="missing force")
-        ax.axhline(0, color=BASELINE, lw=0.6)
-        ax.set(xlabel=_since(content.t_label, run.since), ylabel=_short(content.label))
+        _draw_force(ax, content, run)
+        ax.set_xlabel(_since(content.t_label, run.since))
         ax.set_title(_short(run.name), loc="left", fontsize=10)
         ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=2)
 
     return svg(draw, 3.0)
+
+
+def _draw_force(ax: Axes, content: Force, run: ForceRun) -> None:
+    """The missing force of a trajectory with two standard deviations."""
+    t = values(run.t)
+    force = values(run.force)
+    band = 2 * values(run.std)
+    ax.fill_between(
+        t, force - band, force + band, color=MODEL, alpha=0.2, lw=0, label="2 std."
+    )
+    ax.plot(t, force, color=MODEL, lw=1.2, label="missing force")
+    ax.axhline(0, color=BASELINE, lw=0.6)
+    ax.set_ylabel(_short(content.label))
 
 
 def map_picture(content: ForceMap, force_label: str) -> str:

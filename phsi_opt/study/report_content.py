@@ -22,15 +22,18 @@ from phsi_opt.presentation.report_content import (
     ErrorStep,
     Fact,
     Failure,
+    Glance,
     ParameterRow,
     Report,
+    Runs,
     Staircase,
 )
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
 from phsi_opt.study.checks import checks_of
 from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.force_content import failure_of, law_of
-from phsi_opt.study.headline import errors_in_words, headline_of
+from phsi_opt.study.glance import glance_of
+from phsi_opt.study.headline import errors_in_words, headline_of, telling_diagnosis
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
 from phsi_opt.study.step import Step
@@ -56,14 +59,17 @@ def report_content(study: StudyRecord, laws: Sequence[EffectLaw] = ()) -> Report
         study: as it stands.
         laws: of the effects that were added.
     """
+    runs = runs_of(study)
+    failures = _failures(study)
     return Report(
         f"Study of {', '.join(study.train.measured)}",
         headline_of(study),
         _staircase(study),
+        _glance(study, failures, runs),
         _equations(study),
-        runs_of(study),
+        runs,
         tuple(law_of(law) for law in laws),
-        _failures(study),
+        failures,
         checks_of(study),
         _settings(study),
         _code(study),
@@ -94,16 +100,6 @@ def _staircase(study: StudyRecord) -> Staircase:
             " The movement of a channel is the standard deviation of its measurements."
         )
     return Staircase(tuple(steps), unit, sentence)
-
-
-def scale_of_errors(unit: str) -> tuple[float, str]:
-    """A factor on errors and the unit that they then have.
-
-    Those of several channels are told in percent of what was measured.
-    """
-    if unit == STANDARD_DEVIATIONS:
-        return 100.0, "% of the movement"
-    return 1.0, unit
 
 
 def _at_floor(step: Step, size: float) -> str:
@@ -197,6 +193,17 @@ def _failures(study: StudyRecord) -> tuple[Failure, ...]:
         heading = proper_names(heading)
         failures.append(failure_of(diagnosis, heading, study.unit, told))
     return tuple(failures)
+
+
+def _glance(
+    study: StudyRecord, failures: Sequence[Failure], runs: Runs
+) -> Glance | None:
+    """Where what the verdict tells of is seen best."""
+    telling = telling_diagnosis(study)
+    for number_of, (_, diagnosis) in enumerate(sorted(study.diagnoses.items())):
+        if diagnosis is telling:
+            return glance_of(diagnosis, number_of, failures[number_of], runs)
+    return None
 
 
 def _settings(study: StudyRecord) -> tuple[Fact, ...]:

@@ -13,7 +13,7 @@ from phsi_opt.presentation.durations import (
     time_words,
     times_words,
 )
-from phsi_opt.presentation.numbers import capitalised
+from phsi_opt.presentation.report_content import Answer
 from phsi_opt.statistics import TINY
 
 # Share of the strongest run's force from which on another has it as well.
@@ -21,65 +21,89 @@ STRONG_RUN = 0.5
 # Times that a force is stronger behind its beginning than before; where it follows a
 # motion that decays or grows, tenths differ by less.
 BEGINNING = 3.0
+# A force comes and goes where in so many stretches it is stronger than this share of
+# its strongest one; a record is looked at in so many stretches.
+STRETCHES = 20
+STRONG_STRETCH = 1 / 3
+FEWEST_BURSTS = 3
 
 
-def since_when(diagnosis: Diagnosis) -> str:
+def since_when(diagnosis: Diagnosis) -> Answer:
     """Since when the surest missing force is there, in which runs, where most clearly.
 
     A beginning is told where one run alone has the force, which is several times weaker
     before it; the start only where the force is clear in the first tenth of every run
-    that has it.
+    that has it. Whether it comes and goes is told where no effect is named, whose law
+    would say so.
     """
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
-        return "At no time surely."
+        return Answer("At no time surely.")
     runs = _runs(force)
     sizes = [_rms(force.w[inside]) for inside in runs]
     n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
-    name = str(force.where["trajectory"])
-    begin = None
-    if n_strong == 1:
-        begin = _beginning(force, runs[force.record.trajectories.index(name)])
+    strongest = runs[force.record.trajectories.index(str(force.where["trajectory"]))]
+    begin = _beginning(force, strongest) if n_strong == 1 else None
+    is_in_bursts = not diagnosis.findings and _comes_and_goes(force, strongest)
     if begin is not None:
-        return _since_then(force, begin)
-    return _throughout(force, runs)
+        return _since_then(force, begin, is_in_bursts)
+    return _throughout(force, runs, is_in_bursts)
 
 
-def _since_then(force: EquationForce, begin: float) -> str:
+def _since_then(force: EquationForce, begin: float, is_in_bursts: bool) -> Answer:
     """From a time on, which has a force before it that is far weaker."""
     record = force.record
     unit = record.units.get("t", "")
     name = str(force.where["trajectory"])
     origin = record.origin_of(name)
-    of_run = name if len(record.trajectories) > 1 else "the training record"
+    of_run = f" of {name}" if len(record.trajectories) > 1 else ""
     when = f"{time_words(begin, unit)}{_in_brackets(date_words(begin, origin))}"
-    since = f"Far stronger from about t = {when} of {of_run} on"
+    lead = f"From about t = {when}{of_run} on"
+    if is_in_bursts:
+        lead += "; it comes and goes"
     window = _window(force)
-    return f"{since}; strongest at {window}." if window else f"{since}."
+    return Answer(f"{lead}.", f"Strongest at {window}." if window else "")
 
 
-def _throughout(force: EquationForce, runs: list[np.ndarray]) -> str:
+def _throughout(
+    force: EquationForce, runs: list[np.ndarray], is_in_bursts: bool
+) -> Answer:
     """In which runs, from their start or not known how early, where most clearly."""
     clear = [inside for inside in runs if _is_clear(force, inside)] or runs
     starts = [np.array_split(inside, N_WINDOWS)[0] for inside in clear]
     is_from_start = all(_is_clear(force, start) for start in starts if len(start))
     n_others = len(runs) - len(clear)
-    if len(runs) == 1:
-        since = "from the start" if is_from_start else "throughout"
-        of_run = " of the training record"
-    else:
-        which = f"in {len(clear)} of {len(runs)} runs"
-        which = which if n_others else f"in all {len(runs)} runs"
-        since = f"{which}, {'from their beginning' if is_from_start else 'throughout'}"
+    lead = "From the start" if is_from_start else "All the time"
+    of_run = ""
+    if len(runs) > 1:
+        lead += f", in {f'{len(clear)} of' if n_others else 'all'} {len(runs)} runs"
         of_run = f" of {force.where['trajectory']}"
+    if is_in_bursts:
+        lead += "; it comes and goes"
+    told = []
+    window = _window(force)
+    if window:
+        most = "Strongest" if is_from_start else "Seen most clearly"
+        told.append(f"{most} at {window}{of_run}.")
+    elif not is_in_bursts:
+        told.append("About as strong all the time.")
     if n_others:
         others = "one" if n_others == 1 else str(n_others)
-        since += f"; not seen clearly in the other {others}"
-    window = _window(force)
-    if not window:
-        return capitalised(f"{since}; about as strong all the time.")
-    most = "strongest at" if is_from_start else "seen most clearly at"
-    return capitalised(f"{since}; {most} {window}{of_run}.")
+        told.append(f"Not seen clearly in the other {others}.")
+    return Answer(f"{lead}.", " ".join(told))
+
+
+def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
+    """Whether a run has several stretches of a clear force, and weak ones between."""
+    stretches = np.array_split(inside, min(STRETCHES, len(inside)))
+    sizes = np.array([_rms(force.w[stretch]) for stretch in stretches])
+    least = STRONG_STRETCH * np.max(sizes)
+    deviation = deviation_of(force.record.estimate)[inside, force.number]
+    if least < float(np.median(deviation)):
+        return False
+    is_strong = (sizes > least).astype(int)
+    n_bursts = int(np.sum(np.diff(is_strong, prepend=0) > 0))
+    return n_bursts >= FEWEST_BURSTS
 
 
 def _window(force: EquationForce) -> str:

@@ -37,7 +37,7 @@ FLYING = (20.0, 80.0)  # s
 SAMPLING = 0.01  # s
 THIN = 5  # samples
 WINDOW = 5.0  # s
-UNITS = {"q": "rad", "u": "%", "t": "s"}
+UNITS = {"q": "rad", "p": "rad/s", "u": "%", "t": "s"}
 # Simulations fitted by hand to the same windows of the steps, to compare: errors in
 # degrees.
 BY_HAND = {
