@@ -190,7 +190,7 @@ class Diagnosed:
         wrong: what is wrong.
         where: the place where the missing force is strongest.
         since: the time from which it is sure, in words.
-        to_do: what to add, or to do where nothing is named.
+        to_do: what to do where nothing is named.
         proposed: effects to add next.
         nearest: effects that come nearest where none is named; () for none.
         averaged: how many samples to average, where a force shakes; 0 where none does.

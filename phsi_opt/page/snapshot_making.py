@@ -31,7 +31,6 @@ from phsi_opt.study import Study
 from phsi_opt.study.answers import (
     nearest_effects,
     samples_to_average,
-    to_do_answer,
     where_answer,
     wrong_answer,
 )
@@ -126,7 +125,7 @@ def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
         wrong=wrong_answer(diagnosis, is_held_out),
         where=where_answer(diagnosis),
         since=since_when(diagnosis),
-        to_do=to_do_answer(diagnosis, is_held_out),
+        to_do=diagnosis.next_step,
         proposed=proposed,
         nearest=tuple(str(effect) for effect in nearest_effects(diagnosis)),
         averaged=samples_to_average(diagnosis),

@@ -129,6 +129,8 @@ class StudyView:
                 return
             self._badge(snapshot)
             ui.label(said(facts.sentence)).classes("sentence")
+            if snapshot.diagnosed is not None:
+                ui.label(snapshot.diagnosed.certainty)
             with ui.element("div").classes("facts w-full"):
                 with ui.element("div"):
                     heading("What is wrong", 3).classes("faint")
@@ -159,7 +161,7 @@ class StudyView:
 
     @staticmethod
     def _badge(snapshot: Snapshot) -> None:
-        """The verdict in its own words, and how sure it is."""
+        """The verdict in its own words."""
         diagnosed = snapshot.diagnosed
         if diagnosed is None:
             return
@@ -168,7 +170,6 @@ class StudyView:
             ui.label(diagnosed.verdict).classes(f"badge {color}")
             if diagnosed.beside:
                 ui.label(diagnosed.beside).classes("badge")
-            ui.label(diagnosed.certainty)
 
     @staticmethod
     def _lead(text: str, color: str = "") -> None:

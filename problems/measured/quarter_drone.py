@@ -66,7 +66,7 @@ def load(
 
 def model() -> ph.PseudoHamiltonian:
     """Gravity, damping, and a thrust in proportion to the command."""
-    gravity = ph.Parameter(10.0, lower=0, unit="1/s^2")
+    gravity = ph.Parameter(10.0, lower=0)
     return ph.PseudoHamiltonian(
         states=["q", "p"],
         inputs=["u"],
