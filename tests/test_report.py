@@ -19,6 +19,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.force_analysis.causes import CAUSES
+from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import (
     advice_of_cause,
     against_vibration,
@@ -54,7 +55,12 @@ from phsi_opt.presentation.report_content import (
 )
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit, scale_of_errors
-from phsi_opt.study.answers import missing_answer, nearest_effects, to_do_answer
+from phsi_opt.study.answers import (
+    missing_answer,
+    nearest_effects,
+    to_do_answer,
+    where_answer,
+)
 from phsi_opt.study.certainty import (
     certainty_words,
     disturbance_word,
@@ -67,7 +73,7 @@ from phsi_opt.study.report_content import (
     is_just_below,
     report_content,
 )
-from phsi_opt.study.since_when import _comes_and_goes
+from phsi_opt.study.since_when import _comes_and_goes, _gap_words, since_when
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 
@@ -159,7 +165,8 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     assert re.search(r"dp/dt was off by [\d.]+ N", answers["What was wrong"])
     assert "In dp/dt" in answers["Where it was"]
     assert re.fullmatch(
-        r"(From the start|All the time), in \w+( of)? \d runs\.", answers["Since when"]
+        r"(From the start|All the time), in \w+( of)? \d runs(; it comes and goes)?\.",
+        answers["Since when"],
     )
     details = {fact.question: fact.detail for fact in content.headline.facts}
     assert re.match(
@@ -207,7 +214,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     wrong = answers["What is wrong"]
     # One scale for error and noise, in numbers that can be compared.
     assert re.search(
-        r"q by 0\.\d+ m \(\d+ % of its movement; noise alone: \d+ %\)", wrong
+        r"q by 0\.\d+ m \(\d+ % of its movement; noise alone \d+ %\)", wrong
     )
     assert re.search(
         r"dp/dt is off by [\d.]+ N \(rms\), .* of the model's own dp/dt", wrong
@@ -245,13 +252,15 @@ def test_one_line_says_how_sure_it_is(
     monkeypatch.setattr(
         "phsi_opt.study.certainty.disturbance_word", lambda *_: "fast disturbance"
     )
-    assert "The cause is a fast disturbance, not found" in certainty_words(unknown)
+    assert "It is a fast disturbance; its source is not found" in certainty_words(
+        unknown
+    )
     monkeypatch.undo()
     (finding,) = named.findings
     either = replace(finding, effects=(*finding.effects, *finding.effects))
-    assert "Which one of a class it is" not in said
+    assert "Which of them it is" not in said
     open_class = replace(named, findings=(either,))
-    assert "Which one of a class it is" in certainty_words(open_class)
+    assert "Which of them it is" in certainty_words(open_class)
     assert report_content(study.record).headline.certainty.startswith("Nothing is seen")
     assert disturbance_word(unknown) == ""
 
@@ -263,7 +272,8 @@ def test_parameters_that_the_data_leave_open_are_named_on_the_first_screen(
     assert undetermined_words(table) == ""
     table = table.assign(std_error=[2 * abs(value) for value in table["value"]])
     assert undetermined_words(table.head(2)) == (
-        "Not determined by these data: k, m (standard error above the value); "
+        "Parameters that these data do not determine: k, m (standard error above the "
+        "value); "
         "do not rely on them."
     )
 
@@ -280,6 +290,8 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
     assert "The held-out error falls from" in facts["What to add"]
     assert facts["What to add"].endswith("what is left is more than noise.")
     above = with_errors(partly, after=0.4)
+    add = to_do_answer(above, is_held_out=True).detail
+    assert add.endswith("Then diagnose again: what is left is 10 times the noise.")
     assert missing_answer(above, is_held_out=True).detail == (
         "With it, the held-out error falls by 60 %; what else is missing is not known "
         "yet."
@@ -304,13 +316,63 @@ def test_the_nearest_effect_is_told_where_it_is_sure_of_its_size(
     )
     assert [str(one) for one in nearest_effects(unknown)] == ["coulomb friction on p"]
     told = to_do_answer(unknown, is_held_out=True).detail
-    assert "The nearest of the catalogue is coulomb friction on p (error 60 %" in told
+    assert "Nearest of the catalogue is coulomb friction on p: 60 % less error" in told
     (first, *_) = unknown.ranking
     unsure = replace(first, std_error=abs(first.coefficient))
     assert nearest_effects(replace(unknown, ranking=(unsure,))) == ()
     worse = with_errors(unknown, after=1.1)
     assert nearest_effects(worse) == ()
     assert nearest_effects(named) == ()
+
+
+def test_a_further_storage_that_helps_is_what_to_try(
+    study: ph.Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = with_errors(study.record.diagnoses[0], after=0.4)
+    unknown = replace(
+        named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
+    )
+    monkeypatch.setattr("phsi_opt.study.answers.is_second_storage", lambda _: True)
+    told = to_do_answer(unknown, is_held_out=True)
+    assert told.lead == "Try coulomb friction on p: 60 % less error, but not proven."
+
+
+def test_a_class_whose_members_act_at_several_places_has_no_one_place(
+    study: ph.Study,
+) -> None:
+    named = study.record.diagnoses[0]
+    (finding,) = named.findings
+    (friction,) = finding.effects
+    delay = replace(friction, slot="sensor", equation="q")
+    either = replace(named, findings=(replace(finding, effects=(friction, delay)),))
+    told = where_answer(either)
+    assert told.lead == "Either in dp/dt or at the sensor of q: the data do not tell."
+    assert told.detail.startswith("As a force it shows in dp/dt, the force on q.")
+    assert where_answer(named).lead.startswith("In dp/dt, the force on q.")
+
+
+def test_samples_that_are_missing_where_it_is_strongest_are_told(
+    study: ph.Study,
+) -> None:
+    named = study.record.diagnoses[0]
+    assert "Samples of" not in since_when(named).detail
+    where = named.where.iloc[0]
+    number_of = named.data.trajectory_number(str(where["trajectory"]))
+    begin, end = map(float, str(where["time_window"]).split(" to "))
+    run = named.data.trajectories[number_of]
+    x = run.x.copy()
+    x[(run.t >= begin) & (run.t <= (begin + end) / 2), 0] = np.nan
+    runs = list(named.data.trajectories)
+    runs[number_of] = replace(run, x=x)
+    data = SimpleNamespace(
+        trajectories=runs,
+        trajectory_number=named.data.trajectory_number,
+        states=named.data.states,
+        measured=named.data.measured,
+    )
+    force = EquationForce.of(named.analysis, None)
+    told = _gap_words(SimpleNamespace(data=data), force)  # type: ignore[arg-type]
+    assert told == "Samples of q are missing there."
 
 
 def test_beside_the_verdict_stands_the_run_where_it_shows(
@@ -353,7 +415,11 @@ def test_what_comes_and_goes_is_said_to() -> None:
         ({"unexplained": 0.9}, "", "a part that moves by itself (play"),
         ({"parameters": 0.8}, "electrical", "Fit each half of the record by itself"),
         ({"parameters": 0.8}, "electrical", "second resistor and capacitor"),
-        ({"inputs": 0.8}, "", "Look at how the input u enters dp/dt"),
+        (
+            {"inputs": 0.8},
+            "",
+            "Check that the input u is measured where it acts on dp/dt",
+        ),
         ({"time": 0.8}, "", "Repeat the run"),
         ({"conserved": 0.8}, "", "depends on q and p"),
         (

@@ -23,7 +23,15 @@ FURTHER_STATE = {
     HYDRAULIC: "a further vessel",
     ELECTRICAL: "a further storage (a second resistor and capacitor)",
     MECHANICAL: "a part that moves by itself (play, a soft shaft, a second mass)",
-    "": "a further storage, or a part that moves by itself",
+    "": "one more state (a second inertia or storage, an elastic part, a lag)",
+}
+# What else may be sought, in the same words.
+FURTHER_INPUT = {
+    THERMAL: "another input of heat (people, sun, ventilation)",
+    HYDRAULIC: "another inflow or outflow",
+    ELECTRICAL: "another source or load",
+    MECHANICAL: "another force from outside",
+    "": "another input",
 }
 # What is missing where most of a force follows nothing that was measured.
 UNSEEN = {
@@ -114,23 +122,18 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
         "constant": _of_states,
     }
     strongest, share = _strongest(force)
-    further = _further_state(units, force)
+    kind = kind_of(with_kinds_of_units(force.record.fit.model, units), force.equation)
+    further = FURTHER_STATE[kind]
     if share < float(force.shares["unexplained"]):
         return Answer(
             f"Give the model {further}.",
             "Most of what is missing follows nothing that was measured at the same "
-            "time. If that does not help, measure an input that is not recorded.",
+            f"time. If that does not help, record {FURTHER_INPUT[kind]}.",
         )
     told = causes[strongest](force)
     if strongest == "parameters":
         return Answer(told.lead, f"{told.detail} They may make up for {further}.")
     return told
-
-
-def _further_state(units: Mapping[str, str], force: EquationForce) -> str:
-    """A further state in the words of the equation's field."""
-    known = with_kinds_of_units(force.record.fit.model, units)
-    return FURTHER_STATE[kind_of(known, force.equation)]
 
 
 def _of_parameters(force: EquationForce) -> Answer:
@@ -148,9 +151,10 @@ def _of_inputs(force: EquationForce) -> Answer:
         told = f"Record data in which {names} and what it moves with go apart."
         return Answer(told, NO_EFFECT)
     return Answer(
-        f"Look at how {names} enter{'s' if len(inputs) == 1 else ''} "
-        f"d{force.equation}/dt: measured where it acts, or on the way there?",
-        NO_EFFECT,
+        f"Check that {names} {'is' if len(inputs) == 1 else 'are'} measured where "
+        f"{'it acts' if len(inputs) == 1 else 'they act'} on d{force.equation}/dt.",
+        f"{NO_EFFECT} A command is not yet the flow, heat or force that arrives: "
+        "record that as the input.",
     )
 
 

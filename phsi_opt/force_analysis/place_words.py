@@ -12,6 +12,7 @@ from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
 from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
 from phsi_opt.force_analysis.energy_wording import (
     NO_PATTERN,
+    OTHER_VALUES,
     TOGETHER,
     effort_words,
     exchange_noun,
@@ -55,13 +56,17 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
     place = place_words(force)
     largest = f", largest {place}" if place else ""
     if cause:
-        return Answer(f"{rate}. {_following(force, cause)}.", _shares(force, is_known))
+        return Answer(
+            f"{rate}. {_following(force, cause)}.", _shares(force, is_named, is_known)
+        )
     if is_named:
-        return Answer(f"{rate}{largest}.", _shares(force, is_known))
+        return Answer(f"{rate}{largest}.", _shares(force, is_named, is_known))
     is_part = any(float(force.shares[kind]) > NAMED_CAUSE for kind in CAUSES)
     explained = "explains most of it" if is_part else "explains it"
     lead = f"{rate}; no state, input or time {explained}."
-    shares = _shares(force, is_known)
+    if force.pace.is_vibration:
+        return Answer(lead)  # where it is large is where something shakes by chance
+    shares = _shares(force, is_named, is_known)
     return Answer(lead, f"It is largest {place}. {shares}" if place else shares)
 
 
@@ -114,9 +119,11 @@ def _exchanged(force: EquationForce) -> str:
     return f"{said}; largest {place}" if place else said
 
 
-def _shares(force: EquationForce, is_known: bool) -> str:
+def _shares(force: EquationForce, is_named: bool, is_known: bool) -> str:
     """How much of the force each cause explains."""
     cause = _clear_cause(force)
+    if is_named and force.cause.startswith(OTHER_VALUES):
+        return ""  # a re-fit from there came first, and left what is named
     if is_known:
         # The lead has said it, but for how energy is lost and for periods.
         is_said = cause in ("inputs", "constant")
@@ -131,6 +138,7 @@ def _shares(force: EquationForce, is_known: bool) -> str:
         return ""
     follows, is_told, share = said.partition(SHARE_BEGINS)
     is_said = bool(cause and is_told) and follows.startswith(FOLLOWS)
+    is_said = is_said and ", and " not in share
     told = f"That explains {share}" if is_said else f"It {said}"
     if is_known or left < MOSTLY:
         return f"{told}."

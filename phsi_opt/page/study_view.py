@@ -169,7 +169,7 @@ class StudyView:
         with ui.row().classes("w-full items-center gap-2"):
             ui.label(diagnosed.verdict).classes(f"badge {color}")
             if diagnosed.beside:
-                ui.label(diagnosed.beside).classes("badge")
+                ui.label(diagnosed.beside).classes("badge look")
 
     @staticmethod
     def _lead(text: str, color: str = "") -> None:
@@ -209,13 +209,17 @@ class StudyView:
             return
         wanted = snapshot.diagnosed.proposed or snapshot.diagnosed.nearest
         size = proposed_size(snapshot)
-        nearest = "" if snapshot.diagnosed.is_named else "Nearest, not established: "
-        told = capitalised(f"{nearest}{add}{size}")
-        ui.label(said(told)).style("font-weight: 600")
-        ui.label(preview)
+        is_named = snapshot.diagnosed.is_named
+        if is_named:
+            ui.label(said(capitalised(f"{add}{size}"))).style("font-weight: 600")
+            ui.label(said(preview))
+        else:
+            told = f"Nearest, but not proven: {add}{size}. {preview}."
+            ui.label(said(told)).classes("faint")
         if not self._session.is_stale:
-            begin = "Add" if snapshot.diagnosed.is_named else "Add anyway:"
-            self._add_button(proper_names(f"{begin} {add}"), wanted)
+            begin = "Add" if is_named else "Try"
+            label = proper_names(f"{begin} {add}")
+            self._add_button(label, wanted, quiet=not is_named)
 
     def _add_button(
         self, label: str, effects: tuple[str, ...], quiet: bool = False

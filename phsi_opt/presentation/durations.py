@@ -47,13 +47,20 @@ def time_words(t: float, unit: str, digits: int = 3) -> str:
     return f"{t / scale.size:.{digits}g} {scale.unit}".rstrip()
 
 
-def times_words(times: str, unit: str, digits: int = 3) -> str:
-    """A range of times in words, "4 to 5", with its unit."""
+def times_words(times: str, unit: str, longest: float = 0.0, digits: int = 3) -> str:
+    """A range of times in words, "4 to 5", with its unit.
+
+    Args:
+        times: in the user's unit.
+        unit: the user's.
+        longest: time that is told in the same unit, such as the end of the record.
+        digits: of each time.
+    """
     found = RANGE_OF_TIMES.search(times)
     if found is None:
         return f"{times} {unit}".rstrip()
     ends = [float(found[1]), float(found[2])]
-    scale = scale_of_time(max(map(abs, ends)), unit)
+    scale = scale_of_time(max(*map(abs, ends), longest), unit)
     if scale.size == 1.0:
         return f"{times} {unit}".rstrip()
     begin, end = (f"{end / scale.size:.{digits}g}" for end in ends)

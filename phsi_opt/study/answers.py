@@ -16,16 +16,18 @@ from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
+from phsi_opt.model.catalogue_storages import is_second_storage
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.presentation.numbers import capitalised, number, with_error
+from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study.certainty import disturbance_word
 from phsi_opt.study.off_words import judged_words, off_words
 
 QUADRATIC_INPUT = "quadratic input"
+NEARER = 0.9  # share of the error below which what is left is worth telling
 
 
 # ---- what is missing
@@ -160,7 +162,24 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
         return Answer("No equation, time or region stands out.")
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
     is_named = is_past or bool(diagnosis.findings)
-    return place_answer(force, is_named, is_known)
+    answer = place_answer(force, is_named, is_known)
+    places = _open_places(diagnosis)
+    if len(places) < 2:
+        return answer
+    lead = f"Either {' or '.join(places)}: the data do not tell."
+    return Answer(lead, f"As a force it shows {lowered(str(answer))}")
+
+
+def _open_places(diagnosis: Diagnosis) -> list[str]:
+    """Where the members of the classes that were found act, each place once."""
+    places = []
+    for finding in diagnosis.findings:
+        for effect in () if finding.is_name else finding.effects:
+            at = f"in d{effect.equation}/dt"
+            if effect.slot == "sensor":
+                at = f"at the sensor of {effect.equation}"
+            places.append(at)
+    return list(dict.fromkeys(places))
 
 
 # ---- what to do
@@ -177,12 +196,15 @@ def to_do_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     names = " and ".join(map(str, nearest))
     candidate = _candidate_with(diagnosis, nearest)
     against, _, _ = candidate.lost.partition(" (")
-    reason = f": {against}" if against else ""
+    reason = f"; {against}" if against else ""
     less = ""
     if candidate.comparison is not None:
         fall = 1 - candidate.comparison.rmse / diagnosis.base.rmse
-        less = f" (error {number(100 * fall, 2)} % less)" if fall > 0 else ""
-    told = f"The nearest of the catalogue is {names}{less}, not established{reason}."
+        less = f": {number(100 * fall, 2)} % less error" if fall > 0 else ""
+    if is_second_storage(nearest[0]):
+        lead = f"Try {names}{less}, but not proven."
+        return Answer(lead, f"{capitalised(against)}. {advice.detail}")
+    told = f"Nearest of the catalogue is {names}{less}, but not proven{reason}."
     return Answer(advice.lead, f"{advice.detail} {told}".strip())
 
 
@@ -197,7 +219,7 @@ def nearest_effects(diagnosis: Diagnosis) -> tuple[Effect, ...]:
     """What comes nearest where nothing is named; () where nothing comes near.
 
     That is what is proposed, else the first of the ranking, if its size differs from
-    zero and it lowers the error.
+    zero and it lowers the error by a tenth.
     """
     if diagnosis.findings:
         return ()
@@ -206,7 +228,7 @@ def nearest_effects(diagnosis: Diagnosis) -> tuple[Effect, ...]:
     first = diagnosis.ranking[0]
     is_sure = abs(first.coefficient) > PROPOSED_Z * first.std_error
     is_better = first.comparison is not None and (
-        first.comparison.rmse < diagnosis.base.rmse
+        first.comparison.rmse < NEARER * diagnosis.base.rmse
     )
     return first.effects if is_sure and is_better else ()
 
@@ -215,8 +237,18 @@ def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     told = capitalised("; ".join(map(finding_words, diagnosis.findings)))
     outcome = _outcome(diagnosis, is_held_out)
     if diagnosis.verdict != Verdict.NAMED:
-        outcome += " Then diagnose again: what is left is more than noise."
+        outcome += f" Then diagnose again: what is left is {_left_words(diagnosis)}."
+    if any(not finding.is_name for finding in diagnosis.findings):
+        outcome += " Which of them it is, an experiment tells (found.separation)."
     return Answer(f"{told}.", outcome.strip())
+
+
+def _left_words(diagnosis: Diagnosis) -> str:
+    """How much is left with what is proposed, beside the noise."""
+    found = _proposed(diagnosis).comparison
+    if found is None or _is_at_floor(found):
+        return "more than noise"
+    return f"{number(found.rmse / found.noise_floor, 2)} times the noise"
 
 
 def finding_words(finding: Finding) -> str:

@@ -37,9 +37,9 @@ def _cause(diagnosis: Diagnosis) -> str:
     """What is still open about the cause, in a sentence; "" where it is named."""
     if diagnosis.findings:
         is_class = any(not finding.is_name for finding in diagnosis.findings)
-        return "Which one of a class it is, the data leave open." if is_class else ""
+        return "Which of them it is, the data do not tell." if is_class else ""
     if disturbance_word(diagnosis):
-        return "The cause is a fast disturbance, not found yet."
+        return "It is a fast disturbance; its source is not found yet."
     force = EquationForce.of(diagnosis.analysis, None)
     if likely_cause(diagnosis.record.data.units, force):
         return "The cause is suspected, not proven."
@@ -62,8 +62,8 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     if len(names) > MOST_NAMED:
         listed += f" and {len(names) - MOST_NAMED} more"
     return (
-        f"Not determined by these data: {listed} (standard error above the value); "
-        "do not rely on them."
+        f"Parameters that these data do not determine: {listed} (standard error "
+        "above the value); do not rely on them."
     )
 
 

@@ -5,7 +5,9 @@ import numpy as np
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import window_of
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.durations import scale_of_time
+from phsi_opt.presentation.numbers import number
 from phsi_opt.presentation.report_content import Failure, Glance, Run, Runs
 from phsi_opt.study.run_content import TRAINING
 
@@ -37,15 +39,23 @@ def glance_of(
         longest = float(force.record.t.max())
         scale = scale_of_time(longest, force.record.units.get("t", ""))
         window = (window[0] / scale.size, window[1] / scale.size)
-    several = f" of {name}" if len(force.record.trajectories) > 1 else ""
     sentence = (
-        f"{runs.channels[channel].name}{several}, measured and simulated; below, what "
-        f"is missing in {rate}, with two standard deviations."
+        f"{_called(runs, place, channel)}; below, what is missing in {rate}, with two "
+        "standard deviations."
     )
     if window is not None:
         sentence += " Shaded: where that is strongest."
     shown = [one.name for one in failure.forces[row].runs].index(name)
     return Glance(place, channel, number, row, shown, window, sentence)
+
+
+def _called(runs: Runs, place: int, channel: int) -> str:
+    """The channel of a run, with how far off the base model is in it."""
+    run = runs.runs[place]
+    info = runs.channels[channel]
+    error = run.channels[channel].errors[BASE_MODEL]
+    off = "" if error is None else f" (off by {number(error, 3)}{spaced(info.unit)})"
+    return f"{info.name} of {run.name}, training data, measured and simulated{off}"
 
 
 def _worst_channel(run: Run) -> int:

@@ -34,8 +34,8 @@ def _channel_words(row: pd.Series) -> str:
     size = f"{number(rmse, 3)}{spaced(str(row['unit']))}"
     beside = f"{number(share, 2)} % of its movement"
     if share >= PERCENT:
-        beside = f"{number(share, 3)} % of its movement, worse than its mean"
-    return f"{row['state']} by {size} ({beside}; noise alone: {number(noise, 2)} %)"
+        beside = f"{number(share, 3)} % of its movement: a constant would do better"
+    return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
 
 
 def judged_words(is_held_out: bool) -> str:

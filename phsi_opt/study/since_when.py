@@ -6,11 +6,12 @@ from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_uncertainty import deviation_of
-from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT
+from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
+from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.durations import (
     date_words,
     dates_words,
-    time_words,
+    scale_of_time,
     times_words,
 )
 from phsi_opt.presentation.report_content import Answer
@@ -24,6 +25,9 @@ BEGINNING = 3.0
 # A force comes and goes where in so many stretches it is stronger than this share of
 # its strongest one; a record is looked at in so many stretches.
 STRETCHES = 20
+GAP_IN_WINDOW = (
+    0.1  # share of a window's samples that lack a channel, from which on it is said
+)
 STRONG_STRETCH = 1 / 3
 FEWEST_BURSTS = 3
 
@@ -33,8 +37,7 @@ def since_when(diagnosis: Diagnosis) -> Answer:
 
     A beginning is told where one run alone has the force, which is several times weaker
     before it; the start only where the force is clear in the first tenth of every run
-    that has it. Whether it comes and goes is told where no effect is named, whose law
-    would say so.
+    that has it.
     """
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
@@ -44,10 +47,33 @@ def since_when(diagnosis: Diagnosis) -> Answer:
     n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
     strongest = runs[force.record.trajectories.index(str(force.where["trajectory"]))]
     begin = _beginning(force, strongest) if n_strong == 1 else None
-    is_in_bursts = not diagnosis.findings and _comes_and_goes(force, strongest)
+    is_in_bursts = _comes_and_goes(force, strongest)
     if begin is not None:
-        return _since_then(force, begin, is_in_bursts)
-    return _throughout(force, runs, is_in_bursts)
+        answer = _since_then(force, begin, is_in_bursts)
+    else:
+        answer = _throughout(force, runs, is_in_bursts)
+    return Answer(
+        answer.lead, f"{answer.detail} {_gap_words(diagnosis, force)}".strip()
+    )
+
+
+def _gap_words(diagnosis: Diagnosis, force: EquationForce) -> str:
+    """Which channels lack samples where the force is strongest; "" for none."""
+    name = str(force.where["trajectory"])
+    window = window_of(str(force.where["time_window"]))
+    data = diagnosis.data
+    run = data.trajectories[data.trajectory_number(name)]
+    if window is None:
+        return ""
+    inside = (run.t >= window[0]) & (run.t <= window[1])
+    gaps = []
+    for k, state in enumerate(data.states):
+        if (
+            state in data.measured
+            and np.mean(np.isnan(run.x[inside, k])) > GAP_IN_WINDOW
+        ):
+            gaps.append(state)
+    return f"Samples of {' and '.join(gaps)} are missing there." if gaps else ""
 
 
 def _since_then(force: EquationForce, begin: float, is_in_bursts: bool) -> Answer:
@@ -57,7 +83,9 @@ def _since_then(force: EquationForce, begin: float, is_in_bursts: bool) -> Answe
     name = str(force.where["trajectory"])
     origin = record.origin_of(name)
     of_run = f" of {name}" if len(record.trajectories) > 1 else ""
-    when = f"{time_words(begin, unit)}{_in_brackets(date_words(begin, origin))}"
+    scale = scale_of_time(float(record.t.max()), unit)
+    when = f"{begin / scale.size:.3g}{spaced(scale.unit)}"
+    when += _in_brackets(date_words(begin, origin))
     lead = f"From about t = {when}{of_run} on"
     if is_in_bursts:
         lead += "; it comes and goes"
@@ -111,10 +139,11 @@ def _window(force: EquationForce) -> str:
     times = str(force.where["time_window"])
     if THROUGHOUT in times:
         return ""
-    unit = force.record.units.get("t", "")
-    origin = force.record.origin_of(str(force.where["trajectory"]))
+    record = force.record
+    origin = record.origin_of(str(force.where["trajectory"]))
     dates = _in_brackets(dates_words(times, origin))
-    return f"t = {times_words(times, unit)}{dates}"
+    longest = float(record.t.max())
+    return f"t = {times_words(times, record.units.get('t', ''), longest)}{dates}"
 
 
 def _runs(force: EquationForce) -> list[np.ndarray]:
