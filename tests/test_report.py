@@ -53,6 +53,7 @@ from phsi_opt.presentation.report_content import (
     Report,
     Run,
 )
+from phsi_opt.presentation.report_pictures import glance_picture
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit, scale_of_errors
 from phsi_opt.study.answers import (
@@ -67,6 +68,7 @@ from phsi_opt.study.certainty import (
     undetermined_words,
 )
 from phsi_opt.study.force_content import shortened
+from phsi_opt.study.glance import glance_of
 from phsi_opt.study.report_content import (
     _at_floor,
     interval_within,
@@ -381,8 +383,8 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
     glance = content.glance
     assert glance is not None
     run = content.runs.runs[glance.run]
-    force = content.failures[glance.failure].forces[glance.force]
-    lacks = force.runs[glance.force_run]
+    lacks = glance.force
+    assert lacks is not None
     where = study.record.diagnoses[0].where.iloc[0]
     assert run.name == lacks.name == where["trajectory"]
     assert run.part == "training"
@@ -391,6 +393,19 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
     squares = np.array([(w or 0.0) ** 2 for w in lacks.force])
     inside = [glance.window[0] <= (t or 0.0) <= glance.window[1] for t in lacks.t]
     assert squares[inside].mean() > 2 * squares.mean()
+    # Where the model is far worse on the data held out, these show it better.
+    runs = []
+    for one in content.runs.runs:
+        (channel,) = one.channels
+        errors = channel.errors if one.part == "training" else [2.0, 2.0]
+        runs.append(replace(one, channels=[replace(channel, errors=errors)]))
+    worse = replace(content.runs, runs=runs)
+    first = study.record.diagnoses[0]
+    judged = glance_of(first, content.failures[0], worse)
+    assert judged is not None and judged.force is None
+    assert runs[judged.run].part == "held out"
+    assert "data held out, measured and simulated (off by 2 m)" in judged.sentence
+    assert "<svg" in glance_picture(judged, worse)
     nothing = replace(study.record, diagnoses={}, stopped="")
     assert report_content(nothing).glance is None
 

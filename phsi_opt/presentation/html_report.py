@@ -82,11 +82,9 @@ def html_report(report: Report) -> str:
 
 def _glance_picture(report: Report) -> str:
     """The picture beside the verdict; "" for none."""
-    glance = report.glance
-    if glance is None:
+    if report.glance is None:
         return ""
-    force = report.failures[glance.failure].forces[glance.force]
-    return as_address(glance_picture(glance, report.runs, force))
+    return as_address(glance_picture(report.glance, report.runs))
 
 
 def _pictures_of(force: Force) -> ForcePictures:

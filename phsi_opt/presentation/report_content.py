@@ -239,20 +239,18 @@ class Glance:
 
     Attributes:
         run: number of the trajectory in `Runs.runs`; ``channel``: of its channel.
-        failure: number of the diagnosis that found the force, among those told.
-        force: of its equation, among the forces of that diagnosis.
-        force_run: of the trajectory in `Force.runs`.
-        window: from when to when the force is strongest; None: at no time.
         sentence: what to see.
+        force: the force along that trajectory; None where it was not estimated there.
+        window: from when to when the force is strongest; None: at no time.
+        label: of the force's axis.
     """
 
     run: int
     channel: int
-    failure: int
-    force: int
-    force_run: int
-    window: tuple[float, float] | None
     sentence: str
+    force: ForceRun | None = None
+    window: tuple[float, float] | None = None
+    label: str = ""
 
 
 @dataclass(frozen=True)

@@ -200,9 +200,10 @@ def _glance(
 ) -> Glance | None:
     """Where what the verdict tells of is seen best."""
     telling = telling_diagnosis(study)
-    for number_of, (_, diagnosis) in enumerate(sorted(study.diagnoses.items())):
+    told = [diagnosis for _, diagnosis in sorted(study.diagnoses.items())]
+    for diagnosis, failure in zip(told, failures, strict=True):
         if diagnosis is telling:
-            return glance_of(diagnosis, number_of, failures[number_of], runs)
+            return glance_of(diagnosis, failure, runs)
     return None
 
 

@@ -187,21 +187,20 @@
     const run = data.runs.runs[place.run];
     const one = run.channels[place.channel];
     const info = data.runs.channels[place.channel];
-    const content = data.forces[place.failure][place.force];
-    const lacks = content.runs[place.force_run];
     const traces = [{ x: one.t, y: one.measured, name: "measured", mode: "markers", marker: { color: color("measured"), size: 4 }, hovertemplate: "%{y:.4g}" }];
     one.models.forEach((values, m) => {
       if (m === 0 || m === one.models.length - 1) traces.push({ x: one.t, y: values, name: plain(shortened(data.runs.models[m], 30)), line: styleOf(m, one.models.length), mode: "lines", hovertemplate: "%{y:.4g}" });
     });
-    const below = band(lacks.t, lacks.force, lacks.std.map((v) => (v === null ? null : 2 * v)), "\u00b1 2 standard deviations");
-    below.push({ x: lacks.t, y: lacks.force, mode: "lines", line: { color: color("between"), width: 2 }, name: plain("missing in " + content.equation), hovertemplate: "%{y:.3g}" });
+    const lacks = place.force;
+    const below = lacks ? band(lacks.t, lacks.force, lacks.std.map((v) => (v === null ? null : 2 * v)), "\u00b1 2 standard deviations") : [];
+    if (lacks) below.push({ x: lacks.t, y: lacks.force, mode: "lines", line: { color: color("between"), width: 2 }, name: "missing", hovertemplate: "%{y:.3g}" });
     below.forEach((trace) => { trace.yaxis = "y2"; });
     const shapes = [];
     if (place.window) shapes.push({ type: "rect", xref: "x", x0: place.window[0], x1: place.window[1], yref: "paper", y0: 0, y1: 1, fillcolor: faint("before", 0.18), line: { width: 1, color: faint("before", 0.7) }, layer: "below" });
     draw("glance", traces.concat(below), {
-      xaxis: { anchor: "y2", title: { text: since(withUnit("t", data.runs.unit_of_time), run.since) } },
-      yaxis: { domain: [0.55, 1], title: { text: withUnit(info.name, info.unit) } },
-      yaxis2: { domain: [0, 0.42], title: { text: plain(content.label.replace("missing force", "missing")) } },
+      xaxis: { anchor: lacks ? "y2" : "y", title: { text: since(withUnit("t", data.runs.unit_of_time), run.since) } },
+      yaxis: { domain: [lacks ? 0.55 : 0, 1], title: { text: withUnit(info.name, info.unit) } },
+      yaxis2: { domain: [0, 0.42], title: { text: wrapped(place.label, 14) } },
       shapes: shapes, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, traceorder: "normal" },
     });
   }
