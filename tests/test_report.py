@@ -397,7 +397,8 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
     runs = []
     for one in content.runs.runs:
         (channel,) = one.channels
-        errors = channel.errors if one.part == "training" else [2.0, 2.0]
+        errors: list[float | None] = [2.0, 2.0]
+        errors = channel.errors if one.part == "training" else errors
         runs.append(replace(one, channels=[replace(channel, errors=errors)]))
     worse = replace(content.runs, runs=runs)
     first = study.record.diagnoses[0]
