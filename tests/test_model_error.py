@@ -312,7 +312,7 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
             plain.score_variance,
         )
         agreement.append(clusters.agreement())
-        scale = estimate.program.scale[estimate.program.variables["theta"].slice]
+        scale = estimate.point.theta_scale
         std_errors = np.sqrt(np.diag(clusters.jackknife())) * scale
         ratios.append(std_errors / estimate.uncertainty.std_errors)
     # 18 ratios, each known to about 20 %: their mean is known to 5 %.
