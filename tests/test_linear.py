@@ -57,6 +57,19 @@ def test_banded_factors_solve_what_dense_ones_solve() -> None:
     assert banded.log_abs_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-12)
 
 
+@pytest.mark.parametrize("n_columns", [1, 2, 5])
+def test_a_symmetric_matrix_is_solved_by_its_transposed_factors(n_columns: int) -> None:
+    rng = np.random.default_rng(6)
+    n = 40
+    matrix = np.triu(np.tril(rng.normal(size=(n, n)), 3), -3)
+    symmetric = matrix + matrix.T
+    right = rng.normal(size=(n, n_columns))
+    for one, is_symmetric in ((symmetric, True), (matrix, False)):
+        banded = Banded(csc_matrix(one), np.arange(n), is_symmetric)
+        expected = np.linalg.solve(one, right)
+        np.testing.assert_allclose(banded.solve(right), expected, rtol=1e-8)
+
+
 @pytest.mark.parametrize(("below", "above"), [(1, 4), (4, 1), (0, 2), (2, 0), (0, 0)])
 def test_a_band_need_not_be_as_wide_above_the_diagonal_as_below(
     below: int, above: int

@@ -312,7 +312,7 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
             plain.score_variance,
         )
         agreement.append(clusters.agreement())
-        scale = estimate.program.scale[estimate.program.variables["theta"].slice]
+        scale = estimate.point.theta_scale
         std_errors = np.sqrt(np.diag(clusters.jackknife())) * scale
         ratios.append(std_errors / estimate.uncertainty.std_errors)
     # 18 ratios, each known to about 20 %: their mean is known to 5 %.
@@ -747,6 +747,10 @@ def test_the_whitener_is_that_of_the_covariance(time: float) -> None:
     weights = rng.normal(size=(n, 3))
     factor = whitener.factor_of(weights)
     np.testing.assert_allclose(factor.T @ factor, weights.T @ covariance @ weights)
+    values = whitener.coloured(weights)
+    np.testing.assert_allclose(matrix @ values, weights, atol=1e-12)
+    np.testing.assert_allclose(whitener.coloured(weights[:, 0]), values[:, 0])
+    assert whitener.factor_of(np.zeros((n, 0))).shape == (n, 0)
 
 
 def test_smooth_functions_have_the_correlation_of_their_length() -> None:
@@ -964,6 +968,65 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
     assert not nothing.plain.search._promising.is_any
 
 
+def test_trials_that_are_asked_together_promise_what_each_does_alone() -> None:
+    search = search_of(0)
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(1.0, TIME)
+    forces = [Process(place, 1.0, TIME) for place in search.problem.forced]
+    trials = [
+        score_test.Trial(forces, sensors),
+        score_test.Trial([], []),
+        score_test.Trial([replace(one, time=3 * TIME) for one in forces], []),
+    ]
+    together = record.promised_gains(trials, search.channels)
+    for trial, gain in zip(trials, together, strict=True):
+        (alone,) = record.promised_gains([trial], search.channels)
+        assert gain.forces == pytest.approx(alone.forces, rel=1e-6)
+        assert gain.sensors == pytest.approx(alone.sensors, rel=1e-6)
+    assert together[0].forces > 0
+    assert together[1] == score_test.PromisedGain()
+
+
+def test_a_first_step_is_the_best_one_with_variances_that_are_not_negative() -> None:
+    rng = np.random.default_rng(0)
+    n_inside = 0
+    for _ in range(40):
+        factor = rng.normal(size=(3, 2))
+        information = factor.T @ factor
+        size = np.sqrt(np.diag(information))
+        information = information / np.outer(size, size)
+        slopes = rng.normal(size=2)
+        found = score_test._gain(slopes, information)
+        # Of two variances both, one, or none is above zero.
+        tried = [np.zeros(2), np.linalg.solve(information, slopes)]
+        tried += [np.array([slopes[0], 0.0]), np.array([0.0, slopes[1]])]
+        gains = []
+        for v in tried:
+            if np.all(v >= 0):
+                gains.append(slopes @ v - v @ information @ v / 2)
+        n_inside += bool(np.all(tried[1] > 0))
+        assert found == pytest.approx(max(gains), rel=1e-6, abs=1e-9)
+    assert 0 < n_inside < 40
+
+
+def test_nothing_more_is_worked_out_where_no_disturbance_is_promised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nothing = estimated(simulated(0, size=0.0), MaximumLikelihood())
+    assert isinstance(nothing, LikelihoodEstimate)
+    search = nothing.plain.search
+    assert search.found().disturbances.is_white
+
+    def never(*_: object) -> None:
+        raise AssertionError("the search went on")
+
+    monkeypatch.setattr(DisturbanceSearch, "found", never)
+    errors = nothing.standard_errors
+    assert errors is not None
+    assert (errors.source, errors.evidence) == (Source.NOISE, 0.0)
+
+
 def test_slopes_in_a_variance_are_those_of_the_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -974,7 +1037,10 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
     component = score_test._Component.of_force(search.problem, force)
-    (slope,) = record._excess([component], [component.felt(record.left)], np.ones(1))
+    asked = score_test._Asked([component], record.left, 1)
+    asked.information = np.eye(1)
+    record._set_excess([asked])
+    (slope,) = asked.excess
     small = 1e-3 * search.rates()[place]
     beside = Disturbances(search.plain, (replace(force, size=small),))
     rise = search.evidence(beside).log_evidence - search.evidence(white).log_evidence

@@ -247,7 +247,8 @@ class MarginalLikelihood:
             rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
             columns += [on_diagonal, on_diagonal[:-1], on_diagonal[1:]]
         order = np.argsort(self._times_of_unknowns(), kind="stable")
-        self._layout = BandLayout(np.concatenate(rows), np.concatenate(columns), order)
+        places = (np.concatenate(rows), np.concatenate(columns))
+        self._layout = BandLayout(*places, order, is_symmetric=True)
 
     def places_of_processes(self) -> list[tuple[int, int]]:
         """First place and length of every process among the unknowns."""
@@ -387,11 +388,13 @@ class MarginalLikelihood:
             log_prior += whitener.log_det - n * np.log(process.size)
         factors = Banded.of(self._layout, np.concatenate(entries))
         weighted_border = squared[:, None] * self.border_in_shown
-        of_unknowns = self.shown.T @ weighted_border + self._border_in_unknowns
-        coupling = np.vstack([of_unknowns, self.border_in_dynamics])
-        in_unknowns = self.shown.T @ (squared * problem.residual)
-        gradient = np.concatenate([in_unknowns, -problem.offset])
-        right = np.column_stack([coupling, gradient])
+        n, n_border = self._border_in_unknowns.shape
+        right = np.empty((n + len(problem.offset), n_border + 1))
+        right[:n, :n_border] = self._border_in_unknowns
+        right[:n, :n_border] += self.shown.T @ weighted_border
+        right[n:, :n_border] = self.border_in_dynamics
+        right[:n, n_border] = self.shown.T @ (squared * problem.residual)
+        right[n:, n_border] = -problem.offset
         log_noise = float(np.sum(np.log(weight)))
         log_prior += self.log_room(disturbances)
         return Eliminated(

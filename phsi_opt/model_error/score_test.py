@@ -162,95 +162,64 @@ class WhiteRecord:
         weights = self._parts.weights[:, None]
         weighted = weights * shifts.values
         inner = np.vstack([likelihood.shown.T @ weighted, shifts.dynamics])
-        alone = self._parts.factors.solve(inner)
-        in_theta = self._in_shown.T @ weighted - self._right.T @ alone
+        answer = self._parts.factors.solve(inner)
+        in_theta = self._in_shown.T @ weighted - self._right.T @ answer
         theta = np.linalg.solve(self._information, in_theta)
-        answer = alone - self._solved @ theta
+        answer -= self._solved @ theta
         shown = likelihood.shown @ answer[:n] + self._in_shown @ theta
         return _Shifts(weights * (shifts.values - shown), answer[n:])
 
-    def promised_gain(
-        self,
-        forces: Sequence[Process],
-        sensors: Sequence[Process],
-        channels: Sequence[int],
-    ) -> "PromisedGain":
-        """Gains of the log evidence by forces, and by sensors' processes.
+    def promised_gains(
+        self, trials: Sequence["Trial"], channels: Sequence[int]
+    ) -> "list[PromisedGain]":
+        """Gains of the log evidence by the processes of each trial.
+
+        What few columns need is solved for together; the random signals of each trial
+        by themselves, so that memory does not grow with the trials.
 
         Args:
-            forces: that could act, each at its time; their sizes do not matter.
-            sensors: processes that could add to what is shown.
+            trials: processes that could act.
             channels: states whose noise is estimated, and would follow.
         """
+        together = []
+        for trial in trials:
+            components = self._components(trial)
+            together.append(_Asked(components, self.left, len(trial.forces)))
+        worth_asking = [asked for asked in together if asked.components]
+        if worth_asking:
+            self._set_information(worth_asking, channels)
+            self._set_excess(worth_asking)
+        return [asked.gain for asked in together]
+
+    def _components(self, trial: "Trial") -> list[_Component]:
         components = []
-        for force in forces:
+        for force in trial.forces:
             components.append(_Component.of_force(self.problem, force))
-        for sensor in sensors:
+        for sensor in trial.sensors:
             components.append(_Component.of_sensor(self.problem, sensor))
-        if not components:
-            return PromisedGain()
-        felt = [component.felt(self.left) for component in components]
-        information = self._information_about(components, felt, channels)
-        size = np.sqrt(np.maximum(np.diag(information), TINY))
-        excess = self._excess(components, felt, size)
-        with np.errstate(over="ignore"):  # a component that leaves no trace
-            correlation = information / np.outer(size, size)
-        information = np.clip(correlation, -1.0, 1.0)
-        of_forces = slice(0, len(forces))
-        of_sensors = slice(len(forces), len(components))
-        return PromisedGain(
-            _gain(excess[of_forces], information[of_forces, of_forces]),
-            _gain(excess[of_sensors], information[of_sensors, of_sensors]),
-        )
+        return components
 
-    def _information_about(
-        self,
-        components: Sequence[_Component],
-        felt: Sequence[np.ndarray],
-        channels: Sequence[int],
-    ) -> np.ndarray:
-        """Average information about variances, while noises follow them, (n, n)."""
-        moved = [
-            component.shifts(component.whitener.covariance_times(own))
-            for component, own in zip(components, felt, strict=True)
-        ]
+    def _set_information(
+        self, together: Sequence["_Asked"], channels: Sequence[int]
+    ) -> None:
+        """Average information about variances, while noises follow them."""
         noise = self._noise_shifts(channels)
-        asked = _Shifts.joined([noise, *moved])
-        products = _products(asked, self._left(asked)) / 2
+        moved = [shift for asked in together for shift in asked.moved()]
+        shifts = _Shifts.joined([noise, *moved])
+        products = _products(shifts, self._left(shifts)) / 2
         n = len(channels)
-        mixed = products[n:, :n]
         of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
-        information: np.ndarray = products[n:, n:] - mixed @ of_noise @ mixed.T
-        return information
+        first = n
+        for asked in together:
+            own = slice(first, first + len(asked.components))
+            mixed = products[own, :n]
+            asked.information = products[own, own] - mixed @ of_noise @ mixed.T
+            first = own.stop
 
-    def _excess(
-        self,
-        components: Sequence[_Component],
-        felt: Sequence[np.ndarray],
-        size: np.ndarray,
-    ) -> np.ndarray:
-        """Slopes of the log evidence in the variances times their ``size``, (n,)."""
-        rng = np.random.default_rng(SIGN_SEED)
-        signals = []
-        for component, scale in zip(components, size, strict=True):
-            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
-            signals.append(component.whitener.coloured(signs) / np.sqrt(scale))
-        shifts = []
-        for component, signal in zip(components, signals, strict=True):
-            shifts.append(component.shifts(signal))
-        together = _Shifts(
-            np.sum([shift.values for shift in shifts], axis=0),
-            np.sum([shift.dynamics for shift in shifts], axis=0),
-        )
-        left = self._left(together)
-        slopes = []
-        for component, signal, own, scale in zip(
-            components, signals, felt, size, strict=True
-        ):
-            by_chance = np.sum(signal * component.felt(left)) / N_SIGNS
-            seen = np.sum(component.whitener.factor_of(own) ** 2) / scale
-            slopes.append((seen - by_chance) / 2)
-        return np.maximum(slopes, MOST_UNWANTED)
+    def _set_excess(self, together: Sequence["_Asked"]) -> None:
+        """Slopes of the log evidence in the variances times their sizes."""
+        for asked in together:
+            asked.set_excess(self._left(asked.signalled()))
 
     def _noise_shifts(self, channels: Sequence[int]) -> _Shifts:
         """How the data would move with the logarithm of each channel's noise."""
@@ -258,6 +227,96 @@ class WhiteRecord:
         is_in = self.problem.channel[:, None] == np.array(channels, dtype=int)
         shifts = np.where(is_in, 2 * residual, 0.0)
         return _Shifts(shifts, np.zeros((len(self.left.dynamics), len(channels))))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Processes that could act together, each at its time; their sizes do not matter.
+
+    Attributes:
+        forces: that could act.
+        sensors: processes that could add to what is shown.
+    """
+
+    forces: Sequence[Process]
+    sensors: Sequence[Process]
+
+
+class _Asked:
+    """The components of a trial, and what the record says of them.
+
+    Args:
+        components: forces first.
+        left: what states and parameters leave of the data.
+        n_forces: number of forces.
+
+    Attributes:
+        information: (n, n) about the variances.
+        excess: (n,) slopes of the log evidence in the variances times their sizes.
+    """
+
+    def __init__(
+        self, components: Sequence[_Component], left: _Shifts, n_forces: int
+    ) -> None:
+        self.components = components
+        self.felt = [component.felt(left) for component in components]
+        self.n_forces = n_forces
+        self.information = np.zeros((0, 0))
+        self.excess = np.zeros(0)
+        self._signals: list[np.ndarray] = []
+
+    @property
+    def size(self) -> np.ndarray:
+        """Root of the information about each variance, (n,)."""
+        return np.sqrt(np.maximum(np.diag(self.information), TINY))
+
+    def moved(self) -> list[_Shifts]:
+        """What each component does to the data where it follows what it feels."""
+        moved = []
+        for component, own in zip(self.components, self.felt, strict=True):
+            values = component.whitener.covariance_times(own)
+            moved.append(component.shifts(values))
+        return moved
+
+    def signalled(self) -> _Shifts:
+        """What random signals of all components do together, a column per sign."""
+        rng = np.random.default_rng(SIGN_SEED)
+        self._signals = []
+        shifts = []
+        for component, scale in zip(self.components, self.size, strict=True):
+            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
+            signal = component.whitener.coloured(signs) / np.sqrt(scale)
+            self._signals.append(signal)
+            shifts.append(component.shifts(signal))
+        return _Shifts(
+            np.sum([shift.values for shift in shifts], axis=0),
+            np.sum([shift.dynamics for shift in shifts], axis=0),
+        )
+
+    def set_excess(self, left: _Shifts) -> None:
+        """From what is left of the signals."""
+        slopes = []
+        for component, signal, own, scale in zip(
+            self.components, self._signals, self.felt, self.size, strict=True
+        ):
+            by_chance = np.sum(signal * component.felt(left)) / N_SIGNS
+            seen = np.sum(component.whitener.factor_of(own) ** 2) / scale
+            slopes.append((seen - by_chance) / 2)
+        self.excess = np.maximum(slopes, MOST_UNWANTED)
+
+    @property
+    def gain(self) -> PromisedGain:
+        """What the first step of a search promises."""
+        size = self.size
+        with np.errstate(over="ignore"):  # a component that leaves no trace
+            correlation = self.information / np.outer(size, size)
+        information = np.clip(correlation, -1.0, 1.0)
+        of_forces = slice(0, self.n_forces)
+        of_sensors = slice(self.n_forces, len(size))
+        return PromisedGain(
+            _gain(self.excess[of_forces], information[of_forces, of_forces]),
+            _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
+        )
 
 
 def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:
@@ -273,9 +332,12 @@ def _gain(slopes: np.ndarray, information: np.ndarray) -> float:
         slopes: (n,) at zero.
         information: (n, n), of diagonal one.
     """
-    if not len(slopes):
+    if not np.any(slopes > 0):
         return 0.0
     ridge = ALMOST_NONE * np.eye(len(slopes))
+    free = np.linalg.solve(information + ridge, slopes)
+    if np.all(free >= 0):
+        return float(slopes @ free - free @ information @ free / 2)
     lower = np.linalg.cholesky(information + ridge)
     right = np.linalg.solve(lower, slopes)
     none = np.zeros(len(slopes))

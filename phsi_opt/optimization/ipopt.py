@@ -59,6 +59,11 @@ class KKT:
     hessian: Any
     jacobian: Any
 
+    def of_first(self, n: int) -> Any:
+        """Jacobian of the first n constraints."""
+        is_all = n == self.jacobian.shape[0]
+        return self.jacobian if is_all else self.jacobian[:n]
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -396,6 +401,21 @@ def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
     if "theta" not in program.variables:
         return ()
     block = program.variables["theta"]
-    distance = np.minimum(z - program.lower, program.upper - z)[block.slice]
-    close = np.flatnonzero(distance < AT_BOUND)
-    return tuple(block.label(int(i)) for i in close)
+    names = [block.label(i) for i in range(block.stop - block.start)]
+    own = block.slice
+    return names_at_bounds(names, z[own], (program.lower[own], program.upper[own]))
+
+
+def names_at_bounds(
+    names: Sequence[str], z: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]
+) -> tuple[str, ...]:
+    """The names of the first scaled variables z that are at a bound.
+
+    Args:
+        names: (n_names,).
+        z: (n,), as many or more.
+        bounds: lower and upper ones, (n,) each.
+    """
+    lower, upper = bounds
+    distance = np.minimum(z - lower, upper - z)[: len(names)]
+    return tuple(names[i] for i in np.flatnonzero(distance < AT_BOUND).tolist())

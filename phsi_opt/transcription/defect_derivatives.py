@@ -17,6 +17,7 @@ from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
     argument_symbols,
+    in_intervals,
     interval_arguments,
     map_intervals,
 )
@@ -56,12 +57,10 @@ def defect_slopes(
     ``x`` is (n_nodes, n_states) and ``theta`` (n_free,).
     """
     slopes = model.built(("dense slopes", scheme), lambda: _dense_slopes(model, scheme))
-    columns = interval_arguments(grid, ca.DM(x.T))
-    at_begin, at_end = map_intervals(slopes, grid, columns, theta)
+    columns = interval_arguments(grid, x.T)
+    at_begin, at_end = in_intervals(slopes, grid, columns, theta)
     shape = (grid.n_intervals, model.n_states, model.n_states)
-    return DefectSlopes(
-        np.array(at_begin).T.reshape(shape), np.array(at_end).T.reshape(shape)
-    )
+    return DefectSlopes(at_begin.T.reshape(shape), at_end.T.reshape(shape))
 
 
 def interval_slopes(
@@ -80,8 +79,13 @@ def interval_slopes(
 
 
 @dataclass(frozen=True, eq=False)
-class _OfOneInterval:
-    """A function of one interval, and the places of its entries, (n_entries, 2)."""
+class OfOne:
+    """A function of one interval or node, and the places of its entries.
+
+    Attributes:
+        entries: the function, whose last result are the entries.
+        places: (n_entries, 2) row and column of each.
+    """
 
     entries: ca.Function
     places: np.ndarray
@@ -98,25 +102,29 @@ def _dense_slopes(model: Model, scheme: str) -> ca.Function:
     return ca.Function("slopes", arguments, [ca.vec(in_x0), ca.vec(in_x1)])
 
 
-def _slopes_of_one(model: Model, scheme: str, with_theta: bool) -> _OfOneInterval:
+def _slopes_of_one(model: Model, scheme: str, with_theta: bool) -> OfOne:
     function = defect(model, scheme)
     arguments = argument_symbols(function)
     x0, x1, *_, parameters = arguments
     unknowns = [x0, x1, parameters] if with_theta else [x0, x1]
     slopes = ca.jacobian(function(*arguments), ca.vertcat(*unknowns))
-    entries = ca.Function("steps", arguments, [_entries(slopes)])
-    return _OfOneInterval(entries, _places(slopes))
+    entries = ca.Function("steps", arguments, [entries_of(slopes)])
+    return OfOne(entries, places_of(slopes))
 
 
-def _linear_one(model: Model, scheme: str) -> _OfOneInterval:
+def linear_defect(model: Model, scheme: str) -> OfOne:
     """The defect of one interval with its slopes in (x0, x1, theta)."""
+    return model.built(("linear", scheme), lambda: _linear_one(model, scheme))
+
+
+def _linear_one(model: Model, scheme: str) -> OfOne:
     function = defect(model, scheme)
     arguments = argument_symbols(function)
     x0, x1, *_, parameters = arguments
     value = function(*arguments)
     slopes = ca.jacobian(value, ca.vertcat(x0, x1, parameters))
-    both = ca.Function("linear", arguments, [value, _entries(slopes)])
-    return _OfOneInterval(both, _places(slopes))
+    both = ca.Function("linear", arguments, [value, entries_of(slopes)])
+    return OfOne(both, places_of(slopes))
 
 
 class DefectLinearization:
@@ -129,7 +137,7 @@ class DefectLinearization:
 
     def __init__(self, model: Model, scheme: str) -> None:
         self.model = model
-        one = model.built(("linear", scheme), lambda: _linear_one(model, scheme))
+        one = linear_defect(model, scheme)
         self._places = one.places
         self._function = one.entries
 
@@ -148,9 +156,8 @@ class DefectLinearization:
             the states, node by node, and in the parameters of every trajectory, of
             which the first n_free columns belong to the first trajectory.
         """
-        columns = interval_arguments(grid, ca.DM(x.T))
-        found = map_intervals(self._function, grid, columns, ca.DM(parameters))
-        values, entries = (np.array(part) for part in found)
+        columns = interval_arguments(grid, x.T)
+        values, entries = in_intervals(self._function, grid, columns, parameters)
         n = self.model.n_states
         n_free, n_trajectories = parameters.shape
         rows, inner = self._places.T
@@ -187,7 +194,7 @@ def interval_curvatures(
     return IntervalEntries(values, one.places)
 
 
-def _curvature_of_one(model: Model, scheme: str) -> _OfOneInterval:
+def _curvature_of_one(model: Model, scheme: str) -> OfOne:
     function = defect(model, scheme)
     *given, parameters = argument_symbols(function)
     x0, x1 = given[:2]
@@ -196,17 +203,17 @@ def _curvature_of_one(model: Model, scheme: str) -> _OfOneInterval:
     hessian = ca.hessian(value, ca.vertcat(x0, x1, parameters))[0]
     upper = ca.triu(hessian)
     arguments = [*given, multiplier, parameters]
-    entries = ca.Function("curvature", arguments, [_entries(upper)])
-    return _OfOneInterval(entries, _places(upper))
+    entries = ca.Function("curvature", arguments, [entries_of(upper)])
+    return OfOne(entries, places_of(upper))
 
 
-def _places(matrix: ca.SX) -> np.ndarray:
+def places_of(matrix: ca.SX) -> np.ndarray:
     """Row and column of each entry that is not always zero, (n_entries, 2)."""
     rows, columns = matrix.sparsity().get_triplet()
     return np.array([rows, columns], dtype=int).T
 
 
-def _entries(matrix: ca.SX) -> ca.SX:
-    """The entries at `_places`, as a column."""
-    entries = [matrix[row, column] for row, column in _places(matrix).tolist()]
+def entries_of(matrix: ca.SX) -> ca.SX:
+    """The entries at `places_of`, as a column."""
+    entries = [matrix[row, column] for row, column in places_of(matrix).tolist()]
     return ca.vertcat(ca.SX(0, 1), *entries)
