@@ -167,7 +167,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     assert re.search(r"dp/dt was off by [\d.]+ N", answers["What was wrong"])
     assert "In dp/dt" in answers["Where it was"]
     assert re.fullmatch(
-        r"(From the start|All the time), in \w+( of)? \d runs(; it comes and goes)?\.",
+        r"(From the start, a|A)gain and again, in both training runs\.",
         answers["Since when"],
     )
     details = {fact.question: fact.detail for fact in content.headline.facts}
@@ -357,7 +357,7 @@ def test_samples_that_are_missing_where_it_is_strongest_are_told(
     study: ph.Study,
 ) -> None:
     named = study.record.diagnoses[0]
-    assert "Samples of" not in since_when(named).detail
+    assert "Samples of" not in since_when(named).lead
     where = named.where.iloc[0]
     number_of = named.data.trajectory_number(str(where["trajectory"]))
     begin, end = map(float, str(where["time_window"]).split(" to "))
@@ -374,7 +374,7 @@ def test_samples_that_are_missing_where_it_is_strongest_are_told(
     )
     force = EquationForce.of(named.analysis, None)
     told = _gap_words(SimpleNamespace(data=data), force)  # type: ignore[arg-type]
-    assert told == "Samples of q are missing there."
+    assert told == "Samples of q are missing where it is strongest."
 
 
 def test_beside_the_verdict_stands_the_run_where_it_shows(
@@ -405,7 +405,7 @@ def test_beside_the_verdict_stands_the_run_where_it_shows(
     judged = glance_of(first, content.failures[0], worse)
     assert judged is not None and judged.force is None
     assert runs[judged.run].part == "held out"
-    assert "data held out, measured and simulated (off by 2 m)" in judged.sentence
+    assert "(data held out), measured and simulated from" in judged.sentence
     assert "<svg" in glance_picture(judged, worse)
     nothing = replace(study.record, diagnoses={}, stopped="")
     assert report_content(nothing).glance is None
@@ -434,7 +434,7 @@ def test_what_comes_and_goes_is_said_to() -> None:
         (
             {"inputs": 0.8},
             "",
-            "Check that the input u is measured where it acts on dp/dt",
+            "that arrives at p, beside the input u.",
         ),
         ({"time": 0.8}, "", "Repeat the run"),
         ({"conserved": 0.8}, "", "depends on q and p"),

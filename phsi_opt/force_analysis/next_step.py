@@ -33,6 +33,14 @@ FURTHER_INPUT = {
     MECHANICAL: "another force from outside",
     "": "another input",
 }
+# What an input is where it acts.
+ARRIVES = {
+    THERMAL: "the heat",
+    HYDRAULIC: "the flow",
+    ELECTRICAL: "the voltage or current",
+    MECHANICAL: "the force",
+    "": "what of it",
+}
 # What is missing where most of a force follows nothing that was measured.
 UNSEEN = {
     THERMAL: "A store or an input of heat",
@@ -113,17 +121,17 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
         units: as in `Measurements`; they tell of which field the equation is.
         force: that is missing.
     """
+    strongest, share = _strongest(force)
+    kind = kind_of(with_kinds_of_units(force.record.fit.model, units), force.equation)
+    further = FURTHER_STATE[kind]
     causes = {
         "parameters": _of_parameters,
-        "inputs": _of_inputs,
+        "inputs": lambda one: _of_inputs(one, ARRIVES[kind]),
         "time": _of_time,
         "conserved": _of_states,
         "dissipated": _of_states,
         "constant": _of_states,
     }
-    strongest, share = _strongest(force)
-    kind = kind_of(with_kinds_of_units(force.record.fit.model, units), force.equation)
-    further = FURTHER_STATE[kind]
     if share < float(force.shares["unexplained"]):
         return Answer(
             f"Give the model {further}.",
@@ -144,17 +152,16 @@ def _of_parameters(force: EquationForce) -> Answer:
     )
 
 
-def _of_inputs(force: EquationForce) -> Answer:
+def _of_inputs(force: EquationForce, arrives: str) -> Answer:
     inputs = force.record.fit.model.inputs
     names = f"{'the inputs' if len(inputs) > 1 else 'the input'} {', '.join(inputs)}"
     if TOGETHER in force.cause:
         told = f"Record data in which {names} and what it moves with go apart."
         return Answer(told, NO_EFFECT)
     return Answer(
-        f"Check that {names} {'is' if len(inputs) == 1 else 'are'} measured where "
-        f"{'it acts' if len(inputs) == 1 else 'they act'} on d{force.equation}/dt.",
-        f"{NO_EFFECT} A command is not yet the flow, heat or force that arrives: "
-        "record that as the input.",
+        f"Record {arrives} that arrives at {force.equation}, beside {names}.",
+        f"{NO_EFFECT} Or give the model what may lie between them: a store, a delay, a "
+        "limit.",
     )
 
 

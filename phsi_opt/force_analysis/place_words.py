@@ -63,9 +63,10 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
         return Answer(f"{rate}{largest}.", _shares(force, is_named, is_known))
     is_part = any(float(force.shares[kind]) > NAMED_CAUSE for kind in CAUSES)
     explained = "explains most of it" if is_part else "explains it"
-    lead = f"{rate}; no state, input or time {explained}."
     if force.pace.is_vibration:
-        return Answer(lead)  # where it is large is where something shakes by chance
+        # Where it is large is where something shakes by chance.
+        return Answer(f"{rate}, or at a sensor; no state, input or time explains it.")
+    lead = f"{rate}; no state, input or time {explained}."
     shares = _shares(force, is_named, is_known)
     return Answer(lead, f"It is largest {place}. {shares}" if place else shares)
 

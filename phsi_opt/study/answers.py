@@ -54,6 +54,10 @@ def missing_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
 def _tried_words(diagnosis: Diagnosis) -> str:
     """That nothing that was tried is it; "" where nothing was."""
     n_tried = len(diagnosis.ranking)
+    fall = _fall_with(diagnosis, nearest_effects(diagnosis))
+    if fall > 0 and n_tried > 1:
+        percent = number(100 * fall, 2)
+        return f"the nearest of {n_tried} effects takes away {percent} % of the error"
     if n_tried == 1:
         return "the one effect tried does not explain it"
     return f"none of the {n_tried} effects tried explains it" if n_tried else ""
@@ -197,10 +201,8 @@ def to_do_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     candidate = _candidate_with(diagnosis, nearest)
     against, _, _ = candidate.lost.partition(" (")
     reason = f"; {against}" if against else ""
-    less = ""
-    if candidate.comparison is not None:
-        fall = 1 - candidate.comparison.rmse / diagnosis.base.rmse
-        less = f": {number(100 * fall, 2)} % less error" if fall > 0 else ""
+    fall = _fall_with(diagnosis, nearest)
+    less = f": {number(100 * fall, 2)} % less error" if fall > 0 else ""
     if is_second_storage(nearest[0]):
         lead = f"Try {names}{less}, but not proven."
         return Answer(lead, f"{capitalised(against)}. {advice.detail}")
@@ -239,7 +241,7 @@ def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     if diagnosis.verdict != Verdict.NAMED:
         outcome += f" Then diagnose again: what is left is {_left_words(diagnosis)}."
     if any(not finding.is_name for finding in diagnosis.findings):
-        outcome += " Which of them it is, an experiment tells (found.separation)."
+        outcome += " Which of them, an experiment tells; found.separation proposes one."
     return Answer(f"{told}.", outcome.strip())
 
 
@@ -273,6 +275,14 @@ def _outcome(diagnosis: Diagnosis, is_held_out: bool) -> str:
     floor = f"noise floor {number(size * found.noise_floor, 3)}"
     at = "at the " if _is_at_floor(found) else ""
     return f"The {which} error falls from {before} to {after} ({at}{floor})."
+
+
+def _fall_with(diagnosis: Diagnosis, effects: tuple[Effect, ...]) -> float:
+    """The share of the error that effects take away; 0 where that is not known."""
+    if not effects:
+        return 0.0
+    found = _candidate_with(diagnosis, effects).comparison
+    return 0.0 if found is None else 1 - found.rmse / diagnosis.base.rmse
 
 
 def _is_at_floor(found: Comparison) -> bool:

@@ -107,6 +107,7 @@ def _called(runs: Runs, shown: _Shown) -> str:
     run = runs.runs[shown.run]
     info = runs.channels[shown.channel]
     error = run.channels[shown.channel].errors[BASE_MODEL]
-    off = "" if error is None else f" (off by {number(error, 3)}{spaced(info.unit)})"
+    off = "" if error is None else f", off by {number(error, 3)}{spaced(info.unit)}"
     part = "training data" if run.part == TRAINING else "data held out"
-    return f"{info.name} of {run.name}, {part}, measured and simulated{off}"
+    simulated = "simulated from a start that the whole run gives"
+    return f"{info.name} of {run.name} ({part}), measured and {simulated}{off}"

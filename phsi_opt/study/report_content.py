@@ -90,8 +90,8 @@ def _staircase(study: StudyRecord) -> Staircase:
     sentence = f"{said[:1].upper()}{said[1:]}."
     if _only_follows(study.last):
         sentence += (
-            " On training data the last model is at or below the noise floor: it "
-            "follows what it was fitted to, and does not foretell the rest."
+            " The model fits the training data to the noise, but not the data held "
+            "out: it follows what it was fitted to."
         )
     else:
         sentence += _at_floor(study.last, size)

@@ -25,6 +25,7 @@ BEGINNING = 3.0
 # A force comes and goes where in so many stretches it is stronger than this share of
 # its strongest one; a record is looked at in so many stretches.
 STRETCHES = 20
+OF_RECORD = " of the training record"
 GAP_IN_WINDOW = (
     0.1  # share of a window's samples that lack a channel, from which on it is said
 )
@@ -52,9 +53,8 @@ def since_when(diagnosis: Diagnosis) -> Answer:
         answer = _since_then(force, begin, is_in_bursts)
     else:
         answer = _throughout(force, runs, is_in_bursts)
-    return Answer(
-        answer.lead, f"{answer.detail} {_gap_words(diagnosis, force)}".strip()
-    )
+    gaps = _gap_words(diagnosis, force)
+    return Answer(f"{answer.lead} {gaps}".strip(), answer.detail)
 
 
 def _gap_words(diagnosis: Diagnosis, force: EquationForce) -> str:
@@ -73,7 +73,9 @@ def _gap_words(diagnosis: Diagnosis, force: EquationForce) -> str:
             and np.mean(np.isnan(run.x[inside, k])) > GAP_IN_WINDOW
         ):
             gaps.append(state)
-    return f"Samples of {' and '.join(gaps)} are missing there." if gaps else ""
+    if not gaps:
+        return ""
+    return f"Samples of {' and '.join(gaps)} are missing where it is strongest."
 
 
 def _since_then(force: EquationForce, begin: float, is_in_bursts: bool) -> Answer:
@@ -82,15 +84,15 @@ def _since_then(force: EquationForce, begin: float, is_in_bursts: bool) -> Answe
     unit = record.units.get("t", "")
     name = str(force.where["trajectory"])
     origin = record.origin_of(name)
-    of_run = f" of {name}" if len(record.trajectories) > 1 else ""
+    is_one = len(record.trajectories) == 1
+    of_run = OF_RECORD if is_one else f" of {name}"
     scale = scale_of_time(float(record.t.max()), unit)
     when = f"{begin / scale.size:.3g}{spaced(scale.unit)}"
     when += _in_brackets(date_words(begin, origin))
-    lead = f"From about t = {when}{of_run} on"
-    if is_in_bursts:
-        lead += "; it comes and goes"
+    again = ", again and again" if is_in_bursts else ""
     window = _window(force)
-    return Answer(f"{lead}.", f"Strongest at {window}." if window else "")
+    strongest = f"Strongest at {window}{of_run}." if window else ""
+    return Answer(f"From about t = {when} on{again}.", strongest)
 
 
 def _throughout(
@@ -102,12 +104,14 @@ def _throughout(
     is_from_start = all(_is_clear(force, start) for start in starts if len(start))
     n_others = len(runs) - len(clear)
     lead = "From the start" if is_from_start else "All the time"
-    of_run = ""
-    if len(runs) > 1:
-        lead += f", in {f'{len(clear)} of' if n_others else 'all'} {len(runs)} runs"
-        of_run = f" of {force.where['trajectory']}"
     if is_in_bursts:
-        lead += "; it comes and goes"
+        lead = "From the start, again and again" if is_from_start else "Again and again"
+    of_run = OF_RECORD
+    if len(runs) > 1:
+        all_runs = "both" if len(runs) == 2 else f"all {len(runs)}"
+        which = f"{len(clear)} of {len(runs)}" if n_others else all_runs
+        lead += f", in {which} training runs"
+        of_run = f" of {force.where['trajectory']}"
     told = []
     window = _window(force)
     if window:
@@ -165,15 +169,15 @@ def _in_brackets(date: str) -> str:
 def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:
     """The time before which the force is far weaker; None: there is none such."""
     tenths = np.array_split(inside, min(N_WINDOWS, len(inside)))
-    contrasts = []
+    sizes = [_rms(force.w[tenth]) for tenth in tenths]
     for k in range(1, len(tenths)):
         before = _rms(force.w[np.concatenate(tenths[:k])])
         after = _rms(force.w[np.concatenate(tenths[k:])])
-        contrasts.append(after / max(before, TINY))
-    if not contrasts or max(contrasts) < BEGINNING:
-        return None
-    first = tenths[int(np.argmax(contrasts)) + 1][0]
-    return float(force.record.t[first] - force.record.h[first] / 2)
+        is_strong = sizes[k] > STRONG_STRETCH * max(sizes)
+        if is_strong and after > BEGINNING * max(before, TINY):
+            first = tenths[k][0]
+            return float(force.record.t[first] - force.record.h[first] / 2)
+    return None
 
 
 def _rms(w: np.ndarray) -> float:
