@@ -116,17 +116,48 @@ class ReducedSystem:
     ) -> None:
         H = csc_matrix(H)
         J = csc_matrix(J)
-        self._n_states = n_states
-        self._n_x = x.stop - x.start
         order = time_order(grid, ("node", n_states), ("interval", n_states))
-        self._factors = Banded(_kkt_matrix(H[x, x], J[:, x]), order)
-        self._coupling = vstack([H[x, theta], J[:, theta]]).toarray()
-        if self._coupling.shape[1]:
-            self._per_theta = self._factors.solve(self._coupling)
-        else:
-            self._per_theta = self._coupling
-        through_states = self._coupling.T @ self._per_theta
-        information = H[theta, theta].toarray() - through_states
+        factors = Banded(_kkt_matrix(H[x, x], J[:, x]), order)
+        coupling = vstack([H[x, theta], J[:, theta]]).toarray()
+        curvature = H[theta, theta].toarray()
+        self._eliminate(grid, n_states, factors, coupling, curvature)
+
+    @classmethod
+    def of_factors(
+        cls,
+        grid: Grid,
+        n_states: int,
+        factors: Banded,
+        coupling: np.ndarray,
+        curvature: np.ndarray,
+    ) -> "ReducedSystem":
+        """Of parts that were made elsewhere.
+
+        Args:
+            grid: nodes and intervals.
+            n_states: number of states at a node.
+            factors: of states and multipliers, parameters held.
+            coupling: (n_x + n_constraints, n_theta) how theta acts on both.
+            curvature: (n_theta, n_theta) of theta alone.
+        """
+        system = cls.__new__(cls)
+        system._eliminate(grid, n_states, factors, coupling, curvature)
+        return system
+
+    def _eliminate(
+        self,
+        grid: Grid,
+        n_states: int,
+        factors: Banded,
+        coupling: np.ndarray,
+        curvature: np.ndarray,
+    ) -> None:
+        self._n_states = n_states
+        self._n_x = grid.n_nodes * n_states
+        self._factors = factors
+        self._coupling = coupling
+        self._per_theta = factors.solve(coupling) if coupling.shape[1] else coupling
+        information = curvature - coupling.T @ self._per_theta
         self.information = (information + information.T) / 2
 
     def respond(self, e: np.ndarray, covariance: np.ndarray) -> Step:
