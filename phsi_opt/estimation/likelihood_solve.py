@@ -135,7 +135,8 @@ class LikelihoodSolver:
         noise = self._noise_iteration(transcription, l1)
         z = transcription.program.start
         direct = self._direct_steps(transcription)
-        if start.is_optimum and direct is not None and ways[0] == GAUSS_NEWTON:
+        is_near = start.is_optimum and ways[0] == GAUSS_NEWTON
+        if direct is not None and (is_near or not self.task.settings.thorough):
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
                 return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
