@@ -135,14 +135,23 @@ class LikelihoodSolver:
         noise = self._noise_iteration(transcription, l1)
         z = transcription.program.start
         direct = self._direct_steps(transcription)
-        is_near = start.is_optimum and ways[0] == GAUSS_NEWTON
-        if direct is not None and (is_near or not self.task.settings.thorough):
+        if direct is not None and self._may_be_near(start, ways[0]):
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
                 return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         optimum = _maximum(chain, direct, noise, z, start.sigma)
         return self._estimate(transcription, optimum, l1, chain.way)
+
+    def _may_be_near(self, start: StartingPoint, way: str) -> bool:
+        """Whether full steps may lead from a start to its optimum.
+
+        From another solution of the model; and in a brief solve, which begins where a
+        second look ended, but not where a path beside a sharp corner is to be followed.
+        """
+        if self.task.settings.thorough:
+            return start.is_optimum and way == GAUSS_NEWTON
+        return way != FEASIBLE_PATH
 
     def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
         """The optimum that full steps lead to; None where they lead nowhere.
