@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.diagnosis.refit_effort import BRIEF
 from phsi_opt.estimation import maximum_likelihood
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
@@ -74,6 +75,17 @@ def test_full_steps_find_the_optimum_that_the_careful_start_leads_to(
         assert fit.std_errors[name] == pytest.approx(careful.std_errors[name], rel=0.01)
     assert fit.noise["q"] == pytest.approx(careful.noise["q"], rel=0.005)
     assert fit.bic == pytest.approx(careful.bic, abs=0.01)
+
+
+def test_a_brief_solve_of_a_larger_model_begins_with_full_steps() -> None:
+    data = swinging()
+    smaller = ph.identify(spring(ph.Parameter(1.0, lower=0), 0.2), data)
+    fit = ph.identify(unknown(), data, start=smaller, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS
+    best = ph.identify(unknown(), data)
+    for name in ("k", "c"):
+        limit = 1e-3 * best.std_errors[name]
+        assert fit.values[name] == pytest.approx(best.values[name], abs=limit)
 
 
 def test_the_simple_start_is_no_answer_where_the_model_lacks_something() -> None:

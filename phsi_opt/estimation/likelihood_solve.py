@@ -131,7 +131,7 @@ class LikelihoodSolver:
         transcription = self._transcribed(start, l1, window)
         noise = self._noise_iteration(transcription, l1)
         direct = self._direct_steps(transcription)
-        if start.is_optimum and direct is not None and ways[0] == GAUSS_NEWTON:
+        if direct is not None and self._may_be_near(start, ways[0]):
             z = transcription.point.scaled
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
@@ -140,6 +140,16 @@ class LikelihoodSolver:
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         optimum = _maximum(chain, direct, noise, z, start.sigma)
         return self._estimate(transcription, optimum, l1, chain.way)
+
+    def _may_be_near(self, start: StartingPoint, way: str) -> bool:
+        """Whether full steps may lead from a start to its optimum.
+
+        From another solution of the model; and in a brief solve, which begins where a
+        second look ended, but not where a path beside a sharp corner is to be followed.
+        """
+        if self.task.settings.thorough:
+            return start.is_optimum and way == GAUSS_NEWTON
+        return way != FEASIBLE_PATH
 
     def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
         """The optimum that full steps lead to; None where they lead nowhere.

@@ -11,6 +11,7 @@ its linear systems.
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -19,6 +20,7 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
 from phsi_opt.optimization.endings import Ending, ending_of_ipopt
+from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
 from phsi_opt.optimization.nearby_optimum import nearby_optimum
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
@@ -238,14 +240,31 @@ class Solver:
         program = self.program
         no_multipliers = np.zeros(program.g.numel())
         with solving():
-            upper = program.hessian(z, set_to, 1.0, no_multipliers).sparse()
+            (entries,) = self._hessian(z, set_to, 1.0, no_multipliers)
+        upper = self._of_hessian.matrix(entries)
         full = upper + upper.T
         full.setdiag(upper.diagonal())
         hessian = full.tocsc()
         if not program.g.numel():
             return KKT(hessian, np.zeros((0, len(z))))
-        jacobian = program.jacobian(z, set_to)[1]
-        return KKT(hessian, jacobian.sparse().tocsc())
+        _, slopes = self._jacobian(z, set_to)
+        return KKT(hessian, self._of_jacobian.matrix(slopes))
+
+    @cached_property
+    def _hessian(self) -> Evaluated:
+        return Evaluated(self.program.hessian)
+
+    @cached_property
+    def _jacobian(self) -> Evaluated:
+        return Evaluated(self.program.jacobian)
+
+    @cached_property
+    def _of_hessian(self) -> SparsePattern:
+        return SparsePattern(self.program.hessian.sparsity_out(0))
+
+    @cached_property
+    def _of_jacobian(self) -> SparsePattern:
+        return SparsePattern(self.program.jacobian.sparsity_out(1))
 
     def _outcome(
         self, stats: Mapping[str, Any], result: Mapping[str, ca.DM], seconds: float

@@ -10,9 +10,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
 
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
@@ -20,7 +20,9 @@ from phsi_opt.transcription.interval_map import (
     in_intervals,
     interval_arguments,
     map_intervals,
+    mapped,
 )
+from phsi_opt.transcription.pattern import entries_of, entry_places
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +111,7 @@ def _slopes_of_one(model: Model, scheme: str, with_theta: bool) -> OfOne:
     unknowns = [x0, x1, parameters] if with_theta else [x0, x1]
     slopes = ca.jacobian(function(*arguments), ca.vertcat(*unknowns))
     entries = ca.Function("steps", arguments, [entries_of(slopes)])
-    return OfOne(entries, places_of(slopes))
+    return OfOne(entries, entry_places(slopes))
 
 
 def linear_defect(model: Model, scheme: str) -> OfOne:
@@ -124,60 +126,53 @@ def _linear_one(model: Model, scheme: str) -> OfOne:
     value = function(*arguments)
     slopes = ca.jacobian(value, ca.vertcat(x0, x1, parameters))
     both = ca.Function("linear", arguments, [value, entries_of(slopes)])
-    return OfOne(both, places_of(slopes))
+    return OfOne(both, entry_places(slopes))
 
 
 class DefectLinearization:
-    """Defects of a model with their sparse slopes, made once for many points.
+    """Defects of a model with their slopes, made once for many points of a grid.
 
     Args:
         model: the model.
         scheme: name of the integrator.
+        grid: nodes and intervals.
+        n_trajectories: of the parameters.
+
+    Attributes:
+        places: (n_entries, 2) equation and unknown of each slope that is not always
+            zero, among (x0, x1, theta).
     """
 
-    def __init__(self, model: Model, scheme: str) -> None:
-        self.model = model
+    def __init__(
+        self, model: Model, scheme: str, grid: Grid, n_trajectories: int
+    ) -> None:
         one = linear_defect(model, scheme)
-        self._places = one.places
-        self._function = one.entries
+        self.places = one.places
+        is_shared = n_trajectories == 1
+        self._evaluated = Evaluated(mapped(one.entries, grid.n_intervals, is_shared))
+        self._begin = grid.begin
+        self._trajectory = grid.trajectory[grid.begin]
+        self._given = [grid.t[grid.begin], grid.h, grid.u0.ravel(), grid.u1.ravel()]
 
     def at(
-        self, grid: Grid, x: np.ndarray, parameters: np.ndarray
-    ) -> tuple[np.ndarray, csc_matrix, csc_matrix]:
-        """Linearise at a point.
+        self, x: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Linearise at states (n_nodes, n_states).
 
         Args:
-            grid: nodes and intervals.
-            x: (n_nodes, n_states) states.
+            x: the states.
             parameters: (n_free, n_trajectories).
 
         Returns:
-            The defects, (n_intervals * n_states,), and sparse matrices: their slopes in
-            the states, node by node, and in the parameters of every trajectory, of
-            which the first n_free columns belong to the first trajectory.
+            The defects, (n_intervals, n_states), and the slopes, (n_intervals,
+            n_entries). They are written over by the next call.
         """
-        columns = interval_arguments(grid, x.T)
-        values, entries = in_intervals(self._function, grid, columns, parameters)
-        n = self.model.n_states
-        n_free, n_trajectories = parameters.shape
-        rows, inner = self._places.T
-        at_row = np.arange(grid.n_intervals) * n + rows[:, None]
-        in_state = inner < 2 * n
-        at_node = grid.begin * n + inner[in_state, None]
-        in_states = coo_matrix(
-            (entries[in_state].ravel(), (at_row[in_state].ravel(), at_node.ravel())),
-            shape=(values.size, x.size),
-        )
-        first = grid.trajectory[grid.begin] * n_free
-        at_parameter = first + inner[~in_state, None] - 2 * n
-        of_parameters = coo_matrix(
-            (
-                entries[~in_state].ravel(),
-                (at_row[~in_state].ravel(), at_parameter.ravel()),
-            ),
-            shape=(values.size, n_free * n_trajectories),
-        )
-        return values.T.ravel(), in_states.tocsc(), of_parameters.tocsc()
+        ends = x[self._begin].ravel(), x[self._begin + 1].ravel()
+        theta = parameters.ravel()
+        if parameters.shape[1] > 1:
+            theta = parameters.T[self._trajectory].ravel()
+        values, entries = self._evaluated(*ends, *self._given, theta)
+        return values, entries
 
 
 def interval_curvatures(
@@ -204,16 +199,4 @@ def _curvature_of_one(model: Model, scheme: str) -> OfOne:
     upper = ca.triu(hessian)
     arguments = [*given, multiplier, parameters]
     entries = ca.Function("curvature", arguments, [entries_of(upper)])
-    return OfOne(entries, places_of(upper))
-
-
-def places_of(matrix: ca.SX) -> np.ndarray:
-    """Row and column of each entry that is not always zero, (n_entries, 2)."""
-    rows, columns = matrix.sparsity().get_triplet()
-    return np.array([rows, columns], dtype=int).T
-
-
-def entries_of(matrix: ca.SX) -> ca.SX:
-    """The entries at `places_of`, as a column."""
-    entries = [matrix[row, column] for row, column in places_of(matrix).tolist()]
-    return ca.vertcat(ca.SX(0, 1), *entries)
+    return OfOne(entries, entry_places(upper))

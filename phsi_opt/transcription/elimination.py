@@ -114,19 +114,49 @@ class ReducedSystem:
     def __init__(
         self, grid: Grid, n_states: int, H: Any, J: Any, theta: slice, x: slice
     ) -> None:
-        self._n_states = n_states
-        self._n_x = x.stop - x.start
         H = H.tocoo()
         J = J.tocoo()
         order = time_order(grid, ("node", n_states), ("interval", n_states))
-        self._factors = Banded(_kkt_matrix(H, J, x), order, is_symmetric=True)
-        self._coupling = _coupling(H, J, theta, x)
-        if self._coupling.shape[1]:
-            self._per_theta = self._factors.solve(self._coupling)
-        else:
-            self._per_theta = self._coupling
-        through_states = self._coupling.T @ self._per_theta
-        information = _own_block(H, theta) - through_states
+        factors = Banded(_kkt_matrix(H, J, x), order, is_symmetric=True)
+        coupling = _coupling(H, J, theta, x)
+        self._eliminate(grid, n_states, factors, coupling, _own_block(H, theta))
+
+    @classmethod
+    def of_factors(
+        cls,
+        grid: Grid,
+        n_states: int,
+        factors: Banded,
+        coupling: np.ndarray,
+        curvature: np.ndarray,
+    ) -> "ReducedSystem":
+        """Of parts that were made elsewhere.
+
+        Args:
+            grid: nodes and intervals.
+            n_states: number of states at a node.
+            factors: of states and multipliers, parameters held.
+            coupling: (n_x + n_constraints, n_theta) how theta acts on both.
+            curvature: (n_theta, n_theta) of theta alone.
+        """
+        system = cls.__new__(cls)
+        system._eliminate(grid, n_states, factors, coupling, curvature)
+        return system
+
+    def _eliminate(
+        self,
+        grid: Grid,
+        n_states: int,
+        factors: Banded,
+        coupling: np.ndarray,
+        curvature: np.ndarray,
+    ) -> None:
+        self._n_states = n_states
+        self._n_x = grid.n_nodes * n_states
+        self._factors = factors
+        self._coupling = coupling
+        self._per_theta = factors.solve(coupling) if coupling.shape[1] else coupling
+        information = curvature - coupling.T @ self._per_theta
         self.information = (information + information.T) / 2
 
     def respond(self, e: np.ndarray, covariance: np.ndarray) -> Step:

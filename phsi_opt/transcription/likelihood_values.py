@@ -16,9 +16,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.transcription.defect_derivatives import (
     OfOne,
-    entries_of,
     linear_defect,
-    places_of,
 )
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
@@ -27,7 +25,7 @@ from phsi_opt.transcription.interval_map import (
     node_arguments,
 )
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.pattern import Pattern
+from phsi_opt.transcription.pattern import Pattern, entries_of, entry_places
 from phsi_opt.transcription.point import Point
 
 
@@ -251,7 +249,7 @@ def _linear_output(model: Model) -> OfOne:
     value = function(*arguments)
     slopes = ca.jacobian(value, ca.vertcat(x, parameters))
     both = ca.Function("linear", arguments, [value, entries_of(slopes)])
-    return OfOne(both, places_of(slopes))
+    return OfOne(both, entry_places(slopes))
 
 
 def _pairs(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

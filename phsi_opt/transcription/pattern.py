@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 from scipy.sparse import csc_matrix
 
@@ -31,3 +32,15 @@ class Pattern:
         rows = np.concatenate([self.rows, self.columns[above]])
         columns = np.concatenate([self.columns, self.rows[above]])
         return csc_matrix((entries, (rows, columns)), shape=self.shape)
+
+
+def entry_places(matrix: ca.SX) -> np.ndarray:
+    """Row and column of each entry that is not always zero, (n_entries, 2)."""
+    rows, columns = matrix.sparsity().get_triplet()
+    return np.array([rows, columns], dtype=int).T
+
+
+def entries_of(matrix: ca.SX) -> ca.SX:
+    """The entries at `entry_places`, as a column."""
+    entries = [matrix[row, column] for row, column in entry_places(matrix).tolist()]
+    return ca.vertcat(ca.SX(0, 1), *entries)
