@@ -434,7 +434,7 @@ def test_what_comes_and_goes_is_said_to() -> None:
         (
             {"inputs": 0.8},
             "",
-            "that arrives at p, beside the input u.",
+            "Record the force that arrives at p, beside the input u.",
         ),
         ({"time": 0.8}, "", "Repeat the run"),
         ({"conserved": 0.8}, "", "depends on q and p"),

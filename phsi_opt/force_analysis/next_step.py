@@ -35,11 +35,11 @@ FURTHER_INPUT = {
 }
 # What an input is where it acts.
 ARRIVES = {
-    THERMAL: "the heat",
-    HYDRAULIC: "the flow",
-    ELECTRICAL: "the voltage or current",
-    MECHANICAL: "the force",
-    "": "what of it",
+    THERMAL: "the heat that",
+    HYDRAULIC: "the flow that",
+    ELECTRICAL: "the voltage or current that",
+    MECHANICAL: "the force that",
+    "": "what",
 }
 # What is missing where most of a force follows nothing that was measured.
 UNSEEN = {
@@ -159,7 +159,7 @@ def _of_inputs(force: EquationForce, arrives: str) -> Answer:
         told = f"Record data in which {names} and what it moves with go apart."
         return Answer(told, NO_EFFECT)
     return Answer(
-        f"Record {arrives} that arrives at {force.equation}, beside {names}.",
+        f"Record {arrives} arrives at {force.equation}, beside {names}.",
         f"{NO_EFFECT} Or give the model what may lie between them: a store, a delay, a "
         "limit.",
     )

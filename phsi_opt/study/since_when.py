@@ -20,8 +20,9 @@ from phsi_opt.statistics import TINY
 # Share of the strongest run's force from which on another has it as well.
 STRONG_RUN = 0.5
 # Times that a force is stronger behind its beginning than before; where it follows a
-# motion that decays or grows, tenths differ by less.
+# motion that decays or grows, parts of a run differ by less.
 BEGINNING = 3.0
+PARTS = 40  # of a run, among which its beginning is sought
 # A force comes and goes where in so many stretches it is stronger than this share of
 # its strongest one; a record is looked at in so many stretches.
 STRETCHES = 20
@@ -168,14 +169,14 @@ def _in_brackets(date: str) -> str:
 
 def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:
     """The time before which the force is far weaker; None: there is none such."""
-    tenths = np.array_split(inside, min(N_WINDOWS, len(inside)))
-    sizes = [_rms(force.w[tenth]) for tenth in tenths]
-    for k in range(1, len(tenths)):
-        before = _rms(force.w[np.concatenate(tenths[:k])])
-        after = _rms(force.w[np.concatenate(tenths[k:])])
+    parts = np.array_split(inside, min(PARTS, len(inside)))
+    sizes = [_rms(force.w[part]) for part in parts]
+    for k in range(1, len(parts)):
+        before = _rms(force.w[np.concatenate(parts[:k])])
+        after = _rms(force.w[np.concatenate(parts[k:])])
         is_strong = sizes[k] > STRONG_STRETCH * max(sizes)
         if is_strong and after > BEGINNING * max(before, TINY):
-            first = tenths[k][0]
+            first = parts[k][0]
             return float(force.record.t[first] - force.record.h[first] / 2)
     return None
 
