@@ -357,7 +357,7 @@ def test_samples_that_are_missing_where_it_is_strongest_are_told(
     study: ph.Study,
 ) -> None:
     named = study.record.diagnoses[0]
-    assert "Samples of" not in since_when(named).lead
+    assert "Samples of" not in since_when(named, named.base).lead
     where = named.where.iloc[0]
     number_of = named.data.trajectory_number(str(where["trajectory"]))
     begin, end = map(float, str(where["time_window"]).split(" to "))
@@ -375,6 +375,18 @@ def test_samples_that_are_missing_where_it_is_strongest_are_told(
     force = EquationForce.of(named.analysis, None)
     told = _gap_words(SimpleNamespace(data=data), force)  # type: ignore[arg-type]
     assert told == "Samples of q are missing where it is strongest."
+
+
+def test_what_the_parameters_make_up_for_shows_in_the_data_held_out(
+    study: ph.Study,
+) -> None:
+    named = study.record.diagnoses[0]
+    floor = named.base.noise_floor
+    trained: Any = SimpleNamespace(rmse=1.05 * floor, noise_floor=floor)
+    judged: Any = SimpleNamespace(rmse=3.0 * floor, noise_floor=floor)
+    followed = replace(named, base=judged)
+    assert "the data held out show it" in since_when(followed, trained).detail
+    assert "the data held out show it" not in since_when(followed, judged).detail
 
 
 def test_beside_the_verdict_stands_the_run_where_it_shows(
@@ -434,7 +446,7 @@ def test_what_comes_and_goes_is_said_to() -> None:
         (
             {"inputs": 0.8},
             "",
-            "Record the force that arrives at p, beside the input u.",
+            "Measure the force on p directly, or give",
         ),
         ({"time": 0.8}, "", "Repeat the run"),
         ({"conserved": 0.8}, "", "depends on q and p"),

@@ -27,7 +27,7 @@ FURTHER_STATE = {
 }
 # What else may be sought, in the same words.
 FURTHER_INPUT = {
-    THERMAL: "another input of heat (people, sun, ventilation)",
+    THERMAL: "another input of heat (people, ventilation)",
     HYDRAULIC: "another inflow or outflow",
     ELECTRICAL: "another source or load",
     MECHANICAL: "another force from outside",
@@ -35,11 +35,11 @@ FURTHER_INPUT = {
 }
 # What an input is where it acts.
 ARRIVES = {
-    THERMAL: "the heat that",
-    HYDRAULIC: "the flow that",
-    ELECTRICAL: "the voltage or current that",
-    MECHANICAL: "the force that",
-    "": "what",
+    THERMAL: "the heat that reaches",
+    HYDRAULIC: "the flow that reaches",
+    ELECTRICAL: "the voltage or current at",
+    MECHANICAL: "the force on",
+    "": "what drives",
 }
 # What is missing where most of a force follows nothing that was measured.
 UNSEEN = {
@@ -159,9 +159,9 @@ def _of_inputs(force: EquationForce, arrives: str) -> Answer:
         told = f"Record data in which {names} and what it moves with go apart."
         return Answer(told, NO_EFFECT)
     return Answer(
-        f"Record {arrives} arrives at {force.equation}, beside {names}.",
-        f"{NO_EFFECT} Or give the model what may lie between them: a store, a delay, a "
-        "limit.",
+        f"Measure {arrives} {force.equation} directly, or give the model a store, a "
+        f"delay or a limit between {names} and {force.equation}.",
+        NO_EFFECT,
     )
 
 

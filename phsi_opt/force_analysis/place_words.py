@@ -65,7 +65,7 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
     explained = "explains most of it" if is_part else "explains it"
     if force.pace.is_vibration:
         # Where it is large is where something shakes by chance.
-        return Answer(f"{rate}, or at a sensor; no state, input or time explains it.")
+        return Answer(f"{rate}, or at a sensor; it follows no state and no input.")
     lead = f"{rate}; no state, input or time {explained}."
     shares = _shares(force, is_named, is_known)
     return Answer(lead, f"It is largest {place}. {shares}" if place else shares)

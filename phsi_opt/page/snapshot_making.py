@@ -41,6 +41,7 @@ from phsi_opt.study.certainty import (
 )
 from phsi_opt.study.headline import verdict_sentence
 from phsi_opt.study.since_when import since_when
+from phsi_opt.study.step import Step
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -54,7 +55,6 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
     runs = _runs(step.train, TRAINING)
     if step.held_out is not None:
         runs += _runs(step.held_out, HELD_OUT)
-    is_held_out = step.held_out is not None
     forces = _forces(step.train.record, TRAINING)
     if step.held_out is not None:
         forces += _forces(step.held_out.record, HELD_OUT)
@@ -69,7 +69,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         caution=undetermined_words(study.fit.parameters),
         runs=tuple(runs),
         forces=tuple(forces),
-        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, is_held_out),
+        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, step),
         stopped=study.stopped,
     )
 
@@ -110,7 +110,8 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
     return runs
 
 
-def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
+def _diagnosed(diagnosis: Diagnosis, step: Step) -> Diagnosed:
+    is_held_out = step.held_out is not None
     proposed = tuple(str(effect) for effect in diagnosis.proposed)
     return Diagnosed(
         verdict=str(diagnosis.verdict),
@@ -124,7 +125,7 @@ def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
         missing=verdict_sentence(diagnosis, is_held_out),
         wrong=wrong_answer(diagnosis, is_held_out),
         where=where_answer(diagnosis),
-        since=since_when(diagnosis),
+        since=since_when(diagnosis, step.train),
         to_do=diagnosis.next_step,
         proposed=proposed,
         nearest=tuple(str(effect) for effect in nearest_effects(diagnosis)),

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.units import spaced
@@ -186,7 +187,7 @@ def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
     answers = (
         Answer(was_wrong_words(diagnosis, _whose(study, diagnosis))),
         where_answer(diagnosis, is_past=True),
-        since_when(diagnosis),
+        since_when(diagnosis, _trained(study, diagnosis)),
         Answer(_was_added(study, diagnosis)),
     )
     return _facts(PAST, answers)
@@ -197,10 +198,18 @@ def _present_facts(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
     answers = (
         wrong_answer(diagnosis, is_held_out),
         where_answer(diagnosis),
-        since_when(diagnosis),
+        since_when(diagnosis, study.last.train),
         to_do_answer(diagnosis, is_held_out),
     )
     return _facts(PRESENT if diagnosis.findings else UNNAMED, answers)
+
+
+def _trained(study: StudyRecord, diagnosis: Diagnosis) -> Comparison:
+    """The model that a diagnosis looked at, on its training data."""
+    for number_of_step, known in study.diagnoses.items():
+        if known is diagnosis:
+            return study.steps[number_of_step].train
+    return study.last.train
 
 
 def _facts(questions: Sequence[str], answers: Sequence[Answer]) -> list[Fact]:

@@ -13,6 +13,10 @@ from phsi_opt.presentation.numbers import number
 from phsi_opt.statistics import TINY
 
 MOST_CHANNELS = 3  # that are told, the worst first
+# Errors over the noise floor: of training data that are fitted to the noise, and of
+# data held out that are not foretold.
+NEAR_FLOOR = 1.1
+FAR_ABOVE_FLOOR = 2.0
 PERCENT = 100.0  # of a whole
 
 
@@ -36,6 +40,13 @@ def _channel_words(row: pd.Series) -> str:
     if share >= PERCENT:
         beside = f"{number(share, 3)} % of its movement: a constant would do better"
     return f"{row['state']} by {size} ({beside}; noise alone {number(noise, 2)} %)"
+
+
+def only_follows(trained: Comparison, judged: Comparison) -> bool:
+    """Whether a model fits its training data to the noise, and no other data."""
+    floor = judged.noise_floor
+    is_fitted = trained.rmse < NEAR_FLOOR * floor
+    return is_fitted and judged.rmse > FAR_ABOVE_FLOOR * floor
 
 
 def judged_words(is_held_out: bool) -> str:

@@ -34,6 +34,7 @@ from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.force_content import failure_of, law_of
 from phsi_opt.study.glance import glance_of
 from phsi_opt.study.headline import errors_in_words, headline_of, telling_diagnosis
+from phsi_opt.study.off_words import NEAR_FLOOR, only_follows
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
 from phsi_opt.study.step import Step
@@ -41,10 +42,6 @@ from phsi_opt.study.step_story import step_story
 
 ENDED_AT_BOUND = "at its bound"
 LEVEL = 0.95  # of the intervals: the convention of most tables
-# Errors over the noise floor: of training data that are fitted to the noise, and of
-# data held out that are not foretold.
-NEAR_FLOOR = 1.1
-FAR_ABOVE_FLOOR = 2.0
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
     "linear": "on a straight line to the next sample",
@@ -88,7 +85,7 @@ def _staircase(study: StudyRecord) -> Staircase:
         )
     said = errors_in_words(study)
     sentence = f"{said[:1].upper()}{said[1:]}."
-    if _only_follows(study.last):
+    if only_follows(study.last.train, study.last.judged):
         sentence += (
             " The model fits the training data to the noise, but not the data held "
             "out: it follows what it was fitted to."
@@ -122,15 +119,6 @@ def _at_floor(step: Step, size: float) -> str:
 def is_just_below(error: float, floor: float) -> bool:
     """Whether an error is below the noise floor, and no further than it is known."""
     return floor / NEAR_FLOOR < error < floor
-
-
-def _only_follows(step: Step) -> bool:
-    """Whether a model fits its training data to the noise, and no other data."""
-    if step.held_out is None:
-        return False
-    floor = step.judged.noise_floor
-    is_fitted = step.train.rmse < NEAR_FLOOR * floor
-    return is_fitted and step.held_out.rmse > FAR_ABOVE_FLOOR * floor
 
 
 def _equations(study: StudyRecord) -> tuple[Equations, ...]:

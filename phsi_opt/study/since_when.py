@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
@@ -16,6 +17,7 @@ from phsi_opt.presentation.durations import (
 )
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.statistics import TINY
+from phsi_opt.study.off_words import only_follows
 
 # Share of the strongest run's force from which on another has it as well.
 STRONG_RUN = 0.5
@@ -34,12 +36,16 @@ STRONG_STRETCH = 1 / 3
 FEWEST_BURSTS = 3
 
 
-def since_when(diagnosis: Diagnosis) -> Answer:
+def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     """Since when the surest missing force is there, in which runs, where most clearly.
 
     A beginning is told where one run alone has the force, which is several times weaker
     before it; the start only where the force is clear in the first tenth of every run
     that has it.
+
+    Args:
+        diagnosis: of a model.
+        trained: the model on its training data.
     """
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
@@ -55,7 +61,10 @@ def since_when(diagnosis: Diagnosis) -> Answer:
     else:
         answer = _throughout(force, runs, is_in_bursts)
     gaps = _gap_words(diagnosis, force)
-    return Answer(f"{answer.lead} {gaps}".strip(), answer.detail)
+    detail = answer.detail
+    if only_follows(trained, diagnosis.base):
+        detail += " There the parameters make up for it; the data held out show it."
+    return Answer(f"{answer.lead} {gaps}".strip(), detail.strip())
 
 
 def _gap_words(diagnosis: Diagnosis, force: EquationForce) -> str:

@@ -32,7 +32,7 @@ def step_story(study: StudyRecord, number: int) -> str:
         missing_answer(diagnosis, is_held_out),
         wrong_answer(diagnosis, is_held_out),
         where_answer(diagnosis),
-        since_when(diagnosis),
+        since_when(diagnosis, study.steps[number].train),
         to_do_answer(diagnosis, is_held_out),
         _done_since(study, number),
     )
