@@ -65,6 +65,6 @@ class SparsePattern:
         self._shape = sparsity.shape
 
     def matrix(self, entries: np.ndarray) -> csc_matrix:
-        """With a copy of the entries, in CasADi's order."""
+        """The matrix of the entries, (n_entries,) in CasADi's order; a copy."""
         places = (entries.ravel().copy(), self._row.copy(), self._colind.copy())
         return csc_matrix(places, shape=self._shape)

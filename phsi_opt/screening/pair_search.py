@@ -152,6 +152,7 @@ class JointRegression:
     def of(
         cls, test: ScoreTest, found: Sequence[Screened], scanned: list[_Scanned]
     ) -> "JointRegression":
+        """Of effects that were screened, at the points at which they were scanned."""
         traces = np.hstack([one.point.trace for one in scanned])
         bounds = [_bounds(test, found[one.owner], one.point) for one in scanned]
         residual = test.linearized.residual[test.linearized.kept_rows]
