@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.comparison.model_selection import is_like_noise
 from phsi_opt.diagnosis.doubts import fitted_size, found_by_chance
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.screening.effect_size import Size
@@ -62,6 +63,26 @@ def test_what_the_noise_hid_is_not_named_unless_it_is_very_clear() -> None:
     assert 3 < first.coefficient / first.std_error < 8
     assert found.findings == ()
     assert "not clear enough where other causes may act" in first.lost
+
+
+def test_a_constant_force_below_the_noise_is_not_named() -> None:
+    # Off by 4 % more than noise, and not white: a random function of the states.
+    found = diagnosed("nothing", 239, "constant force")
+    assert not is_like_noise(ph.compare(found.fit, found.data))
+    assert found.findings == ()
+    assert "not clear enough where other causes may act" in found.ranking[0].lost
+
+
+def test_what_leaves_noise_in_training_must_explain_the_data_held_out_too() -> None:
+    # The clipping of a sensor takes what little is left of three falls, and a fifth of
+    # the error of a fourth.
+    case = draw(KINDS["falling"], 204)
+    fit = ph.identify(case.model, case.train)
+    found = ph.diagnose(fit, case.train, case.test, effects=["sensor clipping on h"])
+    first = found.ranking[0]
+    assert 0.1 < first.share < 0.3 and first.trained is not None
+    assert is_like_noise(first.trained)
+    assert found.verdict == ph.Verdict.UNEXPLAINED and found.findings == ()
 
 
 @pytest.mark.parametrize(

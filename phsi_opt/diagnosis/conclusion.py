@@ -8,6 +8,7 @@ from phsi_opt.comparison.model_selection import (
     is_explained,
     is_failing,
     is_like_noise,
+    is_small_as_noise,
 )
 from phsi_opt.criteria import (
     CLOCK_Z,
@@ -143,7 +144,8 @@ def _concluded(
         )
         against = f"{steps} may look like it"
         return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
-    if is_all and not against:
+    is_enough = share > EXPLAINED_IF_PARTLY or not is_failing(base.judged)
+    if is_all and is_enough and not against:
         return Conclusion(
             Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
         )
@@ -248,8 +250,8 @@ def _against_beside_others(
     """Why an effect beside others is not named; empty where it is.
 
     The clearest one of a first step stands beside nothing but the error of the model.
-    Where noise is all that is left, that counts for what needs a clock alone; where
-    noise was all before, for every effect: what it hides may be error of the model.
+    Where noise is all that is left, that counts for what needs a clock alone; where the
+    error was as small before, for every effect: noise hides errors of the model.
 
     Args:
         base: the model that is diagnosed.
@@ -259,7 +261,7 @@ def _against_beside_others(
     effects = proposed.candidate.effects
     sizes = [fitted_size(base.fit, proposed.fit, effect) for effect in effects]
     found = sorted(zip(sizes, effects, strict=True), key=lambda one: one[0].z)
-    is_hidden = is_like_noise(base.trained)
+    is_hidden = is_small_as_noise(base.trained)
     for place, (size, effect) in enumerate(found):
         is_first = place == len(found) - 1 and not base.is_later
         if is_first and is_all and not is_hidden:
