@@ -48,7 +48,7 @@ def test_the_more_candidates_the_clearer_a_size_must_be() -> None:
     assert fit is not None
     clearer = replace(fit, covariance=fit.covariance / 9)
     p_value = fitted_size(found.fit, clearer, found.proposed[0]).p_value
-    most = int(0.01 / p_value)
+    most = int(0.05 / p_value)
     assert most > 3
     assert found_by_chance(found.fit, clearer, found.proposed, most) == ""
     assert found_by_chance(found.fit, clearer, found.proposed, most + 1) != ""

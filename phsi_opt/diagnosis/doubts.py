@@ -14,10 +14,10 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import (
     BELIEVED_MISFIT,
     BESIDE_OTHERS_Z,
+    CHANCE_LEVEL,
     CLOCK_BESIDE_Z,
     CONFIRMED_Z,
     ESTABLISHED_Z,
-    FALSE_DISCOVERY_RATE,
     LEAST_PERIODS,
     LEAST_TURNED,
     OUT_OF_PHASE,
@@ -135,7 +135,7 @@ def found_by_chance(
     for effect in effects:
         size = fitted_size(base, fit, effect)
         p_value = n_candidates * size.p_value
-        if not p_value < FALSE_DISCOVERY_RATE:
+        if not p_value < CHANCE_LEVEL:
             return (
                 f"with {n_candidates} candidates, model error may look like a size of "
                 f"{effect} of {size} by chance (p-value {min(p_value, 1.0):.1g})"
