@@ -385,8 +385,10 @@ def test_what_the_parameters_make_up_for_shows_in_the_data_held_out(
     trained: Any = SimpleNamespace(rmse=1.05 * floor, noise_floor=floor)
     judged: Any = SimpleNamespace(rmse=3.0 * floor, noise_floor=floor)
     followed = replace(named, base=judged)
-    assert "the data held out show it" in since_when(followed, trained).detail
-    assert "the data held out show it" not in since_when(followed, judged).detail
+    told = since_when(followed, trained)
+    assert told.lead.startswith("All along the data held out; in the training data")
+    assert told.detail.startswith("The missing force is there: ")
+    assert "held out" not in str(since_when(followed, judged))
 
 
 def test_beside_the_verdict_stands_the_run_where_it_shows(

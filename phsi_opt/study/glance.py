@@ -24,7 +24,8 @@ from phsi_opt.study.run_content import TRAINING
 BASE_MODEL = 0  # its number among the models that are drawn
 # Times the training data's error, beside its movement, from which on the data held out
 # show better what is wrong: the model follows what it was fitted to.
-FOLLOWED = 2.0
+FOLLOWED_TIMES = 2.0
+FAILS_HERE = "The model's parameters follow the training data, and fail here."
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,9 @@ def glance_of(diagnosis: Diagnosis, failure: Failure, runs: Runs) -> Glance | No
     if not told or strongest is None:
         return None
     judged = _worst(runs, None, None)
-    if judged is not None and judged.share > FOLLOWED * strongest.share:
-        return Glance(judged.run, judged.channel, f"{_called(runs, judged)}.")
+    if judged is not None and judged.share > FOLLOWED_TIMES * strongest.share:
+        sentence = f"{_called(runs, judged)}. {FAILS_HERE}"
+        return Glance(judged.run, judged.channel, sentence)
     return _with_force(force, told[0], runs, strongest)
 
 

@@ -15,6 +15,7 @@ from phsi_opt.presentation.durations import (
     scale_of_time,
     times_words,
 )
+from phsi_opt.presentation.numbers import lowered
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.statistics import TINY
 from phsi_opt.study.off_words import only_follows
@@ -29,6 +30,9 @@ PARTS = 40  # of a run, among which its beginning is sought
 # its strongest one; a record is looked at in so many stretches.
 STRETCHES = 20
 OF_RECORD = " of the training record"
+FOLLOWED = (
+    "All along the data held out; in the training data the parameters make up for it."
+)
 GAP_IN_WINDOW = (
     0.1  # share of a window's samples that lack a channel, from which on it is said
 )
@@ -61,10 +65,10 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     else:
         answer = _throughout(force, runs, is_in_bursts)
     gaps = _gap_words(diagnosis, force)
-    detail = answer.detail
+    lead = f"{answer.lead} {gaps}".strip()
     if only_follows(trained, diagnosis.base):
-        detail += " There the parameters make up for it; the data held out show it."
-    return Answer(f"{answer.lead} {gaps}".strip(), detail.strip())
+        return Answer(FOLLOWED, f"The missing force is there: {lowered(lead)}")
+    return Answer(lead, answer.detail)
 
 
 def _gap_words(diagnosis: Diagnosis, force: EquationForce) -> str:

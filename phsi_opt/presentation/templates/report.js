@@ -189,10 +189,10 @@
     const info = data.runs.channels[place.channel];
     const traces = [{ x: one.t, y: one.measured, name: "measured", mode: "markers", marker: { color: color("measured"), size: 4 }, hovertemplate: "%{y:.4g}" }];
     one.models.forEach((values, m) => {
-      if (m === 0 || m === one.models.length - 1) traces.push({ x: one.t, y: values, name: plain(shortened(data.runs.models[m], 30)), line: styleOf(m, one.models.length), mode: "lines", hovertemplate: "%{y:.4g}" });
+      if (m === 0 || m === one.models.length - 1) traces.push({ x: one.t, y: values, name: m ? "present model" : "base model", line: styleOf(m, one.models.length), mode: "lines", hovertemplate: "%{y:.4g}" });
     });
     const lacks = place.force;
-    const below = lacks ? band(lacks.t, lacks.force, lacks.std.map((v) => (v === null ? null : 2 * v)), "\u00b1 2 standard deviations") : [];
+    const below = lacks ? band(lacks.t, lacks.force, lacks.std.map((v) => (v === null ? null : 2 * v)), "\u00b1 2 std.") : [];
     if (lacks) below.push({ x: lacks.t, y: lacks.force, mode: "lines", line: { color: color("between"), width: 2 }, name: "missing", hovertemplate: "%{y:.3g}" });
     below.forEach((trace) => { trace.yaxis = "y2"; });
     const shapes = [];
