@@ -50,7 +50,7 @@ class Point:
 
     @property
     def scaled(self) -> np.ndarray:
-        """Parameters and states over their sizes: where z begins, (n,)."""
+        """Parameters and states over their sizes, (n,), where z begins."""
         return np.concatenate([self.theta, self.x.ravel()]) / self.scale
 
     def unscaled(self, z: np.ndarray) -> dict[str, np.ndarray]:
