@@ -171,7 +171,7 @@ class LinearizedRecord:
 
     @property
     def weight(self) -> np.ndarray:
-        """One over the noise of each value, (n_nodes * n_states,), 0 where unmeasured."""
+        """One over each value's noise, (n_nodes * n_states,), 0 where unmeasured."""
         return self.point.outputs.weight
 
     @property
