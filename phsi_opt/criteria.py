@@ -142,8 +142,8 @@ RIVAL_SCORE = 0.8
 # 57, 1995).
 FALSE_DISCOVERY_RATE = 0.01
 # p-value of the size of an effect beside model error (Student's t), times the number of
-# candidates, from which chance may have found it. Springs that are not there, under a
-# random force of 5 %, had 0.3 to 0.5, the delay of two heaters 0.014.
+# kinds of candidates, from which chance may have found it. Springs that are not there,
+# under a random force of 5 %, had 0.1 to 0.6, the delay of two heaters 0.01.
 CHANCE_LEVEL = 0.05
 # Difference in BIC up to which two re-fitted candidates are a tie: "strong" evidence
 # begins at 6 (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).

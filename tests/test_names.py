@@ -471,3 +471,45 @@ def test_the_second_of_a_pair_must_be_clear_where_more_than_noise_is_left() -> N
     # With an error of the sensor beside it, 4.5 standard errors, less is left.
     (found,) = findings_of(diagnosis)
     assert found == frozenset({"coil saturation on flux"})
+
+
+@cache
+def diagnosed_with(kind: str, seed: int, *names: str) -> ph.Diagnosis:
+    """The diagnosis of a field machine with these candidates."""
+    case = drawn_case(kind, seed)
+    fit = ph.identify(case.model, case.train)
+    effects = [f"{name} on p" for name in names]
+    return ph.diagnose(fit, case.train, case.test, effects=effects)
+
+
+def test_a_pair_that_leaves_noise_in_training_must_predict_better_than_one() -> None:
+    pair = ("coulomb friction", "quadratic stiffness")
+    diagnosis = diagnosed_with("short_run", 502, "viscous damping", *pair)
+    by_name = {one.name: one for one in diagnosis.ranking}
+    both = by_name["coulomb friction on p and quadratic stiffness on p"]
+    alone = by_name["viscous damping on p"]
+    # Two numbers bend to a random force that acted once; a damper alone is nearer to
+    # what the next run did.
+    assert both.train_rmse < 0.8 * alone.train_rmse
+    assert both.held_out_rmse > 1.2 * alone.held_out_rmse
+    (found,) = findings_of(diagnosis)
+    assert "viscous damping on p" in found
+
+
+def test_a_loss_that_predicts_better_is_in_the_class_where_model_error_shows() -> None:
+    laws = ("coulomb friction", "viscous damping")
+    diagnosis = diagnosed_with("short_run", 511, *laws)
+    first, second = diagnosis.ranking
+    assert first.name == "coulomb friction on p"
+    assert second.held_out_rmse < first.held_out_rmse
+    (found,) = findings_of(diagnosis)
+    assert found == {f"{law} on p" for law in laws}
+
+
+def test_hysteresis_takes_energy_and_is_in_the_class_of_losses() -> None:
+    laws = ("hysteresis", "viscous damping", "quadratic drag", "coulomb friction")
+    diagnosis = diagnosed_with("pendulum", 518, *laws)
+    (found,) = diagnosis.findings
+    said = {effect.name for effect in found.effects}
+    assert {"hysteresis", "viscous damping"} <= said
+    assert found.family == "a loss of energy whose law the data do not tell"

@@ -8,13 +8,20 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.comparison.model_selection import is_like_noise
-from phsi_opt.diagnosis.doubts import fitted_size, found_by_chance
+from phsi_opt.diagnosis.doubts import fitted_size, found_by_chance, kinds_of
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.screening.effect_size import Size
 from problems.field_machines.cases import draw
 from problems.field_machines.kinds import KINDS
 
 STIFFNESSES = ("linear stiffness", "gravity torque", "cubic stiffness")
+OTHERS = (
+    "viscous damping",
+    "coulomb friction",
+    "position-dependent damping",
+    "constant force",
+    "drifting force",
+)
 DRAGS = ("viscous damping", "quadratic drag", "cubic drag")
 
 
@@ -31,7 +38,7 @@ def diagnosed(kind: str, seed: int, *names: str) -> ph.Diagnosis:
 def test_what_a_random_force_looks_like_is_not_named() -> None:
     # A pendulum goes over the top under a random force of 5 % of its own: on three
     # runs, and on a fourth, a spring explains four fifths of what that does.
-    found = diagnosed("nothing", 158, *STIFFNESSES)
+    found = diagnosed("nothing", 158, *STIFFNESSES, *OTHERS)
     (effect,) = found.proposed
     fit = found.proposed_fit
     assert fit is not None and fit.std_error_source == Source.DISTURBANCES
@@ -42,16 +49,43 @@ def test_what_a_random_force_looks_like_is_not_named() -> None:
     assert "by chance" in found.ranking[0].lost
 
 
-def test_the_more_candidates_the_clearer_a_size_must_be() -> None:
+def test_the_more_kinds_of_candidates_the_clearer_a_size_must_be() -> None:
     found = diagnosed("nothing", 158, *STIFFNESSES)
     fit = found.proposed_fit
     assert fit is not None
+    (effect,) = found.proposed
     clearer = replace(fit, covariance=fit.covariance / 9)
-    p_value = fitted_size(found.fit, clearer, found.proposed[0]).p_value
+    p_value = fitted_size(found.fit, clearer, effect).p_value
     most = int(0.05 / p_value)
     assert most > 3
-    assert found_by_chance(found.fit, clearer, found.proposed, most) == ""
-    assert found_by_chance(found.fit, clearer, found.proposed, most + 1) != ""
+    assert found_by_chance(found.fit, [(effect, clearer)], most) == ""
+    assert found_by_chance(found.fit, [(effect, clearer)], most + 1) != ""
+    # Of those that do as well, the clearest counts.
+    members = [(effect, fit), (effect, clearer)]
+    assert found_by_chance(found.fit, members, most) == ""
+
+
+def test_laws_of_one_family_are_one_kind_of_candidate() -> None:
+    case = draw(KINDS["nothing"], 158)
+    by_name = {one.name: one for one in ph.catalogue(case.model)}
+    drags = [by_name[name] for name in DRAGS]
+    assert len(kinds_of(drags)) == 1
+    assert len(kinds_of([*drags, by_name["coulomb friction"]])) == 2
+
+
+def test_a_loss_can_only_take_energy_so_its_p_value_is_one_sided() -> None:
+    case = draw(KINDS["short_run"], 517)
+    fit = ph.identify(case.model, case.train)
+    effects = ["viscous damping on p"]
+    found = ph.diagnose(fit, case.train, case.test, effects=effects)
+    refit = found.proposed_fit
+    assert refit is not None and refit.std_error_source != Source.NOISE
+    (effect,) = found.proposed
+    p_value = fitted_size(fit, refit, effect).p_value
+    most = int(0.05 / (p_value / 2))
+    assert most > int(0.05 / p_value) > 1
+    assert found_by_chance(fit, [(effect, refit)], most) == ""
+    assert found_by_chance(fit, [(effect, refit)], most + 1) != ""
 
 
 def test_what_the_noise_hid_is_not_named_unless_it_is_very_clear() -> None:

@@ -24,6 +24,7 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.remainder import Remainder
 from phsi_opt.model.effect import Effect
+from phsi_opt.model_error.standard_errors import Source
 
 
 def alike(
@@ -109,12 +110,16 @@ def _is_nearly_all(best: Candidate, other: Candidate) -> bool:
 def _is_better_held_out(
     base: DiagnosedModel, best: Candidate, other: Candidate
 ) -> bool:
-    """Whether a law of the same family leaves noise too, and less on data held out.
+    """Whether a similar law leaves noise too, and less on data held out.
 
     The training data prefer the best, those held out do not: model error, which is
-    hidden by the noise, may have made the difference.
+    hidden by the noise, may have made the difference. Losses of other families are
+    similar only where model error is found.
     """
-    if not base.is_held_out or other.effect.family != best.effect.family:
+    if not base.is_held_out or not _are_similar(best.effect, other.effect):
+        return False
+    is_exact = best.fit is not None and best.fit.std_error_source == Source.NOISE
+    if is_exact and other.effect.family != best.effect.family:
         return False
     if other.trained is None or other.lost or not is_like_noise(other.trained):
         return False
@@ -171,7 +176,11 @@ def _is_within(
         return False
     if base.is_held_out and not falls_significantly(other.comparison, best.comparison):
         return True
-    are_losses = best.effect.slot == "R" == other.effect.slot
-    if other.effect.family != best.effect.family and not are_losses:
+    if not _are_similar(best.effect, other.effect):
         return False
     return Remainder.of(base, other.fit).after < REMAINDER_TIE * remainder.after
+
+
+def _are_similar(one: Effect, other: Effect) -> bool:
+    """Whether two laws are of one family, or both take energy."""
+    return one.family == other.family or one.slot == "R" == other.slot

@@ -28,6 +28,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import (
     fitted_size,
     found_by_chance,
+    kinds_of,
     unconfirmed,
     z_beside_others,
 )
@@ -37,6 +38,7 @@ from phsi_opt.diagnosis.remainder import Remainder, share_of_motion
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.force_analysis.units import spaced
+from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect
 
 LOSS = "a loss of energy whose law the data do not tell"
@@ -130,7 +132,7 @@ def _concluded(
     change = _change(base, proposed)
     said = " and ".join(str(finding) for finding in findings)
     share = explained_share(base.judged, done.judged)
-    against = _against(base, proposed, findings, len(ranked))
+    against = _against(base, proposed, findings, ranked)
     if not against:
         against = _against_beside_others(base, proposed, is_all)
     if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
@@ -218,14 +220,14 @@ def class_of(effects: Sequence[Effect]) -> str:
 
 def _are_losses(effects: Sequence[Effect]) -> bool:
     """Whether all take energy from the motion: then they are alike in that."""
-    return all(effect.slot == "R" for effect in effects)
+    return all(one.slot == "R" or one.name == HYSTERESIS for one in effects)
 
 
 def _against(
     base: DiagnosedModel,
     proposed: Proposal,
     findings: Sequence[Finding],
-    n_candidates: int,
+    ranked: Sequence[Candidate],
 ) -> str:
     """Why what is proposed is not established; empty where it is."""
     for finding in findings:
@@ -240,8 +242,31 @@ def _against(
     judged = proposed.done.judged
     by_chance = ""
     if not explained_share(base.judged, judged) > EXPLAINED_IF_NAMED:
-        by_chance = found_by_chance(base.fit, proposed.fit, effects, n_candidates)
+        by_chance = _by_chance(base, proposed, findings, ranked)
     return by_chance or unconfirmed(base, proposed.fit, judged, effects)
+
+
+def _by_chance(
+    base: DiagnosedModel,
+    proposed: Proposal,
+    findings: Sequence[Finding],
+    ranked: Sequence[Candidate],
+) -> str:
+    """Why one of the findings may be chance; empty where none is.
+
+    A class of a single effect counts by the clearest of its members.
+    """
+    n_kinds = len(kinds_of(one.effect for one in ranked))
+    for finding in findings:
+        members = [(finding.effects[0], proposed.fit)]
+        for one in ranked:
+            is_member = len(findings) == 1 and one.effect in finding.effects[1:]
+            if is_member and one.fit is not None and not one.lost:
+                members.append((one.effect, one.fit))
+        against = found_by_chance(base.fit, members, n_kinds)
+        if against:
+            return against
+    return ""
 
 
 def _against_beside_others(

@@ -5,7 +5,7 @@ its bound, or whose own scale lies outside of the record, bends to fit what some
 else did.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -116,31 +116,43 @@ def _driven_to_bounds(old: Fit, new: Fit, effects: Sequence[Effect]) -> list[str
 
 
 def found_by_chance(
-    base: Fit, fit: Fit, effects: Sequence[Effect], n_candidates: int
+    base: Fit, members: Sequence[tuple[Effect, Fit]], n_kinds: int
 ) -> str:
-    """Why effects may be found because so many were tried; empty where they are not.
+    """Why an effect may be found because so many were tried; empty where it is not.
 
-    The p-value of each size, times the number of candidates (Bonferroni), where model
-    error shows: the likelihood ratio counts residuals as noise, and a brief record has
-    few values that tell how uncertain a size is (Student's t).
+    The p-value of its size, times the number of kinds of effects (Bonferroni), where
+    model error shows: the likelihood ratio counts residuals as noise, and a brief
+    record has few values that tell how uncertain a size is (Student's t). Of effects
+    that the data cannot tell apart the clearest counts.
 
     Args:
         base: the model without them.
-        fit: with them.
-        effects: what was added.
-        n_candidates: how many single effects were compared.
+        members: the effect with the re-fit that it is in, then those that do as well.
+        n_kinds: how many kinds of effects were compared (`kinds_of`).
     """
+    effect, fit = members[0]
     if fit.std_error_source == Source.NOISE:
         return ""
-    for effect in effects:
-        size = fitted_size(base, fit, effect)
-        p_value = n_candidates * size.p_value
-        if not p_value < CHANCE_LEVEL:
-            return (
-                f"with {n_candidates} candidates, model error may look like a size of "
-                f"{effect} of {size} by chance (p-value {min(p_value, 1.0):.1g})"
-            )
-    return ""
+    sizes = [fitted_size(base, with_it, one) for one, with_it in members]
+    p_value = n_kinds * min(
+        _p_value(one, size) for (one, _), size in zip(members, sizes, strict=True)
+    )
+    if p_value < CHANCE_LEVEL:
+        return ""
+    return (
+        f"with {n_kinds} kinds of candidates, model error may look like a size of "
+        f"{effect} of {sizes[0]} by chance (p-value {min(p_value, 1.0):.1g})"
+    )
+
+
+def _p_value(effect: Effect, size: Size) -> float:
+    """Of the hypothesis that there is none; a loss can only take energy (one-sided)."""
+    return size.p_value / 2 if effect.slot == "R" else size.p_value
+
+
+def kinds_of(effects: Iterable[Effect]) -> set[tuple[str, str]]:
+    """The family and equation of effects: laws of one family there are nearly one."""
+    return {(effect.family, effect.equation) for effect in effects}
 
 
 def unconfirmed(

@@ -9,9 +9,9 @@ from phsi_opt.comparison.model_selection import (
     delta_bic,
     explained_share,
     falls_or_explains_most,
-    falls_significantly,
     free_run_deviance,
     is_explained,
+    is_failing,
     is_like_noise,
     share_of_change,
 )
@@ -34,6 +34,7 @@ from phsi_opt.diagnosis.ranking import as_refitted, expected, request_of
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
+from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.screening.prospects import Prospect, Prospects
 from phsi_opt.screening.second_look import second_look
 
@@ -268,15 +269,24 @@ def _simplest(
     if not is_all and not _is_clear(base, best):
         least = ALONE_SHARE
     fewer = FEWER_BESIDE_ALL if is_all else 1
-    enough = least * explained_share(base.judged, done.judged)
+    most = explained_share(base.judged, done.judged)
+    is_inexact = base.is_held_out and _is_inexact(best)
     for candidate in ranked:
         comparison = candidate.comparison
         if comparison is None or not _is_significant(base, candidate):
             continue
-        is_simpler = _n_unknowns(candidate) + fewer <= _n_unknowns(best.candidate)
-        if is_simpler and explained_share(base.judged, comparison) > enough:
+        share = explained_share(base.judged, comparison)
+        n_fewer = _n_unknowns(best.candidate) - _n_unknowns(candidate)
+        is_better = n_fewer > 0 and is_inexact and share > most
+        if is_better or (n_fewer >= fewer and share > least * most):
             best = _single(candidate) or best
     return _by_all_data(base, best, ranked)
+
+
+def _is_inexact(proposed: Proposal) -> bool:
+    """Whether model error shows beside it: then training data prefer larger laws."""
+    source = proposed.fit.std_error_source
+    return source != Source.NOISE or is_failing(proposed.done.judged)
 
 
 def _is_clear(base: DiagnosedModel, best: Proposal) -> bool:
@@ -372,4 +382,4 @@ def _is_significant(base: DiagnosedModel, candidate: Candidate) -> bool:
         return False
     if not candidate.p_value < FALSE_DISCOVERY_RATE:
         return False
-    return falls_significantly(base.judged, candidate.comparison)
+    return falls_or_explains_most(base.judged, candidate.comparison)
