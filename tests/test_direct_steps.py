@@ -8,6 +8,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
 from phsi_opt.estimation import maximum_likelihood
+from phsi_opt.estimation.direct_steps import DirectSteps
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
@@ -16,6 +17,7 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.model.built_functions import built_of
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.optimization.endings import DIRECT_STEPS
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
@@ -112,11 +114,56 @@ def test_what_the_data_are_silent_about_stays_where_it_was() -> None:
     assert np.isnan(fit.std_errors["m"])
 
 
-def test_an_optimum_at_a_bound_is_left_to_ipopt() -> None:
-    model = spring(ph.Parameter(1.0, lower=0), ph.Parameter(0.5, lower=0.3))
-    fit = ph.identify(model, swinging())
-    assert fit.outcome.status != DIRECT_STEPS
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_an_optimum_at_a_bound_is_that_of_ipopt(
+    monkeypatch: pytest.MonkeyPatch, side: str
+) -> None:
+    c = ph.Parameter(0.4, lower=0.155)
+    if side == "upper":
+        c = ph.Parameter(0.05, lower=0, upper=0.145)
+    model = spring(ph.Parameter(1.0, lower=0), c)
+    data = swinging(seed=4)
+    fit = ph.identify(model, data)
+    assert fit.outcome.status == DIRECT_STEPS
     assert fit.outcome.at_bounds == ("c",)
+    assert fit.values["c"] in (0.155, 0.145)
+    monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
+    by_ipopt = ph.identify(model, data)
+    assert by_ipopt.outcome.status != DIRECT_STEPS
+    assert by_ipopt.outcome.at_bounds == ("c",)
+    limit = 1e-4 * fit.std_errors["k"]
+    assert fit.values["k"] == pytest.approx(by_ipopt.values["k"], abs=limit)
+    assert fit.std_errors["k"] == pytest.approx(by_ipopt.std_errors["k"], rel=1e-4)
+    assert np.isnan(fit.std_errors["c"]) and np.isnan(by_ipopt.std_errors["c"])
+    assert fit.bic == pytest.approx(by_ipopt.bic, abs=1e-3)
+
+
+def test_a_parameter_that_begins_at_its_bound_leaves_it() -> None:
+    """A first step may press it there; the multiplier's sign lets it go."""
+    data = swinging()
+    held = spring(ph.Parameter(1.0, lower=0), 0.0)
+    smaller = ph.identify(held, data)
+    fit = ph.identify(unknown(c=0.0), data, start=smaller, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS and not fit.outcome.at_bounds
+    best = ph.identify(unknown(), data)
+    limit = 1e-3 * best.std_errors["c"]
+    assert fit.values["c"] == pytest.approx(best.values["c"], abs=limit)
+
+
+def test_an_optimum_at_a_bound_beside_which_nothing_is_told_is_left_to_ipopt() -> None:
+    """Without the force its frequency is anything: another one may lead inside."""
+    truth = spring(1.7, 0.15)
+    parts = {"size": ph.Parameter(0.0, lower=0), "omega": ph.Parameter(3.0, lower=0)}
+    model = truth.add(
+        ph.Effect("a wave", "F", "p", ph.formula("-size*sin(omega*t)**2", **parts))
+    )
+    aligned = AlignedData.of(model, swinging())
+    task = Task(model, aligned, {}, None, ph.SolverSettings())
+    problem = LikelihoodProblem.of(task, ph.MaximumLikelihood())
+    start = simple_start(problem)
+    assert start is not None
+    start = replace(start, theta=np.array([0.0, 3.0]))
+    assert LikelihoodSolver(problem).solve_directly(start) is None
 
 
 def test_steps_that_lead_nowhere_give_no_answer() -> None:
@@ -164,16 +211,22 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     gradient, g = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
     system = OptimalitySystem(grid, 2, pattern_of(H), pattern_of(J))
     entries = H[np.nonzero(H)], J[np.nonzero(J)]
-    step = system.step(*entries, gradient, g)
+    step = system.step(*entries, gradient, g, Room(np.full(2, -1e9), np.full(2, 1e9)))
     whole = H + np.triu(H, 1).T
     matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])
     expected = np.linalg.solve(matrix, -np.r_[gradient, g])
     np.testing.assert_allclose(np.r_[step.z, step.multipliers], expected, rtol=1e-8)
-    assert system.curvature(entries[0], step.z) == pytest.approx(
-        step.z @ whole @ step.z
-    )
+    np.testing.assert_allclose(system.times(entries[0], step.z), whole @ step.z)
     left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
     np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
+    # Held at zero, the first parameter has no row.
+    one_held = Room(np.array([0.0, -1e9]), np.array([0.0, 1e9]))
+    held = system.step(*entries, gradient, g, one_held)
+    matrix[0] = 0.0
+    matrix[0, 0] = 1.0
+    right = -np.r_[0.0, gradient[1:], g]
+    found = np.r_[held.z, held.multipliers]
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), 1e-7, 1e-12)
 
 
 # --- States by kinematics

@@ -25,12 +25,14 @@ from phsi_opt.estimation.solver_chain import SolverChain, ways_after
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
+from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import memory_start_bounds
 from phsi_opt.transcription.grid import interpolate_at_nodes
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
+# Where full steps with Gauss and Newton's Hessian led nowhere, another one comes first.
+WAYS_AFTER_STEPS = (EXACT, FEASIBLE_PATH)
 MOST_NOISE_UPDATES = 6  # solves with a noise re-estimated, at most
 # The memory that a trajectory begins with is free; that of a short delay fades within a
 # few samples. With coarse steps there it could take values far off for the sake of the
@@ -136,6 +138,8 @@ class LikelihoodSolver:
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
                 return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
+            if not self.task.settings.thorough:
+                ways = WAYS_AFTER_STEPS
         z = transcription.program.start
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         optimum = _maximum(chain, direct, noise, z, start.sigma)
@@ -266,7 +270,7 @@ def _maximum(
         previous = solution
         if has_settled:
             return Optimum(chain.solver.at(solution, sigma), sigma)
-        if direct is not None and chain.way == GAUSS_NEWTON:
+        if direct is not None and chain.way != FEASIBLE_PATH:
             optimum = direct.optimum(z, sigma, noise)
             if optimum is not None:
                 return optimum
