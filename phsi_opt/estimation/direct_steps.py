@@ -2,9 +2,11 @@
 
 From a good start they find the optimum in a few iterations, each of which costs one
 evaluation of the slopes and one banded factorisation: no barrier, no line search, and
-no solve of its own for every estimate of the noise. Nothing is forced. Where steps do
-not contract, or end at a bound, there is no result, and IPOPT begins where it would
-have begun.
+no solve of its own for every estimate of the noise. A parameter that a step presses
+against its bound is held there, and the others move with it. Steps that leave a share
+of the error each are mixed. Nothing is forced. Where steps do not contract, and where
+beside a parameter at its bound the data are silent about another one, there is no
+result, and IPOPT begins where it would have begun.
 """
 
 import time
@@ -36,8 +38,8 @@ NEARLY_HOLDING = 1e-2
 # Share of the error that two steps leave, at most; the first steps find their way.
 CONTRACTION = 0.7
 FREE_STEPS = 5
-# Share of the way to a bound that a step goes at most: bounds are not crossed, and an
-# optimum at one is not found here.
+# Share of the way to a bound that a step goes at most where states have one, or where
+# the model has no values at it.
 TO_BOUND = 0.99
 BESIDE_BOUND = 1e-12  # distance from a bound that is none
 
@@ -138,8 +140,9 @@ class DirectSteps:
             has_settled = noise.has_settled(place.sigma, updated)
             if has_settled and self._is_optimal(place, step):
                 found = self._optimum_at(place, updated, n_steps, began)
-                is_told = not (found.solution.outcome.at_bounds and step.is_silent)
-                return found if is_told else None
+                # What is silent beside a bound may lead inside where it is another one.
+                is_held = bool(found.solution.outcome.at_bounds)
+                return None if is_held and step.is_silent else found
             if not has_settled:
                 mixed.forget()
                 place = self._with_noise(place, updated)
@@ -218,12 +221,9 @@ class DirectSteps:
         """After the step, or that part of it; what reaches a bound is put on it."""
         lower, upper = self.likelihood.lower, self.likelihood.upper
         moved = z + self._share(z, step) * step
-        moved = np.where(
-            np.isclose(moved, lower, BESIDE_BOUND, BESIDE_BOUND), lower, moved
-        )
-        moved = np.where(
-            np.isclose(moved, upper, BESIDE_BOUND, BESIDE_BOUND), upper, moved
-        )
+        for bound in (lower, upper):
+            is_there = np.isclose(moved, bound, BESIDE_BOUND, BESIDE_BOUND)
+            moved = np.where(is_there, bound, moved)
         return np.clip(moved, lower, upper)
 
     def _at(self, z: np.ndarray, sigma: np.ndarray) -> _Place:
