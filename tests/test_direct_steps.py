@@ -7,7 +7,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
-from phsi_opt.estimation import maximum_likelihood
+from phsi_opt.estimation import direct_steps, maximum_likelihood
 from phsi_opt.estimation.direct_steps import DirectSteps
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
@@ -21,6 +21,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.optimization.endings import DIRECT_STEPS
 from phsi_opt.optimization.mixed_steps import MixedSteps
+from phsi_opt.optimization.settings import EXACT, GAUSS_NEWTON
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
@@ -232,14 +233,18 @@ def test_steps_that_leave_a_share_of_the_error_each_are_mixed(
     assert fit.bic == pytest.approx(by_ipopt.bic, abs=0.1)
 
 
-def test_where_full_steps_led_nowhere_the_exact_hessian_is_first(
+def test_where_full_steps_creep_the_exact_hessian_comes_first_on_a_problem_like_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    model, data, start = large_residuals()
+    fit = ph.identify(model, data, start=start, settings=BRIEF)
+    assert fit.outcome.way == GAUSS_NEWTON
+    monkeypatch.setattr(direct_steps, "CONTRACTION", 0.05)
+    monkeypatch.setattr(direct_steps, "FREE_STEPS", 20)
+    fit = ph.identify(model, data, start=start, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS and fit.outcome.way == EXACT
     monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
-    data = swinging()
-    smaller = ph.identify(spring(ph.Parameter(1.0, lower=0), 0.2), data)
-    fit = ph.identify(unknown(), data, start=smaller, settings=BRIEF)
-    assert fit.outcome.success and fit.outcome.is_exact
+    assert ph.identify(model, data, start=fit, settings=BRIEF).outcome.is_exact
 
 
 def test_steps_that_lead_nowhere_give_no_answer() -> None:

@@ -139,7 +139,8 @@ class DirectSteps:
             updated = noise.updated(place.sigma, place.weighed.residual)
             has_settled = noise.has_settled(place.sigma, updated)
             if has_settled and self._is_optimal(place, step):
-                found = self._optimum_at(place, updated, n_steps, began)
+                is_slow = mixed.share > CONTRACTION
+                found = self._optimum_at(place, updated, n_steps, began, is_slow)
                 # What is silent beside a bound may lead inside where it is another one.
                 is_held = bool(found.solution.outcome.at_bounds)
                 return None if is_held and step.is_silent else found
@@ -238,7 +239,12 @@ class DirectSteps:
         return _Place(place.z, sigma, place.values, weighed)
 
     def _optimum_at(
-        self, place: _Place, sigma: np.ndarray, n_steps: int, began: float
+        self,
+        place: _Place,
+        sigma: np.ndarray,
+        n_steps: int,
+        began: float,
+        is_slow: bool,
     ) -> Optimum:
         """At a place, with the noise that its residuals show."""
         likelihood = self.likelihood
@@ -254,6 +260,7 @@ class DirectSteps:
             objective=place.weighed.objective,
             infeasibility=place.violation,
             at_bounds=names_at_bounds(likelihood.unknown.names, place.z, bounds),
+            is_exact=is_slow,
         )
         hessian = likelihood.hessian.symmetric(place.weighed.hessian)
         jacobian = likelihood.jacobian.filled(place.values.jacobian)

@@ -25,14 +25,12 @@ from phsi_opt.estimation.solver_chain import SolverChain, ways_after
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, GAUSS_NEWTON
+from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import memory_start_bounds
 from phsi_opt.transcription.grid import interpolate_at_nodes
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
-# Where full steps with Gauss and Newton's Hessian led nowhere, another one comes first.
-WAYS_AFTER_STEPS = (EXACT, FEASIBLE_PATH)
 MOST_NOISE_UPDATES = 6  # solves with a noise re-estimated, at most
 # The memory that a trajectory begins with is free; that of a short delay fades within a
 # few samples. With coarse steps there it could take values far off for the sake of the
@@ -137,9 +135,8 @@ class LikelihoodSolver:
             z = transcription.point.scaled
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
-                return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
-            if not self.task.settings.thorough:
-                ways = WAYS_AFTER_STEPS
+                way = optimum.solution.outcome.way
+                return self._estimate(transcription, optimum, l1, way)
         z = transcription.program.start
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         optimum = _maximum(chain, direct, noise, z, start.sigma)
@@ -152,7 +149,7 @@ class LikelihoodSolver:
         second look ended, but not where a path beside a sharp corner is to be followed.
         """
         if self.task.settings.thorough:
-            return start.is_optimum and way == GAUSS_NEWTON
+            return start.is_optimum and way != FEASIBLE_PATH
         return way != FEASIBLE_PATH
 
     def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
@@ -172,7 +169,8 @@ class LikelihoodSolver:
         if optimum is None:
             return None
         self.task.say(f"{transcription}: {optimum.solution.outcome}")
-        return self._estimate(transcription, optimum, self.task.l1, GAUSS_NEWTON)
+        way = optimum.solution.outcome.way
+        return self._estimate(transcription, optimum, self.task.l1, way)
 
     def _direct_steps(self, transcription: Transcription) -> DirectSteps | None:
         """Full steps; None with slack variables, or where they may not be tried."""

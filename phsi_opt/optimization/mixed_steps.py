@@ -19,8 +19,13 @@ Product = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(eq=False)
 class MixedSteps:
-    """What the last steps of one iteration say about where it ends."""
+    """What the last steps of one iteration say about where it ends.
 
+    Attributes:
+        share: the largest that a step alone would have left of the error before it.
+    """
+
+    share: float = 0.0
     _steps: list[np.ndarray] = field(default_factory=list)
     _ends: list[np.ndarray] = field(default_factory=list)
 
@@ -46,5 +51,15 @@ class MixedSteps:
         if not len(changes):
             return end
         shares = np.linalg.lstsq(weighed @ changes.T, weighed @ step, LEAST_CHANGE)[0]
-        mixed: np.ndarray = end - shares @ np.diff(self._ends, axis=0)
+        differences = np.diff(self._ends, axis=0)
+        self._observe(changes[-1], differences[-1, : len(step)], times)
+        mixed: np.ndarray = end - shares @ differences
         return mixed
+
+    def _observe(self, change: np.ndarray, left: np.ndarray, times: Product) -> None:
+        """Of a move, the difference between the ends of the steps at its two sides."""
+        move = left - change
+        size = float(move @ times(move))
+        if size > 0:
+            share = float(np.sqrt(max(float(left @ times(left)), 0.0) / size))
+            self.share = max(self.share, share)
