@@ -24,7 +24,7 @@ from phsi_opt.optimization.endings import STEPS_OPTIMUM
 from phsi_opt.optimization.ipopt import KKT, Solution, names_at_bounds
 from phsi_opt.optimization.mixed_steps import MixedSteps
 from phsi_opt.optimization.outcome import Outcome
-from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.optimization.settings import FEASIBLE_PATH, SolverSettings
 from phsi_opt.transcription.likelihood_values import (
     LikelihoodValues,
     PointValues,
@@ -81,8 +81,9 @@ class _Place:
     @property
     def is_finite(self) -> bool:
         """Whether the model has values and slopes here."""
-        of_slopes = np.sum(self.values.jacobian) + np.sum(self.weighed.gradient)
-        whole = self.violation + self.weighed.objective + of_slopes
+        with np.errstate(all="ignore"):
+            of_slopes = np.sum(self.values.jacobian) + np.sum(self.weighed.gradient)
+            whole = self.violation + self.weighed.objective + of_slopes
         return bool(np.isfinite(whole))
 
 
@@ -140,6 +141,9 @@ class DirectSteps:
             has_settled = noise.has_settled(place.sigma, updated)
             if has_settled and self._is_optimal(place, step):
                 is_slow = mixed.share > CONTRACTION
+                # Beside a sharp corner there are many optima, which creeping ends at.
+                if is_slow and FEASIBLE_PATH in self.settings.ways:
+                    return None
                 found = self._optimum_at(place, updated, n_steps, began, is_slow)
                 # What is silent beside a bound may lead inside where it is another one.
                 is_held = bool(found.solution.outcome.at_bounds)
