@@ -7,16 +7,21 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
-from phsi_opt.estimation import maximum_likelihood
+from phsi_opt.estimation import direct_steps, maximum_likelihood
+from phsi_opt.estimation.direct_steps import DirectSteps
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
 from phsi_opt.estimation.likelihood_start import simple_start
 from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.model.built_functions import built_of
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.optimization.endings import DIRECT_STEPS
+from phsi_opt.optimization.mixed_steps import MixedSteps
+from phsi_opt.optimization.settings import EXACT, GAUSS_NEWTON
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
@@ -112,21 +117,138 @@ def test_what_the_data_are_silent_about_stays_where_it_was() -> None:
     assert np.isnan(fit.std_errors["m"])
 
 
-def test_an_optimum_at_a_bound_is_left_to_ipopt() -> None:
-    model = spring(ph.Parameter(1.0, lower=0), ph.Parameter(0.5, lower=0.3))
-    fit = ph.identify(model, swinging())
-    assert fit.outcome.status != DIRECT_STEPS
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_an_optimum_at_a_bound_is_that_of_ipopt(
+    monkeypatch: pytest.MonkeyPatch, side: str
+) -> None:
+    c = ph.Parameter(0.4, lower=0.155)
+    if side == "upper":
+        c = ph.Parameter(0.05, lower=0, upper=0.145)
+    model = spring(ph.Parameter(1.0, lower=0), c)
+    data = swinging(seed=4)
+    fit = ph.identify(model, data)
+    assert fit.outcome.status == DIRECT_STEPS
     assert fit.outcome.at_bounds == ("c",)
+    assert fit.values["c"] in (0.155, 0.145)
+    monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
+    by_ipopt = ph.identify(model, data)
+    assert by_ipopt.outcome.status != DIRECT_STEPS
+    assert by_ipopt.outcome.at_bounds == ("c",)
+    limit = 1e-4 * fit.std_errors["k"]
+    assert fit.values["k"] == pytest.approx(by_ipopt.values["k"], abs=limit)
+    assert fit.std_errors["k"] == pytest.approx(by_ipopt.std_errors["k"], rel=1e-4)
+    assert np.isnan(fit.std_errors["c"]) and np.isnan(by_ipopt.std_errors["c"])
+    assert fit.bic == pytest.approx(by_ipopt.bic, abs=1e-3)
+
+
+def test_a_parameter_that_begins_at_its_bound_leaves_it() -> None:
+    """A first step may press it there; the multiplier's sign lets it go."""
+    data = swinging()
+    held = spring(ph.Parameter(1.0, lower=0), 0.0)
+    smaller = ph.identify(held, data)
+    fit = ph.identify(unknown(c=0.0), data, start=smaller, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS and not fit.outcome.at_bounds
+    best = ph.identify(unknown(), data)
+    limit = 1e-3 * best.std_errors["c"]
+    assert fit.values["c"] == pytest.approx(best.values["c"], abs=limit)
+
+
+def test_an_optimum_at_a_bound_beside_which_nothing_is_told_is_left_to_ipopt() -> None:
+    """Without the force its frequency is anything: another one may lead inside."""
+
+    def wave(size: ph.Parameter | float, omega: ph.Parameter | float) -> ph.Effect:
+        term = ph.formula("size*sin(omega*t)**2", size=size, omega=omega)
+        return ph.Effect("a wave", "F", "p", term)
+
+    size, omega = ph.Parameter(0.0, lower=0), ph.Parameter(3.0, lower=0)
+    data = swinging(spring(1.7, 0.15).add(wave(-0.3, 3.0)))
+    model = spring(1.7, 0.15).add(wave(size, omega))
+    solver, start = solver_and_start(model, data)
+    assert solver.solve_directly(start) is None
+    # With a frequency that is known nothing is silent.
+    model = spring(1.7, 0.15).add(wave(size, 3.0))
+    solver, start = solver_and_start(model, data)
+    found = solver.solve_directly(start)
+    assert found is not None
+    assert found.solution.outcome.at_bounds == ("size",)
+
+
+def solver_and_start(
+    model: ph.Model, data: ph.Measurements
+) -> tuple[LikelihoodSolver, StartingPoint]:
+    """From the parameters of the model as they are."""
+    task = Task(model, AlignedData.of(model, data), {}, None, ph.SolverSettings())
+    problem = LikelihoodProblem.of(task, ph.MaximumLikelihood())
+    start = simple_start(problem)
+    assert start is not None
+    return LikelihoodSolver(problem), replace(start, theta=model.theta)
+
+
+def test_a_bound_at_which_the_model_has_no_values_is_not_stepped_on() -> None:
+    def lag(tau: ph.Parameter | float) -> ph.Model:
+        return ph.FirstOrder(["x"], {"x": ph.formula("(1 - x)/tau", tau=tau)})
+
+    x = ph.simulate(lag(1.0), T, [0.0])
+    y = x + NOISE * np.random.default_rng(0).normal(size=x.shape)
+    data = ph.Measurements.from_arrays(T, y, states=["x"])
+    # A second step from here would end at zero.
+    slow = replace(
+        ph.identify(lag(1.0), data), states=(ph.simulate(lag(6.0), T, [0.0]),)
+    )
+    unknown_lag = lag(ph.Parameter(6.0, lower=0))
+    fit = ph.identify(unknown_lag, data, start=slow, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS
+    assert fit.values["tau"] == pytest.approx(1.0, abs=4 * fit.std_errors["tau"])
+
+
+def large_residuals() -> tuple[ph.Model, ph.Measurements, ph.Fit]:
+    """A model that lacks much, and a start from which full steps go to and fro."""
+    truth = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("1.7*q**2/2 + 0.4*q**4 + p**2/3"),
+        R={"p": ph.formula("0.15")},
+    )
+    data = swinging(truth)
+    smaller = ph.identify(spring(ph.Parameter(1.0, lower=0), 0.2), data)
+    return unknown(), data, smaller
+
+
+def test_steps_that_leave_a_share_of_the_error_each_are_mixed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model, data, start = large_residuals()
+    fit = ph.identify(model, data, start=start, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS
+    with monkeypatch.context() as patched:
+        patched.setattr(MixedSteps, "end", lambda _, step, end, times: end)
+        unmixed = ph.identify(model, data, start=start, settings=BRIEF)
+    is_slower = unmixed.outcome.iterations > fit.outcome.iterations + 2
+    assert unmixed.outcome.status != DIRECT_STEPS or is_slower
+    monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
+    by_ipopt = ph.identify(model, data, start=start, settings=BRIEF)
+    for name in ("k", "c"):
+        limit = 1e-2 * fit.std_errors[name]
+        assert fit.values[name] == pytest.approx(by_ipopt.values[name], abs=limit)
+    assert fit.bic == pytest.approx(by_ipopt.bic, abs=0.1)
+
+
+def test_where_full_steps_creep_the_exact_hessian_comes_first_on_a_problem_like_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model, data, start = large_residuals()
+    fit = ph.identify(model, data, start=start, settings=BRIEF)
+    assert fit.outcome.way == GAUSS_NEWTON
+    monkeypatch.setattr(direct_steps, "CONTRACTION", 0.05)
+    monkeypatch.setattr(direct_steps, "FREE_STEPS", 20)
+    fit = ph.identify(model, data, start=start, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS and fit.outcome.way == EXACT
+    monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
+    assert ph.identify(model, data, start=fit, settings=BRIEF).outcome.is_exact
 
 
 def test_steps_that_lead_nowhere_give_no_answer() -> None:
-    model = unknown()
-    aligned = AlignedData.of(model, swinging())
-    task = Task(model, aligned, {}, None, ph.SolverSettings())
-    problem = LikelihoodProblem.of(task, ph.MaximumLikelihood())
-    solver = LikelihoodSolver(problem)
-    start = simple_start(problem)
-    assert start is not None
+    solver, start = solver_and_start(unknown(), swinging())
     assert solver.solve_directly(start) is not None
     for wrong in (np.full(2, 1e200), np.array([np.inf, 1.0])):
         lost = replace(start, states=(start.states[0] * wrong,))
@@ -135,8 +257,8 @@ def test_steps_that_lead_nowhere_give_no_answer() -> None:
                 assert solver.solve_directly(lost) is None
             except ph.ModelError as error:  # a start that is no number
                 assert "not finite" in str(error)
-    brief = replace(task, settings=ph.SolverSettings(max_iterations=1))
-    solver = LikelihoodSolver(replace(problem, task=brief))
+    brief = replace(solver.task, settings=ph.SolverSettings(max_iterations=1))
+    solver = LikelihoodSolver(replace(solver.problem, task=brief))
     assert solver.solve_directly(start) is None
 
 
@@ -164,16 +286,22 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     gradient, g = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
     system = OptimalitySystem(grid, 2, pattern_of(H), pattern_of(J))
     entries = H[np.nonzero(H)], J[np.nonzero(J)]
-    step = system.step(*entries, gradient, g)
+    step = system.step(*entries, gradient, g, Room(np.full(2, -1e9), np.full(2, 1e9)))
     whole = H + np.triu(H, 1).T
     matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])
     expected = np.linalg.solve(matrix, -np.r_[gradient, g])
     np.testing.assert_allclose(np.r_[step.z, step.multipliers], expected, rtol=1e-8)
-    assert system.curvature(entries[0], step.z) == pytest.approx(
-        step.z @ whole @ step.z
-    )
+    np.testing.assert_allclose(system.times(entries[0], step.z), whole @ step.z)
     left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
     np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
+    # Held at zero, the first parameter has no row.
+    one_held = Room(np.array([0.0, -1e9]), np.array([0.0, 1e9]))
+    held = system.step(*entries, gradient, g, one_held)
+    matrix[0] = 0.0
+    matrix[0, 0] = 1.0
+    right = -np.r_[0.0, gradient[1:], g]
+    found = np.r_[held.z, held.multipliers]
+    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), 1e-7, 1e-12)
 
 
 # --- States by kinematics

@@ -11,6 +11,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.ranking import _worth_refitting
 from phsi_opt.diagnosis.refit import RefitRequest, refit
 from phsi_opt.diagnosis.refit_effort import BESIDE_SHARP
+from phsi_opt.errors import SolveError
 from phsi_opt.estimation import missing_force
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH
@@ -76,6 +77,34 @@ def test_friction_that_may_as_well_be_zero_keeps_its_rounded_corner(
     done = refit(complete, RefitRequest([friction], {"coulomb_friction_p": 0.01}))
     assert done is not None and done.before_sharpening is not None
     assert not sharper
+
+
+def test_only_a_fit_with_a_corner_is_extended_along_solutions(
+    complete: DiagnosedModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What else was found along solutions says nothing about a corner."""
+    tried = []
+
+    def identified(model: ph.Model, *_: object, **__: object) -> ph.Fit:
+        tried.append(model)
+        raise SolveError("not here")
+
+    monkeypatch.setattr(friction_sharpening, "identify_aligned", identified)
+    fit = along_solutions(complete).fit
+    drag, dry = (
+        effect_named(fit.model, name, "p")
+        for name in ("cubic drag", "coulomb friction")
+    )
+    force = effect_named(fit.model, "constant force", "p")
+    for effect, n_tried in ((drag, 0), (dry, 1)):
+        model = fit.model.add(effect)
+        model = model.with_values(dict.fromkeys(model.entries, 0.1))
+        corners = friction_sharpening.CornerSharpening(
+            complete, complete.record.aligned, [effect, force]
+        )
+        known = [replace(fit, model=model)]
+        assert corners.extended(model.add(force), 1, known) is None
+        assert len(tried) == n_tried
 
 
 def test_corners_beside_a_memory_stay_as_they_are_where_the_states_are_many(

@@ -152,8 +152,7 @@ class CornerSharpening:
         """
         smaller = []
         for fit in known:
-            is_sharp = fit.outcome.way == FEASIBLE_PATH
-            if is_sharp and set(fit.model.entries) < set(model.entries):
+            if self._is_sharp(fit) and set(fit.model.entries) < set(model.entries):
                 smaller.append(fit)
         if not smaller or self.base.is_long:
             return None
@@ -176,6 +175,11 @@ class CornerSharpening:
             if deviance(new) < deviance(old) + SHARPER_CORNER_DEVIANCE:
                 return new
         return None
+
+    def _is_sharp(self, fit: Fit) -> bool:
+        """Whether a fit follows solutions of the model for the sake of a corner."""
+        has_corner = self.base.is_along_solutions or bool(self.corners(fit.model))
+        return has_corner and fit.outcome.way == FEASIBLE_PATH
 
     def _beside_sharp_corner(self, model: Model, old: Fit) -> Model | None:
         """The larger model with the old widths, its new effects small.

@@ -2,9 +2,11 @@
 
 From a good start they find the optimum in a few iterations, each of which costs one
 evaluation of the slopes and one banded factorisation: no barrier, no line search, and
-no solve of its own for every estimate of the noise. Nothing is forced. Where steps do
-not contract, or end at a bound, there is no result, and IPOPT begins where it would
-have begun.
+no solve of its own for every estimate of the noise. A parameter that a step presses
+against its bound is held there, and the others move with it. Steps that leave a share
+of the error each are mixed. Nothing is forced. Where steps do not contract, and where
+beside a parameter at its bound the data are silent about another one, there is no
+result, and IPOPT begins where it would have begun.
 """
 
 import time
@@ -17,10 +19,12 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.interrupts import solving
+from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.optimization.endings import STEPS_OPTIMUM
 from phsi_opt.optimization.ipopt import KKT, Solution, names_at_bounds
+from phsi_opt.optimization.mixed_steps import MixedSteps
 from phsi_opt.optimization.outcome import Outcome
-from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.optimization.settings import FEASIBLE_PATH, SolverSettings
 from phsi_opt.transcription.likelihood_values import (
     LikelihoodValues,
     PointValues,
@@ -28,15 +32,16 @@ from phsi_opt.transcription.likelihood_values import (
 )
 from phsi_opt.transcription.optimality_system import NewtonStep, OptimalitySystem
 
-MOST_DIRECT_STEPS = 12
+MOST_DIRECT_STEPS = 20
 # Scaled defect up to which the residuals say something about the noise.
 NEARLY_HOLDING = 1e-2
-# Share of the error that a step leaves, at most; the first steps find their way.
+# Share of the error that two steps leave, at most; the first steps find their way.
 CONTRACTION = 0.7
-FREE_STEPS = 3
-# Share of the way to a bound that a step goes at most: bounds are not crossed, and an
-# optimum at one is not found here.
+FREE_STEPS = 5
+# Share of the way to a bound that a step goes at most where states have one, or where
+# the model has no values at it.
 TO_BOUND = 0.99
+BESIDE_BOUND = 1e-12  # distance from a bound that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +81,9 @@ class _Place:
     @property
     def is_finite(self) -> bool:
         """Whether the model has values and slopes here."""
-        of_slopes = np.sum(self.values.jacobian) + np.sum(self.weighed.gradient)
-        whole = self.violation + self.weighed.objective + of_slopes
+        with np.errstate(all="ignore"):
+            of_slopes = np.sum(self.values.jacobian) + np.sum(self.weighed.gradient)
+            whole = self.violation + self.weighed.objective + of_slopes
         return bool(np.isfinite(whole))
 
 
@@ -115,6 +121,7 @@ class DirectSteps:
         """
         began = time.perf_counter()
         place = self._at(z, sigma)
+        mixed = MixedSteps()
         errors: list[float] = []
         most = min(MOST_DIRECT_STEPS, self.settings.max_iterations)
         for n_steps in range(1, most + 1):
@@ -125,14 +132,24 @@ class DirectSteps:
             errors.append(place.violation + self._length(place, step))
             if not _contracts(errors):
                 return None
-            place = self._at(self._moved(place.z, step.z), place.sigma)
+            step = self._mixed(mixed, place, step)
+            place = self._after(place, step)
             if not place.violation < NEARLY_HOLDING:
+                mixed.forget()
                 continue
             updated = noise.updated(place.sigma, place.weighed.residual)
             has_settled = noise.has_settled(place.sigma, updated)
             if has_settled and self._is_optimal(place, step):
-                return self._optimum_at(place, updated, n_steps, began)
+                is_slow = mixed.share > CONTRACTION
+                # Beside a sharp corner there are many optima, which creeping ends at.
+                if is_slow and FEASIBLE_PATH in self.settings.ways:
+                    return None
+                found = self._optimum_at(place, updated, n_steps, began, is_slow)
+                # What is silent beside a bound may lead inside where it is another one.
+                is_held = bool(found.solution.outcome.at_bounds)
+                return None if is_held and step.is_silent else found
             if not has_settled:
+                mixed.forget()
                 place = self._with_noise(place, updated)
         return None
 
@@ -146,31 +163,73 @@ class DirectSteps:
                 place.values.jacobian,
                 place.weighed.gradient,
                 place.values.g,
+                self._room(place.z),
             )
         return None
 
+    def _after(self, place: _Place, step: NewtonStep) -> _Place:
+        """Where the step leads; beside a bound at which the model has no values."""
+        there = self._at(self._moved(place.z, step.z), place.sigma)
+        if there.is_finite:
+            return there
+        return self._at(self._moved(place.z, TO_BOUND * step.z), place.sigma)
+
+    def _room(self, z: np.ndarray) -> Room:
+        """How far the parameters may move from z, (n_variables,)."""
+        own = slice(self._system.n_theta)
+        likelihood = self.likelihood
+        return Room.at(z[own], likelihood.lower[own], likelihood.upper[own])
+
+    def _mixed(self, mixed: MixedSteps, place: _Place, step: NewtonStep) -> NewtonStep:
+        """The step, mixed with those before it; not one that states cut short."""
+        n = len(place.z)
+        if self._share(place.z, step.z) < 1:
+            mixed.forget()
+            return step
+
+        def times(z: np.ndarray) -> np.ndarray:
+            return self._system.times(place.weighed.hessian, z)
+
+        end = np.concatenate([place.z + step.z, step.multipliers])
+        end = mixed.end(step.z, end, times)
+        return NewtonStep(end[:n] - place.z, end[n:], step.is_silent)
+
     def _length(self, place: _Place, step: NewtonStep) -> float:
         """Of a step, in units of the objective's root."""
-        curvature = self._system.curvature(place.weighed.hessian, step.z)
+        curvature = step.z @ self._system.times(place.weighed.hessian, step.z)
         return float(np.sqrt(max(curvature, 0.0)))
 
     def _is_optimal(self, place: _Place, step: NewtonStep) -> bool:
-        """Whether the conditions hold behind a step, with its multipliers."""
+        """Whether the conditions hold behind a step, with its multipliers.
+
+        What presses a parameter against its bound is the bound's multiplier.
+        """
         gradient = self._system.lagrangian_gradient(
             place.weighed.gradient, place.values.jacobian, step.multipliers
         )
+        own = gradient[: self._system.n_theta]
+        own[self._room(place.z).is_pressed(own)] = 0.0
         error = max(float(np.max(np.abs(gradient))), place.violation)
         return error < self.settings.tolerance
 
-    def _moved(self, z: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """After the step, or the part of it that stays within the bounds."""
+    def _share(self, z: np.ndarray, step: np.ndarray) -> float:
+        """The part of a step that keeps states within their bounds."""
         likelihood = self.likelihood
         room = np.where(step > 0, likelihood.upper - z, z - likelihood.lower)
-        crosses = np.abs(step) > TO_BOUND * room
-        if not crosses.any():
-            return z + step
-        shares = TO_BOUND * room[crosses] / np.abs(step[crosses])
-        return z + max(float(np.min(shares)), 0.0) * step
+        of_states = slice(self._system.n_theta, None)
+        room, size = room[of_states], np.abs(step[of_states])
+        crosses = size > TO_BOUND * room
+        shares = TO_BOUND * room[crosses] / size[crosses]
+        return max(float(np.min(shares, initial=1.0)), 0.0)
+
+    def _moved(self, z: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """After the step, or that part of it; what reaches a bound is put on it."""
+        lower, upper = self.likelihood.lower, self.likelihood.upper
+        moved = z + self._share(z, step) * step
+        for bound in (lower, upper):
+            is_there = np.isclose(moved, bound, BESIDE_BOUND, BESIDE_BOUND)
+            moved = np.where(is_there, bound, moved)
+        return np.clip(moved, lower, upper)
 
     def _at(self, z: np.ndarray, sigma: np.ndarray) -> _Place:
         with solving(), np.errstate(all="ignore"):
@@ -184,7 +243,12 @@ class DirectSteps:
         return _Place(place.z, sigma, place.values, weighed)
 
     def _optimum_at(
-        self, place: _Place, sigma: np.ndarray, n_steps: int, began: float
+        self,
+        place: _Place,
+        sigma: np.ndarray,
+        n_steps: int,
+        began: float,
+        is_slow: bool,
     ) -> Optimum:
         """At a place, with the noise that its residuals show."""
         likelihood = self.likelihood
@@ -200,6 +264,7 @@ class DirectSteps:
             objective=place.weighed.objective,
             infeasibility=place.violation,
             at_bounds=names_at_bounds(likelihood.unknown.names, place.z, bounds),
+            is_exact=is_slow,
         )
         hessian = likelihood.hessian.symmetric(place.weighed.hessian)
         jacobian = likelihood.jacobian.filled(place.values.jacobian)
@@ -210,9 +275,9 @@ class DirectSteps:
 
 
 def _contracts(errors: list[float]) -> bool:
-    """Whether the last step left less of the error than the one before."""
+    """Whether the last two steps left less of the error than there was before them."""
     if not np.isfinite(errors[-1]):
         return False
     if len(errors) <= FREE_STEPS:
         return True
-    return errors[-1] < CONTRACTION * errors[-2]
+    return errors[-1] < CONTRACTION * errors[-3]

@@ -135,7 +135,8 @@ class LikelihoodSolver:
             z = transcription.point.scaled
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
-                return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
+                way = optimum.solution.outcome.way
+                return self._estimate(transcription, optimum, l1, way)
         z = transcription.program.start
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         optimum = _maximum(chain, direct, noise, z, start.sigma)
@@ -148,7 +149,7 @@ class LikelihoodSolver:
         second look ended, but not where a path beside a sharp corner is to be followed.
         """
         if self.task.settings.thorough:
-            return start.is_optimum and way == GAUSS_NEWTON
+            return start.is_optimum and way != FEASIBLE_PATH
         return way != FEASIBLE_PATH
 
     def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
@@ -168,7 +169,8 @@ class LikelihoodSolver:
         if optimum is None:
             return None
         self.task.say(f"{transcription}: {optimum.solution.outcome}")
-        return self._estimate(transcription, optimum, self.task.l1, GAUSS_NEWTON)
+        way = optimum.solution.outcome.way
+        return self._estimate(transcription, optimum, self.task.l1, way)
 
     def _direct_steps(self, transcription: Transcription) -> DirectSteps | None:
         """Full steps; None with slack variables, or where they may not be tried."""
@@ -266,7 +268,7 @@ def _maximum(
         previous = solution
         if has_settled:
             return Optimum(chain.solver.at(solution, sigma), sigma)
-        if direct is not None and chain.way == GAUSS_NEWTON:
+        if direct is not None and chain.way != FEASIBLE_PATH:
             optimum = direct.optimum(z, sigma, noise)
             if optimum is not None:
                 return optimum

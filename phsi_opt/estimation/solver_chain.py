@@ -37,7 +37,8 @@ NOISE_FREE_DEFECT = 1e-8
 
 NEXT_WAYS = {
     GAUSS_NEWTON: WAYS,
-    EXACT: (EXACT, GAUSS_NEWTON, FEASIBLE_PATH),
+    # Where Gauss-Newton steps crept before, they come last.
+    EXACT: (EXACT, FEASIBLE_PATH, GAUSS_NEWTON),
     # From where the path ended the exact Hessian takes a few iterations, where
     # Gauss-Newton's goes to and fro (EMPS, 9 re-fits).
     FEASIBLE_PATH: (FEASIBLE_PATH, EXACT, GAUSS_NEWTON),

@@ -182,7 +182,7 @@ class BaseModel:
         """Every parameter by name, in the order of the model."""
         return parameter_table(self.placed())
 
-    @property
+    @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of the parameters that are not fixed, in the order of theta."""
         names = []

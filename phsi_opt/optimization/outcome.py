@@ -24,7 +24,8 @@ class Outcome:
         objective: its value at the point.
         infeasibility: largest violation of a scaled constraint.
         at_bounds: names of the parameters that ended at one of their bounds.
-        is_exact: whether the exact Hessian led there.
+        is_exact: whether the exact Hessian led there, or Gauss and Newton's would only
+            have crept there.
     """
 
     success: bool

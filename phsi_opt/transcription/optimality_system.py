@@ -10,14 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.optimization.banded import Banded, BandLayout
+from phsi_opt.optimization.bounded_step import Room, bounded_step
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, time_order
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.pattern import Pattern
-
-# Share of the largest curvature of (scaled) parameters below which a direction is as
-# good as rounding: it is the difference of numbers as large as the largest.
-SILENT = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +24,12 @@ class NewtonStep:
     Attributes:
         z: (n_variables,) change of the scaled variables.
         multipliers: (n_constraints,).
+        is_silent: whether the data say nothing about a direction of the parameters.
     """
 
     z: np.ndarray
     multipliers: np.ndarray
+    is_silent: bool
 
 
 class OptimalitySystem:
@@ -88,6 +87,7 @@ class OptimalitySystem:
         jacobian: np.ndarray,
         gradient: np.ndarray,
         g: np.ndarray,
+        room: Room,
     ) -> NewtonStep:
         """The full step from a point, from entries in the order of the patterns.
 
@@ -96,6 +96,7 @@ class OptimalitySystem:
             jacobian: entries of the slopes of g, (n_entries,).
             gradient: of the objective, (n_variables,).
             g: (n_constraints,) values of the constraints.
+            room: how far the parameters may move.
 
         Raises:
             SolveError: the states do not follow from the parameters and the data.
@@ -112,10 +113,10 @@ class OptimalitySystem:
         per_theta = solved[:, :n_theta]
         alone = solved[:, n_theta]
         left = of_theta - coupling.T @ per_theta
-        theta = _solved(left, -gradient[:n_theta] - coupling.T @ alone)
-        others = alone - per_theta @ theta
-        z = np.concatenate([theta, others[: self._n_x]])
-        return NewtonStep(z, others[self._n_x :])
+        best = bounded_step(left, -gradient[:n_theta] - coupling.T @ alone, room)
+        others = alone - per_theta @ best.d
+        z = np.concatenate([best.d, others[: self._n_x]])
+        return NewtonStep(z, others[self._n_x :], best.is_silent)
 
     def _theta_block(self, hessian: np.ndarray) -> np.ndarray:
         """Hessian of the parameters, dense."""
@@ -142,12 +143,13 @@ class OptimalitySystem:
         right[defects, parameters] = jacobian[self._of_theta]
         return right
 
-    def curvature(self, hessian: np.ndarray, z: np.ndarray) -> float:
-        """z'Hz of a step z (n_variables,), from entries of the upper triangle."""
+    def times(self, hessian: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Hz of a step z (n_variables,), from entries of the upper triangle."""
         at = self._hessian
-        products = hessian * z[at.rows] * z[at.columns]
-        twice = at.rows != at.columns
-        return float(np.sum(products) + np.sum(products[twice]))
+        n = len(z)
+        below = hessian * (at.rows != at.columns) * z[at.rows]
+        product = np.bincount(at.rows, hessian * z[at.columns], minlength=n)
+        return product + np.bincount(at.columns, below, minlength=n)
 
     def lagrangian_gradient(
         self, gradient: np.ndarray, jacobian: np.ndarray, multipliers: np.ndarray
@@ -163,16 +165,3 @@ class OptimalitySystem:
         weights = jacobian * multipliers[at.rows]
         of_constraints = np.bincount(at.columns, weights, minlength=len(gradient))
         return gradient + of_constraints
-
-
-def _solved(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Step of the parameters; none in directions on which the data are silent.
-
-    There it would be as large as rounding makes it.
-    """
-    if not len(right):
-        return right
-    values, vectors = np.linalg.eigh((curvature + curvature.T) / 2)
-    is_told = values > SILENT * values[-1]
-    told = vectors[:, is_told]
-    return told @ ((told.T @ right) / values[is_told])

@@ -22,6 +22,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.problem import Task
+from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.optimality_system import OptimalitySystem
 from problems.benchmarks.peer_cases import PROBLEMS, Drawn, Problem, drawn
@@ -123,12 +124,14 @@ def _iteration(estimate: LikelihoodEstimate) -> float:
         likelihood.hessian,
         likelihood.jacobian,
     )
+    own = estimate.solution.z[: system.n_theta], likelihood.lower, likelihood.upper
+    room = Room.at(*(part[: system.n_theta] for part in own))
 
     def work() -> None:
         there = likelihood.at(estimate.solution.z)
         weighed = likelihood.weighed(there, estimate.sigma)
         slopes = there.jacobian
-        system.step(weighed.hessian, slopes, weighed.gradient, there.g)
+        system.step(weighed.hessian, slopes, weighed.gradient, there.g, room)
 
     seconds = []
     for _ in range(N_TIMED):

@@ -1,0 +1,111 @@
+"""The best step of a few parameters within their bounds, where a quadratic is known.
+
+By a primal active set: of what is free the full step, cut where it meets a bound, which
+then holds its parameter; what is held and would rather move inwards is released.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Share of the largest curvature of (scaled) parameters below which a direction is as
+# good as rounding: it is the difference of numbers as large as the largest.
+SILENT = 1e-12
+# Changes of the active set per parameter, at most; each is made once or twice.
+MOST_CHANGES = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """How far a step may move the parameters.
+
+    Attributes:
+        below: (n,) least changes, none above zero.
+        above: (n,) largest changes, none below zero.
+    """
+
+    below: np.ndarray
+    above: np.ndarray
+
+    @classmethod
+    def at(cls, z: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> "Room":
+        """Between the bounds of z, (n,) each."""
+        return cls(np.minimum(lower - z, 0.0), np.maximum(upper - z, 0.0))
+
+    def is_pressed(self, gradient: np.ndarray) -> np.ndarray:
+        """Which are at a bound beyond which the objective would fall, (n,)."""
+        return np.where(gradient > 0, self.below == 0, self.above == 0)
+
+    def share(self, step: np.ndarray) -> np.ndarray:
+        """Of a step (n,), that which each of the parameters can take, at most 1."""
+        room = np.where(step > 0, self.above, self.below)
+        shares = np.ones(len(step))
+        beyond = np.abs(step) > np.abs(room)
+        shares[beyond] = room[beyond] / step[beyond]
+        return shares
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedStep:
+    """What minimises a quadratic within bounds.
+
+    Attributes:
+        d: (n,).
+        is_silent: whether the quadratic is flat in a direction.
+    """
+
+    d: np.ndarray
+    is_silent: bool
+
+
+def bounded_step(curvature: np.ndarray, pull: np.ndarray, room: Room) -> BoundedStep:
+    """The d within the room that minimises ``d'Cd/2 - p'd``.
+
+    None is taken in directions on which the data are silent: there it would be as large
+    as rounding makes it.
+
+    Args:
+        curvature: C, (n, n), none negative but by rounding.
+        pull: p, (n,).
+        room: for d.
+    """
+    n = len(pull)
+    if not n:
+        return BoundedStep(pull, False)
+    curvature = (curvature + curvature.T) / 2
+    values = np.linalg.eigvalsh(curvature)
+    d = np.zeros(n)
+    is_free = np.ones(n, dtype=bool)
+    silent = SILENT * values[-1]
+    loose = SILENT * np.max(np.abs(pull))
+    for _ in range(MOST_CHANGES * n):
+        slope = pull - curvature @ d
+        step = np.zeros(n)
+        own = np.ix_(is_free, is_free)
+        step[is_free] = _told_step(curvature[own], slope[is_free], silent)
+        left = Room(np.minimum(room.below - d, 0.0), np.maximum(room.above - d, 0.0))
+        shares = left.share(step)
+        first = int(np.argmin(shares))
+        if shares[first] < 1:
+            d = d + shares[first] * step
+            d[first] = room.above[first] if step[first] > 0 else room.below[first]
+            is_free[first] = False
+            continue
+        d = d + step
+        slope = pull - curvature @ d
+        inwards = np.where(d == room.below, slope, -slope)
+        inwards[is_free | (room.below == room.above)] = 0.0
+        loosest = int(np.argmax(inwards))
+        if inwards[loosest] <= loose:
+            break
+        is_free[loosest] = True
+    return BoundedStep(d, bool(values[0] <= silent))
+
+
+def _told_step(curvature: np.ndarray, slope: np.ndarray, silent: float) -> np.ndarray:
+    """The full step in the directions with more curvature than what is silent."""
+    values, vectors = np.linalg.eigh(curvature)
+    is_told = values > silent
+    told = vectors[:, is_told]
+    step: np.ndarray = told @ ((told.T @ slope) / values[is_told])
+    return step
