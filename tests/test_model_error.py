@@ -13,6 +13,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import t as student_t
 
 from phsi_opt.comparison.profile_likelihood import profile
+from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.verdict import Verdict
@@ -51,6 +52,7 @@ from phsi_opt.model_error.state_functions import (
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
+from problems.benchmarks import state_growth
 
 TRUE = {"k": 4.0, "c": 0.3, "g": 1.0}
 SIZE = 0.2  # of the hidden force, a tenth of the typical acceleration
@@ -974,11 +976,47 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
     component = score_test._Component.of_force(search.problem, force)
-    (slope,) = record._excess([component], [component.felt(record.left)], np.ones(1))
+    (slope,) = record._excess([score_test._Kind([component])], np.ones(1))
     small = 1e-3 * search.rates()[place]
     beside = Disturbances(search.plain, (replace(force, size=small),))
     rise = search.evidence(beside).log_evidence - search.evidence(white).log_evidence
     assert slope * small**2 == pytest.approx(rise, rel=0.05)
+
+
+@cache
+def search_of_a_chain() -> DisturbanceSearch:
+    """White noise alone, on twenty channels."""
+    chain = state_growth.model(10)
+    estimate = estimated(state_growth.data(10, 200), MaximumLikelihood(), chain)
+    assert isinstance(estimate, LikelihoodEstimate)
+    return estimate.plain.search
+
+
+def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(score_test, "N_SIGNS", 1000)
+    search = search_of_a_chain()
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(0.01, TIME)
+    own = [score_test._Component.of_sensor(search.problem, one) for one in sensors]
+    (kind,) = score_test._kinds(own, is_tied=True)
+    (slope,) = record._excess([kind], np.ones(1))
+    rise = search.evidence(replace(white, sensors=sensors)).log_evidence
+    rise -= search.evidence(white).log_evidence
+    # It is the small difference of two traces, one of them by random signs.
+    assert slope == pytest.approx(rise, abs=0.01 * kind.seen(record.left))
+
+
+def test_many_channels_promise_nothing_by_their_number() -> None:
+    search = search_of_a_chain()
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(1.0, search.first_times()[0])
+    alone = record.promised_gain((), sensors, search.channels)
+    assert alone.sensors > MODEL_ERROR_EVIDENCE  # by chance, with a size for each
+    assert not search._promising.is_any
 
 
 def test_a_function_gains_what_the_evidence_says() -> None:

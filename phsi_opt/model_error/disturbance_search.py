@@ -23,7 +23,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     noise_weights,
 )
 from phsi_opt.model_error.processes import Process
-from phsi_opt.model_error.score_test import WhiteRecord
+from phsi_opt.model_error.score_test import PromisedGain, WhiteRecord
 from phsi_opt.statistics import TINY
 
 # Correlation times to begin with: in sampling intervals, and as shares of a record.
@@ -195,9 +195,7 @@ class DisturbanceSearch:
         record = WhiteRecord(self._likelihood(white), white)
         gains = []
         for time in self.first_times():
-            forces = [Process(place, 1.0, time) for place in self.problem.forced]
-            sensors = self._sensors(1.0, time)
-            gains.append(record.promised_gain(forces, sensors, self.channels))
+            gains.append(self._promised_gain(record, time))
         limit = PROMISING_SHARE * MODEL_ERROR_EVIDENCE
         sizes = _chosen_sizes(record.border, self._rates_of(white.functions))
         return _Promising(
@@ -206,6 +204,14 @@ class DisturbanceSearch:
             sensors=max(gain.sensors for gain in gains) > limit,
             functions=bool(np.any(sizes > 0)),
         )
+
+    def _promised_gain(self, record: WhiteRecord, time: float) -> PromisedGain:
+        """Of processes of one correlation time, in the sizes of a search."""
+        forces = self._forces(1.0, time)
+        sensors = self._sensors(1.0, time)
+        n_processes = max(len(forces), len(sensors))
+        is_tied = len(self.channels) + n_processes > MOST_SIZES
+        return record.promised_gain(forces, sensors, self.channels, is_tied)
 
     def _noise_by_run_promises(self) -> bool:
         """Whether noises in the ratios of the scatter may explain the residuals."""
@@ -381,15 +387,11 @@ class DisturbanceSearch:
         return tuple(float(size) for size in largest)
 
     def _force_starts(self) -> list[Disturbances]:
-        rates = self.rates()
         starts = []
         for sigma in self.noises():
             for time in self.first_times():
                 for share in FORCE_SHARES:
-                    forces = []
-                    for equation in self.problem.forced:
-                        forces.append(Process(equation, share * rates[equation], time))
-                    starts.append(Disturbances(sigma, tuple(forces)))
+                    starts.append(Disturbances(sigma, self._forces(share, time)))
         return starts if self.problem.forced else []
 
     def _sensor_starts(self) -> list[Disturbances]:
@@ -399,6 +401,13 @@ class DisturbanceSearch:
                 sensors = self._sensors(SENSOR_SHARE, time)
                 starts.append(Disturbances(sigma, sensors=sensors))
         return starts
+
+    def _forces(self, share: float, time: float) -> tuple[Process, ...]:
+        rates = self.rates()
+        forces = []
+        for equation in self.problem.forced:
+            forces.append(Process(equation, share * float(rates[equation]), time))
+        return tuple(forces)
 
     def _sensors(self, share: float, time: float) -> tuple[Process, ...]:
         sensors = []
@@ -415,11 +424,8 @@ class DisturbanceSearch:
                 sensors = self._sensors(FORCE_SHARES[0], time)
                 starts.append(replace(found, sensors=sensors))
                 continue
-            forces = []
-            for equation in self.problem.forced:
-                size = FORCE_SHARES[-1] * self.rates()[equation]
-                forces.append(Process(equation, size, time))
-            starts.append(replace(found, forces=tuple(forces)))
+            forces = self._forces(FORCE_SHARES[-1], time)
+            starts.append(replace(found, forces=forces))
         return starts if found.forces or self.problem.forced else []
 
     def _chosen_functions(self, beside: Disturbances) -> tuple[StateFunction, ...]:

@@ -62,6 +62,12 @@ class _Shifts:
     dynamics: np.ndarray
 
     @classmethod
+    def none(cls, problem: Linearization, k: int) -> "_Shifts":
+        """Columns that change nothing yet."""
+        n_dynamics = problem.dynamics_in_states.shape[0]
+        return cls(np.zeros((problem.n_values, k)), np.zeros((n_dynamics, k)))
+
+    @classmethod
     def joined(cls, parts: Sequence["_Shifts"]) -> "_Shifts":
         """All columns side by side."""
         values = np.hstack([part.values for part in parts])
@@ -70,56 +76,85 @@ class _Shifts:
 
 @dataclass(frozen=True, eq=False)
 class _Component:
-    """A process of size one that could act beside the model.
+    """A process that could act beside the model.
 
     Attributes:
-        problem: the linearised record.
-        whitener: of its values.
+        whitener: of its values at size one.
+        size: its own.
         effects: of a force, what its values do to the dynamics; None: of a sensor.
         shown: of a sensor, places of the measured values that it is added to.
     """
 
-    problem: Linearization
     whitener: Whitener
+    size: float
     effects: csc_matrix | None = None
     shown: np.ndarray | None = None
 
     @classmethod
     def of_force(cls, problem: Linearization, force: Process) -> "_Component":
         whitener = whitener_of_force(problem, force)
-        return cls(problem, whitener, problem.dynamics_of_force(force.place))
+        return cls(whitener, force.size, problem.dynamics_of_force(force.place))
 
     @classmethod
     def of_sensor(cls, problem: Linearization, sensor: Process) -> "_Component":
         whitener = whitener_of_sensor(problem, sensor)
-        return cls(problem, whitener, shown=problem.values_of(sensor.place))
+        shown = problem.values_of(sensor.place)
+        return cls(whitener, sensor.size, shown=shown)
 
     @property
     def n(self) -> int:
         """Number of its values."""
         return len(self.whitener.diagonal)
 
-    def shifts(self, values: np.ndarray) -> _Shifts:
-        """What its values (n, k) do.
+    def add(self, values: np.ndarray, shifts: _Shifts) -> None:
+        """Add what its values (n, k) do.
 
         What a force adds to the states, the data would show; so it is taken from the
         dynamics where it is added to the data.
         """
-        problem = self.problem
-        k = values.shape[1]
-        shown = np.zeros((problem.n_values, k))
-        dynamics = np.zeros((problem.dynamics_in_states.shape[0], k))
         if self.effects is not None:
-            dynamics = -np.asarray(self.effects @ values)
+            shifts.dynamics[:] -= self.effects @ (self.size * values)
         else:
-            shown[self.shown] = values
-        return _Shifts(shown, dynamics)
+            shifts.values[self.shown] += self.size * values
 
     def felt(self, left: _Shifts) -> np.ndarray:
         """What it would take to bring down what is left, (n, k)."""
         if self.effects is not None:
-            return np.asarray(self.effects.T @ left.dynamics)
-        return left.values[self.shown]
+            return self.size * np.asarray(self.effects.T @ left.dynamics)
+        return self.size * left.values[self.shown]
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """Components whose variances share a factor: of small systems one alone.
+
+    Attributes:
+        components: with sizes in the ratios that they keep.
+    """
+
+    components: Sequence[_Component]
+
+    def add_covariance_times(self, left: _Shifts, shifts: _Shifts) -> None:
+        """Add its covariance times what is left, to the one column of shifts."""
+        for component in self.components:
+            felt = component.felt(left)
+            component.add(component.whitener.covariance_times(felt), shifts)
+
+    def seen(self, left: _Shifts) -> float:
+        """What is left, squared, as far as the kind could bring it down."""
+        seen = 0.0
+        for component in self.components:
+            felt = component.felt(left)
+            seen += float(np.sum(component.whitener.factor_of(felt) ** 2))
+        return seen
+
+    def signals(self, rng: np.random.Generator) -> list[np.ndarray]:
+        """Values of its components by random signs, (n, N_SIGNS) each."""
+        signals = []
+        for component in self.components:
+            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
+            signals.append(component.whitener.coloured(signs))
+        return signals
 
 
 class WhiteRecord:
@@ -174,90 +209,94 @@ class WhiteRecord:
         forces: Sequence[Process],
         sensors: Sequence[Process],
         channels: Sequence[int],
-    ) -> "PromisedGain":
+        is_tied: bool = False,
+    ) -> PromisedGain:
         """Gains of the log evidence by forces, and by sensors' processes.
 
         Args:
-            forces: that could act, each at its time; their sizes do not matter.
-            sensors: processes that could add to what is shown.
+            forces: that could act, each at its time; their sizes do not matter, but for
+                their ratios where sizes are tied.
+            sensors: processes that could add to what is shown, likewise.
             channels: states whose noise is estimated, and would follow.
+            is_tied: whether sizes of one kind share a factor, as in a search.
         """
-        components = []
-        for force in forces:
-            components.append(_Component.of_force(self.problem, force))
-        for sensor in sensors:
-            components.append(_Component.of_sensor(self.problem, sensor))
-        if not components:
+        of_forces = [_Component.of_force(self.problem, force) for force in forces]
+        of_sensors = [_Component.of_sensor(self.problem, own) for own in sensors]
+        force_kinds = _kinds(of_forces, is_tied)
+        kinds = force_kinds + _kinds(of_sensors, is_tied)
+        if not kinds:
             return PromisedGain()
-        felt = [component.felt(self.left) for component in components]
-        information = self._information_about(components, felt, channels)
+        information = self._information_about(kinds, _groups(channels, is_tied))
         size = np.sqrt(np.maximum(np.diag(information), TINY))
-        excess = self._excess(components, felt, size)
+        excess = self._excess(kinds, size)
         with np.errstate(over="ignore"):  # a component that leaves no trace
             correlation = information / np.outer(size, size)
         information = np.clip(correlation, -1.0, 1.0)
-        of_forces = slice(0, len(forces))
-        of_sensors = slice(len(forces), len(components))
+        first = slice(0, len(force_kinds))
+        others = slice(len(force_kinds), len(kinds))
         return PromisedGain(
-            _gain(excess[of_forces], information[of_forces, of_forces]),
-            _gain(excess[of_sensors], information[of_sensors, of_sensors]),
+            _gain(excess[first], information[first, first]),
+            _gain(excess[others], information[others, others]),
         )
 
     def _information_about(
-        self,
-        components: Sequence[_Component],
-        felt: Sequence[np.ndarray],
-        channels: Sequence[int],
+        self, kinds: Sequence[_Kind], groups: Sequence[Sequence[int]]
     ) -> np.ndarray:
         """Average information about variances, while noises follow them, (n, n)."""
-        moved = [
-            component.shifts(component.whitener.covariance_times(own))
-            for component, own in zip(components, felt, strict=True)
-        ]
-        noise = self._noise_shifts(channels)
-        asked = _Shifts.joined([noise, *moved])
+        moved = []
+        for kind in kinds:
+            shifts = _Shifts.none(self.problem, 1)
+            kind.add_covariance_times(self.left, shifts)
+            moved.append(shifts)
+        asked = _Shifts.joined([self._noise_shifts(groups), *moved])
         products = _products(asked, self._left(asked)) / 2
-        n = len(channels)
+        n = len(groups)
         mixed = products[n:, :n]
         of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
         information: np.ndarray = products[n:, n:] - mixed @ of_noise @ mixed.T
         return information
 
-    def _excess(
-        self,
-        components: Sequence[_Component],
-        felt: Sequence[np.ndarray],
-        size: np.ndarray,
-    ) -> np.ndarray:
+    def _excess(self, kinds: Sequence[_Kind], size: np.ndarray) -> np.ndarray:
         """Slopes of the log evidence in the variances times their ``size``, (n,)."""
         rng = np.random.default_rng(SIGN_SEED)
+        together = _Shifts.none(self.problem, N_SIGNS)
         signals = []
-        for component, scale in zip(components, size, strict=True):
-            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
-            signals.append(component.whitener.coloured(signs) / np.sqrt(scale))
-        shifts = []
-        for component, signal in zip(components, signals, strict=True):
-            shifts.append(component.shifts(signal))
-        together = _Shifts(
-            np.sum([shift.values for shift in shifts], axis=0),
-            np.sum([shift.dynamics for shift in shifts], axis=0),
-        )
+        for kind, scale in zip(kinds, size, strict=True):
+            own = [signal / np.sqrt(scale) for signal in kind.signals(rng)]
+            for component, signal in zip(kind.components, own, strict=True):
+                component.add(signal, together)
+            signals.append(own)
         left = self._left(together)
         slopes = []
-        for component, signal, own, scale in zip(
-            components, signals, felt, size, strict=True
-        ):
-            by_chance = np.sum(signal * component.felt(left)) / N_SIGNS
-            seen = np.sum(component.whitener.factor_of(own) ** 2) / scale
-            slopes.append((seen - by_chance) / 2)
+        for kind, own, scale in zip(kinds, signals, size, strict=True):
+            by_chance = 0.0
+            for component, signal in zip(kind.components, own, strict=True):
+                by_chance += np.sum(signal * component.felt(left)) / N_SIGNS
+            slopes.append((kind.seen(self.left) / scale - by_chance) / 2)
         return np.maximum(slopes, MOST_UNWANTED)
 
-    def _noise_shifts(self, channels: Sequence[int]) -> _Shifts:
-        """How the data would move with the logarithm of each channel's noise."""
+    def _noise_shifts(self, groups: Sequence[Sequence[int]]) -> _Shifts:
+        """How the data would move with the logarithm of each group's noise."""
         residual = self.left.values / self._parts.weights[:, None]
-        is_in = self.problem.channel[:, None] == np.array(channels, dtype=int)
-        shifts = np.where(is_in, 2 * residual, 0.0)
-        return _Shifts(shifts, np.zeros((len(self.left.dynamics), len(channels))))
+        shifts = _Shifts.none(self.problem, len(groups))
+        for number, channels in enumerate(groups):
+            is_in = np.isin(self.problem.channel, channels)
+            shifts.values[is_in, number] = 2 * residual[is_in, 0]
+        return shifts
+
+
+def _groups(channels: Sequence[int], is_tied: bool) -> list[Sequence[int]]:
+    """Channels whose noises share a factor."""
+    if is_tied:
+        return [channels] if channels else []
+    return [[channel] for channel in channels]
+
+
+def _kinds(components: Sequence[_Component], is_tied: bool) -> list[_Kind]:
+    """Components of one kind, together or one by one."""
+    if is_tied:
+        return [_Kind(components)] if components else []
+    return [_Kind([component]) for component in components]
 
 
 def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import bmat, csc_matrix, diags, vstack
 
 from phsi_opt.errors import SolveError
-from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.along_time import Chain, TimeLayout
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 
@@ -70,6 +70,11 @@ def time_order(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
     return np.argsort(np.concatenate(times), kind="stable")
 
 
+def chain_of(grid: Grid, n_states: int) -> Chain:
+    """Nodes and intervals of a grid for a system of its states."""
+    return Chain(grid.begin, grid.n_nodes, n_states)
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
     """A change of the unknowns, one column or several side by side.
@@ -119,7 +124,9 @@ class ReducedSystem:
         self._n_states = n_states
         self._n_x = x.stop - x.start
         order = time_order(grid, ("node", n_states), ("interval", n_states))
-        self._factors = Banded(_kkt_matrix(H[x, x], J[:, x]), order)
+        matrix = _kkt_matrix(H[x, x], J[:, x])
+        layout = TimeLayout(matrix.row, matrix.col, order, chain_of(grid, n_states))
+        self._factors = layout.factors(matrix.data)
         self._coupling = vstack([H[x, theta], J[:, theta]]).toarray()
         if self._coupling.shape[1]:
             self._per_theta = self._factors.solve(self._coupling)

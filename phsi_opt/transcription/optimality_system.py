@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from phsi_opt.optimization.banded import Banded, BandLayout
+from phsi_opt.optimization.along_time import TimeLayout
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import REGULAR, time_order
+from phsi_opt.transcription.elimination import REGULAR, chain_of, time_order
 from phsi_opt.transcription.grid import Grid
 
 # Share of the largest curvature of (scaled) parameters below which a direction is as
@@ -53,11 +53,11 @@ class OptimalitySystem:
         self._in_x = self._hessian.rows >= self.n_theta
         self._of_x = self._jacobian.columns >= self.n_theta
         order = time_order(grid, ("node", n_states), ("interval", n_states))
-        rows, columns = self._band_places()
-        self._layout = BandLayout(rows, columns, order)
+        rows, columns = self._entry_places()
+        self._layout = TimeLayout(rows, columns, order, chain_of(grid, n_states))
 
-    def _band_places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of what `_band_entries` lists."""
+    def _entry_places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of what `_entries` lists."""
         row = self._hessian.rows[self._in_x] - self.n_theta
         column = self._hessian.columns[self._in_x] - self.n_theta
         is_above = row < column
@@ -70,7 +70,7 @@ class OptimalitySystem:
         self._is_diagonal = row == column
         return np.concatenate(rows), np.concatenate(columns)
 
-    def _band_entries(self, hessian: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    def _entries(self, hessian: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
         of_states = hessian[self._in_x]
         slopes = jacobian[self._of_x]
         largest = np.max(of_states[self._is_diagonal], initial=TINY)
@@ -98,7 +98,7 @@ class OptimalitySystem:
             np.linalg.LinAlgError: an entry is no number.
         """
         n_theta = self.n_theta
-        factors = Banded.of(self._layout, self._band_entries(hessian, jacobian))
+        factors = self._layout.factors(self._entries(hessian, jacobian))
         of_theta, coupling = self._border(hessian, jacobian)
         right = np.concatenate([-gradient[n_theta:], -g])
         solved = factors.solve(np.column_stack([coupling, right]))
