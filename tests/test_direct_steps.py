@@ -148,7 +148,7 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     sparse_H, sparse_J = ca.sparsify(ca.DM(H)), ca.sparsify(ca.DM(J))
     system = OptimalitySystem(grid, 2, sparse_H.sparsity(), sparse_J.sparsity())
     entries = np.array(sparse_H.nonzeros()), np.array(sparse_J.nonzeros())
-    step = system.step(*entries, gradient, g)
+    step = system.factored(*entries).step(gradient, g)
     whole = H + np.triu(H, 1).T
     matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])
     expected = np.linalg.solve(matrix, -np.r_[gradient, g])

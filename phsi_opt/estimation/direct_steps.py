@@ -8,6 +8,7 @@ have begun.
 """
 
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,7 +27,11 @@ from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.optimality_system import NewtonStep, OptimalitySystem
+from phsi_opt.transcription.optimality_system import (
+    Factored,
+    NewtonStep,
+    OptimalitySystem,
+)
 
 MOST_DIRECT_STEPS = 12
 # Scaled defect up to which the residuals say something about the noise.
@@ -34,6 +39,10 @@ NEARLY_HOLDING = 1e-2
 # Share of the error that a step leaves, at most; the first steps find their way.
 CONTRACTION = 0.7
 FREE_STEPS = 3
+# Error, in units of the noise, from which on the slopes hardly move, so that dear
+# factors are kept; and what a step may leave of it with them.
+NEARBY = 0.1
+FAST_CONTRACTION = 0.2
 # Share of the way to a bound that a step goes at most: bounds are not crossed, and an
 # optimum at one is not found here.
 TO_BOUND = 0.99
@@ -130,10 +139,11 @@ class DirectSteps:
         """
         began = time.perf_counter()
         place = self._at(z, sigma)
+        stepper = _Stepper(self._system)
         errors: list[float] = []
         most = min(MOST_DIRECT_STEPS, self.settings.max_iterations)
         for n_steps in range(1, most + 1):
-            step = self._step(place)
+            step = stepper.step(place, errors)
             is_late = time.perf_counter() - began > self.settings.max_seconds
             if step is None or is_late:
                 return None
@@ -149,16 +159,6 @@ class DirectSteps:
                 return self._optimum_at(place.z, updated, n_steps, began)
             if not has_settled:
                 place = self._at(place.z, updated)
-        return None
-
-    def _step(self, place: _Place) -> NewtonStep | None:
-        """The full step; None where there is none."""
-        if not place.is_finite:
-            return None
-        with suppress(SolveError, np.linalg.LinAlgError):
-            return self._system.step(
-                place.hessian, place.jacobian, place.gradient, place.g
-            )
         return None
 
     def _length(self, place: _Place, step: NewtonStep) -> float:
@@ -212,6 +212,53 @@ class DirectSteps:
         kkt = KKT(hessian.tocsc(), jacobian)
         values = self.program.values(z)
         return Optimum(Solution(values, z, place.residual, outcome, kkt), sigma)
+
+
+class _Stepper:
+    """Steps from place to place; dear factors serve as long as they lead on fast.
+
+    Args:
+        system: of the program.
+    """
+
+    def __init__(self, system: OptimalitySystem) -> None:
+        self._system = system
+        self._factored: Factored | None = None
+        self._multipliers = np.zeros(0)
+
+    def step(self, place: _Place, errors: Sequence[float]) -> NewtonStep | None:
+        """The step, with all multipliers; None where there is none.
+
+        Args:
+            place: from which it goes.
+            errors: of the places before.
+        """
+        if not place.is_finite:
+            return None
+        if self._factored is not None and self._factored.is_dear and _is_fast(errors):
+            return self._corrected(place, self._factored)
+        with suppress(SolveError, np.linalg.LinAlgError):
+            self._factored = self._system.factored(place.hessian, place.jacobian)
+            step = self._factored.step(place.gradient, place.g)
+            self._multipliers = step.multipliers
+            return step
+        return None
+
+    def _corrected(self, place: _Place, factored: Factored) -> NewtonStep:
+        """By factors of an earlier place, to the same end."""
+        gradient = self._system.lagrangian_gradient(
+            place.gradient, place.jacobian, self._multipliers
+        )
+        step = factored.step(gradient, place.g)
+        self._multipliers = self._multipliers + step.multipliers
+        return NewtonStep(step.z, self._multipliers)
+
+
+def _is_fast(errors: Sequence[float]) -> bool:
+    """Whether the steps are so short that the slopes stay, and contract well."""
+    if errors[-1] > NEARBY:
+        return False
+    return len(errors) < 2 or errors[-1] < FAST_CONTRACTION * errors[-2]
 
 
 def _contracts(errors: list[float]) -> bool:

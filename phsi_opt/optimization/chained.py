@@ -14,16 +14,18 @@ Nodes between samples, on which nothing was measured, follow from the sample bef
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 # From this number of states on: below, the band is as fast.
-FEWEST_STATES = 16
+FEWEST_STATES = 32
+NEGLIGIBLE = 1e-18  # share of the largest slope of a gap that is only rounding
+AT_ONCE = 64  # columns that are worked out together
 # Curvature, as a share of the largest, above which a state is measured, and below which
 # it is not. What lies between would cost digits.
 LEAST_CURVED = 1e-8
@@ -35,10 +37,11 @@ class ChainLayout:
     """Where the entries of matrices of one pattern stand: H, J and the nodes.
 
     Attributes:
+        order: (n_states,) the states of a node, those that touch near each other. All
+            that follows, and all that factors do inside, has them in this order.
         begin: (n_intervals,) first node of each interval, in the order of time; the
             next node is its end.
         n_nodes: number of nodes.
-        n_states: number of states at a node.
         curved: entries of the diagonal of H among all.
         state: (n_curved,) unknown on which each of them stands.
         sloped: entries of J among all.
@@ -46,9 +49,9 @@ class ChainLayout:
         column: (n_sloped,) its column.
     """
 
+    order: np.ndarray
     begin: np.ndarray
     n_nodes: int
-    n_states: int
     curved: np.ndarray
     state: np.ndarray
     sloped: np.ndarray
@@ -89,27 +92,16 @@ class ChainLayout:
         first = begin[row // n_states] * n_states
         if np.any((column < first) | (column >= first + 2 * n_states)):
             return None
-        state = rows[curved]
-        return cls(begin, n_nodes, n_states, curved, state, sloped, row, column)
+        order = _neighbours_first(row % n_states, column % n_states, n_states)
+        rank = np.argsort(order)
+        state = _renamed(rows[curved], rank)
+        row, column = _renamed(row, rank), _renamed(column, rank)
+        return cls(order, begin, n_nodes, curved, state, sloped, row, column)
 
-    @cached_property
-    def _in_order(self) -> np.ndarray:
-        """Entries of J, one interval after the other."""
-        return np.argsort(self.row // self.n_states, kind="stable")
-
-    @cached_property
-    def _limits(self) -> np.ndarray:
-        """Where each interval's entries begin among them, (n_intervals + 1,)."""
-        lengths = np.bincount(self.row // self.n_states, minlength=len(self.begin))
-        return np.concatenate([[0], np.cumsum(lengths)])
-
-    @cached_property
-    def _places(self) -> np.ndarray:
-        """Place of each of them in J0 and J1 of its interval, column by column."""
-        interval, row = np.divmod(self.row[self._in_order], self.n_states)
-        first = self.begin[interval] * self.n_states
-        column = self.column[self._in_order] - first
-        return column * self.n_states + row
+    @property
+    def n_states(self) -> int:
+        """Number of states at a node."""
+        return len(self.order)
 
     def curvature(self, entries: np.ndarray) -> np.ndarray:
         """Diagonal of H at every node, (n_nodes, n_states)."""
@@ -121,17 +113,6 @@ class ChainLayout:
         """J, (n_intervals * n_states, n_nodes * n_states)."""
         shape = (len(self.begin) * self.n_states, self.n_nodes * self.n_states)
         return csr_matrix((entries[self.sloped], (self.row, self.column)), shape=shape)
-
-    def blocks(
-        self, entries: np.ndarray, interval: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """J in the states at begin and end of an interval, in Fortran's order."""
-        own = slice(self._limits[interval], self._limits[interval + 1])
-        n = self.n_states
-        values = entries[self.sloped[self._in_order[own]]]
-        both = np.bincount(self._places[own], values, minlength=2 * n * n)
-        before, after = both.reshape(2, n, n)
-        return before.T, after.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +190,7 @@ class Chained:
         self._inverse = np.zeros_like(curvature)
         self._inverse[is_sample] = 1 / curvature[is_sample]
         self.n = curvature.size + len(layout.begin) * layout.n_states
-        self._factor(entries)
+        self._factor()
         of_samples = float(np.sum(np.log(curvature[is_sample])))
         self.log_abs_det = of_samples + 2 * self._log_det_of_blocks()
 
@@ -225,43 +206,71 @@ class Chained:
         except np.linalg.LinAlgError:
             return None
 
-    def _factor(self, entries: np.ndarray) -> None:
-        """S = J H^-1 J' of the samples, from block to block: S = L L'."""
+    def _factor(self) -> None:
+        """S = J H^-1 J' of the samples, from block to block: S = L L'.
+
+        A block couples with the one before by few diagonals; what these leave zero is
+        not worked out.
+        """
         n = self._layout.n_states
+        over_gaps = self._over_gaps()
+        weighted = over_gaps @ diags(self._inverse.ravel())
+        coupled = csr_matrix(weighted @ over_gaps.T)
         self._own = np.empty((len(self._gaps), n, n)).transpose(0, 2, 1)
-        self._below = np.zeros((len(self._gaps), n, n)).transpose(0, 2, 1)
-        root = np.sqrt(self._inverse)
-        seen = np.empty((n, n))
+        self._below = np.zeros((len(self._gaps), n, n))
         for number, gap in enumerate(self._gaps):
-            before, after = self._over(entries, gap)
-            in_begin = before * root[gap.begin]
-            in_end = after * root[gap.end]
-            block = in_begin @ in_begin.T + in_end @ in_end.T
+            block = _block(coupled, number, number, n)
             if not gap.begins_run:
-                below = in_begin @ seen.T
-                block -= below @ below.T
-                self._below[number] = below
-            factor, info = dpotrf(block.T, lower=True, clean=True, overwrite_a=True)
+                above = _block(coupled, number - 1, number, n)
+                seen = _seen(self._own[number - 1], above)
+                self._below[number] = seen.T
+                _take_square(block, seen)
+            factor, info = dpotrf(block, lower=True, clean=True, overwrite_a=True)
             if info:
                 raise np.linalg.LinAlgError("multipliers do not follow")
             self._own[number] = factor
-            in_end = np.asfortranarray(in_end)
-            seen = dtrsm(1.0, factor, in_end, lower=True, overwrite_b=True)
 
-    def _over(self, entries: np.ndarray, gap: _Gap) -> tuple[np.ndarray, np.ndarray]:
-        """Slopes of a whole gap in the samples at its begin and end."""
-        before, after = self._layout.blocks(entries, gap.intervals[0])
+    def _over_gaps(self) -> csr_matrix:
+        """J of every gap in the samples, nodes between them solved for.
+
+        What touches its neighbours in a step hardly touches what is far away in
+        several: slopes that are no more than rounding are left out.
+        """
+        n = self._layout.n_states
+        rows = (self._last[:, None] * n + np.arange(n)).ravel()
+        own = self._slopes[rows].tocoo()
+        of_sample = np.repeat(self._inverse[:, 0] > 0, n)
+        kept = of_sample[own.col]  # a fine gap is joined to the sample at its end
+        entries = [own.data[kept]]
+        places = [(own.row[kept], own.col[kept])]
+        for number, gap in enumerate(self._gaps):
+            if len(gap.intervals) == 1:
+                continue
+            before = self._over(gap)
+            largest = np.max(np.abs(before), initial=0.0)
+            row, column = np.nonzero(np.abs(before) > NEGLIGIBLE * largest)
+            entries.append(before[row, column])
+            places.append((number * n + row, gap.begin * n + column))
+        row, column = np.concatenate(places, axis=1)
+        shape = (len(rows), self._inverse.size)
+        return csr_matrix((np.concatenate(entries), (row, column)), shape=shape)
+
+    def _over(self, gap: _Gap) -> np.ndarray:
+        """Slopes of a whole gap in the sample at its begin, (n_states, n_states)."""
+        n = self._layout.n_states
+        before = _block(self._slopes, gap.intervals[0], gap.begin, n)
         first = before
         for node, number in enumerate(gap.intervals[:-1], gap.begin):
-            factors, pivots, info = dgetrf(after)
+            after = _block(self._slopes, number, node + 1, n)
+            factors, pivots, info = dgetrf(after, overwrite_a=True)
             if info:
                 raise np.linalg.LinAlgError("a node does not follow")
-            behind, after = self._layout.blocks(entries, number + 1)
+            behind = _block(self._slopes, number + 1, node + 1, n)
             between = _Between(number, node, first, factors, pivots, behind)
             self._between.append(between)
             before = -behind @ between.solved(before)
             first = behind
-        return before, after
+        return before
 
     def _log_det_of_blocks(self) -> float:
         total = 0.0
@@ -278,15 +287,16 @@ class Chained:
         n_x = self._inverse.size
         columns = right.reshape(self.n, -1)
         shape = (-1, layout.n_states, columns.shape[1])
-        a = columns[:n_x].reshape(shape)
-        b = columns[n_x:].reshape(shape)
+        a = columns[:n_x].reshape(shape)[:, layout.order]
+        b = columns[n_x:].reshape(shape)[:, layout.order]
         multipliers = np.zeros_like(b)
         self._fill_multipliers(multipliers, a)
         missed = self._missed(self._states(multipliers, a, b), b)
         multipliers[self._last] = self._solved(missed[self._last])
         self._fill_multipliers(multipliers, a)
-        states = self._states(multipliers, a, b)
-        found = np.concatenate([states.ravel(), multipliers.ravel()])
+        both = np.concatenate([self._states(multipliers, a, b), multipliers])
+        found = np.empty_like(both)
+        found[:, layout.order] = both
         return found.reshape(right.shape)
 
     def _fill_multipliers(self, multipliers: np.ndarray, a: np.ndarray) -> None:
@@ -330,6 +340,53 @@ class Chained:
                 own = own - self._below[number + 1].T @ found[number + 1]
             found[number] = dtrsm(1.0, self._own[number], own, lower=True, trans_a=True)
         return found
+
+
+def _neighbours_first(row: np.ndarray, column: np.ndarray, n_states: int) -> np.ndarray:
+    """An order of states in which those that touch are near, (n_states,)."""
+    ones = np.ones(len(row))
+    touching = csr_matrix((ones, (row, column)), shape=(n_states, n_states))
+    return reverse_cuthill_mckee(csr_matrix(touching + touching.T), True)
+
+
+def _renamed(places: np.ndarray, rank: np.ndarray) -> np.ndarray:
+    """Places (node or interval, state) with the states in another order."""
+    block, state = np.divmod(places, len(rank))
+    renamed: np.ndarray = block * len(rank) + rank[state]
+    return renamed
+
+
+def _block(matrix: csr_matrix, row: int, column: int, n: int) -> np.ndarray:
+    """Block of n rows and n columns, by its numbers, in Fortran's order."""
+    limits = matrix.indptr[row * n : row * n + n + 1]
+    own = slice(limits[0], limits[-1])
+    rows = np.repeat(np.arange(n), np.diff(limits))
+    columns = matrix.indices[own] - column * n
+    is_in = (columns >= 0) & (columns < n)
+    block = np.zeros((n, n), order="F")
+    block[rows[is_in], columns[is_in]] = matrix.data[own][is_in]
+    return block
+
+
+def _seen(factor: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """L^-1 of a block, zero above where the block is; in Fortran's order."""
+    n = len(above)
+    seen = np.zeros_like(above)
+    for first in range(0, n, AT_ONCE):
+        own = slice(first, first + AT_ONCE)
+        top = int(np.argmax(above[:, own].any(axis=1)))
+        right = above[top:, own]
+        seen[top:, own] = dtrsm(1.0, factor[top:, top:], right, lower=True)
+    return seen
+
+
+def _take_square(block: np.ndarray, seen: np.ndarray) -> None:
+    """Lower triangle of B - V'V by columns, without the zeros at the top of V."""
+    n = len(block)
+    for first in range(0, n, AT_ONCE):
+        own = slice(first, first + AT_ONCE)
+        top = int(np.argmax(seen[:, own].any(axis=1)))
+        block[first:, own] -= seen[top:, first:].T @ seen[top:, own]
 
 
 def _samples(begin: np.ndarray, curvature: np.ndarray) -> np.ndarray | None:

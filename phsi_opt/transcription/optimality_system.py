@@ -11,6 +11,8 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.optimization.along_time import TimeLayout
+from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.chained import Chained
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, chain_of, time_order
 from phsi_opt.transcription.grid import Grid
@@ -78,37 +80,20 @@ class OptimalitySystem:
         above = of_states[self._is_above]
         return np.concatenate([of_states, above, shift, slopes, slopes])
 
-    def step(
-        self,
-        hessian: np.ndarray,
-        jacobian: np.ndarray,
-        gradient: np.ndarray,
-        g: np.ndarray,
-    ) -> NewtonStep:
-        """The full step from a point, from entries in the order of the patterns.
+    def factored(self, hessian: np.ndarray, jacobian: np.ndarray) -> "Factored":
+        """The system, from entries in the order of the patterns.
 
         Args:
             hessian: entries of its upper triangle, (n_entries,).
             jacobian: entries of the slopes of g, (n_entries,).
-            gradient: of the objective, (n_variables,).
-            g: (n_constraints,) values of the constraints.
 
         Raises:
             SolveError: the states do not follow from the parameters and the data.
             np.linalg.LinAlgError: an entry is no number.
         """
-        n_theta = self.n_theta
         factors = self._layout.factors(self._entries(hessian, jacobian))
         of_theta, coupling = self._border(hessian, jacobian)
-        right = np.concatenate([-gradient[n_theta:], -g])
-        solved = factors.solve(np.column_stack([coupling, right]))
-        per_theta = solved[:, :n_theta]
-        alone = solved[:, n_theta]
-        left = of_theta - coupling.T @ per_theta
-        theta = _solved(left, -gradient[:n_theta] - coupling.T @ alone)
-        others = alone - per_theta @ theta
-        z = np.concatenate([theta, others[: self._n_x]])
-        return NewtonStep(z, others[self._n_x :])
+        return Factored(factors, of_theta, coupling)
 
     def _border(
         self, hessian: np.ndarray, jacobian: np.ndarray
@@ -150,6 +135,53 @@ class OptimalitySystem:
         weights = jacobian * multipliers[at.rows]
         of_constraints = np.bincount(at.columns, weights, minlength=len(gradient))
         return gradient + of_constraints
+
+
+class Factored:
+    """The system of one point, ready for right-hand sides.
+
+    Args:
+        factors: of the states and multipliers.
+        of_theta: (n_theta, n_theta) Hessian of the parameters.
+        coupling: (n_others, n_theta) of the parameters with all others.
+    """
+
+    def __init__(
+        self, factors: Banded | Chained, of_theta: np.ndarray, coupling: np.ndarray
+    ) -> None:
+        self._factors = factors
+        self._of_theta = of_theta
+        self._coupling = coupling
+        self._per_theta: np.ndarray | None = None
+
+    @property
+    def is_dear(self) -> bool:
+        """Whether it cost many times what a step with it costs."""
+        return isinstance(self._factors, Chained)
+
+    def step(self, gradient: np.ndarray, g: np.ndarray) -> NewtonStep:
+        """The full step.
+
+        Args:
+            gradient: (n_variables,) of the objective; or of the Lagrangian, and
+                multipliers are changes likewise.
+            g: (n_constraints,) values of the constraints.
+        """
+        coupling = self._coupling
+        n_theta = coupling.shape[1]
+        n_x = len(gradient) - n_theta
+        right = np.concatenate([-gradient[n_theta:], -g])
+        if self._per_theta is None:
+            solved = self._factors.solve(np.column_stack([coupling, right]))
+            self._per_theta = solved[:, :n_theta]
+            alone = solved[:, n_theta]
+        else:
+            alone = self._factors.solve(right)
+        left = self._of_theta - coupling.T @ self._per_theta
+        theta = _solved(left, -gradient[:n_theta] - coupling.T @ alone)
+        others = alone - self._per_theta @ theta
+        z = np.concatenate([theta, others[:n_x]])
+        return NewtonStep(z, others[n_x:])
 
 
 def _solved(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ import phsi_opt as ph
 from problems.tools import markdown, provenance
 from problems.tools.command_line import chosen, flag
 
-N_MASSES = (1, 2, 5, 10, 25)
+N_MASSES = (1, 2, 5, 10, 25, 50, 100, 200)
 N_SAMPLES = 1_000
 QUICK_SAMPLES = 100
 STEP = 0.1
@@ -56,13 +56,16 @@ def model(n_masses: int) -> ph.PseudoHamiltonian:
     lengths = [q[0]]
     for left, right in pairwise(q):
         lengths.append(f"({right} - {left})")
-    terms = [f"k*{d}**2/2 + a*{d}**4/4" for d in lengths]
-    terms += [f"{name}**2/2" for name in p]
     starts = {name: ph.Parameter(value) for name, value in STARTS.items()}
+    energy = ph.formula(f"{p[0]}**2/2")
+    for name in p[1:]:
+        energy += ph.formula(f"{name}**2/2")
+    for d in lengths:
+        energy += ph.formula(f"k*{d}**2/2 + a*{d}**4/4", **starts)
     return ph.PseudoHamiltonian(
         states=[*q, *p],
         S=np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(n_masses)),
-        H=ph.formula(" + ".join(terms), **starts),
+        H=energy,
         R=ph.damping(p[-1]),
     )
 
