@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation import maximum_likelihood
+from phsi_opt.estimation import direct_steps, maximum_likelihood
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
@@ -16,11 +16,13 @@ from phsi_opt.estimation.problem import Task
 from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.model.built_functions import built_of
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.endings import DIRECT_STEPS
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
-from phsi_opt.transcription.optimality_system import OptimalitySystem
+from phsi_opt.transcription.optimality_system import Factored, OptimalitySystem
+from problems.benchmarks import state_growth
 
 T = np.linspace(0.0, 20.0, 201)
 NOISE = 0.02
@@ -158,6 +160,34 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     )
     left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
     np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
+
+
+def test_dear_factors_serve_several_steps_to_the_same_optimum(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    chain = state_growth.model(FEWEST_STATES // 2)
+    data = state_growth.data(FEWEST_STATES // 2, 100)
+    factored = OptimalitySystem.factored
+    points = []
+
+    def counted(system: OptimalitySystem, *entries: np.ndarray) -> Factored:
+        points.append(True)
+        return factored(system, *entries)
+
+    monkeypatch.setattr(OptimalitySystem, "factored", counted)
+    loss = ph.MaximumLikelihood(steps=1)
+    kept = ph.identify(chain, data, loss)
+    n_kept = len(points)
+    assert kept.outcome.iterations > n_kept
+    points.clear()
+    monkeypatch.setattr(direct_steps, "FAST_CONTRACTION", 0.0)
+    monkeypatch.setattr(direct_steps, "NEARBY", 0.0)
+    anew = ph.identify(chain, data, loss)
+    assert anew.outcome.iterations == len(points)
+    for name, value in anew.values.items():
+        close = pytest.approx(value, abs=1e-4 * anew.std_errors[name])
+        assert kept.values[name] == close
+    assert kept.std_errors == pytest.approx(anew.std_errors, rel=1e-5)
 
 
 # --- States by kinematics

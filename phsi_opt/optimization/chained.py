@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 # From this number of states on: below, the band is as fast.
 FEWEST_STATES = 32
 NEGLIGIBLE = 1e-18  # share of the largest slope of a gap that is only rounding
-AT_ONCE = 64  # columns that are worked out together
+PANEL = 64  # columns that are worked out together
 # Curvature, as a share of the largest, above which a state is measured, and below which
 # it is not. What lies between would cost digits.
 LEAST_CURVED = 1e-8
@@ -372,8 +372,8 @@ def _seen(factor: np.ndarray, above: np.ndarray) -> np.ndarray:
     """L^-1 of a block, zero above where the block is; in Fortran's order."""
     n = len(above)
     seen = np.zeros_like(above)
-    for first in range(0, n, AT_ONCE):
-        own = slice(first, first + AT_ONCE)
+    for first in range(0, n, PANEL):
+        own = slice(first, first + PANEL)
         top = int(np.argmax(above[:, own].any(axis=1)))
         right = above[top:, own]
         seen[top:, own] = dtrsm(1.0, factor[top:, top:], right, lower=True)
@@ -383,8 +383,8 @@ def _seen(factor: np.ndarray, above: np.ndarray) -> np.ndarray:
 def _take_square(block: np.ndarray, seen: np.ndarray) -> None:
     """Lower triangle of B - V'V by columns, without the zeros at the top of V."""
     n = len(block)
-    for first in range(0, n, AT_ONCE):
-        own = slice(first, first + AT_ONCE)
+    for first in range(0, n, PANEL):
+        own = slice(first, first + PANEL)
         top = int(np.argmax(seen[:, own].any(axis=1)))
         block[first:, own] -= seen[top:, first:].T @ seen[top:, own]
 
