@@ -24,7 +24,7 @@ import phsi_opt as ph
 from problems.tools import markdown, provenance
 from problems.tools.command_line import chosen, flag
 
-N_MASSES = (1, 2, 5, 10, 25, 50, 100, 200)
+N_MASSES = (1, 2, 5, 10, 25, 50, 100)
 N_SAMPLES = 1_000
 QUICK_SAMPLES = 100
 STEP = 0.1
