@@ -154,6 +154,11 @@ def student_limit(level: float, freedom: np.ndarray) -> np.ndarray:
     return np.asarray(-special.stdtrit(freedom, level))
 
 
+def student_p_value(value: float, freedom: float) -> float:
+    """Probability that Student's t is as far from zero as the value, on either side."""
+    return float(2 * special.stdtr(freedom, -abs(value)))
+
+
 def f_limit(level: float, first: float, second: float) -> float:
     """What F of these degrees of freedom exceeds with the probability ``level``."""
     return float(special.fdtri(first, second, 1 - level))

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.diagnosis.refit_effort import BRIEF
 from phsi_opt.estimation import direct_steps, maximum_likelihood
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
@@ -22,6 +22,7 @@ from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
 from phsi_opt.transcription.optimality_system import Factored, OptimalitySystem
+from phsi_opt.transcription.pattern import Pattern
 from problems.benchmarks import state_growth
 
 T = np.linspace(0.0, 20.0, 201)
@@ -78,6 +79,17 @@ def test_full_steps_find_the_optimum_that_the_careful_start_leads_to(
     assert fit.bic == pytest.approx(careful.bic, abs=0.01)
 
 
+def test_a_brief_solve_of_a_larger_model_begins_with_full_steps() -> None:
+    data = swinging()
+    smaller = ph.identify(spring(ph.Parameter(1.0, lower=0), 0.2), data)
+    fit = ph.identify(unknown(), data, start=smaller, settings=BRIEF)
+    assert fit.outcome.status == DIRECT_STEPS
+    best = ph.identify(unknown(), data)
+    for name in ("k", "c"):
+        limit = 1e-3 * best.std_errors[name]
+        assert fit.values[name] == pytest.approx(best.values[name], abs=limit)
+
+
 def test_the_simple_start_is_no_answer_where_the_model_lacks_something() -> None:
     truth = ph.PseudoHamiltonian(
         states=["q", "p"],
@@ -130,6 +142,11 @@ def test_steps_that_lead_nowhere_give_no_answer() -> None:
     assert solver.solve_directly(start) is None
 
 
+def pattern_of(matrix: np.ndarray) -> Pattern:
+    rows, columns = np.nonzero(matrix)
+    return Pattern(rows, columns, (matrix.shape[0], matrix.shape[1]))
+
+
 def test_a_step_is_that_of_dense_algebra() -> None:
     rng = np.random.default_rng(0)
     t = [np.arange(5.0), np.arange(4.0)]
@@ -147,9 +164,8 @@ def test_a_step_is_that_of_dense_algebra() -> None:
         columns = slice(n_theta + 2 * begin, n_theta + 2 * begin + 4)
         J[rows, columns] = rng.normal(size=(2, 4))
     gradient, g = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
-    sparse_H, sparse_J = ca.sparsify(ca.DM(H)), ca.sparsify(ca.DM(J))
-    system = OptimalitySystem(grid, 2, sparse_H.sparsity(), sparse_J.sparsity())
-    entries = np.array(sparse_H.nonzeros()), np.array(sparse_J.nonzeros())
+    system = OptimalitySystem(grid, 2, pattern_of(H), pattern_of(J))
+    entries = H[np.nonzero(H)], J[np.nonzero(J)]
     step = system.factored(*entries).step(gradient, g)
     whole = H + np.triu(H, 1).T
     matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])

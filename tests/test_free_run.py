@@ -2,6 +2,7 @@
 irregular and broken off motion.
 """
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -9,8 +10,10 @@ import phsi_opt.simulation.free_run as module
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, formula
+from phsi_opt.simulation import dormand_prince
 from phsi_opt.simulation.free_run import Runs, free_run, rates
 from phsi_opt.simulation.simulate import simulate
 
@@ -176,3 +179,31 @@ def test_arguments_of_the_wrong_shape_are_refused(
     }
     with pytest.raises(DataError, match=message):
         free_run(duffing(), **(given | arguments))  # type: ignore[arg-type]
+
+
+def test_the_loop_is_built_once_for_all_records_of_a_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    built = []
+    step = dormand_prince.step
+
+    def noted(rhs: ca.Function, n_watched: int) -> ca.Function:
+        built.append(rhs)
+        return step(rhs, n_watched)
+
+    monkeypatch.setattr(dormand_prince, "step", noted)
+    t = np.linspace(0, 2, 41)
+    u = np.sin(t)[:, None]
+    model = spring(formula("k*q**2/2 + p**2/5", k=Parameter(40.0)))
+    first = free_run(model, t, [1.0, 0.0], u)
+    other = free_run(model.with_values({"k": 40.0}), t[:21], [0.5, 0.0], u[:21])
+    assert len(built) == 1
+    softer = free_run(model.with_values({"k": 30.0}), t, [1.0, 0.0], u)
+    assert len(built) == 2
+    again = free_run(model, t, [1.0, 0.0], u)
+    assert len(built) == 2
+    np.testing.assert_array_equal(again, first)
+    exact = simulate(model, t, [1.0, 0.0], u)
+    np.testing.assert_allclose(first, exact, atol=CLOSE)
+    assert np.max(np.abs(softer - first)) > 0.1
+    assert len(other) == 21

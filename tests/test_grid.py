@@ -13,10 +13,11 @@ from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, trigonometric
+from phsi_opt.optimization.column_function import AT_ONCE
 from phsi_opt.transcription.defects import defect, defect_jacobian, defects
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import INTEGRATORS
-from phsi_opt.transcription.known_defects import AT_ONCE, KnownDefects
+from phsi_opt.transcription.known_defects import KnownDefects
 
 
 def data(hold: str = "linear") -> Measurements:

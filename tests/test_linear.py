@@ -1,5 +1,6 @@
 """Banded factors and the elimination of the states, against dense linear algebra."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix, identity
@@ -7,6 +8,7 @@ from scipy.sparse import csc_matrix, identity
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import SolveError
 from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
 from phsi_opt.transcription.elimination import (
     HELD,
     RIDGE,
@@ -55,6 +57,19 @@ def test_banded_factors_solve_what_dense_ones_solve() -> None:
         banded.solve(right[:, 0]), np.linalg.solve(matrix, right[:, 0]), rtol=1e-9
     )
     assert banded.log_abs_det == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("n_columns", [1, 2, 5])
+def test_a_symmetric_matrix_is_solved_by_its_transposed_factors(n_columns: int) -> None:
+    rng = np.random.default_rng(6)
+    n = 40
+    matrix = np.triu(np.tril(rng.normal(size=(n, n)), 3), -3)
+    symmetric = matrix + matrix.T
+    right = rng.normal(size=(n, n_columns))
+    for one, is_symmetric in ((symmetric, True), (matrix, False)):
+        banded = Banded(csc_matrix(one), np.arange(n), is_symmetric)
+        expected = np.linalg.solve(one, right)
+        np.testing.assert_allclose(banded.solve(right), expected, rtol=1e-8)
 
 
 @pytest.mark.parametrize(("below", "above"), [(1, 4), (4, 1), (0, 2), (2, 0), (0, 0)])
@@ -190,3 +205,17 @@ def test_multipliers_are_what_the_objective_gains_per_offset() -> None:
         np.testing.assert_allclose(
             both[:, k], reduced.respond(e[:, k], covariance).joined
         )
+
+
+def test_entries_in_casadis_order_make_scipys_matrix_and_are_copied() -> None:
+    z = ca.SX.sym("z", 3)
+    sparse = ca.jacobian(ca.vertcat(z[0] * z[2], z[1] ** 2), z)
+    dense = ca.densify(sparse)
+    for matrix in (sparse, dense):
+        function = ca.Function("slopes", [z], [matrix])
+        evaluated = Evaluated(function)
+        pattern = SparsePattern(function.sparsity_out(0))
+        point = np.array([2.0, 3.0, 5.0])
+        found = pattern.matrix(evaluated(point)[0])
+        evaluated(2 * point)  # writes over the entries
+        np.testing.assert_array_equal(found.toarray(), np.array(function(point)))

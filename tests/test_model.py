@@ -1,7 +1,7 @@
 """Models: what they compute, that a change makes a new one, and what they refuse."""
 
 import pickle
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import numpy as np
@@ -293,3 +293,20 @@ def test_an_effect_with_an_unknown_place_is_refused() -> None:
         ModelError, match="equation of effect 'extra': 'x' is not a state"
     ):
         spring().add(Effect("extra", "F", "x", formula("1")))
+
+
+def test_a_change_that_changes_nothing_is_the_model_itself() -> None:
+    model = PseudoHamiltonian(
+        states=["q", "p"],
+        S=canonical(1),
+        H=formula("k*q**2/2 + p**2/2", k=Parameter(2.0)),
+    )
+    assert model.with_values({"k": 2.0}) is model
+    assert model.with_values({"k": 2.5}).values == {"k": 2.5}
+    assert model.dynamics() is model
+    own = formula("k*q**2/2 + p**2/2", k=Parameter(2.0, per_trajectory=True))
+    of_each = replace(model, H=own)
+    (entry,) = of_each.dynamics().entries.values()
+    assert not entry.parameter.per_trajectory
+    shown = replace(model, sensor={"q": formula("b", b=Parameter(0.0))})
+    assert not shown.dynamics().sensor

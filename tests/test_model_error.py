@@ -42,7 +42,7 @@ from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
 from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.model_error.score_test import WhiteRecord
+from phsi_opt.model_error.score_test import Trial, WhiteRecord
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.model_error.state_functions import (
     LENGTH,
@@ -314,7 +314,7 @@ def test_trajectories_that_differ_by_noise_alone_scatter_as_noise_says(
             plain.score_variance,
         )
         agreement.append(clusters.agreement())
-        scale = estimate.program.scale[estimate.program.variables["theta"].slice]
+        scale = estimate.point.theta_scale
         std_errors = np.sqrt(np.diag(clusters.jackknife())) * scale
         ratios.append(std_errors / estimate.uncertainty.std_errors)
     # 18 ratios, each known to about 20 %: their mean is known to 5 %.
@@ -749,6 +749,10 @@ def test_the_whitener_is_that_of_the_covariance(time: float) -> None:
     weights = rng.normal(size=(n, 3))
     factor = whitener.factor_of(weights)
     np.testing.assert_allclose(factor.T @ factor, weights.T @ covariance @ weights)
+    values = whitener.coloured(weights)
+    np.testing.assert_allclose(matrix @ values, weights, atol=1e-12)
+    np.testing.assert_allclose(whitener.coloured(weights[:, 0]), values[:, 0])
+    assert whitener.factor_of(np.zeros((n, 0))).shape == (n, 0)
 
 
 def test_smooth_functions_have_the_correlation_of_their_length() -> None:
@@ -966,6 +970,65 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
     assert not nothing.plain.search._promising.is_any
 
 
+def test_trials_that_are_asked_together_promise_what_each_does_alone() -> None:
+    search = search_of(0)
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(1.0, TIME)
+    forces = [Process(place, 1.0, TIME) for place in search.problem.forced]
+    trials = [
+        Trial(forces, sensors),
+        Trial([], []),
+        Trial([replace(one, time=3 * TIME) for one in forces], []),
+    ]
+    together = record.promised_gains(trials, search.channels)
+    for trial, gain in zip(trials, together, strict=True):
+        (alone,) = record.promised_gains([trial], search.channels)
+        assert gain.forces == pytest.approx(alone.forces, rel=1e-6)
+        assert gain.sensors == pytest.approx(alone.sensors, rel=1e-6)
+    assert together[0].forces > 0
+    assert together[1] == score_test.PromisedGain()
+
+
+def test_a_first_step_is_the_best_one_with_variances_that_are_not_negative() -> None:
+    rng = np.random.default_rng(0)
+    n_inside = 0
+    for _ in range(40):
+        factor = rng.normal(size=(3, 2))
+        information = factor.T @ factor
+        size = np.sqrt(np.diag(information))
+        information = information / np.outer(size, size)
+        slopes = rng.normal(size=2)
+        found = score_test._gain(slopes, information)
+        # Of two variances both, one, or none is above zero.
+        tried = [np.zeros(2), np.linalg.solve(information, slopes)]
+        tried += [np.array([slopes[0], 0.0]), np.array([0.0, slopes[1]])]
+        gains = []
+        for v in tried:
+            if np.all(v >= 0):
+                gains.append(slopes @ v - v @ information @ v / 2)
+        n_inside += bool(np.all(tried[1] > 0))
+        assert found == pytest.approx(max(gains), rel=1e-6, abs=1e-9)
+    assert 0 < n_inside < 40
+
+
+def test_nothing_more_is_worked_out_where_no_disturbance_is_promised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nothing = estimated(simulated(0, size=0.0), MaximumLikelihood())
+    assert isinstance(nothing, LikelihoodEstimate)
+    search = nothing.plain.search
+    assert search.found().disturbances.is_white
+
+    def never(*_: object) -> None:
+        raise AssertionError("the search went on")
+
+    monkeypatch.setattr(DisturbanceSearch, "found", never)
+    errors = nothing.standard_errors
+    assert errors is not None
+    assert (errors.source, errors.evidence) == (Source.NOISE, 0.0)
+
+
 def test_slopes_in_a_variance_are_those_of_the_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -975,8 +1038,10 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     record = WhiteRecord(search._likelihood(white), white)
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
-    component = score_test._Component.of_force(search.problem, force)
-    (slope,) = record._excess([score_test._Kind([component])], np.ones(1))
+    asked = score_test._Asked.of(search.problem, Trial([force], []), record.left)
+    asked.information = np.eye(1)
+    record._set_excess([asked])
+    (slope,) = asked.excess
     small = 1e-3 * search.rates()[place]
     beside = Disturbances(search.plain, (replace(force, size=small),))
     rise = search.evidence(beside).log_evidence - search.evidence(white).log_evidence
@@ -1000,13 +1065,15 @@ def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
     white = Disturbances(search.plain)
     record = WhiteRecord(search._likelihood(white), white)
     sensors = search._sensors(0.01, TIME)
-    own = [score_test._Component.of_sensor(search.problem, one) for one in sensors]
-    (kind,) = score_test._kinds(own, is_tied=True)
-    (slope,) = record._excess([kind], np.ones(1))
+    trial = Trial([], sensors, is_tied=True)
+    asked = score_test._Asked.of(search.problem, trial, record.left)
+    asked.information = np.eye(1)
+    record._set_excess([asked])
+    (slope,) = asked.excess
     rise = search.evidence(replace(white, sensors=sensors)).log_evidence
     rise -= search.evidence(white).log_evidence
     # It is the small difference of two traces, one of them by random signs.
-    assert slope == pytest.approx(rise, abs=0.01 * kind.seen(record.left))
+    assert slope == pytest.approx(rise, abs=0.01 * asked.kinds[0].seen(asked.felt[0]))
 
 
 def test_many_channels_promise_nothing_by_their_number() -> None:
@@ -1014,7 +1081,7 @@ def test_many_channels_promise_nothing_by_their_number() -> None:
     white = Disturbances(search.plain)
     record = WhiteRecord(search._likelihood(white), white)
     sensors = search._sensors(1.0, search.first_times()[0])
-    alone = record.promised_gain((), sensors, search.channels)
+    (alone,) = record.promised_gains([Trial([], sensors)], search.channels)
     assert alone.sensors > MODEL_ERROR_EVIDENCE  # by chance, with a size for each
     assert not search._promising.is_any
 

@@ -9,7 +9,10 @@ from phsi_opt.data.noise import (
     difference_noise,
     initial_noise,
     least_noise,
+    robust_deviation,
+    scatter_residuals,
 )
+from phsi_opt.data.noise_by_run import _of_runs
 from phsi_opt.errors import DataError
 
 
@@ -97,3 +100,20 @@ def test_measurements_in_which_nothing_moves_are_refused() -> None:
         DataError, match=r"every measured value of q is the same \(2\.5"
     ):
         initial_noise(still)
+
+
+def test_the_scatter_of_each_run_is_the_median_of_its_own_residuals() -> None:
+    rng = np.random.default_rng(4)
+    lengths = (40, 3, 41, 0, 90)
+    times = [np.sort(rng.uniform(0.0, 10.0, n + 2)) for n in lengths]
+    values = []
+    for t, noise in zip(times, (0.1, 1.0, 0.3, 1.0, 0.02), strict=True):
+        values.append((np.sin(t) + noise * rng.normal(size=len(t)))[:, None])
+    values[4][10:20] = np.nan
+    data = Measurements.from_arrays(times, values, states=["q"])
+    expected = []
+    for residuals in scatter_residuals(data, 0):
+        median = robust_deviation(residuals) if len(residuals) else np.nan
+        expected.append(median)
+    assert np.isfinite(expected).tolist() == [True, True, True, False, True]
+    np.testing.assert_allclose(_of_runs(data, 0), expected, rtol=1e-14)

@@ -104,11 +104,11 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     said = facts(page)
     assert NAMED in said
     assert "In dp/dt" in said
-    assert re.search("; (strongest|seen most clearly) at t = ", said)
+    assert re.search("(Strongest|Seen most clearly) at t = ", said)
     assert "is off by" in said
     assert f"{CALLED}, " in said
     assert "missing: named" in said
-    assert "Cause: named. ± is one standard error." in said
+    assert "the error is 1.5 times the noise. ± is one standard error." in said
     expect(page.get_by_text("worst moment").first).to_be_visible()
     expect(page.get_by_text("Ready.")).to_be_hidden()
     nothing_is_solved(page)

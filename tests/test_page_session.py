@@ -18,7 +18,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.errors import Complaint
-from phsi_opt.force_analysis.localization import THROUGHOUT
+from phsi_opt.force_analysis.localization import THROUGHOUT, window_of
 from phsi_opt.page import charts, style
 from phsi_opt.page.complaint_words import complaint_words
 from phsi_opt.page.drafts import INPUT, RUN, STATE, TIME, ColumnDraft, DataDraft
@@ -37,7 +37,6 @@ from phsi_opt.page.snapshot import (
     force_near,
     worst_within,
 )
-from phsi_opt.page.snapshot_making import window_of
 from phsi_opt.page.unknown_names import unknown_names
 from phsi_opt.page.upload_limit import UploadLimit
 from phsi_opt.page.verdict_words import facts_of, preview_words
@@ -312,6 +311,7 @@ files = ["spring.csv"]
 trajectory = "run"
 between = [0, 4]
 decimal = "."
+thinned = 2
 time = { column = "t_s", unit = "s" }
 [data.states]
 q = { column = "position_m", unit = "m", noise = 0.04 }
@@ -389,8 +389,9 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
     assert not studied.snapshot.diagnosed.is_missing
     facts = facts_of(studied.snapshot)
     assert facts is not None
+    assert facts.sentence == "Nothing is missing."
     assert str(facts.what).startswith(
-        f"Nothing is missing. The error fell from {base.judged:.3g} m to "
+        f"Nothing that these data show. The error fell from {base.judged:.3g} m to "
         f"{larger.judged:.3g} m; the noise floor is "
     )
     ranked = {row.label: row for row in studied.snapshot.diagnosed.candidates}
@@ -604,6 +605,23 @@ def test_the_exported_script_reproduces_every_step(
     assert ph.StudyFile.read(tmp_path / "study.toml").steps.added == (
         "coulomb friction on p",
     )
+
+
+def test_samples_are_averaged_and_fitted_again(session: Session) -> None:
+    session.average(2)
+    assert session.job is not None
+    wait_for(lambda: session.job is None)
+    assert session.draft.content()["data"]["thinned"] == 2
+    assert session.snapshot is not None, session.message
+    n_whole = session.draft.data.n_samples if session.draft.data is not None else 0
+    n_left = sum(len(run.t) for run in session.snapshot.runs)
+    assert abs(n_left - n_whole / 2) <= len(session.snapshot.runs)
+    session.draft.model.H = "broken +"
+    session.average(3)
+    assert session.job is None, "what cannot be fitted is told, not begun"
+    assert session.draft.content()["data"]["thinned"] == 6
+    session.draft.data.averaged = "two"
+    assert any("thinned" in one.key for one in session.check())
 
 
 def test_undo_takes_back_the_step(studied: Session) -> None:

@@ -165,7 +165,7 @@ def test_the_page_counts_preparations_that_agree(
     from problems.tools import provenance
 
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
-    place = {"kind": "falling", "seed": 8500, "outcome": "examined", "commit": "x"}
+    place = {"kind": "falling", "seed": 8600, "outcome": "examined", "commit": "x"}
     said = {"as_drawn": "drag on p", "shifted": "drag on p", "same": False}
     said |= {"thinned": "drag on p or friction on p", "exchanged": ""}
     store.append(place | said, is_prepared=True)

@@ -8,7 +8,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.noise import difference_noise, initial_noise
-from phsi_opt.data.resolution import quantisation_noise, resolution
+from phsi_opt.data.resolution import _n_repeated, quantisation_noise, resolution
 from problems.tools.data_paths import folder
 
 T = np.linspace(0.0, 14.0, 281)
@@ -372,3 +372,9 @@ def test_the_noise_floor_of_two_measured_heaters_is_above_their_steps() -> None:
     step = 330 / 1024 / 10
     assert np.all(floor > step * PER_STEP)
     assert np.all(floor < 10 * step)
+
+
+def test_a_value_is_repeated_where_its_own_run_has_it_before() -> None:
+    runs = [np.array([1.0, 2.0, 1.0, 1.0]), np.array([2.0, 1.0]), np.zeros(0)]
+    assert _n_repeated(runs) == 2
+    assert _n_repeated([np.concatenate(runs)]) == 4

@@ -393,17 +393,19 @@ def test_a_place_never_contradicts_what_the_force_follows(
         force = EquationForce.of(ForceAnalysis.of(cases[name]), None)
         told[name] = str(place_answer(force, is_named=False, is_known=False))
     assert told["friction"].startswith(
-        "In dp/dt. It depends on the velocity dq/dt. It changes how energy is lost"
+        "In dp/dt, the force on q. It depends on the velocity dq/dt. It changes how "
+        "energy is lost"
     )
-    assert told["wave"].startswith("In dp/dt. It depends on the time, not on a place.")
+    on = "In dp/dt, the force on q"
+    assert told["wave"].startswith(f"{on}. It depends on the time, not on a place.")
     assert told["cubic"].startswith(
-        "In dp/dt. It depends on the position q; largest where q is highest"
+        f"{on}. It depends on the position q; largest where q is highest"
     )
     force = EquationForce.of(ForceAnalysis.of(cases["cubic"]), None)
     nothing = with_energy(force, NO_PATTERN, {"conserved": 0.0, "unexplained": 1.0})
     told["nothing"] = str(place_answer(nothing, is_named=False, is_known=False))
     assert re.fullmatch(
-        r"In dp/dt; no state, input or time explains it\. "
+        r"In dp/dt, the force on q; no state, input or time explains it\. "
         r"It is largest where q is highest \(above [\d.]+ m\).*",
         told["nothing"],
     )

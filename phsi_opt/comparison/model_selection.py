@@ -38,8 +38,12 @@ def is_like_noise(comparison: Comparison) -> bool:
     p_values = comparison.table["whiteness"].to_numpy()
     is_white = np.nanmin(p_values) * len(p_values) > WHITENESS_LEVEL
     is_white = is_white or comparison.record.has_correlated_noise
-    is_small = comparison.rmse < WHITE_ERROR * comparison.noise_floor
-    return bool(is_white and is_small)
+    return bool(is_white and is_small_as_noise(comparison))
+
+
+def is_small_as_noise(comparison: Comparison) -> bool:
+    """Whether noise hides, by its size, what the free run is off by besides."""
+    return comparison.rmse < WHITE_ERROR * comparison.noise_floor
 
 
 def is_failing(comparison: Comparison) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise, robust_deviation, scatter_residuals
+from phsi_opt.data.noise import MEDIAN_OF_NORMAL, initial_noise, scatter_residuals
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.statistics import chi_square_tail
 
@@ -48,10 +48,18 @@ def scatter_by_run(data: Measurements) -> np.ndarray:
 
 def _of_runs(data: Measurements, state: int) -> np.ndarray:
     """What neighbouring samples of each trajectory scatter, (n_trajectories,)."""
-    scatter = []
-    for residuals in scatter_residuals(data, state):
-        scatter.append(robust_deviation(residuals) if len(residuals) else np.nan)
-    return np.array(scatter)
+    residuals = scatter_residuals(data, state)
+    lengths = np.array([len(of_run) for of_run in residuals])
+    run = np.repeat(np.arange(len(residuals)), lengths)
+    sizes = np.abs(np.concatenate(residuals))
+    sizes = sizes[np.lexsort((sizes, run))]
+    scatter = np.full(len(residuals), np.nan)
+    has_some = lengths > 0
+    first = (np.cumsum(lengths) - lengths)[has_some]
+    n = lengths[has_some]
+    medians = (sizes[first + (n - 1) // 2] + sizes[first + n // 2]) / 2
+    scatter[has_some] = medians / MEDIAN_OF_NORMAL
+    return scatter
 
 
 def _differ(values: np.ndarray, variances: np.ndarray) -> bool:

@@ -90,17 +90,26 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
             measured.
     """
     runs = [values[np.isfinite(values)] for values in runs]
-    n_values = sum(len(values) for values in runs)
-    n_repeated = sum(len(values) - len(np.unique(values)) for values in runs)
-    if n_values < FEWEST_VALUES or n_repeated < REPEATED_SHARE * n_values:
+    values = np.concatenate(runs)
+    is_many = len(values) >= FEWEST_VALUES
+    if not is_many or _n_repeated(runs) < REPEATED_SHARE * len(values):
         return 0.0
-    values = np.unique(np.concatenate(runs))
+    values = np.unique(values)
     step = _even_step(values) or _step_of_each(runs)
     if step > 0:
         return step
     if len(values) > 1 and _stays_and_comes_back(runs):
         return float(np.median(np.diff(values)))
     return 0.0
+
+
+def _n_repeated(runs: Sequence[np.ndarray]) -> int:
+    """Number of values that stand in their trajectory before."""
+    values = np.concatenate(runs)
+    run = np.repeat(np.arange(len(runs)), [len(of_run) for of_run in runs])
+    order = np.lexsort((values, run))
+    is_same = np.diff(values[order]) == 0
+    return int(np.sum(is_same & (np.diff(run[order]) == 0)))
 
 
 def _even_step(values: np.ndarray) -> float:

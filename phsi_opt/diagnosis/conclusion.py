@@ -8,9 +8,11 @@ from phsi_opt.comparison.model_selection import (
     is_explained,
     is_failing,
     is_like_noise,
+    is_small_as_noise,
 )
 from phsi_opt.criteria import (
     CLOCK_Z,
+    EXPLAINED_IF_NAMED,
     EXPLAINED_IF_PARTLY,
     EXPLAINED_IF_PROPOSED,
     FORCE_GONE_IF_PARTLY,
@@ -23,7 +25,12 @@ from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.alike import alike, alike_in_pair
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.doubts import fitted_size, unconfirmed, z_beside_others
+from phsi_opt.diagnosis.doubts import (
+    fitted_size,
+    found_by_chance,
+    unconfirmed,
+    z_beside_others,
+)
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.proposal import Proposal, parts_alone
 from phsi_opt.diagnosis.remainder import Remainder, share_of_motion
@@ -123,7 +130,7 @@ def _concluded(
     change = _change(base, proposed)
     said = " and ".join(str(finding) for finding in findings)
     share = explained_share(base.judged, done.judged)
-    against = _against(base, proposed, findings)
+    against = _against(base, proposed, findings, len(ranked))
     if not against:
         against = _against_beside_others(base, proposed, is_all)
     if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
@@ -137,7 +144,8 @@ def _concluded(
         )
         against = f"{steps} may look like it"
         return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
-    if is_all and not against:
+    is_enough = share > EXPLAINED_IF_PARTLY or not is_failing(base.judged)
+    if is_all and is_enough and not against:
         return Conclusion(
             Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
         )
@@ -214,7 +222,10 @@ def _are_losses(effects: Sequence[Effect]) -> bool:
 
 
 def _against(
-    base: DiagnosedModel, proposed: Proposal, findings: Sequence[Finding]
+    base: DiagnosedModel,
+    proposed: Proposal,
+    findings: Sequence[Finding],
+    n_candidates: int,
 ) -> str:
     """Why what is proposed is not established; empty where it is."""
     for finding in findings:
@@ -226,7 +237,11 @@ def _against(
         sizes = [fitted_size(base.fit, proposed.fit, effect) for effect in effects]
         if min(size.z for size in sizes) < CLOCK_Z:
             return f"{_inexact(base)}, and with a clock much can be made to fit"
-    return unconfirmed(base, proposed.fit, proposed.done.judged, effects)
+    judged = proposed.done.judged
+    by_chance = ""
+    if not explained_share(base.judged, judged) > EXPLAINED_IF_NAMED:
+        by_chance = found_by_chance(base.fit, proposed.fit, effects, n_candidates)
+    return by_chance or unconfirmed(base, proposed.fit, judged, effects)
 
 
 def _against_beside_others(
@@ -235,7 +250,8 @@ def _against_beside_others(
     """Why an effect beside others is not named; empty where it is.
 
     The clearest one of a first step stands beside nothing but the error of the model.
-    Where noise is all that is left, that counts for what needs a clock alone.
+    Where noise is all that is left, that counts for what needs a clock alone; where the
+    error was as small before, for every effect: noise hides errors of the model.
 
     Args:
         base: the model that is diagnosed.
@@ -245,12 +261,13 @@ def _against_beside_others(
     effects = proposed.candidate.effects
     sizes = [fitted_size(base.fit, proposed.fit, effect) for effect in effects]
     found = sorted(zip(sizes, effects, strict=True), key=lambda one: one[0].z)
+    is_hidden = is_small_as_noise(base.trained)
     for place, (size, effect) in enumerate(found):
         is_first = place == len(found) - 1 and not base.is_later
-        if is_first and is_all:
+        if is_first and is_all and not is_hidden:
             continue
         needs_clock = base.handicap((effect,)) > 0
-        if (is_first or is_all) and not needs_clock:
+        if (is_first or is_all) and not (needs_clock or is_hidden):
             continue
         if not size.z >= z_beside_others(base, effect):
             return (

@@ -14,6 +14,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import (
     BELIEVED_MISFIT,
     BESIDE_OTHERS_Z,
+    CHANCE_LEVEL,
     CLOCK_BESIDE_Z,
     CONFIRMED_Z,
     ESTABLISHED_Z,
@@ -29,6 +30,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.structure import effort_of
+from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.presentation.durations import time_words
 from phsi_opt.screening.effect_size import Size, new_names, size_of, size_unit
 from phsi_opt.screening.second_look import Look, independent_share, second_look
@@ -41,7 +43,9 @@ def fitted_size(base: Fit, fit: Fit, effect: Effect) -> Size:
     places = [fit.names.index(name) for name in names]
     covariance = fit.covariance[np.ix_(places, places)]
     size = size_of(effect, fit.model, names, fit.estimates, covariance)
-    return replace(size, unit=size_unit(base.model, effect, fit.units))
+    freedom = float(np.min(fit.degrees_of_freedom[places], initial=np.inf))
+    unit = size_unit(base.model, effect, fit.units)
+    return replace(size, unit=unit, freedom=freedom)
 
 
 def z_beside_others(base: DiagnosedModel, effect: Effect) -> float:
@@ -109,6 +113,34 @@ def _driven_to_bounds(old: Fit, new: Fit, effects: Sequence[Effect]) -> list[str
         if new.model.entries[name].slot not in slots:
             driven.append(name)
     return driven
+
+
+def found_by_chance(
+    base: Fit, fit: Fit, effects: Sequence[Effect], n_candidates: int
+) -> str:
+    """Why effects may be found because so many were tried; empty where they are not.
+
+    The p-value of each size, times the number of candidates (Bonferroni), where model
+    error shows: the likelihood ratio counts residuals as noise, and a brief record has
+    few values that tell how uncertain a size is (Student's t).
+
+    Args:
+        base: the model without them.
+        fit: with them.
+        effects: what was added.
+        n_candidates: how many single effects were compared.
+    """
+    if fit.std_error_source == Source.NOISE:
+        return ""
+    for effect in effects:
+        size = fitted_size(base, fit, effect)
+        p_value = n_candidates * size.p_value
+        if not p_value < CHANCE_LEVEL:
+            return (
+                f"with {n_candidates} candidates, model error may look like a size of "
+                f"{effect} of {size} by chance (p-value {min(p_value, 1.0):.1g})"
+            )
+    return ""
 
 
 def unconfirmed(

@@ -13,20 +13,20 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
 
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.interrupts import solving
 from phsi_opt.optimization.endings import STEPS_OPTIMUM
-from phsi_opt.optimization.evaluated import Evaluated
-from phsi_opt.optimization.ipopt import KKT, Solution, at_bounds
+from phsi_opt.optimization.ipopt import KKT, Solution, names_at_bounds
 from phsi_opt.optimization.outcome import Outcome
-from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.likelihood_values import (
+    LikelihoodValues,
+    PointValues,
+    WeighedValues,
+)
 from phsi_opt.transcription.optimality_system import (
     Factored,
     NewtonStep,
@@ -63,69 +63,54 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A point, and what the program is there.
+    """A point, and what the likelihood is there.
 
     Attributes:
         z: scaled variables.
         sigma: noise for which the rest holds.
-        objective: its value.
-        g: (n_constraints,) scaled defects.
-        jacobian: entries of their slopes.
-        residual: (n_residuals,).
-        gradient: of the objective, (n_variables,).
-        hessian: entries of its upper triangle.
+        values: what does not depend on the noise.
+        weighed: what does.
     """
 
     z: np.ndarray
     sigma: np.ndarray
-    objective: float
-    g: np.ndarray
-    jacobian: np.ndarray
-    residual: np.ndarray
-    gradient: np.ndarray
-    hessian: np.ndarray
+    values: PointValues
+    weighed: WeighedValues
 
     @property
     def violation(self) -> float:
         """The largest scaled defect."""
-        return float(np.max(np.abs(self.g), initial=0.0))
+        return float(np.max(np.abs(self.values.g), initial=0.0))
 
     @property
     def is_finite(self) -> bool:
         """Whether the model has values and slopes here."""
-        of_slopes = np.sum(self.jacobian) + np.sum(self.gradient)
-        return bool(np.isfinite(self.violation + self.objective + of_slopes))
+        of_slopes = np.sum(self.values.jacobian) + np.sum(self.weighed.gradient)
+        whole = self.violation + self.weighed.objective + of_slopes
+        return bool(np.isfinite(whole))
 
 
 @dataclass(frozen=True, eq=False)
 class DirectSteps:
-    """Steps of one program, whose variables are theta and the states alone.
+    """Steps of a likelihood whose variables are theta and the states alone.
 
     Attributes:
-        program: of the likelihood.
-        grid: its nodes and intervals.
+        likelihood: its values.
         settings: tolerance of the scaled optimality conditions, and limits.
     """
 
-    program: Program
-    grid: Grid
+    likelihood: LikelihoodValues
     settings: SolverSettings
 
     @cached_property
-    def _point(self) -> ca.Function:
-        return _point_function(self.program)
-
-    @cached_property
-    def _evaluated(self) -> Evaluated:
-        return Evaluated(self._point)
-
-    @cached_property
     def _system(self) -> OptimalitySystem:
-        states = self.program.variables["x"]
-        n_states = (states.stop - states.start) // self.grid.n_nodes
-        of_hessian = self._point.sparsity_out(5)
-        of_jacobian = self._point.sparsity_out(2)
-        return OptimalitySystem(self.grid, n_states, of_hessian, of_jacobian)
+        likelihood = self.likelihood
+        return OptimalitySystem(
+            likelihood.grid,
+            likelihood.n_states,
+            likelihood.hessian,
+            likelihood.jacobian,
+        )
 
     def optimum(
         self, z: np.ndarray, sigma: np.ndarray, noise: NoiseIteration
@@ -153,31 +138,31 @@ class DirectSteps:
             place = self._at(self._moved(place.z, step.z), place.sigma)
             if not place.violation < NEARLY_HOLDING:
                 continue
-            updated = noise.updated(place.sigma, place.residual)
+            updated = noise.updated(place.sigma, place.weighed.residual)
             has_settled = noise.has_settled(place.sigma, updated)
             if has_settled and self._is_optimal(place, step):
-                return self._optimum_at(place.z, updated, n_steps, began)
+                return self._optimum_at(place, updated, n_steps, began)
             if not has_settled:
-                place = self._at(place.z, updated)
+                place = self._with_noise(place, updated)
         return None
 
     def _length(self, place: _Place, step: NewtonStep) -> float:
         """Of a step, in units of the objective's root."""
-        curvature = self._system.curvature(place.hessian, step.z)
+        curvature = self._system.curvature(place.weighed.hessian, step.z)
         return float(np.sqrt(max(curvature, 0.0)))
 
     def _is_optimal(self, place: _Place, step: NewtonStep) -> bool:
         """Whether the conditions hold behind a step, with its multipliers."""
         gradient = self._system.lagrangian_gradient(
-            place.gradient, place.jacobian, step.multipliers
+            place.weighed.gradient, place.values.jacobian, step.multipliers
         )
         error = max(float(np.max(np.abs(gradient))), place.violation)
         return error < self.settings.tolerance
 
     def _moved(self, z: np.ndarray, step: np.ndarray) -> np.ndarray:
         """After the step, or the part of it that stays within the bounds."""
-        program = self.program
-        room = np.where(step > 0, program.upper - z, z - program.lower)
+        likelihood = self.likelihood
+        room = np.where(step > 0, likelihood.upper - z, z - likelihood.lower)
         crosses = np.abs(step) > TO_BOUND * room
         if not crosses.any():
             return z + step
@@ -185,15 +170,23 @@ class DirectSteps:
         return z + max(float(np.min(shares)), 0.0) * step
 
     def _at(self, z: np.ndarray, sigma: np.ndarray) -> _Place:
-        with solving():
-            found = self._evaluated(z, sigma)
-        objective, *others = [part.copy().ravel() for part in found]
-        return _Place(z, sigma, float(objective[0]), *others)
+        with solving(), np.errstate(all="ignore"):
+            values = self.likelihood.at(z)
+            weighed = self.likelihood.weighed(values, sigma)
+        return _Place(z, sigma, values, weighed)
+
+    def _with_noise(self, place: _Place, sigma: np.ndarray) -> _Place:
+        """The same point with other noise."""
+        weighed = self.likelihood.weighed(place.values, sigma)
+        return _Place(place.z, sigma, place.values, weighed)
 
     def _optimum_at(
-        self, z: np.ndarray, sigma: np.ndarray, n_steps: int, began: float
+        self, place: _Place, sigma: np.ndarray, n_steps: int, began: float
     ) -> Optimum:
-        place = self._at(z, sigma)
+        """At a place, with the noise that its residuals show."""
+        likelihood = self.likelihood
+        place = self._with_noise(place, sigma)
+        bounds = (likelihood.lower, likelihood.upper)
         outcome = Outcome(
             success=STEPS_OPTIMUM.is_usable,
             status=STEPS_OPTIMUM.status,
@@ -201,17 +194,16 @@ class DirectSteps:
             advice=STEPS_OPTIMUM.advice,
             iterations=n_steps,
             seconds=time.perf_counter() - began,
-            objective=place.objective,
+            objective=place.weighed.objective,
             infeasibility=place.violation,
-            at_bounds=at_bounds(self.program, z),
+            at_bounds=names_at_bounds(likelihood.unknown.names, place.z, bounds),
         )
-        upper = _matrix(self._point.sparsity_out(5), place.hessian)
-        hessian = upper + upper.T
-        hessian.setdiag(upper.diagonal())
-        jacobian = _matrix(self._point.sparsity_out(2), place.jacobian)
-        kkt = KKT(hessian.tocsc(), jacobian)
-        values = self.program.values(z)
-        return Optimum(Solution(values, z, place.residual, outcome, kkt), sigma)
+        hessian = likelihood.hessian.symmetric(place.weighed.hessian)
+        jacobian = likelihood.jacobian.filled(place.values.jacobian)
+        values = likelihood.point.unscaled(place.z)
+        kkt = KKT(hessian, jacobian)
+        solution = Solution(values, place.z, place.weighed.residual, outcome, kkt)
+        return Optimum(solution, sigma)
 
 
 class _Stepper:
@@ -238,8 +230,10 @@ class _Stepper:
         if self._factored is not None and self._factored.is_dear and _is_fast(errors):
             return self._corrected(place, self._factored)
         with suppress(SolveError, np.linalg.LinAlgError):
-            self._factored = self._system.factored(place.hessian, place.jacobian)
-            step = self._factored.step(place.gradient, place.g)
+            self._factored = self._system.factored(
+                place.weighed.hessian, place.values.jacobian
+            )
+            step = self._factored.step(place.weighed.gradient, place.values.g)
             self._multipliers = step.multipliers
             return step
         return None
@@ -247,9 +241,9 @@ class _Stepper:
     def _corrected(self, place: _Place, factored: Factored) -> NewtonStep:
         """By factors of an earlier place, to the same end."""
         gradient = self._system.lagrangian_gradient(
-            place.gradient, place.jacobian, self._multipliers
+            place.weighed.gradient, place.values.jacobian, self._multipliers
         )
-        step = factored.step(gradient, place.g)
+        step = factored.step(gradient, place.values.g)
         self._multipliers = self._multipliers + step.multipliers
         return NewtonStep(step.z, self._multipliers)
 
@@ -268,21 +262,3 @@ def _contracts(errors: list[float]) -> bool:
     if len(errors) <= FREE_STEPS:
         return True
     return errors[-1] < CONTRACTION * errors[-2]
-
-
-def _matrix(pattern: ca.Sparsity, entries: np.ndarray) -> csc_matrix:
-    """SciPy's matrix of CasADi's pattern."""
-    places = (entries, pattern.row(), pattern.colind())
-    return csc_matrix(places, shape=pattern.shape)
-
-
-def _point_function(program: Program) -> ca.Function:
-    """(z, settings) -> objective, g, its slopes, residual, gradient and Hessian."""
-    z = program.z
-    given = [z, program.settings]
-    no_multipliers = ca.MX.zeros(program.g.numel())
-    g, jacobian = program.jacobian(*given)
-    hessian = program.hessian(*given, 1, no_multipliers)
-    gradient = ca.gradient(program.objective, z)
-    parts = [program.objective, g, jacobian, program.residual, gradient, hessian]
-    return ca.Function("point", given, parts)

@@ -123,11 +123,10 @@ class DisturbedEstimate(Estimate):
         return self._uncertainty(self.source)
 
     def _uncertainty(self, source: Source) -> Uncertainty:
-        theta = self.program.variables["theta"].slice
         return of_covariance(
             self.unknown.names,
             self.theta,
-            self.program.scale[theta],
+            self.point.theta_scale,
             self.spreads[source].covariance,
             self.solution.outcome.at_bounds,
         )
@@ -176,7 +175,6 @@ def _solved(estimate: DisturbedEstimate) -> SolvedLikelihood:
         estimate.plain.solved,
         theta=estimate.theta,
         nodes=estimate.solution.values["x"].reshape(estimate.grid.y.shape),
-        program=estimate.program,
         solution=estimate.solution,
     )
 
@@ -256,7 +254,6 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             grid=plain.grid,
             unknown=plain.unknown,
             point=point,
-            program=program,
             solution=solution,
             l1={},
             removed=plain.removed,

@@ -18,7 +18,6 @@ from phsi_opt.estimation.problem import Loss, Task
 from phsi_opt.estimation.uncertainty import Uncertainty, unknown
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
-from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
@@ -35,8 +34,7 @@ class Estimate(ABC):
         grid: nodes and intervals of the program.
         unknown: names and places of the free parameters.
         point: where the solver started, with the scale of each unknown.
-        program: the nonlinear program.
-        solution: its solution.
+        solution: of its program.
         l1: the weights that this program has; empty after debiasing.
         removed: names of the coefficients that pruning removed.
         notes: sentences for the warnings of the fit.
@@ -48,7 +46,6 @@ class Estimate(ABC):
     grid: Grid
     unknown: Theta
     point: Point
-    program: Program
     solution: Solution
     l1: dict[str, float]
     removed: tuple[str, ...] = ()

@@ -22,6 +22,7 @@ from phsi_opt.estimation.march import FEASIBLE, March
 from phsi_opt.model.model import Model
 from phsi_opt.optimization import endings
 from phsi_opt.optimization.endings import Ending
+from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.optimization.ipopt import Solution, Solver, at_bounds
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
@@ -130,8 +131,8 @@ class FeasiblePath:
         self.march = March(model, grid, loss.integrator, scale)
         known = [program.z, program.settings]
         slope = ca.gradient(program.objective, program.z)
-        values = [program.objective, slope, program.g]
-        self.values = ca.Function("values", known, values)
+        values = [program.objective, ca.densify(slope), ca.densify(program.g)]
+        self.values = Evaluated(ca.Function("values", known, values))
 
     def solve(
         self, start: np.ndarray, set_to: np.ndarray, raise_on_failure: bool = True
@@ -197,7 +198,7 @@ class FeasiblePath:
 
     def _values_at(self, z: np.ndarray, set_to: np.ndarray) -> list[np.ndarray]:
         """Objective, its gradient, and the defects."""
-        return [np.array(part).ravel() for part in self.values(z, set_to)]
+        return [part.ravel().copy() for part in self.values(z, set_to)]
 
     def _descended(self, place: _Place, set_to: np.ndarray, began: float) -> _Descent:
         descent = _Descent(place, (*[np.inf] * LAST, place.objective))

@@ -13,6 +13,7 @@ from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.estimation.model_error_table import model_error_rows
+from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.estimation.uncertainty import Uncertainty
 from phsi_opt.model_error.standard_errors import (
     PlainEstimate,
@@ -65,12 +66,14 @@ class LikelihoodEstimate(Estimate):
     """The maximum of the likelihood: parameters, states and noise.
 
     Attributes:
+        transcription: what was solved.
         sigma: (n_states,) standard deviation of the noise per state.
         is_known: (n_states,) whether it was declared.
         way: how it was solved, one of `WAYS`.
     """
 
     loss: MaximumLikelihood
+    transcription: Transcription
     sigma: np.ndarray
     is_known: np.ndarray
     way: str = GAUSS_NEWTON
@@ -134,9 +137,7 @@ class LikelihoodEstimate(Estimate):
     @cached_property
     def reduced(self) -> ReducedSystem:
         """The likelihood at the solution, states eliminated."""
-        return uncertainty.reduced(
-            self.program, self.solution, self.grid, self.n_values
-        )
+        return uncertainty.reduced(self.point, self.solution, self.grid, self.n_values)
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Inverse of the information about theta when the states follow it.
@@ -144,7 +145,11 @@ class LikelihoodEstimate(Estimate):
         Times the ratio that Huber's function costs, where the loss has it.
         """
         of_squares = uncertainty.of_likelihood(
-            self.unknown.names, self.theta, self.program, self.solution, self.reduced
+            self.unknown.names,
+            self.theta,
+            self.point.theta_scale,
+            self.solution,
+            self.reduced,
         )
         if self.loss.huber is None:
             return of_squares
@@ -176,7 +181,6 @@ class LikelihoodEstimate(Estimate):
             theta=self.theta,
             nodes=self.nodes,
             point=self.point,
-            program=self.program,
             solution=self.solution,
             sigma=self.sigma,
             is_known=self.is_known,
@@ -230,7 +234,7 @@ class LikelihoodEstimate(Estimate):
 
     def _unscaled(self, covariance: np.ndarray) -> np.ndarray:
         """In the parameters' units, NaN where noise alone gives none."""
-        scale = self.program.scale[self.program.variables["theta"].slice]
+        scale = self.point.theta_scale
         plain = self.uncertainty.covariance
         known = covariance * np.outer(scale, scale)
         return np.where(np.isfinite(plain), known, np.nan)

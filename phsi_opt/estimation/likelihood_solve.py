@@ -21,12 +21,9 @@ from phsi_opt.estimation.multiple_shooting import (
 )
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.solver_chain import (
-    SolverChain,
-    Transcription,
-    ways_after,
-)
+from phsi_opt.estimation.solver_chain import SolverChain, ways_after
 from phsi_opt.estimation.starting_point import StartingPoint
+from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import memory_start_bounds
@@ -133,15 +130,26 @@ class LikelihoodSolver:
         ways = ways_after(start.way) if ways is None else ways
         transcription = self._transcribed(start, l1, window)
         noise = self._noise_iteration(transcription, l1)
-        z = transcription.program.start
         direct = self._direct_steps(transcription)
-        if start.is_optimum and direct is not None and ways[0] == GAUSS_NEWTON:
+        if direct is not None and self._may_be_near(start, ways[0]):
+            z = transcription.point.scaled
             optimum = direct.optimum(z, start.sigma, noise)
             if optimum is not None:
                 return self._estimate(transcription, optimum, l1, GAUSS_NEWTON)
+        z = transcription.program.start
         chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
         optimum = _maximum(chain, direct, noise, z, start.sigma)
         return self._estimate(transcription, optimum, l1, chain.way)
+
+    def _may_be_near(self, start: StartingPoint, way: str) -> bool:
+        """Whether full steps may lead from a start to its optimum.
+
+        From another solution of the model; and in a brief solve, which begins where a
+        second look ended, but not where a path beside a sharp corner is to be followed.
+        """
+        if self.task.settings.thorough:
+            return start.is_optimum and way == GAUSS_NEWTON
+        return way != FEASIBLE_PATH
 
     def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
         """The optimum that full steps lead to; None where they lead nowhere.
@@ -155,7 +163,7 @@ class LikelihoodSolver:
         if direct is None:
             return None
         noise = self._noise_iteration(transcription, self.task.l1)
-        z = transcription.program.start
+        z = transcription.point.scaled
         optimum = direct.optimum(z, start.sigma, noise)
         if optimum is None:
             return None
@@ -163,16 +171,11 @@ class LikelihoodSolver:
         return self._estimate(transcription, optimum, self.task.l1, GAUSS_NEWTON)
 
     def _direct_steps(self, transcription: Transcription) -> DirectSteps | None:
-        """Full steps of a program; None where it has slack variables, or they may not
-        be tried.
-        """
+        """Full steps; None with slack variables, or where they may not be tried."""
         settings = self.task.settings
-        program = transcription.program
-        if GAUSS_NEWTON not in settings.ways:
+        if GAUSS_NEWTON not in settings.ways or transcription.has_slacks:
             return None
-        if set(program.variables) != {"theta", "x"}:
-            return None
-        return DirectSteps(program, transcription.grid, settings)
+        return DirectSteps(transcription.values, settings)
 
     def _noise_iteration(
         self, transcription: Transcription, l1: dict[str, float]
@@ -200,7 +203,7 @@ class LikelihoodSolver:
             grid=transcription.grid,
             unknown=transcription.unknown,
             point=transcription.point,
-            program=transcription.program,
+            transcription=transcription,
             solution=optimum.solution,
             l1=l1,
             sigma=optimum.sigma,
@@ -221,8 +224,9 @@ class LikelihoodSolver:
         point = replace(point, x_bounds=bounds)
         if window is not None:
             grid = cut_into_windows(grid, window)
-        program = self.loss.program(model, grid, point, l1, start.sigma, unknown)
-        return Transcription(self.loss, model, grid, unknown, point, program, window)
+        return Transcription(
+            self.loss, model, grid, unknown, point, l1, start.sigma, window
+        )
 
 
 def _maximum(

@@ -6,7 +6,7 @@ In the scale of the program; the record of slopes is that of ``phsi_opt.model_er
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix, diags
+from scipy.sparse import csr_matrix
 
 from phsi_opt.data.noise_by_run import scatter_by_run
 from phsi_opt.estimation.problem import Task
@@ -17,7 +17,6 @@ from phsi_opt.model_error.gaps import between_samples
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.standard_errors import PlainEstimate
 from phsi_opt.optimization.ipopt import Solution
-from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
@@ -37,8 +36,7 @@ class SolvedLikelihood:
         theta: (n_theta,) their estimates.
         nodes: (n_nodes, n_states) states.
         point: with the scale of each unknown.
-        program: the nonlinear program.
-        solution: its solution.
+        solution: of the program, whose variables begin with theta and the states.
         sigma: (n_states,) noise.
         is_known: (n_states,) whether it was declared.
     """
@@ -50,7 +48,6 @@ class SolvedLikelihood:
     theta: np.ndarray
     nodes: np.ndarray
     point: Point
-    program: Program
     solution: Solution
     sigma: np.ndarray
     is_known: np.ndarray
@@ -64,24 +61,23 @@ class SolvedLikelihood:
     def linearized(self) -> Linearization:
         """Slopes of dynamics and sensors at the solution."""
         grid = self.grid
-        program = self.program
-        x = program.variables["x"].slice
-        theta = program.variables["theta"].slice
-        constraints = program.constraints["defect"].slice
-        jacobian = csc_matrix(self.solution.kkt.jacobian[constraints])
-        others = np.setdiff1d(
-            np.arange(jacobian.shape[1]), np.r_[_range(theta), _range(x)]
-        )
-        # What the disturbances do to the dynamics, in which they are linear.
-        offset = -jacobian[:, others] @ self.solution.z[others]
+        point = self.point
+        n_defects = grid.n_intervals * self.model.n_states
+        jacobian = self.solution.kkt.of_first(n_defects)
+        offset = np.zeros(n_defects)
+        if jacobian.shape[1] > point.of_x.stop:
+            # What the disturbances do to the dynamics, in which they are linear.
+            disturbances = slice(point.of_x.stop, None)
+            offset -= jacobian[:, disturbances] @ self.solution.z[disturbances]
         of_runs = np.asarray(self.unknown.by_trajectory(self.theta))
         sensors = SensorOutputs.at(self.model, grid, self.nodes, of_runs)
+        slopes = csr_matrix(sensors.jacobian)
         in_theta = output_slopes_in_theta(self.unknown, grid, self.nodes, self.theta)
         measured = np.flatnonzero(grid.measured.ravel())
         n_states = self.model.n_states
         x_scale = np.tile(self.point.x_scale, grid.n_nodes)
-        theta_scale = program.scale[theta]
-        shown_in_states = csr_matrix(sensors.jacobian @ diags(x_scale))
+        slopes.data *= x_scale[slopes.indices]
+        theta_scale = point.theta_scale
         in_theta = in_theta.reshape(self.nodes.size, len(theta_scale))
         shown_in_theta = in_theta * theta_scale
         memory = self.model.memory
@@ -89,11 +85,11 @@ class SolvedLikelihood:
         return Linearization(
             grid=grid,
             nodes=self.nodes,
-            dynamics_in_states=jacobian[:, x],
-            dynamics_in_theta=jacobian[:, theta].toarray(),
+            dynamics_in_states=jacobian[:, point.of_x],
+            dynamics_in_theta=jacobian[:, point.of_theta].toarray(),
             force_effects=self._force_effects(),
             offset=offset,
-            shown_in_states=shown_in_states[measured],
+            shown_in_states=slopes[measured],
             shown_in_theta=shown_in_theta[measured],
             residual=(grid.y - sensors.values).ravel()[measured],
             node=measured // n_states,
@@ -157,7 +153,3 @@ class SolvedLikelihood:
             channels=tuple(channels),
             is_brief=not self.task.settings.thorough,
         )
-
-
-def _range(places: slice) -> np.ndarray:
-    return np.arange(places.start, places.stop)

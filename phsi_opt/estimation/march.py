@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import argument_symbols
@@ -60,12 +61,12 @@ class March:
         self.chunk = min(MARCH_CHUNK, longest)
 
     @cached_property
-    def quick(self) -> ca.Function:
+    def quick(self) -> Evaluated:
         """From state to state by `QUICK_STEPS` of Newton's method from the guesses."""
         return self._accumulated(self._few_steps(QUICK_STEPS))
 
     @cached_property
-    def careful(self) -> ca.Function:
+    def careful(self) -> Evaluated:
         """The same with `MORE_STEPS`, and as many as it takes where these fail."""
         return self._accumulated(self._as_many_as_it_takes())
 
@@ -119,11 +120,11 @@ class March:
             ]
         )
 
-    def _accumulated(self, interval: ca.Function) -> ca.Function:
+    def _accumulated(self, interval: ca.Function) -> Evaluated:
         """(x, [guess, t, h, u0, u1, theta] of a chunk of intervals) -> the states at
         their ends, and defects.
         """
-        return interval.mapaccum(self.chunk)
+        return Evaluated(interval.mapaccum(self.chunk))
 
     def _few_steps(self, n_steps: int) -> ca.Function:
         """One interval by so many steps of Newton's method, all written out."""
@@ -208,7 +209,7 @@ class _Interval:
 
 
 def _ends(
-    march: ca.Function,
+    march: Evaluated,
     x: np.ndarray,
     columns: np.ndarray,
     size: int,
@@ -219,5 +220,5 @@ def _ends(
     """
     ends, left = march(x, columns)
     # Not so where they are not finite.
-    is_solved = np.all(left.full().ravel()[:size] < tolerance)
-    return ends.full().T[:size] if is_solved else None
+    is_solved = np.all(left[:size] < tolerance)
+    return ends[:size].copy() if is_solved else None

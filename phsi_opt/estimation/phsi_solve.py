@@ -19,6 +19,7 @@ from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
+from phsi_opt.optimization.program import Program
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import ParameterSlopes
@@ -35,9 +36,14 @@ E = TypeVar("E", bound=Estimate)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PHSIEstimate(Estimate):
-    """The minimum of the PHSI loss."""
+    """The minimum of the PHSI loss.
+
+    Attributes:
+        program: the nonlinear program.
+    """
 
     loss: PHSILoss
+    program: Program
 
     @property
     def n_values(self) -> int:

@@ -7,16 +7,15 @@ it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from phsi_opt.estimation.feasible_path import FeasiblePath
 from phsi_opt.estimation.problem import Progress
-from phsi_opt.model.model import Model
+from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.optimization.endings import PATH_STATUSES
 from phsi_opt.optimization.ipopt import Solution, Solver
-from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import (
     EXACT,
     FEASIBLE_PATH,
@@ -24,10 +23,6 @@ from phsi_opt.optimization.settings import (
     WAYS,
     SolverSettings,
 )
-from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
 
 # Iterations after which the exact Hessian takes over from Gauss-Newton: that converges
 # in a few, or not at all.
@@ -57,46 +52,6 @@ IN_WORDS = {
 def ways_after(way: str) -> tuple[str, ...]:
     """The ways to try, in order, where a solution like it was found in ``way``."""
     return NEXT_WAYS[way]
-
-
-@dataclass(frozen=True, eq=False)
-class Transcription:
-    """A likelihood laid out for the solvers.
-
-    Attributes:
-        loss: the likelihood.
-        model: whose defects vanish.
-        grid: nodes and intervals, cut into windows or whole.
-        unknown: names and places of the free parameters.
-        point: to start from, with the scale of each unknown.
-        program: the nonlinear program.
-        window: length of the windows in time, None: whole trajectories.
-    """
-
-    loss: MaximumLikelihood
-    model: Model
-    grid: Grid
-    unknown: Theta
-    point: Point
-    program: Program
-    window: float | None = None
-
-    def __str__(self) -> str:
-        where = "" if self.window is None else f" in windows of {self.window:.3g}"
-        return (
-            f"maximum likelihood, {len(self.unknown)} parameters, "
-            f"{self.point.x.size} states{where}"
-        )
-
-    @property
-    def has_path(self) -> bool:
-        """Whether it can be solved along solutions of the model.
-
-        Not with windows, nor with slack variables.
-        """
-        n_pieces = self.grid.n_nodes - self.grid.n_intervals
-        is_whole = n_pieces == len(self.grid.first)
-        return is_whole and set(self.program.variables) == {"theta", "x"}
 
 
 class SolverChain:

@@ -15,11 +15,11 @@ from scipy.optimize import nnls
 from phsi_opt.estimation.identifiability import silent_directions
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
-from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.defect_derivatives import defect_slopes
 from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import ParameterSlopes
+from phsi_opt.transcription.point import Point
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,28 +51,27 @@ def unknown(n_theta: int, reason: str) -> Uncertainty:
 
 
 def reduced(
-    program: Program, solution: Solution, grid: Grid, n_residuals: int
+    point: Point, solution: Solution, grid: Grid, n_residuals: int
 ) -> ReducedSystem:
     """The likelihood at the solution in scaled variables, with the states eliminated.
 
     Args:
-        program: Of the likelihood; its objective is 2/n_residuals times -log p.
-        solution: An optimum of the program.
-        grid: Nodes and intervals of the program.
+        point: With the unknowns of the likelihood.
+        solution: An optimum of its program, whose objective is 2/n_residuals times
+            -log p.
+        grid: Nodes and intervals.
         n_residuals: Number of measured values.
     """
-    theta = program.variables["theta"]
-    x = program.variables["x"]
-    n_states = (x.stop - x.start) // grid.n_nodes
+    n_states = len(point.x_scale)
     hessian = solution.kkt.hessian * (n_residuals / 2)
-    jacobian = solution.kkt.jacobian[program.constraints["defect"].slice]
-    return ReducedSystem(grid, n_states, hessian, jacobian, theta.slice, x.slice)
+    jacobian = solution.kkt.of_first(grid.n_intervals * n_states)
+    return ReducedSystem(grid, n_states, hessian, jacobian, point.of_theta, point.of_x)
 
 
 def of_likelihood(
     names: Sequence[str],
     theta: np.ndarray,
-    program: Program,
+    scale: np.ndarray,
     solution: Solution,
     likelihood: ReducedSystem,
 ) -> Uncertainty:
@@ -81,11 +80,10 @@ def of_likelihood(
     Args:
         names: Of the parameters, in the order of theta.
         theta: (n_theta,) estimates.
-        program: The program, for the scale of theta and the order of variables.
-        solution: Its solution, for the parameters at bounds.
+        scale: (n_theta,) size of each.
+        solution: For the parameters at bounds.
         likelihood: What `reduced` makes of the two.
     """
-    scale = program.scale[program.variables["theta"].slice]
     at_bounds = solution.outcome.at_bounds
     scaled = regularized_inverse(likelihood.information, _places(names, at_bounds))
     return of_covariance(names, theta, scale, scaled, at_bounds)

@@ -27,6 +27,7 @@ from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.durations import time_words
 from phsi_opt.statistics import TINY
 
+OTHER_VALUES = "is what other values of the model's own parameters would give"
 NO_PATTERN = "no clear pattern"
 TOGETHER = "which moves together with the input"
 
@@ -95,7 +96,7 @@ def _closed_loop(causes: Causes) -> str:
 def _words(causes: Causes, kind: str) -> str:
     """What a force of one kind does."""
     if kind == "parameters":
-        return "is what other values of the model's own parameters would give"
+        return OTHER_VALUES
     if kind == "constant":
         mean = causes.force.force_on(causes.equation).mean()
         return f"is constant at {mean:.3g}"

@@ -20,6 +20,7 @@ from phsi_opt.force_analysis.cross_validation import place_in_run
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.force_uncertainty import times_noise
 from phsi_opt.force_analysis.spectrum import spectrum
+from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
@@ -33,6 +34,14 @@ EVERYWHERE = "everywhere"  # the region where none stands out
 THROUGHOUT = (
     " (throughout)"  # behind the times of a force that no window has for itself
 )
+
+
+def window_of(times: str) -> tuple[float, float] | None:
+    """Begin and end of a window in words; None where it is the whole record."""
+    found = RANGE_OF_TIMES.search(times)
+    if found is None or THROUGHOUT in times:
+        return None
+    return float(found[1]), float(found[2])
 
 
 def located(force: ForceRecord) -> "pd.DataFrame":

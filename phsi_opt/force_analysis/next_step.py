@@ -8,7 +8,6 @@ state or an input that the model and the data lack.
 
 from collections.abc import Mapping
 
-from phsi_opt.criteria import NAMED_CAUSE
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
 from phsi_opt.force_analysis.energy_wording import TOGETHER
@@ -21,10 +20,26 @@ from phsi_opt.presentation.report_content import Answer
 # A part that moves or stores by itself, as the field calls it.
 FURTHER_STATE = {
     THERMAL: "a further store of heat (walls beside the air)",
-    HYDRAULIC: "a further vessel or pipe",
+    HYDRAULIC: "a further vessel",
     ELECTRICAL: "a further storage (a second resistor and capacitor)",
     MECHANICAL: "a part that moves by itself (play, a soft shaft, a second mass)",
-    "": "a further storage, or a part that moves by itself",
+    "": "one more state (a second inertia or storage, an elastic part, a lag)",
+}
+# What else may be sought, in the same words.
+FURTHER_INPUT = {
+    THERMAL: "another input of heat (people, ventilation)",
+    HYDRAULIC: "another inflow or outflow",
+    ELECTRICAL: "another source or load",
+    MECHANICAL: "another force from outside",
+    "": "another input",
+}
+# What an input is where it acts.
+ARRIVES = {
+    THERMAL: "the heat that reaches",
+    HYDRAULIC: "the flow that reaches",
+    ELECTRICAL: "the voltage or current at",
+    MECHANICAL: "the force on",
+    "": "what drives",
 }
 # What is missing where most of a force follows nothing that was measured.
 UNSEEN = {
@@ -59,11 +74,11 @@ def against_vibration(pace: Pace) -> Answer:
     """What to do about a force that shakes, and to see what is missing beside it."""
     n = pace.samples_per_cycle
     return Answer(
-        f"Average every {n} samples (thinned = {n}) and diagnose again; anything else "
-        "that is missing then shows.",
-        f"{NO_EFFECT} In Python that is data.thinned({n}). To find what swings so "
-        "fast, look for loose or soft parts, play, interference, a sensor's "
-        "resolution.",
+        f"Average every {n} samples and diagnose again: anything else that is missing "
+        "then shows.",
+        "At the machine, look for what swings so fast: loose or soft parts, play, "
+        f"interference, a sensor's resolution. (Averages: thinned = {n} in a study "
+        f"file, data.thinned({n}) in Python.)",
     )
 
 
@@ -106,64 +121,62 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
         units: as in `Measurements`; they tell of which field the equation is.
         force: that is missing.
     """
-    shares = force.shares
+    strongest, share = _strongest(force)
+    kind = kind_of(with_kinds_of_units(force.record.fit.model, units), force.equation)
+    further = FURTHER_STATE[kind]
     causes = {
         "parameters": _of_parameters,
-        "inputs": _of_inputs,
+        "inputs": lambda one: _of_inputs(one, ARRIVES[kind]),
         "time": _of_time,
         "conserved": _of_states,
         "dissipated": _of_states,
         "constant": _of_states,
     }
-    strongest, share = _strongest(force)
-    told = causes[strongest](force) if share > NAMED_CAUSE else ""
-    further = _further_state(units, force)
-    if share < float(shares["unexplained"]):
+    if share < float(force.shares["unexplained"]):
         return Answer(
-            f"Give the model {further}, or measure an input that is not recorded.",
-            f"{NO_EFFECT} Most of what is missing follows nothing that was measured "
-            f"at the same time. {told}".strip(),
+            f"Give the model {further}.",
+            "Most of what is missing follows nothing that was measured at the same "
+            f"time. If that does not help, record {FURTHER_INPUT[kind]}.",
         )
+    told = causes[strongest](force)
     if strongest == "parameters":
-        return Answer(told, f"{NO_EFFECT} What they make up for may be {further}.")
-    return Answer(told, NO_EFFECT)
+        return Answer(told.lead, f"{told.detail} They may make up for {further}.")
+    return told
 
 
-def _further_state(units: Mapping[str, str], force: EquationForce) -> str:
-    """A further state in the words of the equation's field."""
-    known = with_kinds_of_units(force.record.fit.model, units)
-    return FURTHER_STATE[kind_of(known, force.equation)]
-
-
-def _of_parameters(force: EquationForce) -> str:
-    return (
-        "Changing the parameters helps on parts of the record, but no one set of "
-        "values fits all of it: fit each half separately to see it."
+def _of_parameters(force: EquationForce) -> Answer:
+    return Answer(
+        "Fit each half of the record by itself, and compare the parameters.",
+        "Changing them helps on parts of the record, but no one set of values fits "
+        "all of it.",
     )
 
 
-def _of_inputs(force: EquationForce) -> str:
+def _of_inputs(force: EquationForce, arrives: str) -> Answer:
     inputs = force.record.fit.model.inputs
     names = f"{'the inputs' if len(inputs) > 1 else 'the input'} {', '.join(inputs)}"
     if TOGETHER in force.cause:
-        return f"Record data in which {names} and what it moves with go apart."
-    return (
-        f"Look at how {names} enter{'s' if len(inputs) == 1 else ''} "
-        f"d{force.equation}/dt: measured where it acts, or on the way there?"
+        told = f"Record data in which {names} and what it moves with go apart."
+        return Answer(told, NO_EFFECT)
+    return Answer(
+        f"Measure {arrives} {force.equation} directly, or give the model a store, a "
+        f"delay or a limit between {names} and {force.equation}.",
+        NO_EFFECT,
     )
 
 
-def _of_time(force: EquationForce) -> str:
-    return (
-        "Repeat the run, and record what may have changed with the time (a load, a "
-        "temperature, a supply) as an input."
+def _of_time(force: EquationForce) -> Answer:
+    return Answer(
+        "Repeat the run, and record what may have changed with the time as an input.",
+        f"{NO_EFFECT} What changes may be a load, a temperature, a supply.",
     )
 
 
-def _of_states(force: EquationForce) -> str:
+def _of_states(force: EquationForce) -> Answer:
     model = force.record.fit.model
     names = dict.fromkeys((*exchange_partners(model, force.equation), force.equation))
-    return (
+    return Answer(
         f"Write a term of your own in d{force.equation}/dt that depends on "
-        f"{' and '.join(names)}; diagnosis.learned_force() draws its curve."
+        f"{' and '.join(names)}.",
+        f"{NO_EFFECT} diagnosis.learned_force() draws the curve of what is missing.",
     )

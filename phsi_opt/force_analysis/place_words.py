@@ -12,6 +12,7 @@ from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
 from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
 from phsi_opt.force_analysis.energy_wording import (
     NO_PATTERN,
+    OTHER_VALUES,
     TOGETHER,
     effort_words,
     exchange_noun,
@@ -25,7 +26,16 @@ from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import position_of_momentum, position_rows
 from phsi_opt.presentation.report_content import Answer
 
+# What the rate of a momentum or a velocity is called, by its unit.
+RATES = {
+    "N": "force on",
+    "N m": "torque on",
+    "m/s^2": "acceleration of",
+    "rad/s^2": "acceleration of",
+}
 MOSTLY = 0.5  # share of a force's mean square that is most of it
+FOLLOWS = "follows "
+SHARE_BEGINS = ", which explains "  # behind what a force follows
 AT_THE_ENDS = 2  # ranges at both ends of what occurred
 
 
@@ -42,18 +52,31 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
         is_known: whether effects say all that the force is; then no shares are told.
     """
     cause = _clear_cause(force)
-    rate = f"In d{force.equation}/dt"
+    rate = rate_words(force)
     place = place_words(force)
     largest = f", largest {place}" if place else ""
     if cause:
-        return Answer(f"{rate}. {_following(force, cause)}.", _shares(force, is_known))
+        return Answer(
+            f"{rate}. {_following(force, cause)}.", _shares(force, is_named, is_known)
+        )
     if is_named:
-        return Answer(f"{rate}{largest}.", _shares(force, is_known))
+        return Answer(f"{rate}{largest}.", _shares(force, is_named, is_known))
     is_part = any(float(force.shares[kind]) > NAMED_CAUSE for kind in CAUSES)
     explained = "explains most of it" if is_part else "explains it"
+    if force.pace.is_vibration:
+        # Where it is large is where something shakes by chance.
+        return Answer(f"{rate}, or at a sensor; it follows no state and no input.")
     lead = f"{rate}; no state, input or time {explained}."
-    shares = _shares(force, is_known)
+    shares = _shares(force, is_named, is_known)
     return Answer(lead, f"It is largest {place}. {shares}" if place else shares)
+
+
+def rate_words(force: EquationForce) -> str:
+    """The equation, and what its rate is: "In dp/dt, the force on q"."""
+    rate = f"In d{force.equation}/dt"
+    position = position_of_momentum(force.record.fit.model).get(force.equation, "")
+    called = RATES.get(force.scale.unit, "")
+    return f"{rate}, the {called} {position}" if position and called else rate
 
 
 def _clear_cause(force: EquationForce) -> str:
@@ -97,9 +120,11 @@ def _exchanged(force: EquationForce) -> str:
     return f"{said}; largest {place}" if place else said
 
 
-def _shares(force: EquationForce, is_known: bool) -> str:
+def _shares(force: EquationForce, is_named: bool, is_known: bool) -> str:
     """How much of the force each cause explains."""
     cause = _clear_cause(force)
+    if is_named and force.cause.startswith(OTHER_VALUES):
+        return ""  # a re-fit from there came first, and left what is named
     if is_known:
         # The lead has said it, but for how energy is lost and for periods.
         is_said = cause in ("inputs", "constant")
@@ -112,9 +137,13 @@ def _shares(force: EquationForce, is_known: bool) -> str:
     left = float(force.shares["unexplained"])
     if not said:
         return ""
+    follows, is_told, share = said.partition(SHARE_BEGINS)
+    is_said = bool(cause and is_told) and follows.startswith(FOLLOWS)
+    is_said = is_said and ", and " not in share
+    told = f"That explains {share}" if is_said else f"It {said}"
     if is_known or left < MOSTLY:
-        return f"It {said}."
-    return f"It {said}; {100 * left:.0f} % follow nothing measured."
+        return f"{told}."
+    return f"{told}; {100 * left:.0f} % follow nothing measured."
 
 
 def _together(force: EquationForce) -> str:

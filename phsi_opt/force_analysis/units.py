@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from phsi_opt.presentation.durations import scale_of_time, time_words
+from phsi_opt.presentation.durations import SECONDS, scale_of_time, time_words
 from phsi_opt.presentation.units import NAMED, rate_unit
 
 HOUR = 3600.0  # s
@@ -20,7 +20,8 @@ def frequency_unit(units: Mapping[str, str]) -> str:
 def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
     """A frequency; its period where that is told in minutes, hours or days."""
     unit = units.get("t", "")
-    if scale_of_time(1 / frequency, unit).size > 1.0:
+    is_long = unit != "s" and unit in SECONDS
+    if is_long or scale_of_time(1 / frequency, unit).size > 1.0:
         return f"with a period of {time_words(1 / frequency, unit)}"
     return f"at {frequency:.3g} {frequency_unit(units)}"
 

@@ -4,13 +4,16 @@ exp(1000*q), log(q) of negative positions or a mass of zero would meet the solve
 numbers that are none, and it would blame something else.
 """
 
+import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import ModelError
 from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.model import Model
 from phsi_opt.model.symbolic import energy_function, terms_function
+from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.interval_map import argument_symbols
 
 # Values that stand for states nobody measured, by turns: a formula that has a value at
 # one of them may have one at the true state.
@@ -43,14 +46,13 @@ def check_rates(model: Model, grid: Grid) -> None:
     for value in stand_ins:
         x = np.where(grid.measured, grid.y, value)
         resolved = resolve_guesses(model, grid, x)
+        together = _with_energy(resolved)
         for factor, added in MOVED:
             theta = factor * np.asarray(resolved.theta) + added
             t = grid.t[is_measured][None, :]
             u = grid.u[is_measured].T
             arguments = (x[is_measured].T, u, t, theta)
-            rates = np.asarray(resolved.rhs()(*arguments))
-            energy = np.asarray(energy_function(resolved)(*arguments))
-            is_bad &= ~np.isfinite(np.vstack([rates, energy]))
+            is_bad &= ~np.isfinite(np.vstack(together(*arguments)))
             if not is_bad.any():
                 return
     names = [*(f"the equation of {state}" for state in model.states), "the energy H"]
@@ -59,6 +61,19 @@ def check_rates(model: Model, grid: Grid) -> None:
         if len(places) > MOST_BAD * is_bad.shape[1]:
             node = int(np.flatnonzero(is_measured)[places[0]])
             raise ModelError(_told(resolved, grid, name, len(places), node))
+
+
+def _with_energy(model: Model) -> ColumnFunction:
+    """(x, u, t, theta) -> dx/dt, H, at many places."""
+
+    def made() -> ca.Function:
+        rhs = model.rhs()
+        arguments = argument_symbols(rhs)
+        energy = energy_function(model)(*arguments)
+        return ca.Function("rates", arguments, [rhs(*arguments), energy])
+
+    function = model.built("rates and energy", made)
+    return ColumnFunction(function, (function.n_in() - 1,))
 
 
 def _told(model: Model, grid: Grid, place: str, n_bad: int, node: int) -> str:

@@ -15,7 +15,7 @@ from phsi_opt.initialization.scaling import interpolated, invert_sensors
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols, map_nodes
+from phsi_opt.transcription.interval_map import argument_symbols, at_nodes
 
 KINEMATIC_STEPS = 3  # of Newton's method; one is exact where the rates are linear
 # Share of the largest curvature of the rates' squares below which they leave a
@@ -48,10 +48,10 @@ def kinematic_states(model: Model, grid: Grid) -> np.ndarray | None:
     weights = 1 / np.maximum(np.std(rates, axis=0), TINY)
     together = model.built("rates and slopes", lambda: _with_slopes(model.rhs()))
     for _ in range(KINEMATIC_STEPS):
-        values, slopes = map_nodes(together, grid, x.T, model.theta)
+        values, entries = at_nodes(together, grid, x.T, model.theta)
         shape = (grid.n_nodes, model.n_states, model.n_states)
-        slopes = slopes.full().T.reshape(shape)[:, known][:, :, unknown]
-        missing = (rates - values.full().T[:, known]) * weights
+        slopes = entries.T.reshape(shape)[:, known][:, :, unknown]
+        missing = (rates - values.T[:, known]) * weights
         step = _least_squares_steps(slopes * weights[:, None], missing)
         if step is None:
             return None
@@ -88,8 +88,15 @@ def _least_squares_steps(slopes: np.ndarray, missing: np.ndarray) -> np.ndarray 
         return None
     ridge = LEAST_CURVATURE * np.diag(size**2)
     right = np.einsum("aki,ak->ai", slopes, missing)
-    step: np.ndarray = np.linalg.solve(gram + ridge, right[:, :, None])[:, :, 0]
+    step = _solved(gram + ridge, right)
     return step if np.all(np.isfinite(step)) else None
+
+
+def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions (n, k) of a small system each; of one unknown without LAPACK."""
+    if right.shape[1] == 1:
+        return right / matrices[:, :, 0]
+    return np.asarray(np.linalg.solve(matrices, right[:, :, None])[:, :, 0])
 
 
 def _with_slopes(rhs: ca.Function) -> ca.Function:

@@ -295,6 +295,9 @@ class BaseModel:
                     f"{did_you_mean(name, self.entries)}"
                 )
 
+        if all(self.entries[name].parameter.value == v for name, v in values.items()):
+            return self
+
         def valued(name: str, parameter: Parameter) -> Parameter:
             if name not in values:
                 return parameter
@@ -350,6 +353,10 @@ class BaseModel:
 
         Its sensors show the state itself, and every parameter is shared by all runs.
         """
+
+        entries = self.entries.values()
+        if not self.sensor and not any(e.parameter.per_trajectory for e in entries):
+            return self
 
         def shared(name: str, parameter: Parameter) -> Parameter:
             return replace(parameter, per_trajectory=False)

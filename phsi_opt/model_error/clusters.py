@@ -10,6 +10,7 @@ count as fewer (Carter, Schnepel and Steigerwald, Review of Economics and Statis
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -70,10 +71,11 @@ class Clusters:
         n_theta = in_theta.shape[1]
         scores = np.zeros((problem.n_trajectories, n_theta))
         information = np.zeros((problem.n_trajectories, n_theta, n_theta))
-        for number in range(problem.n_trajectories):
-            is_in = run == number
-            of_run = slopes[is_in]
-            scores[number] = of_run.T @ residual[is_in]
+        # Values stand trajectory after trajectory.
+        limits = np.searchsorted(run, np.arange(problem.n_trajectories + 1))
+        for number, (begin, end) in enumerate(pairwise(limits.tolist())):
+            of_run = slopes[begin:end]
+            scores[number] = of_run.T @ residual[begin:end]
             information[number] = within * (of_run.T @ of_run)
         prior = RIDGE * np.eye(n_theta)
         return cls(scores, information, prior, n_theta, score_variance)
@@ -171,10 +173,10 @@ class Clusters:
         informations have directions, less those of the estimate (Cochran, Biometrics
         10, 1954).
         """
-        statistic = 0.0
-        freedom = -self.scores.shape[1]
-        for score, own in zip(self.scores, self.information, strict=True):
-            inverse = np.linalg.pinv(own, rcond=RIDGE, hermitian=True)
-            statistic += float(score @ inverse @ score) / self.score_variance
-            freedom += int(np.linalg.matrix_rank(own, rtol=RIDGE, hermitian=True))
+        own = self.information
+        inverses = np.linalg.pinv(own, rcond=RIDGE, hermitian=True)
+        squares = np.einsum("gp,gpq,gq->g", self.scores, inverses, self.scores)
+        statistic = float(np.sum(squares)) / self.score_variance
+        ranks = np.linalg.matrix_rank(own, rtol=RIDGE, hermitian=True)
+        freedom = int(np.sum(ranks)) - self.scores.shape[1]
         return chi_square_tail(statistic, freedom) if freedom > 0 else 1.0

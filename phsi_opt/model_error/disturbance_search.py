@@ -23,7 +23,7 @@ from phsi_opt.model_error.marginal_likelihood import (
     noise_weights,
 )
 from phsi_opt.model_error.processes import Process
-from phsi_opt.model_error.score_test import PromisedGain, WhiteRecord
+from phsi_opt.model_error.score_test import Trial, WhiteRecord
 from phsi_opt.statistics import TINY
 
 # Correlation times to begin with: in sampling intervals, and as shares of a record.
@@ -154,6 +154,15 @@ class DisturbanceSearch:
         marginal = likelihood.at(disturbances)
         return Evidence(disturbances, marginal.log_evidence)
 
+    @cached_property
+    def is_promising(self) -> bool:
+        """Whether any kind of disturbance promises to be found.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        return (self._pieces or self)._promising.is_any
+
     def found(self) -> Evidence:
         """What the record shows, white noise where it shows no more.
 
@@ -164,9 +173,8 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        pieces = self.pieces()
-        searched = pieces or self
-        if not searched._promising.is_any:
+        pieces = self._pieces
+        if not self.is_promising:
             return self.evidence(Disturbances(self.plain))
         if pieces is None:
             return self._found_directly()
@@ -193,9 +201,8 @@ class DisturbanceSearch:
         if not self.is_brief:
             white = white.with_functions(self._function_candidates())
         record = WhiteRecord(self._likelihood(white), white)
-        gains = []
-        for time in self.first_times():
-            gains.append(self._promised_gain(record, time))
+        trials = [self._trial(time) for time in self.first_times()]
+        gains = record.promised_gains(trials, self.channels)
         limit = PROMISING_SHARE * MODEL_ERROR_EVIDENCE
         sizes = _chosen_sizes(record.border, self._rates_of(white.functions))
         return _Promising(
@@ -205,13 +212,13 @@ class DisturbanceSearch:
             functions=bool(np.any(sizes > 0)),
         )
 
-    def _promised_gain(self, record: WhiteRecord, time: float) -> PromisedGain:
-        """Of processes of one correlation time, in the sizes of a search."""
+    def _trial(self, time: float) -> Trial:
+        """Of all processes at one correlation time, in the sizes of a search."""
         forces = self._forces(1.0, time)
         sensors = self._sensors(1.0, time)
         n_processes = max(len(forces), len(sensors))
         is_tied = len(self.channels) + n_processes > MOST_SIZES
-        return record.promised_gain(forces, sensors, self.channels, is_tied)
+        return Trial(forces, sensors, is_tied)
 
     def _noise_by_run_promises(self) -> bool:
         """Whether noises in the ratios of the scatter may explain the residuals."""
@@ -229,6 +236,10 @@ class DisturbanceSearch:
     def _evidence_of_runs(self) -> float:
         """Gain that is asked for where each trajectory's noise is from the data."""
         return MODEL_ERROR_EVIDENCE + self.problem.n_trajectories
+
+    @cached_property
+    def _pieces(self) -> "DisturbanceSearch | None":
+        return self.pieces()
 
     def pieces(self) -> "DisturbanceSearch | None":
         """The same search on a part of a long record; None for one that is short."""

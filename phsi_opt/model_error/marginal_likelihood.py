@@ -391,11 +391,13 @@ class MarginalLikelihood:
             log_prior += whitener.log_det - n * np.log(process.size)
         factors = self._layout.factors(np.concatenate(entries))
         weighted_border = squared[:, None] * self.border_in_shown
-        of_unknowns = self.shown.T @ weighted_border + self._border_in_unknowns
-        coupling = np.vstack([of_unknowns, self.border_in_dynamics])
-        in_unknowns = self.shown.T @ (squared * problem.residual)
-        gradient = np.concatenate([in_unknowns, -problem.offset])
-        right = np.column_stack([coupling, gradient])
+        n, n_border = self._border_in_unknowns.shape
+        right = np.empty((n + len(problem.offset), n_border + 1))
+        right[:n, :n_border] = self._border_in_unknowns
+        right[:n, :n_border] += self.shown.T @ weighted_border
+        right[n:, :n_border] = self.border_in_dynamics
+        right[:n, n_border] = self.shown.T @ (squared * problem.residual)
+        right[n:, n_border] = -problem.offset
         log_noise = float(np.sum(np.log(weight)))
         log_prior += self.log_room(disturbances)
         return Eliminated(

@@ -7,7 +7,7 @@ its sensors that outlast a sample. What they act on is said in `disturbances`.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dtbtrs
 
 from phsi_opt.statistics import TINY
 
@@ -93,19 +93,22 @@ class Whitener:
         Args:
             weights: (n, k), a column per sum.
         """
-        upper = np.zeros((2, len(self.diagonal)))
-        upper[0, 1:] = self.below
-        upper[1] = self.diagonal
-        factor: np.ndarray = solve_banded((0, 1), upper, weights)
-        return factor
+        return self._solved(weights, transposed=True)
 
     def coloured(self, normals: np.ndarray) -> np.ndarray:
         """Values of the process from standard normals (n, ...)."""
-        lower = np.zeros((2, len(self.diagonal)))
+        return self._solved(normals, transposed=False)
+
+    def _solved(self, right: np.ndarray, transposed: bool) -> np.ndarray:
+        """The inverse of the matrix, or of its transpose, times (n, ...)."""
+        if not right.size:  # LAPACK writes beyond what has no column
+            return np.zeros(right.shape)
+        lower = np.zeros((2, len(self.diagonal)), order="F")
         lower[0] = self.diagonal
         lower[1, :-1] = self.below
-        values: np.ndarray = solve_banded((1, 0), lower, normals)
-        return values
+        columns = right.reshape(len(self.diagonal), -1)
+        found, _ = dtbtrs(lower, columns, uplo="L", trans="T" if transposed else "N")
+        return np.asarray(found).reshape(right.shape)
 
     def covariance_times(self, values: np.ndarray) -> np.ndarray:
         """The covariance times values (n, k)."""

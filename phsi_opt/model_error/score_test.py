@@ -134,26 +134,35 @@ class _Kind:
 
     components: Sequence[_Component]
 
-    def add_covariance_times(self, left: _Shifts, shifts: _Shifts) -> None:
-        """Add its covariance times what is left, to the one column of shifts."""
-        for component in self.components:
-            felt = component.felt(left)
-            component.add(component.whitener.covariance_times(felt), shifts)
+    def add(self, values: Sequence[np.ndarray], shifts: _Shifts) -> None:
+        """Add what the values (n, k) of its components do."""
+        for component, own in zip(self.components, values, strict=True):
+            component.add(own, shifts)
 
-    def seen(self, left: _Shifts) -> float:
-        """What is left, squared, as far as the kind could bring it down."""
+    def felt(self, left: _Shifts) -> list[np.ndarray]:
+        """What it would take of each component to bring down what is left, (n, k)."""
+        return [component.felt(left) for component in self.components]
+
+    def covariance_times(self, felt: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Of what each component feels, (n, k)."""
+        moved = []
+        for component, own in zip(self.components, felt, strict=True):
+            moved.append(component.whitener.covariance_times(own))
+        return moved
+
+    def seen(self, felt: Sequence[np.ndarray]) -> float:
+        """What is felt, squared, as far as the kind could bring it down."""
         seen = 0.0
-        for component in self.components:
-            felt = component.felt(left)
-            seen += float(np.sum(component.whitener.factor_of(felt) ** 2))
+        for component, own in zip(self.components, felt, strict=True):
+            seen += float(np.sum(component.whitener.factor_of(own) ** 2))
         return seen
 
-    def signals(self, rng: np.random.Generator) -> list[np.ndarray]:
-        """Values of its components by random signs, (n, N_SIGNS) each."""
+    def signals(self, rng: np.random.Generator, scale: float) -> list[np.ndarray]:
+        """Values of its components by random signs over the scale, (n, N_SIGNS)."""
         signals = []
         for component in self.components:
             signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
-            signals.append(component.whitener.coloured(signs))
+            signals.append(component.whitener.coloured(signs) / np.sqrt(scale))
         return signals
 
 
@@ -197,83 +206,54 @@ class WhiteRecord:
         weights = self._parts.weights[:, None]
         weighted = weights * shifts.values
         inner = np.vstack([likelihood.shown.T @ weighted, shifts.dynamics])
-        alone = self._parts.factors.solve(inner)
-        in_theta = self._in_shown.T @ weighted - self._right.T @ alone
+        answer = self._parts.factors.solve(inner)
+        in_theta = self._in_shown.T @ weighted - self._right.T @ answer
         theta = np.linalg.solve(self._information, in_theta)
-        answer = alone - self._solved @ theta
+        answer -= self._solved @ theta
         shown = likelihood.shown @ answer[:n] + self._in_shown @ theta
         return _Shifts(weights * (shifts.values - shown), answer[n:])
 
-    def promised_gain(
-        self,
-        forces: Sequence[Process],
-        sensors: Sequence[Process],
-        channels: Sequence[int],
-        is_tied: bool = False,
-    ) -> PromisedGain:
-        """Gains of the log evidence by forces, and by sensors' processes.
+    def promised_gains(
+        self, trials: Sequence["Trial"], channels: Sequence[int]
+    ) -> "list[PromisedGain]":
+        """Gains of the log evidence by the processes of each trial.
+
+        What few columns need is solved for together; the random signals of each trial
+        by themselves, so that memory does not grow with the trials.
 
         Args:
-            forces: that could act, each at its time; their sizes do not matter, but for
-                their ratios where sizes are tied.
-            sensors: processes that could add to what is shown, likewise.
+            trials: processes that could act.
             channels: states whose noise is estimated, and would follow.
-            is_tied: whether sizes of one kind share a factor, as in a search.
         """
-        of_forces = [_Component.of_force(self.problem, force) for force in forces]
-        of_sensors = [_Component.of_sensor(self.problem, own) for own in sensors]
-        force_kinds = _kinds(of_forces, is_tied)
-        kinds = force_kinds + _kinds(of_sensors, is_tied)
-        if not kinds:
-            return PromisedGain()
-        information = self._information_about(kinds, _groups(channels, is_tied))
-        size = np.sqrt(np.maximum(np.diag(information), TINY))
-        excess = self._excess(kinds, size)
-        with np.errstate(over="ignore"):  # a component that leaves no trace
-            correlation = information / np.outer(size, size)
-        information = np.clip(correlation, -1.0, 1.0)
-        first = slice(0, len(force_kinds))
-        others = slice(len(force_kinds), len(kinds))
-        return PromisedGain(
-            _gain(excess[first], information[first, first]),
-            _gain(excess[others], information[others, others]),
-        )
+        together = [_Asked.of(self.problem, trial, self.left) for trial in trials]
+        worth_asking = [asked for asked in together if asked.kinds]
+        if worth_asking:
+            are_tied = any(trial.is_tied for trial in trials)
+            self._set_information(worth_asking, _groups(channels, are_tied))
+            self._set_excess(worth_asking)
+        return [asked.gain for asked in together]
 
-    def _information_about(
-        self, kinds: Sequence[_Kind], groups: Sequence[Sequence[int]]
-    ) -> np.ndarray:
-        """Average information about variances, while noises follow them, (n, n)."""
-        moved = []
-        for kind in kinds:
-            shifts = _Shifts.none(self.problem, 1)
-            kind.add_covariance_times(self.left, shifts)
-            moved.append(shifts)
-        asked = _Shifts.joined([self._noise_shifts(groups), *moved])
-        products = _products(asked, self._left(asked)) / 2
+    def _set_information(
+        self, together: Sequence["_Asked"], groups: Sequence[Sequence[int]]
+    ) -> None:
+        """Average information about variances, while noises follow them."""
+        noise = self._noise_shifts(groups)
+        moved = [shift for asked in together for shift in asked.moved()]
+        shifts = _Shifts.joined([noise, *moved])
+        products = _products(shifts, self._left(shifts)) / 2
         n = len(groups)
-        mixed = products[n:, :n]
         of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
-        information: np.ndarray = products[n:, n:] - mixed @ of_noise @ mixed.T
-        return information
+        first = n
+        for asked in together:
+            own = slice(first, first + len(asked.kinds))
+            mixed = products[own, :n]
+            asked.information = products[own, own] - mixed @ of_noise @ mixed.T
+            first = own.stop
 
-    def _excess(self, kinds: Sequence[_Kind], size: np.ndarray) -> np.ndarray:
-        """Slopes of the log evidence in the variances times their ``size``, (n,)."""
-        rng = np.random.default_rng(SIGN_SEED)
-        together = _Shifts.none(self.problem, N_SIGNS)
-        signals = []
-        for kind, scale in zip(kinds, size, strict=True):
-            own = [signal / np.sqrt(scale) for signal in kind.signals(rng)]
-            for component, signal in zip(kind.components, own, strict=True):
-                component.add(signal, together)
-            signals.append(own)
-        left = self._left(together)
-        slopes = []
-        for kind, own, scale in zip(kinds, signals, size, strict=True):
-            by_chance = 0.0
-            for component, signal in zip(kind.components, own, strict=True):
-                by_chance += np.sum(signal * component.felt(left)) / N_SIGNS
-            slopes.append((kind.seen(self.left) / scale - by_chance) / 2)
-        return np.maximum(slopes, MOST_UNWANTED)
+    def _set_excess(self, together: Sequence["_Asked"]) -> None:
+        """Slopes of the log evidence in the variances times their sizes."""
+        for asked in together:
+            asked.set_excess(self._left(asked.signalled()))
 
     def _noise_shifts(self, groups: Sequence[Sequence[int]]) -> _Shifts:
         """How the data would move with the logarithm of each group's noise."""
@@ -283,6 +263,110 @@ class WhiteRecord:
             is_in = np.isin(self.problem.channel, channels)
             shifts.values[is_in, number] = 2 * residual[is_in, 0]
         return shifts
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Processes that could act together, each at its time.
+
+    Attributes:
+        forces: that could act.
+        sensors: processes that could add to what is shown.
+        is_tied: whether those of one kind share a factor, as in a search; otherwise
+            sizes do not matter.
+    """
+
+    forces: Sequence[Process]
+    sensors: Sequence[Process]
+    is_tied: bool = False
+
+
+class _Asked:
+    """The processes of a trial, and what the record says of them.
+
+    Args:
+        problem: the linearised record.
+        kinds: those of forces first.
+        left: what states and parameters leave of the data.
+        n_forces: number of kinds of forces.
+
+    Attributes:
+        information: (n, n) about the variances.
+        excess: (n,) slopes of the log evidence in the variances times their sizes.
+    """
+
+    def __init__(
+        self,
+        problem: Linearization,
+        kinds: Sequence[_Kind],
+        left: _Shifts,
+        n_forces: int,
+    ) -> None:
+        self._problem = problem
+        self.kinds = kinds
+        self.felt = [kind.felt(left) for kind in kinds]
+        self.n_forces = n_forces
+        self.information = np.zeros((0, 0))
+        self.excess = np.zeros(0)
+        self._signals: list[list[np.ndarray]] = []
+
+    @classmethod
+    def of(cls, problem: Linearization, trial: Trial, left: _Shifts) -> "_Asked":
+        """About a trial."""
+        forces = [_Component.of_force(problem, force) for force in trial.forces]
+        sensors = [_Component.of_sensor(problem, sensor) for sensor in trial.sensors]
+        of_forces = _kinds(forces, trial.is_tied)
+        kinds = of_forces + _kinds(sensors, trial.is_tied)
+        return cls(problem, kinds, left, len(of_forces))
+
+    @property
+    def size(self) -> np.ndarray:
+        """Root of the information about each variance, (n,)."""
+        return np.sqrt(np.maximum(np.diag(self.information), TINY))
+
+    def moved(self) -> list[_Shifts]:
+        """What each kind does to the data where it follows what it feels."""
+        moved = []
+        for kind, own in zip(self.kinds, self.felt, strict=True):
+            shifts = _Shifts.none(self._problem, 1)
+            kind.add(kind.covariance_times(own), shifts)
+            moved.append(shifts)
+        return moved
+
+    def signalled(self) -> _Shifts:
+        """What random signals of all kinds do together, a column per sign."""
+        rng = np.random.default_rng(SIGN_SEED)
+        self._signals = []
+        together = _Shifts.none(self._problem, N_SIGNS)
+        for kind, scale in zip(self.kinds, self.size, strict=True):
+            signals = kind.signals(rng, scale)
+            self._signals.append(signals)
+            kind.add(signals, together)
+        return together
+
+    def set_excess(self, left: _Shifts) -> None:
+        """From what is left of the signals."""
+        slopes = []
+        for kind, signals, own, scale in zip(
+            self.kinds, self._signals, self.felt, self.size, strict=True
+        ):
+            by_chance = _product(signals, kind.felt(left)) / N_SIGNS
+            slopes.append((kind.seen(own) / scale - by_chance) / 2)
+        self.excess = np.maximum(slopes, MOST_UNWANTED)
+
+    @property
+    def gain(self) -> PromisedGain:
+        """What the first step of a search promises."""
+        size = self.size
+        with np.errstate(over="ignore"):  # a component that leaves no trace
+            correlation = self.information / np.outer(size, size)
+        information = np.clip(correlation, -1.0, 1.0)
+        of_forces = slice(0, self.n_forces)
+        of_sensors = slice(self.n_forces, len(size))
+        return PromisedGain(
+            _gain(self.excess[of_forces], information[of_forces, of_forces]),
+            _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
+        )
 
 
 def _groups(channels: Sequence[int], is_tied: bool) -> list[Sequence[int]]:
@@ -299,6 +383,14 @@ def _kinds(components: Sequence[_Component], is_tied: bool) -> list[_Kind]:
     return [_Kind([component]) for component in components]
 
 
+def _product(some: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> float:
+    """Sum of the products of their values."""
+    products = 0.0
+    for one, other in zip(some, others, strict=True):
+        products += float(np.sum(one * other))
+    return products
+
+
 def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:
     """Products of shifts with what is left of shifts, (k, k)."""
     products = shifts.values.T @ left.values - shifts.dynamics.T @ left.dynamics
@@ -312,9 +404,12 @@ def _gain(slopes: np.ndarray, information: np.ndarray) -> float:
         slopes: (n,) at zero.
         information: (n, n), of diagonal one.
     """
-    if not len(slopes):
+    if not np.any(slopes > 0):
         return 0.0
     ridge = ALMOST_NONE * np.eye(len(slopes))
+    free = np.linalg.solve(information + ridge, slopes)
+    if np.all(free >= 0):
+        return float(slopes @ free - free @ information @ free / 2)
     lower = np.linalg.cholesky(information + ridge)
     right = np.linalg.solve(lower, slopes)
     none = np.zeros(len(slopes))

@@ -119,12 +119,13 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
     gain = 0.0
     found = white
     try:
-        best = plain.search.found()
-        if best.coordinates is not None:
-            spread = under_disturbances(plain.search, plain.response, best)
-            spreads[Source.DISTURBANCES] = spread
-            found = best.disturbances
-        gain = plain.search.gain(best)
+        if plain.search.is_promising:
+            best = plain.search.found()
+            if best.coordinates is not None:
+                spread = under_disturbances(plain.search, plain.response, best)
+                spreads[Source.DISTURBANCES] = spread
+                found = best.disturbances
+            gain = plain.search.gain(best)
     except (SolveError, np.linalg.LinAlgError):
         gain = 0.0  # such as a model whose parameters cannot be told apart
     clusters = _clusters(plain)

@@ -26,7 +26,7 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class TimeLayout:
-    """A pattern of states and multipliers, to be filled again and again.
+    """A symmetric pattern of states and multipliers, filled again and again.
 
     Attributes:
         rows: (n_entries,) row of every entry; entries at one place are added.
@@ -42,7 +42,7 @@ class TimeLayout:
 
     @cached_property
     def _banded(self) -> BandLayout:
-        return BandLayout(self.rows, self.columns, self.order)
+        return BandLayout(self.rows, self.columns, self.order, is_symmetric=True)
 
     @cached_property
     def _chained(self) -> ChainLayout | None:

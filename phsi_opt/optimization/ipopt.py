@@ -11,6 +11,7 @@ its linear systems.
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -19,6 +20,7 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
 from phsi_opt.optimization.endings import Ending, ending_of_ipopt
+from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
 from phsi_opt.optimization.nearby_optimum import nearby_optimum
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
@@ -58,6 +60,11 @@ class KKT:
 
     hessian: Any
     jacobian: Any
+
+    def of_first(self, n: int) -> Any:
+        """Jacobian of the first n constraints."""
+        is_all = n == self.jacobian.shape[0]
+        return self.jacobian if is_all else self.jacobian[:n]
 
 
 @dataclass(frozen=True)
@@ -233,14 +240,31 @@ class Solver:
         program = self.program
         no_multipliers = np.zeros(program.g.numel())
         with solving():
-            upper = program.hessian(z, set_to, 1.0, no_multipliers).sparse()
+            (entries,) = self._hessian(z, set_to, 1.0, no_multipliers)
+        upper = self._of_hessian.matrix(entries)
         full = upper + upper.T
         full.setdiag(upper.diagonal())
         hessian = full.tocsc()
         if not program.g.numel():
             return KKT(hessian, np.zeros((0, len(z))))
-        jacobian = program.jacobian(z, set_to)[1]
-        return KKT(hessian, jacobian.sparse().tocsc())
+        _, slopes = self._jacobian(z, set_to)
+        return KKT(hessian, self._of_jacobian.matrix(slopes))
+
+    @cached_property
+    def _hessian(self) -> Evaluated:
+        return Evaluated(self.program.hessian)
+
+    @cached_property
+    def _jacobian(self) -> Evaluated:
+        return Evaluated(self.program.jacobian)
+
+    @cached_property
+    def _of_hessian(self) -> SparsePattern:
+        return SparsePattern(self.program.hessian.sparsity_out(0))
+
+    @cached_property
+    def _of_jacobian(self) -> SparsePattern:
+        return SparsePattern(self.program.jacobian.sparsity_out(1))
 
     def _outcome(
         self, stats: Mapping[str, Any], result: Mapping[str, ca.DM], seconds: float
@@ -396,6 +420,21 @@ def at_bounds(program: Program, z: np.ndarray) -> tuple[str, ...]:
     if "theta" not in program.variables:
         return ()
     block = program.variables["theta"]
-    distance = np.minimum(z - program.lower, program.upper - z)[block.slice]
-    close = np.flatnonzero(distance < AT_BOUND)
-    return tuple(block.label(int(i)) for i in close)
+    names = [block.label(i) for i in range(block.stop - block.start)]
+    own = block.slice
+    return names_at_bounds(names, z[own], (program.lower[own], program.upper[own]))
+
+
+def names_at_bounds(
+    names: Sequence[str], z: np.ndarray, bounds: tuple[np.ndarray, np.ndarray]
+) -> tuple[str, ...]:
+    """The names of the first scaled variables z that are at a bound.
+
+    Args:
+        names: (n_names,).
+        z: (n,), as many or more.
+        bounds: lower and upper ones, (n,) each.
+    """
+    lower, upper = bounds
+    distance = np.minimum(z - lower, upper - z)[: len(names)]
+    return tuple(names[i] for i in np.flatnonzero(distance < AT_BOUND).tolist())

@@ -137,6 +137,8 @@ class DataView:
             if not data.with_role(TIME):
                 label = "time between lines"
                 self._field(data, "step", label, "14em", "no column has the times")
+            label = "samples that become their mean"
+            self._field(data, "averaged", label, "17em", "each sample by itself")
         with card():
             heading("Held out")
             ui.label("Kept from fitting, to judge by.").classes("faint")

@@ -27,7 +27,7 @@ from phsi_opt.study_file.toml_text import toml_value
 # Keys of a study file that the page neither shows nor changes.
 KEPT = ("effects", "loss")
 # Keys of [data] that it shows.
-SHOWN = ("files", "trajectory", "hold", "time", "states", "inputs")
+SHOWN = ("files", "trajectory", "hold", "thinned", "time", "states", "inputs")
 
 
 def draft_of(content: Mapping[str, Any], data: DataDraft) -> StudyDraft:
@@ -52,6 +52,7 @@ def _take_data(content: Mapping[str, Any], data: DataDraft) -> None:
     for column in data.columns:
         column.role = NOT_USED
     data.hold = content.get("hold", data.hold)
+    data.averaged = _written(content.get("thinned"))
     further = dict(content)
     for name in SHOWN:
         further.pop(name, None)

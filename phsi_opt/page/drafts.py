@@ -76,6 +76,7 @@ class DataDraft:
         hold: what inputs do between samples.
         unmeasured: units of states that nobody measured.
         step: the time between lines, where no column has the times.
+        averaged: how many neighbouring samples become their mean; "" for none.
         further: keys of [data] that the page does not show.
         further_of_time: keys of its time that the page does not show.
     """
@@ -89,6 +90,7 @@ class DataDraft:
     hold: str = "linear"
     unmeasured: dict[str, str] = field(default_factory=dict)
     step: str = ""
+    averaged: str = ""
     further: dict[str, Any] = field(default_factory=dict)
     further_of_time: dict[str, Any] = field(default_factory=dict)
 

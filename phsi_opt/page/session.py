@@ -319,6 +319,15 @@ class Session:
         write_whole(path, self.draft.text(absolute=True))
         self._order("Fitting the base model", Order(FIT, (str(path),)), "Fitted")
 
+    def average(self, n: int) -> None:
+        """Let the mean of so many samples stand for them, and fit that."""
+        data = self.draft.data
+        if data is None:
+            return
+        data.averaged = str(n * int(data.averaged or 1))
+        self.shape += 1
+        self.fit()
+
     def diagnose(self) -> None:
         """Ask what the present model lacks."""
         self._order("Looking for what is missing", Order(DIAGNOSE))

@@ -186,11 +186,14 @@ class Diagnosed:
         equation: the one whose missing force is the surest; "" where none is.
         run: that of the training data in which this force is strongest; "" likewise.
         window: of this run, from when to when it is strongest; None: at no time.
+        missing: what is missing, in a sentence or two.
         wrong: what is wrong.
         where: the place where the missing force is strongest.
         since: the time from which it is sure, in words.
-        to_do: what to add, or to do where nothing is named.
+        to_do: what to do where nothing is named.
         proposed: effects to add next.
+        nearest: effects that come nearest where none is named; () for none.
+        averaged: how many samples to average, where a force shakes; 0 where none does.
         candidates: best first.
     """
 
@@ -204,11 +207,14 @@ class Diagnosed:
     equation: str
     run: str
     window: tuple[float, float] | None
+    missing: str
     wrong: Answer
     where: Answer
-    since: str
+    since: Answer
     to_do: Answer
     proposed: tuple[str, ...]
+    nearest: tuple[str, ...]
+    averaged: int
     candidates: tuple[CandidateRow, ...]
 
 

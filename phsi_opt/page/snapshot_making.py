@@ -11,7 +11,7 @@ from phsi_opt.estimation.fit_report import equation_lines
 from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import THROUGHOUT
+from phsi_opt.force_analysis.localization import window_of
 from phsi_opt.force_analysis.units import scale_of_rate
 from phsi_opt.page.snapshot import (
     HELD_OUT,
@@ -25,11 +25,12 @@ from phsi_opt.page.snapshot import (
     RunCurves,
     Snapshot,
 )
-from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.presentation.numbers import short_constants
+from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study import Study
 from phsi_opt.study.answers import (
-    to_do_answer,
+    nearest_effects,
+    samples_to_average,
     where_answer,
     wrong_answer,
 )
@@ -38,8 +39,9 @@ from phsi_opt.study.certainty import (
     disturbance_word,
     undetermined_words,
 )
-from phsi_opt.study.report_content import scale_of_errors
+from phsi_opt.study.headline import verdict_sentence
 from phsi_opt.study.since_when import since_when
+from phsi_opt.study.step import Step
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -53,7 +55,6 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
     runs = _runs(step.train, TRAINING)
     if step.held_out is not None:
         runs += _runs(step.held_out, HELD_OUT)
-    is_held_out = step.held_out is not None
     forces = _forces(step.train.record, TRAINING)
     if step.held_out is not None:
         forces += _forces(step.held_out.record, HELD_OUT)
@@ -68,7 +69,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         caution=undetermined_words(study.fit.parameters),
         runs=tuple(runs),
         forces=tuple(forces),
-        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, is_held_out),
+        diagnosed=None if diagnosis is None else _diagnosed(diagnosis, step),
         stopped=study.stopped,
     )
 
@@ -109,7 +110,8 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
     return runs
 
 
-def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
+def _diagnosed(diagnosis: Diagnosis, step: Step) -> Diagnosed:
+    is_held_out = step.held_out is not None
     proposed = tuple(str(effect) for effect in diagnosis.proposed)
     return Diagnosed(
         verdict=str(diagnosis.verdict),
@@ -120,11 +122,14 @@ def _diagnosed(diagnosis: Diagnosis, is_held_out: bool) -> Diagnosed:
         beside=disturbance_word(diagnosis),
         sentences=tuple(diagnosis.sentences),
         **_strongest(diagnosis),
+        missing=verdict_sentence(diagnosis, is_held_out),
         wrong=wrong_answer(diagnosis, is_held_out),
         where=where_answer(diagnosis),
-        since=since_when(diagnosis),
-        to_do=to_do_answer(diagnosis, is_held_out),
+        since=since_when(diagnosis, step.train),
+        to_do=diagnosis.next_step,
         proposed=proposed,
+        nearest=tuple(str(effect) for effect in nearest_effects(diagnosis)),
+        averaged=samples_to_average(diagnosis),
         candidates=tuple(_candidates(diagnosis, proposed)),
     )
 
@@ -139,14 +144,6 @@ def _strongest(diagnosis: Diagnosis) -> dict[str, Any]:
         "run": str(force.where["trajectory"]),
         "window": window_of(str(force.where["time_window"])),
     }
-
-
-def window_of(times: str) -> tuple[float, float] | None:
-    """Begin and end of a window in words; None where it is the whole record."""
-    found = RANGE_OF_TIMES.search(times)
-    if found is None or THROUGHOUT in times:
-        return None
-    return float(found[1]), float(found[2])
 
 
 def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[CandidateRow]:

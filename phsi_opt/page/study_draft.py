@@ -84,6 +84,8 @@ def _data(draft: DataDraft, model: ModelDraft, absolute: bool) -> Content:
     inputs = _channels(draft, INPUT)
     if inputs:
         content["hold"] = draft.hold
+    if draft.averaged:
+        content["thinned"] = _whole(draft.averaged)
     content["time"] = _time(draft)
     states = _channels(draft, STATE)
     for name in model.state_names:
@@ -122,6 +124,14 @@ def _number(text: str) -> Any:
     """The number; the text itself where it is none, so that reading refuses it."""
     try:
         return float(text.strip())
+    except ValueError:
+        return text
+
+
+def _whole(text: str) -> Any:
+    """The whole number; the text itself where it is none, as reading refuses that."""
+    try:
+        return int(text.strip())
     except ValueError:
         return text
 

@@ -26,6 +26,7 @@ from phsi_opt.presentation.numbers import (
     typeset,
     with_error,
 )
+from phsi_opt.presentation.report_content import Answer
 
 N_SHOWN = 5  # candidates that are shown at once
 # A button that may not be pressed loses the focus; it goes to what comes of the work.
@@ -127,6 +128,9 @@ class StudyView:
                 self._not_asked(snapshot)
                 return
             self._badge(snapshot)
+            ui.label(said(facts.sentence)).classes("sentence")
+            if snapshot.diagnosed is not None:
+                ui.label(snapshot.diagnosed.certainty)
             with ui.element("div").classes("facts w-full"):
                 with ui.element("div"):
                     heading("What is wrong", 3).classes("faint")
@@ -140,14 +144,14 @@ class StudyView:
                     self._detail(facts.where.detail)
                 with ui.element("div"):
                     heading("Since when", 3).classes("faint")
-                    self._lead(facts.since)
+                    self._lead(facts.since.lead)
+                    self._detail(facts.since.detail)
                 with ui.element("div"):
                     is_told = bool(facts.to_do.lead)
                     question = "What to do next" if is_told else "What to add"
                     heading(question, 3).classes("faint")
                     if is_told:
-                        self._lead(facts.to_do.lead)
-                        self._detail(facts.to_do.detail)
+                        self._to_do(snapshot, facts.to_do)
                     if facts.add or not is_told:
                         self._what_to_add(snapshot, facts.add, facts.preview)
             if snapshot.caution:
@@ -157,7 +161,7 @@ class StudyView:
 
     @staticmethod
     def _badge(snapshot: Snapshot) -> None:
-        """The verdict in its own words, and how sure it is."""
+        """The verdict in its own words."""
         diagnosed = snapshot.diagnosed
         if diagnosed is None:
             return
@@ -165,8 +169,7 @@ class StudyView:
         with ui.row().classes("w-full items-center gap-2"):
             ui.label(diagnosed.verdict).classes(f"badge {color}")
             if diagnosed.beside:
-                ui.label(diagnosed.beside).classes("badge")
-            ui.label(diagnosed.certainty)
+                ui.label(diagnosed.beside).classes("badge look")
 
     @staticmethod
     def _lead(text: str, color: str = "") -> None:
@@ -188,6 +191,15 @@ class StudyView:
         )
         self._begins("Look for what is missing", self._session.diagnose, False)
 
+    def _to_do(self, snapshot: Snapshot, to_do: Answer) -> None:
+        """What to do where nothing is named, with a button where the page can."""
+        self._lead(to_do.lead)
+        averaged = 0 if snapshot.diagnosed is None else snapshot.diagnosed.averaged
+        if averaged and not self._session.is_stale:
+            label = f"Average every {averaged} samples and fit again"
+            self._begins(label, lambda: self._session.average(averaged), quiet=False)
+        self._detail(to_do.detail)
+
     def _what_to_add(self, snapshot: Snapshot, add: str, preview: str) -> None:
         if not add or snapshot.diagnosed is None:
             ui.label("Nothing more." if snapshot.added else "Nothing.")
@@ -195,15 +207,19 @@ class StudyView:
                 ui.label(proper_names(f"Added: {' and '.join(snapshot.added)}."))
             ui.label(preview).classes("faint")
             return
-        proposed = snapshot.diagnosed.proposed
+        wanted = snapshot.diagnosed.proposed or snapshot.diagnosed.nearest
         size = proposed_size(snapshot)
-        nearest = "" if snapshot.diagnosed.is_named else "Nearest, not established: "
-        told = capitalised(f"{nearest}{add}{size}")
-        ui.label(said(told)).style("font-weight: 600")
-        ui.label(preview)
+        is_named = snapshot.diagnosed.is_named
+        if is_named:
+            ui.label(said(capitalised(f"{add}{size}"))).style("font-weight: 600")
+            ui.label(said(preview))
+        else:
+            told = f"Nearest, but not proven: {add}{size}. {preview}."
+            ui.label(said(told)).classes("faint")
         if not self._session.is_stale:
-            begin = "Add" if snapshot.diagnosed.is_named else "Add anyway:"
-            self._add_button(proper_names(f"{begin} {add}"), proposed)
+            begin = "Add" if is_named else "Try"
+            label = proper_names(f"{begin} {add}")
+            self._add_button(label, wanted, quiet=not is_named)
 
     def _add_button(
         self, label: str, effects: tuple[str, ...], quiet: bool = False

@@ -9,12 +9,12 @@ ON_PRIMARY = "#ffffff"
 CSS = """
 :root {
   --ink: #16191d; --faint: #4d5661; --ground: #f4f6f8; --card: #ffffff;
-  --line: #c9d0d8; --good: #1d6b3d; --bad: #9f2f14; --strong: #1f5fa8;
+  --line: #c9d0d8; --good: #1d6b3d; --bad: #9f2f14; --look: #7a4d00; --strong: #1f5fa8;
   --good-ground: #e6f4ea; --bad-ground: #fdebe5;
 }
 body.body--dark {
   --ink: #eef1f4; --faint: #b4bdc7; --ground: #101317; --card: #1a1e24;
-  --line: #3a424c; --good: #86d3a3; --bad: #ffab8f; --strong: #8fc1f7;
+  --line: #3a424c; --good: #86d3a3; --bad: #ffab8f; --look: #f2bd4d; --strong: #8fc1f7;
   --good-ground: #14301f; --bad-ground: #3a1c12;
 }
 body { background: var(--ground) !important; color: var(--ink); }
@@ -48,8 +48,9 @@ p { margin: 0; line-height: 1.45; overflow-wrap: anywhere; }
   border: 2px solid currentColor; border-radius: 8px; padding: 1px 10px;
   font-weight: 600; font-size: 17px;
 }
+.sentence { font-size: 18px; line-height: 1.35; font-weight: 600; }
 .faint { color: var(--faint); }
-.good { color: var(--good); } .bad { color: var(--bad); }
+.look { color: var(--look); } .good { color: var(--good); } .bad { color: var(--bad); }
 .alert {
   background: var(--bad-ground); color: var(--bad); border: 1px solid currentColor;
   border-radius: 8px; padding: 10px 12px; width: 100%; overflow-wrap: anywhere;

@@ -10,20 +10,22 @@ from phsi_opt.presentation.report_content import Answer
 
 @dataclass(frozen=True)
 class Facts:
-    """The four answers.
+    """The verdict in a sentence, and the four answers.
 
     Attributes:
+        sentence: what is missing.
         what: what is wrong, with how much.
         where: where it is.
         since: since when.
-        add: what to add; "" for nothing.
+        add: what to add, or what comes nearest; "" for nothing.
         preview: the error that it would leave, in words.
         to_do: what to do where nothing is named; "" where something is.
     """
 
+    sentence: str
     what: Answer
     where: Answer
-    since: str
+    since: Answer
     add: str
     preview: str
     to_do: Answer
@@ -37,20 +39,22 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
     if not diagnosed.is_missing:
         reason = said(diagnosed.reason)
         return Facts(
-            Answer("Nothing is missing.", _left_words(snapshot)),
+            "Nothing is missing.",
+            Answer("Nothing that these data show.", _left_words(snapshot)),
             Answer("No place stands out: what is left looks like noise."),
-            "No time stands out.",
+            Answer("No time stands out."),
             "",
             f"{capitalised(reason)}.",
             Answer(""),
         )
-    row = _proposed(diagnosed)
+    row = row_to_add(diagnosed)
     preview = "" if row is None else preview_words(snapshot, row)
     return Facts(
+        diagnosed.missing,
         diagnosed.wrong,
         diagnosed.where,
         diagnosed.since,
-        " and ".join(diagnosed.proposed),
+        " and ".join(diagnosed.proposed or diagnosed.nearest),
         preview,
         Answer("") if diagnosed.is_named else diagnosed.to_do,
     )
@@ -98,8 +102,8 @@ def _left_words(snapshot: Snapshot) -> str:
 
 
 def proposed_size(snapshot: Snapshot) -> str:
-    """The size of what is proposed, behind a comma; "" where it is not known."""
-    row = None if snapshot.diagnosed is None else _proposed(snapshot.diagnosed)
+    """The size of what is to be added, behind a comma; "" where it is not known."""
+    row = None if snapshot.diagnosed is None else row_to_add(snapshot.diagnosed)
     return f", {row.size}" if row is not None and row.size else ""
 
 
@@ -122,8 +126,10 @@ def share_left(snapshot: Snapshot, row: CandidateRow) -> tuple[float, float]:
     return min(after / before, 1.0), min(now.floor / before, 1.0)
 
 
-def _proposed(diagnosed: Diagnosed) -> CandidateRow | None:
+def row_to_add(diagnosed: Diagnosed) -> CandidateRow | None:
+    """The candidate that is proposed, or comes nearest."""
+    wanted = diagnosed.proposed or diagnosed.nearest
     for row in diagnosed.candidates:
-        if row.is_proposed:
+        if row.effects == wanted:
             return row
     return None

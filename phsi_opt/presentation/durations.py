@@ -4,7 +4,7 @@ import datetime as dt
 import re
 from dataclasses import dataclass
 
-SECONDS_UNIT = "s"
+SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}  # of the units that are told anew
 # A range of times in words, such as "7.93e+05 to 1.06e+06".
 RANGE_OF_TIMES = re.compile(r"(-?[\d.]+(?:e[+-]?\d+)?) to (-?[\d.]+(?:e[+-]?\d+)?)")
 
@@ -30,11 +30,14 @@ LEAST_SECONDS = (
 
 
 def scale_of_time(longest: float, unit: str) -> TimeScale:
-    """The unit in which times up to the longest are told; seconds alone are changed."""
-    if unit == SECONDS_UNIT:
-        for least, scale in LEAST_SECONDS:
-            if abs(longest) >= least:
-                return scale
+    """The unit in which times up to the longest are told: days for 200 h.
+
+    None smaller than the user's; other units than s, min and h stay.
+    """
+    size = SECONDS.get(unit, 0.0)
+    for least, scale in LEAST_SECONDS:
+        if size and abs(longest) * size >= least and scale.size > size:
+            return TimeScale(scale.unit, scale.size / size)
     return TimeScale(unit, 1.0)
 
 
@@ -44,13 +47,20 @@ def time_words(t: float, unit: str, digits: int = 3) -> str:
     return f"{t / scale.size:.{digits}g} {scale.unit}".rstrip()
 
 
-def times_words(times: str, unit: str, digits: int = 3) -> str:
-    """A range of times in words, "4 to 5", with its unit."""
+def times_words(times: str, unit: str, longest: float = 0.0, digits: int = 3) -> str:
+    """A range of times in words, "4 to 5", with its unit.
+
+    Args:
+        times: in the user's unit.
+        unit: the user's.
+        longest: time that is told in the same unit, such as the end of the record.
+        digits: of each time.
+    """
     found = RANGE_OF_TIMES.search(times)
     if found is None:
         return f"{times} {unit}".rstrip()
     ends = [float(found[1]), float(found[2])]
-    scale = scale_of_time(max(map(abs, ends)), unit)
+    scale = scale_of_time(max(*map(abs, ends), longest), unit)
     if scale.size == 1.0:
         return f"{times} {unit}".rstrip()
     begin, end = (f"{end / scale.size:.{digits}g}" for end in ends)

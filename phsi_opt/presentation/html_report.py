@@ -21,6 +21,7 @@ from phsi_opt.presentation.report_content import Force, Report
 from phsi_opt.presentation.report_pictures import (
     follows_picture,
     force_picture,
+    glance_picture,
     map_picture,
     runs_picture,
     staircase_picture,
@@ -66,6 +67,7 @@ def html_report(report: Report) -> str:
     return template.render(
         report=report,
         staircase_picture=as_address(staircase_picture(report.staircase)),
+        glance_picture=_glance_picture(report),
         runs_picture=as_address(runs_picture(report.runs)),
         law_pictures=[
             as_address(follows_picture(law.follows, law.label)) for law in report.laws
@@ -76,6 +78,13 @@ def html_report(report: Report) -> str:
         data=script_json(_chart_data(report)),
         library=Markup(_packed_library()),
     )
+
+
+def _glance_picture(report: Report) -> str:
+    """The picture beside the verdict; "" for none."""
+    if report.glance is None:
+        return ""
+    return as_address(glance_picture(report.glance, report.runs))
 
 
 def _pictures_of(force: Force) -> ForcePictures:
@@ -113,6 +122,7 @@ def _chart_data(report: Report) -> dict[str, Any]:
         forces.append([asdict(force) for force in failure.forces])
     return {
         "staircase": asdict(report.staircase),
+        "glance": None if report.glance is None else asdict(report.glance),
         "runs": asdict(report.runs),
         "laws": [asdict(law) for law in report.laws],
         "forces": forces,

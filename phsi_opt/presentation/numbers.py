@@ -86,9 +86,13 @@ def typeset(text: str) -> str:
 
 
 def said(text: str) -> str:
-    """A sentence as a report has it: minus signs, powers of ten, Coulomb's name."""
+    """A sentence as a report has it: minus signs, powers of ten, Coulomb's name.
+
+    A percent sign stays with its number where a line breaks.
+    """
     signed = MINUS.sub("\N{MINUS SIGN}", proper_names(typeset(text)))
-    return POWER_OF_TEN.sub(_power_of_ten, signed)
+    kept = signed.replace(" %", "\N{NO-BREAK SPACE}%")
+    return POWER_OF_TEN.sub(_power_of_ten, kept)
 
 
 def _power_of_ten(found: re.Match[str]) -> str:
@@ -99,6 +103,11 @@ def _power_of_ten(found: re.Match[str]) -> str:
 def proper_names(text: str) -> str:
     """A text in which people have capital letters: Coulomb friction."""
     return PEOPLE.sub(lambda found: found[0].title(), text)
+
+
+def lowered(text: str) -> str:
+    """The text with a small first letter; the others stay as they are."""
+    return f"{text[:1].lower()}{text[1:]}"
 
 
 def capitalised(text: str) -> str:

@@ -234,6 +234,26 @@ class Force:
 
 
 @dataclass(frozen=True)
+class Glance:
+    """Where it shows: one channel of one run, and the force that is missing there.
+
+    Attributes:
+        run: number of the trajectory in `Runs.runs`; ``channel``: of its channel.
+        sentence: what to see.
+        force: the force along that trajectory; None where it was not estimated there.
+        window: from when to when the force is strongest; None: at no time.
+        label: of the force's axis.
+    """
+
+    run: int
+    channel: int
+    sentence: str
+    force: ForceRun | None = None
+    window: tuple[float, float] | None = None
+    label: str = ""
+
+
+@dataclass(frozen=True)
 class Law:
     """The force that is missing without an effect; ``label`` is that of the force."""
 
@@ -303,6 +323,7 @@ class Report:
     title: str
     headline: Headline
     staircase: Staircase
+    glance: Glance | None
     equations: tuple[Equations, ...]
     runs: Runs
     laws: tuple[Law, ...]

@@ -28,6 +28,8 @@ from phsi_opt.presentation.report_content import (
     Follows,
     Force,
     ForceMap,
+    ForceRun,
+    Glance,
     Numbers,
     Runs,
     Staircase,
@@ -97,6 +99,34 @@ def runs_picture(content: Runs) -> str:
     return svg(draw, 0.4 + 3.2 * n_channels)
 
 
+def glance_picture(content: Glance, runs: Runs) -> str:
+    """One channel measured and simulated, the missing force below, as SVG."""
+    run = runs.runs[content.run]
+    channel = run.channels[content.channel]
+    info = runs.channels[content.channel]
+
+    def draw(figure: Figure) -> None:
+        n_panels = 1 if content.force is None else 2
+        panels = figure.subplots(n_panels, 1, sharex=True, squeeze=False)[:, 0]
+        t = values(channel.t)
+        measured = values(channel.measured)
+        panels[0].plot(t, measured, ".", ms=3, color=MEASURED, label="measured")
+        for m, style in enumerate(model_styles(len(runs.models))):
+            name = _short(runs.models[m])
+            panels[0].plot(t, values(channel.models[m]), lw=1.2, label=name, **style)
+        panels[0].set_ylabel(_short(label(info.name, info.unit)))
+        if content.force is not None:
+            _draw_force(panels[1], content.force, content.label)
+        for ax in panels:
+            if content.window is not None:
+                ax.axvspan(*content.window, color=ATTENTION, alpha=0.15, lw=0)
+            ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=4)
+            ax.margins(y=0.25)
+        panels[-1].set_xlabel(_since(label("t", runs.unit_of_time), run.since))
+
+    return svg(draw, 2.4 if content.force is None else 3.6)
+
+
 def _draw_channel(
     axes: tuple[Axes, Axes], content: Runs, k: int, channel: ChannelRun
 ) -> None:
@@ -136,19 +166,25 @@ def force_picture(content: Force) -> str:
 
     def draw(figure: Figure) -> None:
         ax = figure.subplots()
-        t = values(run.t)
-        force = values(run.force)
-        band = 2 * values(run.std)
-        ax.fill_between(
-            t, force - band, force + band, color=MODEL, alpha=0.2, lw=0, label="2 std."
-        )
-        ax.plot(t, force, color=MODEL, lw=1.2, label="missing force")
-        ax.axhline(0, color=BASELINE, lw=0.6)
-        ax.set(xlabel=_since(content.t_label, run.since), ylabel=_short(content.label))
+        _draw_force(ax, run, content.label)
+        ax.set_xlabel(_since(content.t_label, run.since))
         ax.set_title(_short(run.name), loc="left", fontsize=10)
         ax.legend(loc="upper right", frameon=False, fontsize=8, ncols=2)
 
     return svg(draw, 3.0)
+
+
+def _draw_force(ax: Axes, run: ForceRun, y_label: str) -> None:
+    """The missing force of a trajectory with two standard deviations."""
+    t = values(run.t)
+    force = values(run.force)
+    band = 2 * values(run.std)
+    ax.fill_between(
+        t, force - band, force + band, color=MODEL, alpha=0.2, lw=0, label="2 std."
+    )
+    ax.plot(t, force, color=MODEL, lw=1.2, label="missing force")
+    ax.axhline(0, color=BASELINE, lw=0.6)
+    ax.set_ylabel(_short(y_label))
 
 
 def map_picture(content: ForceMap, force_label: str) -> str:

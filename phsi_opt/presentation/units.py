@@ -55,6 +55,16 @@ FACTOR = re.compile(r"([A-Za-z]+)(?:(?:\^|\*\*)?(-?\d))?$")
 FACTOR_SEPARATORS = re.compile(r"(?<!\*)\*(?!\*)|[\s.·]+")
 
 
+def scale_of_errors(unit: str) -> tuple[float, str]:
+    """A factor on errors and the unit that they then have.
+
+    Those of several channels are told in percent of what was measured.
+    """
+    if unit == STANDARD_DEVIATIONS:
+        return 100.0, "% of the movement"
+    return 1.0, unit
+
+
 def rate_unit(unit: str, unit_of_time: str) -> str:
     """Unit of a rate of change, "" where one of the two units is not known."""
     if not unit or not unit_of_time:

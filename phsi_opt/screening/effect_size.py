@@ -8,21 +8,30 @@ import numpy as np
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
-from phsi_opt.statistics import TINY
+from phsi_opt.statistics import TINY, student_p_value
 
 
 @dataclass(frozen=True)
 class Size:
-    """Size of an effect, its standard error, and their unit if it is known."""
+    """Size of an effect, its standard error, and their unit if it is known.
+
+    ``freedom``: degrees of freedom of the standard error; infinite where it is exact.
+    """
 
     value: float
     std_error: float
     unit: str = ""
+    freedom: float = np.inf
 
     @property
     def z(self) -> float:
         """Standard errors from zero; NaN where the standard error is not known."""
         return abs(self.value) / max(self.std_error, TINY)
+
+    @property
+    def p_value(self) -> float:
+        """Of the hypothesis that there is none (Student's t)."""
+        return student_p_value(self.z, self.freedom)
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""

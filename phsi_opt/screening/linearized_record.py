@@ -18,23 +18,20 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_matrix, diags, hstack
 
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.defect_derivatives import DefectLinearization
-from phsi_opt.transcription.elimination import (
-    RIDGE,
-    ReducedSystem,
-    Step,
-    regularized_inverse,
-)
+from phsi_opt.transcription.elimination import RIDGE, Step, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.sensors import SensorOutputs, output_slopes_in_theta
+from phsi_opt.transcription.record_linearization import (
+    LinearPoint,
+    RecordLinearization,
+)
+from phsi_opt.transcription.sensors import SensorOutputs
 
 DEFECT_SCHEME = "srk4"  # the integrator of the defects that are linearised
 # Newton steps to states that obey the model, at most: a free run's steps are finer than
@@ -79,11 +76,9 @@ class LinearizedRecord:
         states: where it was linearised, (n_nodes, n_states).
         parameters: values of the free parameters, (n_free, n_trajectories).
         unknown: the layout of the vector of parameters.
-        theta: their values, (n_theta,), and ``scale``: the size of each.
-        defects: at these states, (n_intervals * n_states,).
-        weight: one over the noise of every value, (n_nodes * n_states,); 0: unmeasured.
-        from_unknowns: slope of the weighted residuals in scaled theta and states.
-        reduced: the system with its states eliminated; ``covariance``: of scaled theta.
+        theta: their values, (n_theta,).
+        point: defects, outputs and the system with its states eliminated, there.
+        covariance: of scaled theta.
         step: of scaled theta and of the states, to those that obey the model.
         residual: weighted residuals after that step, (n_nodes * n_states,).
     """
@@ -95,11 +90,7 @@ class LinearizedRecord:
     parameters: np.ndarray
     unknown: Theta
     theta: np.ndarray
-    scale: np.ndarray
-    defects: np.ndarray = field(repr=False)
-    weight: np.ndarray = field(repr=False)
-    from_unknowns: csc_matrix = field(repr=False)
-    reduced: ReducedSystem = field(repr=False)
+    point: LinearPoint = field(repr=False)
     covariance: np.ndarray = field(repr=False)
     step: Step = field(repr=False)
     residual: np.ndarray = field(repr=False)
@@ -126,7 +117,7 @@ class LinearizedRecord:
         parameters: np.ndarray,
         grid: Grid | None = None,
         is_held: bool = False,
-        linearization: DefectLinearization | None = None,
+        linearization: RecordLinearization | None = None,
     ) -> "LinearizedRecord":
         """Linearise the likelihood of a model along a record of a smaller one.
 
@@ -137,63 +128,51 @@ class LinearizedRecord:
             parameters: of the model's free parameters, (n_free, n_trajectories).
             grid: in the order of the model; default: that of the record.
             is_held: whether parameters are known, and only states follow.
-            linearization: of the model's defects, where it was made before.
+            linearization: of the model, where it was made before.
         """
-        estimate = record.estimate
-        grid = grid or estimate.grid
-        x = states
-        n_further = model.n_states - len(estimate.sigma)
-        sigma = np.r_[estimate.sigma, np.ones(n_further)]
+        grid = grid or record.estimate.grid
+        if linearization is None:
+            linearization = linearization_of(record, model, grid)
         unknown = Theta.of(model, record.trajectories)
         n_theta = len(unknown)
         theta = np.zeros(n_theta)
         theta[unknown.table] = parameters
-        point = _Point(model, grid, unknown, x, theta)
-        linear_defects = _linear_defects(
-            point, linearization or DefectLinearization(model, DEFECT_SCHEME)
-        )
-        linear_outputs = _linear_outputs(point, sigma)
-        scale = _column_scale(
-            csc_matrix(linear_defects.in_theta), linear_outputs.in_theta
-        )
-        scaled_slopes = linear_defects.in_theta @ diags(scale)
-        through_sensors = linear_outputs.in_theta @ diags(scale)
-        from_unknowns = csc_matrix(hstack([through_sensors, linear_outputs.in_states]))
-
-        hessian = csc_matrix(from_unknowns.T @ from_unknowns)
-        jacobian = hstack([scaled_slopes, linear_defects.in_states])
-        reduced = ReducedSystem(
-            grid,
-            model.n_states,
-            hessian,
-            jacobian,
-            slice(0, n_theta),
-            slice(n_theta, n_theta + x.size),
-        )
+        point = linearization.at(states, theta)
         held = range(n_theta) if is_held else ()
-        covariance = regularized_inverse(reduced.information, held)
-        gradient = from_unknowns.T @ linear_outputs.residual
-        step = reduced.solve(
-            gradient[n_theta:], -linear_defects.values, covariance, gradient[:n_theta]
+        covariance = regularized_inverse(point.reduced.information, held)
+        gradient = point.outputs.gradient(point.outputs.residual)
+        step = point.reduced.solve(
+            gradient.x, -point.defects, covariance, gradient.theta
         )
-        residual = linear_outputs.residual - from_unknowns @ step.joined
+        residual = point.outputs.residual - point.outputs.change(step)
         return cls(
             record=record,
             model=model,
             grid=grid,
-            states=x,
+            states=states,
             parameters=parameters,
             unknown=unknown,
             theta=theta,
-            scale=scale,
-            defects=linear_defects.values,
-            weight=linear_outputs.weight,
-            from_unknowns=from_unknowns,
-            reduced=reduced,
+            point=point,
             covariance=covariance,
             step=step,
             residual=residual,
         )
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Size of each parameter, (n_theta,)."""
+        return self.point.scale
+
+    @property
+    def defects(self) -> np.ndarray:
+        """At these states, (n_intervals * n_states,)."""
+        return self.point.defects
+
+    @property
+    def weight(self) -> np.ndarray:
+        """One over each value's noise, (n_nodes * n_states,), 0 where unmeasured."""
+        return self.point.outputs.weight
 
     @property
     def n_theta(self) -> int:
@@ -222,19 +201,20 @@ class LinearizedRecord:
         """
         if not np.all(np.isfinite(self.residual)):
             raise SolveError("a step along the linearised record is not finite")
-        lower = (self.unknown.lower - self.theta) / self.scale
-        upper = (self.unknown.upper - self.theta) / self.scale
+        lower, upper = self._scaled_bounds
         free = self.step.theta
         if np.all(free >= lower) and np.all(free <= upper):
             return BoundedStep(self.step, self.residual)
-        information = self.reduced.information + RIDGE * np.eye(len(free))
+        reduced = self.point.reduced
+        information = reduced.information + RIDGE * np.eye(len(free))
         values, vectors = np.linalg.eigh(information)
         root = np.sqrt(np.maximum(values, RIDGE))[:, None] * vectors.T
         upper = np.maximum(upper, lower + TINY)
         bounded = bounded_least_squares(root, root @ free, lower, upper)
         moved = bounded - free
-        by_theta = (self.reduced.following @ moved).ravel()
-        residual = self.residual - self.from_unknowns @ np.r_[moved, by_theta]
+        by_theta = (reduced.following @ moved).ravel()
+        change = self.point.outputs.change(Step(moved, by_theta))
+        residual = self.residual - change
         return BoundedStep(Step(bounded, self.step.x + by_theta), residual)
 
     @cached_property
@@ -246,9 +226,21 @@ class LinearizedRecord:
     @cached_property
     def parameters_within_bounds(self) -> np.ndarray:
         """Parameters after that step, (n_free, n_trajectories)."""
-        moved = self.theta + self.scale * self.within_bounds.step.theta
+        step = self.within_bounds.step.theta
+        lower, upper = self._scaled_bounds
+        moved = self.theta + self.scale * step
+        # Exactly: a coefficient of 1e-17 in place of zero gives inner values slopes.
+        moved = np.where(step <= lower, self.unknown.lower, moved)
+        moved = np.where(step >= upper, self.unknown.upper, moved)
         theta = np.clip(moved, self.unknown.lower, self.unknown.upper)
         return theta[self.unknown.table].reshape(self.parameters.shape)
+
+    @property
+    def _scaled_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper, of a step of the scaled parameters."""
+        lower = (self.unknown.lower - self.theta) / self.scale
+        upper = (self.unknown.upper - self.theta) / self.scale
+        return lower, upper
 
     @cached_property
     def obeying_states(self) -> np.ndarray:
@@ -283,16 +275,15 @@ class LinearizedRecord:
         Returns:
             (n_nodes * n_states, k), in units of the noise.
         """
-        followed = self._followed(of_defects, of_outputs).joined
+        followed = self._followed(of_defects, of_outputs)
         direct = self.weight[:, None] * of_outputs
-        return np.asarray(direct + self.from_unknowns @ followed)
+        return np.asarray(direct + self.point.outputs.change(followed))
 
     def _followed(self, of_defects: np.ndarray, of_outputs: np.ndarray) -> Step:
         """How scaled parameters and states follow the changes D and Y."""
-        gradient = -(self.from_unknowns.T @ (self.weight[:, None] * of_outputs))
-        n = self.n_theta
-        return self.reduced.solve(
-            gradient[n:], -of_defects, self.covariance, gradient[:n]
+        gradient = self.point.outputs.gradient(-self.weight[:, None] * of_outputs)
+        return self.point.reduced.solve(
+            gradient.x, -of_defects, self.covariance, gradient.theta
         )
 
     def adjoint(self) -> np.ndarray:
@@ -300,9 +291,10 @@ class LinearizedRecord:
 
         Minus the product of the residual with the trace of each defect.
         """
-        gradient = self.from_unknowns.T @ self.residual
-        n = self.n_theta
-        return self.reduced.multipliers(gradient[n:], self.covariance, gradient[:n])
+        gradient = self.point.outputs.gradient(self.residual)
+        return self.point.reduced.multipliers(
+            gradient.x, self.covariance, gradient.theta
+        )
 
     def parameters_with(
         self,
@@ -381,94 +373,23 @@ class LinearizedRecord:
             if np.linalg.norm(linearized.defects) < OBEYING * reference:
                 return linearized
             held = np.zeros_like(linearized.covariance)
-            back = linearized.reduced.respond(-linearized.defects, held).x
+            back = linearized.point.reduced.respond(-linearized.defects, held).x
             states = linearized.states + back.reshape(linearized.states.shape)
             linearized = LinearizedRecord.of(self.record, states)
         left = np.linalg.norm(linearized.defects)
         return linearized if left < NEARLY_OBEYING * reference else None
 
 
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """Where a record is linearised.
+def linearization_of(record: Record, model: Model, grid: Grid) -> RecordLinearization:
+    """Of the likelihood of a model along a record, for many points of it.
 
-    Attributes:
-        model: the fitted model.
-        grid: nodes and intervals.
-        unknown: the layout of the vector of parameters.
-        x: states, (n_nodes, n_states).
-        theta: parameters, (n_theta,).
+    Arguments as those of `LinearizedRecord.at`.
     """
-
-    model: Model
-    grid: Grid
-    unknown: Theta
-    x: np.ndarray
-    theta: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class _LinearDefects:
-    """Defects, (n_intervals * n_states,), with their slopes."""
-
-    values: np.ndarray
-    in_states: csc_matrix
-    in_theta: csc_matrix
-
-
-@dataclass(frozen=True, eq=False)
-class _LinearOutputs:
-    """What the sensors show, in units of the noise.
-
-    Attributes:
-        residual: measured less shown, (n_nodes * n_states,); 0: unmeasured.
-        weight: one over the noise, (n_nodes * n_states,); 0: unmeasured.
-        in_states: slopes of what is shown.
-        in_theta: the same in the parameters, states held.
-    """
-
-    residual: np.ndarray
-    weight: np.ndarray
-    in_states: csc_matrix
-    in_theta: csc_matrix
-
-
-def _linear_defects(
-    point: _Point, linearization: DefectLinearization
-) -> _LinearDefects:
-    unknown = point.unknown
-    by_trajectory = point.theta[unknown.table]
-    values, in_states, of_all = linearization.at(point.grid, point.x, by_trajectory)
-    # A parameter that trajectories share gets the slopes of all of them.
-    owners = unknown.table.T.ravel()
-    chosen = (np.ones(len(owners)), (np.arange(len(owners)), owners))
-    together = csc_matrix(chosen, shape=(len(owners), len(unknown)))
-    return _LinearDefects(values, in_states, csc_matrix(of_all @ together))
-
-
-def _linear_outputs(point: _Point, sigma: np.ndarray) -> _LinearOutputs:
-    """With the noise, (n_states,)."""
-    grid = point.grid
-    x = point.x
-    theta = point.theta
-    by_trajectory = np.asarray(point.unknown.by_trajectory(theta))
-    sensed = SensorOutputs.at(point.model, grid, x, by_trajectory)
-    measured = grid.measured
-    weight = np.where(measured, 1 / sigma, 0.0).ravel()
-    weighted = diags(weight)
-    direct = output_slopes_in_theta(point.unknown, grid, x, theta)
-    direct = direct.reshape(x.size, len(theta))
-    unexplained = np.where(measured, (grid.y - sensed.values) / sigma, 0.0)
-    return _LinearOutputs(
-        residual=unexplained.ravel(),
-        weight=weight,
-        in_states=weighted @ sensed.jacobian,
-        in_theta=weighted @ csc_matrix(direct),
+    sigma = record.estimate.sigma
+    n_further = model.n_states - len(sigma)
+    return RecordLinearization(
+        Theta.of(model, record.trajectories),
+        grid,
+        DEFECT_SCHEME,
+        np.r_[sigma, np.ones(n_further)],
     )
-
-
-def _column_scale(of_defects: csc_matrix, of_outputs: csc_matrix) -> np.ndarray:
-    """One over the norm of each column of the two matrices above each other."""
-    squares = of_defects.power(2).sum(axis=0) + of_outputs.power(2).sum(axis=0)
-    norms = np.sqrt(np.asarray(squares).ravel())
-    return 1 / np.where(norms > 0, norms, 1.0)

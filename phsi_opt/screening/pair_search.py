@@ -7,7 +7,7 @@ another rim.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from itertools import islice
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from phsi_opt.screening.regression import CORRELATION_RIDGE, REST_BOUNDS, bounds
 from phsi_opt.screening.score_test import ScannedPoint, ScoreTest, Screened
 from phsi_opt.statistics import TINY
 
+PAIRS_AT_ONCE = 10_000  # of points, whose small systems are solved together
 # Bounds of an effect without a coefficient: it is there as a whole.
 WHOLE = (1.0, 1.0)
 Pair = tuple[Screened, Screened]  # the stronger first
@@ -51,9 +52,9 @@ def best_pairs(test: ScoreTest, found: Sequence[Screened], most: int) -> list[Pa
         scanned += [_Scanned(owner, point) for point in one.scanned]
     if not scanned:
         return []
-    joint = _JointRegression.of(test, found, scanned)
+    joint = JointRegression.of(test, found, scanned)
     best = _best_points(test, found, scanned, joint)
-    ordered = sorted(best.items(), key=lambda item: -item[1].score)
+    ordered = sorted(best.items(), key=lambda item: (-item[1].score, item[0]))
     compatible = _compatible(test, found, ordered)
     return [_started(found, scanned, joint, pair) for pair in islice(compatible, most)]
 
@@ -62,23 +63,25 @@ def _best_points(
     test: ScoreTest,
     found: Sequence[Screened],
     scanned: list[_Scanned],
-    joint: "_JointRegression",
+    joint: "JointRegression",
 ) -> dict[tuple[int, int], _Best]:
     """The two points of every two effects that explain most together."""
     of_kept_rows = test.n_values / len(test.linearized.kept_rows)
+    owner = np.array([one.owner for one in scanned])
+    n_free = np.array([one.n_free for one in found])[owner]
+    a, b = np.triu_indices(len(scanned), k=1)
+    is_pair = owner[a] != owner[b]
+    a, b = a[is_pair], b[is_pair]
+    drops = of_kept_rows * joint.drops(a, b)
+    does_fall = drops > 0
+    a, b, drops = a[does_fall], b[does_fall], drops[does_fall]
+    scores = test.score_of(drops, n_free[a] + n_free[b])
     best: dict[tuple[int, int], _Best] = {}
-    for a, b in combinations(range(len(scanned)), 2):
-        i = scanned[a].owner
-        j = scanned[b].owner
-        if i == j:
-            continue
-        drop = of_kept_rows * joint.drop(a, b)
-        if not drop > 0:
-            continue
-        score = test.score_of(drop, found[i].n_free + found[j].n_free)
-        known = best.get((i, j))
-        if known is None or (score, a, b) > (known.score, known.first, known.second):
-            best[i, j] = _Best(score, a, b)
+    # The best of every two effects comes last, and stays.
+    for place in np.lexsort((b, a, scores)).tolist():
+        first, second = int(a[place]), int(b[place])
+        owners = int(owner[first]), int(owner[second])
+        best[owners] = _Best(float(scores[place]), first, second)
     return best
 
 
@@ -99,7 +102,7 @@ def _compatible(
 def _started(
     found: Sequence[Screened],
     scanned: list[_Scanned],
-    joint: "_JointRegression",
+    joint: "JointRegression",
     pair: _Best,
 ) -> Pair:
     """Both effects with the values that they have beside each other."""
@@ -126,7 +129,7 @@ def _bounds(test: ScoreTest, one: Screened, point: ScannedPoint) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _JointRegression:
+class JointRegression:
     """The regression of the residual on the traces of two of many points together.
 
     From their common products, so that a pair costs the solution of a small system.
@@ -148,7 +151,8 @@ class _JointRegression:
     @classmethod
     def of(
         cls, test: ScoreTest, found: Sequence[Screened], scanned: list[_Scanned]
-    ) -> "_JointRegression":
+    ) -> "JointRegression":
+        """Of effects that were screened, at the points at which they were scanned."""
         traces = np.hstack([one.point.trace for one in scanned])
         bounds = [_bounds(test, found[one.owner], one.point) for one in scanned]
         residual = test.linearized.residual[test.linearized.kept_rows]
@@ -169,38 +173,77 @@ class _JointRegression:
         return np.arange(self.edges[point], self.edges[point + 1])
 
     def _solved(self, both: np.ndarray) -> np.ndarray:
-        """Scaled coefficients; what would leave its bounds is held there."""
-        gram = self.gram[np.ix_(both, both)]
-        right = self.right[both]
-        lower, upper = self.bounds[both].T
+        """Scaled coefficients of these columns; what would leave its bounds is held.
+
+        ``both`` is (n_pairs, k), as is the result.
+        """
+        gram = self._products(both)
+        lower, upper = self.bounds[both].transpose(2, 0, 1)
         c = np.where(lower == upper, lower, 0.0)
         free = lower < upper
-        while free.any():
-            at_bounds = gram[:, ~free] @ c[~free]
-            c[free] = np.linalg.solve(
-                gram[np.ix_(free, free)], (right - at_bounds)[free]
+        left = np.flatnonzero(free.any(axis=1))
+        while len(left):
+            c[left] = _with_held(
+                gram[left], self.right[both[left]], c[left], free[left]
             )
+            is_outside = free[left] & (
+                (c[left] < lower[left]) | (c[left] > upper[left])
+            )
+            left = left[is_outside.any(axis=1)]
             is_outside = free & ((c < lower) | (c > upper))
-            if not is_outside.any():
-                break
             c[is_outside] = np.clip(c, lower, upper)[is_outside]
-            free = free & ~is_outside
+            free &= ~is_outside
+            left = left[free[left].any(axis=1)]
         return c
 
-    def drop(self, a: int, b: int) -> float:
-        """Fall of the misfit; none where one of the two does nothing."""
-        of_a = self._columns(a)
-        both = np.r_[of_a, self._columns(b)]
+    def _products(self, both: np.ndarray) -> np.ndarray:
+        """Of the columns of every pair, (n_pairs, k, k)."""
+        return self.gram[both[:, :, None], both[:, None, :]]
+
+    def drops(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Fall of the misfit by points ``a`` and ``b``, (n_pairs,) all.
+
+        None where one of the two does nothing.
+        """
+        found = np.zeros(len(a))
+        n_of = np.diff(self.edges)
+        for n, m in np.unique(np.column_stack([n_of[a], n_of[b]]), axis=0).tolist():
+            alike = np.flatnonzero((n_of[a] == n) & (n_of[b] == m))
+            # Some at a time, so that memory is bounded.
+            for some in np.split(
+                alike, range(PAIRS_AT_ONCE, len(alike), PAIRS_AT_ONCE)
+            ):
+                of_a = self.edges[a[some], None] + np.arange(n)
+                of_b = self.edges[b[some], None] + np.arange(m)
+                found[some] = self._drops_of(np.hstack([of_a, of_b]), n)
+        return found
+
+    def _drops_of(self, both: np.ndarray, n: int) -> np.ndarray:
+        """Of pairs whose first point has n columns."""
         c = self._solved(both)
-        n = len(of_a)
-        if not (c[:n].any() and c[n:].any()):
-            return 0.0
-        gram = self.gram[np.ix_(both, both)]
-        return float(2 * c @ self.right[both] - c @ gram @ c)
+        by_both = c[:, :n].any(axis=1) & c[:, n:].any(axis=1)
+        explained = np.einsum("ij,ij->i", c, self.right[both])
+        spent = np.einsum("ij,ijk,ik->i", c, self._products(both), c)
+        return np.where(by_both, 2 * explained - spent, 0.0)
 
     def coefficients(self, a: int, b: int) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients at point ``a`` and at point ``b``."""
         of_a = self._columns(a)
         both = np.r_[of_a, self._columns(b)]
-        c = self._solved(both) / self.size[both]
+        c = self._solved(both[None])[0] / self.size[both]
         return c[: len(of_a)], c[len(of_a) :]
+
+
+def _with_held(
+    gram: np.ndarray, right: np.ndarray, c: np.ndarray, free: np.ndarray
+) -> np.ndarray:
+    """Least squares in the coefficients that are free, the others as they are.
+
+    ``gram`` is (n, k, k), the others (n, k).
+    """
+    held = np.where(free, 0.0, c)
+    at_held = np.einsum("ijk,ik->ij", gram, held)
+    both_free = free[:, :, None] & free[:, None, :]
+    system = np.where(both_free, gram, np.eye(c.shape[1]))
+    wanted = np.where(free, right - at_held, c)
+    return np.linalg.solve(system, wanted[..., None])[..., 0]

@@ -17,6 +17,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,7 @@ LEAST_MISFIT = 1e-9
 # that no second look prepared: where an effect is hardly told from it (the gain of a
 # sensor and all losses), the linearisation leads anywhere.
 MOST_MOVED = 0.5
+Numbers = float | np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,14 +181,14 @@ class ScoreTest:
 
     def score(self, expected: Screened) -> float:
         """n log(misfit before / after) - k log n: minus the expected change of BIC."""
-        return self.score_of(expected.drop, expected.n_free)
+        return float(self.score_of(expected.drop, expected.n_free))
 
-    def score_of(self, drop: float, n_free: int) -> float:
-        """The same for any fall of the misfit."""
+    def score_of(self, drop: Numbers, n_free: Numbers) -> Any:
+        """The same for any fall of the misfit, or for many."""
         n = self.n_values
-        left = max(self.misfit - drop, LEAST_MISFIT * self.misfit)
-        ratio = max(self.misfit, left) / left
-        return float(n * np.log(ratio) - n_free * np.log(n))
+        left = np.maximum(self.misfit - drop, LEAST_MISFIT * self.misfit)
+        ratio = np.maximum(self.misfit, left) / left
+        return n * np.log(ratio) - n_free * np.log(n)
 
     def candidate(self, effect: Effect) -> Screened | None:
         """What is expected of one effect; None where it leaves no trace."""

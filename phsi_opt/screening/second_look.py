@@ -18,10 +18,9 @@ from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.effect_size import Size, new_names, size_of
-from phsi_opt.screening.linearized_record import DEFECT_SCHEME, LinearizedRecord
+from phsi_opt.screening.linearized_record import LinearizedRecord, linearization_of
 from phsi_opt.statistics import TINY, effective_sample_share, profiled_deviance
 from phsi_opt.transcription.augmented_states import with_memory
-from phsi_opt.transcription.defect_derivatives import DefectLinearization
 
 MOST_GAUSS_NEWTON = 4  # of Gauss and Newton
 # Relative change of the misfit from one step to the next below which they end, and the
@@ -136,7 +135,7 @@ def _settled(
     parameters = _parameters(record, model, known)
     grid = record.aligned.for_model(model).grid
     states = with_memory(model, grid, estimate.x, parameters)
-    linearization = DefectLinearization(model, DEFECT_SCHEME)
+    linearization = linearization_of(record, model, grid)
 
     def linearized(x: np.ndarray, theta: np.ndarray) -> LinearizedRecord:
         return LinearizedRecord.at(

@@ -14,6 +14,7 @@ from phsi_opt.initialization.relative_guesses import corner_widths, intervals_at
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.screening.linearized_record import DEFECT_SCHEME, LinearizedRecord
 from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import defect_function, defect_jacobian
@@ -78,11 +79,13 @@ class Sensitivities:
             n_base_states = linearized.model.n_states
             layout = (trial.model, grid, DEFECT_SCHEME)
             if self.places:
-                self._defect_slopes = defect_jacobian(
-                    *layout, self.places, n_trajectories, n_base_states
+                self._defect_slopes = Evaluated(
+                    defect_jacobian(*layout, self.places, n_trajectories, n_base_states)
                 )
             else:
-                self._defects = defect_function(*layout, n_trajectories, n_base_states)
+                self._defects = Evaluated(
+                    defect_function(*layout, n_trajectories, n_base_states)
+                )
         self.at_rest = self._defects_at_rest()
 
     def __call__(self, values: dict[str, float]) -> Change:
@@ -96,19 +99,18 @@ class Sensitivities:
         k = max(len(self.places), 1)
         theta = linearized.parameters_of(self.trial.model, values)
         at_nodes, at_interval_ends = self._states_with_memory(theta)
-        of_defects = np.zeros((grid.n_intervals, n_states, k))
-        of_outputs = np.zeros((grid.n_nodes, n_states, k))
+        of_defects = np.zeros((grid.n_intervals * n_states, k))
+        of_outputs = np.zeros((grid.n_nodes * n_states, k + self.at_rest.shape[1]))
         if self.is_sensor:
-            of_outputs = self._output_change(at_nodes, theta)
+            change = self._output_change(at_nodes, theta)
+            of_outputs[:, :k] = _finite(change.reshape(-1, k))
         else:
-            of_defects = self._defect_change(at_interval_ends, theta)
-        of_defects = np.nan_to_num(of_defects.reshape(-1, k))
-        of_outputs = np.nan_to_num(of_outputs.reshape(-1, k))
-        n_rest = self.at_rest.shape[1]
-        if n_rest:
+            change = self._defect_change(at_interval_ends, theta)
+            of_defects = _finite(change.reshape(-1, k))
+        if self.at_rest.shape[1]:
             moving = np.where(self.at_rest != 0, 0.0, of_defects)
             of_defects = np.hstack([moving, self.at_rest])
-        return Change(of_defects, np.pad(of_outputs, ((0, 0), (0, n_rest))))
+        return Change(of_defects, of_outputs)
 
     def _defect_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """(n_intervals, n_states, k)"""
@@ -116,13 +118,13 @@ class Sensitivities:
         n_intervals = linearized.grid.n_intervals
         n_states = linearized.model.n_states
         if self._defect_slopes is not None:
-            slopes = np.array(self._defect_slopes(x.T, theta))
-            shape = (n_intervals, self.trial.model.n_states, len(self.places))
-            return slopes.reshape(shape)[:, :n_states]
+            (slopes,) = self._defect_slopes(x.T, theta)
+            shape = (len(self.places), n_intervals, self.trial.model.n_states)
+            return slopes.reshape(shape)[:, :, :n_states].transpose(1, 2, 0)
         assert self._defects is not None
-        with_effect = np.array(self._defects(x.T, theta)).T[:, :n_states]
+        (with_effect,) = self._defects(x.T, theta)
         without = linearized.defects.reshape(n_intervals, n_states)
-        return (with_effect - without)[..., None]
+        return (with_effect[:, :n_states] - without)[..., None]
 
     def _output_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """(n_nodes, n_states, k)"""
@@ -181,3 +183,10 @@ class Sensitivities:
             if name not in self.linearized.model.entries:
                 return name, guess.of
         return None
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    """A copy of the values, zero where the model has none."""
+    if np.isfinite(np.sum(values)):
+        return values.copy()
+    return np.nan_to_num(values)

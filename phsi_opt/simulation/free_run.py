@@ -11,12 +11,15 @@ file.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
+from threading import get_ident
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.simulation import dormand_prince
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.statistics import TINY
@@ -40,6 +43,7 @@ LARGEST = 1e100  # squares of larger values leave the range of numbers
 # steps per call of the compiled loop: large against the cost of a call, small against
 # that of building it
 CHUNK = 500
+MOST_KEPT_LOOPS = 4  # right-hand sides whose compiled loops are kept
 # Least spread of a state that errors are compared with, as a share of its own size and
 # of the largest state's: rounding is not an error.
 AT_REST = 1e-6
@@ -71,7 +75,9 @@ def free_run(
     inputs = np.zeros((times.size, 0)) if u is None else np.asarray(u, dtype=float)
     found = None
     if _is_usable(model, times, start, inputs, hold):
-        found = Runs(rates(model)).run(times, start, inputs, hold)
+        theta = tuple(model.theta.tolist())
+        runs = _runs_of(model.rhs(), theta, get_ident())
+        found = runs.run(times, start, inputs, hold)
     if found is not None:
         return found
     # Arguments that cannot be used go to SciPy too: `simulate` says what is wrong with
@@ -81,11 +87,22 @@ def free_run(
 
 def rates(model: Model) -> ca.Function:
     """CasADi function (x, u, t) -> dx/dt with the present values of the parameters."""
-    x = ca.SX.sym("x", model.n_states)
-    u = ca.SX.sym("u", model.n_inputs)
-    t = ca.SX.sym("t")
-    rate = model.rhs()(x, u, t, model.theta)
-    return ca.Function("rates", [x, u, t], [rate])
+    return _rates(model.rhs(), model.theta)
+
+
+def _rates(rhs: ca.Function, theta: Any) -> ca.Function:
+    x, u, t = (ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(3))
+    return ca.Function("rates", [x, u, t], [rhs(x, u, t, theta)])
+
+
+@lru_cache(MOST_KEPT_LOOPS)
+def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
+    """Of (x, u, t, theta) -> dx/dt with values of the parameters.
+
+    Built once for the trajectories of a record, and of the one held out; once for every
+    thread, whose runs are written over by the next.
+    """
+    return Runs(_rates(rhs, np.array(theta)))
 
 
 def _is_usable(
@@ -110,7 +127,8 @@ class Runs:
 
     def __init__(self, rhs: ca.Function, watched: int | None = None) -> None:
         self.n_watched = watched or rhs.size1_in(0)
-        self.loop = dormand_prince.step(rhs, self.n_watched).mapaccum(CHUNK)
+        step = dormand_prince.step(rhs, self.n_watched)
+        self.loop = Evaluated(step.mapaccum(CHUNK))
 
     def run(
         self,
@@ -160,15 +178,15 @@ class Runs:
         n_steps = len(steps.h)
         x = np.full((n_steps, len(x0)), np.nan)
         errors = np.full((n_steps, self.n_watched), np.nan)
-        at: Any = x0
+        at = x0
         for first in range(0, n_steps, CHUNK):
             after, error = self.loop(at, columns[:, first : first + CHUNK])
-            at = after[:, -1]
+            at = after[-1].copy()
             size = min(CHUNK, n_steps - first)
             chunk = slice(first, first + size)
-            x[chunk] = after.full().T[:size]
-            errors[chunk] = error.full().T[:size]
-            if not at.is_regular():
+            x[chunk] = after[:size]
+            errors[chunk] = error[:size]
+            if not np.all(np.isfinite(at)):
                 break
         ends = np.flatnonzero(np.diff(steps.interval))
         at_samples = np.append(ends, n_steps - 1)

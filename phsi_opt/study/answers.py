@@ -4,7 +4,8 @@ Report and page tell them on their first screens; a report's paragraph on each s
 them too. Each begins with what is to be understood at once; the numbers come behind.
 """
 
-from phsi_opt.criteria import FAILING_ERROR
+from phsi_opt.comparison.compare import Comparison
+from phsi_opt.criteria import FAILING_ERROR, PROPOSED_Z
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.record import Diagnosis
@@ -15,58 +16,79 @@ from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
+from phsi_opt.model.catalogue_storages import is_second_storage
+from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.presentation.numbers import capitalised, number, with_error
+from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
 from phsi_opt.presentation.report_content import Answer
-from phsi_opt.study.off_words import judged_words, misses_words, off_words
+from phsi_opt.presentation.units import scale_of_errors
+from phsi_opt.study.certainty import disturbance_word
+from phsi_opt.study.off_words import judged_words, off_words
 
 QUADRATIC_INPUT = "quadratic input"
-NO_FORCE = "The residuals are no noise, but no missing force is sure."
+NEARER = 0.9  # share of the error below which what is left is worth telling
 
 
-# ---- what is wrong
+# ---- what is missing
 
 
-def wrong_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
-    """What is missing, how large it is, and how far the model is off."""
-    force = EquationForce.of(diagnosis.analysis, None)
-    off = (
-        f"Simulated on {judged_words(is_held_out)}, the model is off: "
-        f"{off_words(diagnosis.base)}."
-    )
-    lacking = NO_FORCE if force.is_uncertain else _lacking(force)
+def missing_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
+    """What is missing, and how far that explains the error.
+
+    What has no name is told by its likely cause, a force that shakes by its speed.
+    """
     if diagnosis.findings:
-        return Answer(_missing_words(diagnosis), f"{lacking} {off}")
-    if force.is_uncertain or not force.pace.is_vibration:
-        return _by_cause(diagnosis, force, f"{lacking} {off}")
-    lead = f"Something swings {_speed(force)}: {VIBRATION_WORDS}."
-    return Answer(lead, f"{lacking} {off}")
-
-
-def _by_cause(diagnosis: Diagnosis, force: EquationForce, detail: str) -> Answer:
-    """The likely cause with what the free run misses; else the size alone."""
-    cause = ""
-    if not force.is_uncertain:
+        return Answer(_missing_words(diagnosis), _gain_words(diagnosis, is_held_out))
+    force = EquationForce.of(diagnosis.analysis, None)
+    if force.is_uncertain:
+        lead = "The residuals are no noise, but no missing force is sure"
+    elif force.pace.is_vibration:
+        return Answer(f"Something swings {_speed(force)}: {VIBRATION_WORDS}.")
+    else:
         cause = likely_cause(force.record.units, force)
-    misses = misses_words(diagnosis.base)
-    if cause:
-        return Answer(f"{cause}: the free run {misses}.", detail)
-    return Answer(f"The free run {misses}.", detail)
+        lead = cause or "Something is missing"
+    return Answer(f"{'; '.join(filter(None, (lead, _tried_words(diagnosis))))}.")
+
+
+def _tried_words(diagnosis: Diagnosis) -> str:
+    """That nothing that was tried is it; "" where nothing was."""
+    n_tried = len(diagnosis.ranking)
+    fall = _fall_with(diagnosis, nearest_effects(diagnosis))
+    if fall > 0 and n_tried > 1:
+        percent = number(100 * fall, 2)
+        return f"the nearest of {n_tried} effects takes away {percent} % of the error"
+    if n_tried == 1:
+        return "the one effect tried does not explain it"
+    return f"none of the {n_tried} effects tried explains it" if n_tried else ""
 
 
 def _missing_words(diagnosis: Diagnosis) -> str:
-    """The names of what is missing."""
+    """The names of what is missing, in a sentence."""
     model = diagnosis.base.model
     told = [
         _plainly(finding, model) or class_of(finding) for finding in diagnosis.findings
     ]
     names = capitalised(" and ".join(told))
-    verb = "is" if len(diagnosis.findings) == 1 else "are"
-    if diagnosis.verdict == Verdict.NAMED:
-        return f"{names} {verb} missing."
-    rest = _rest_words(diagnosis)
-    return f"{names} {verb} missing, plus something not yet identified{rest}."
+    return f"{names} {'is' if len(told) == 1 else 'are'} missing."
+
+
+def _gain_words(diagnosis: Diagnosis, is_held_out: bool) -> str:
+    """By how much the error falls with what is named, and whether more is missing."""
+    found = _proposed(diagnosis).comparison
+    rest = "what else is missing is not known yet"
+    is_all = diagnosis.verdict == Verdict.NAMED
+    if found is None:
+        return "" if is_all else f"{capitalised(rest)}."
+    with_them = "With them"
+    if len(diagnosis.findings) == 1:
+        with_them = "With it" if diagnosis.findings[0].is_name else "With the first"
+    which = "held-out" if is_held_out else "training"
+    if _is_at_floor(found):
+        return f"{with_them}, the {which} error falls to the noise."
+    percent = number(100 * (1 - found.rmse / diagnosis.base.rmse), 2)
+    said = f"{with_them}, the {which} error falls by {percent} %"
+    return f"{said}." if is_all else f"{said}; {rest}."
 
 
 def _plainly(finding: Finding, model: Model) -> str:
@@ -78,23 +100,25 @@ def _plainly(finding: Finding, model: Model) -> str:
     is_force = effect.equation in position_of_momentum(model)
     what = "a force" if is_force else "something"
     law = term.body.replace("**", "^")
-    return f"{what} in proportion to {law} in d{effect.equation}/dt ({effect.name})"
+    return f"{effect} ({what} in proportion to {law})"
 
 
-def _rest_words(diagnosis: Diagnosis) -> str:
-    """What is left with what is proposed, beside the error before and the noise."""
-    found = _proposed(diagnosis).comparison
-    if found is None:
-        return ""
-    floor = found.noise_floor
-    above = diagnosis.base.rmse - diagnosis.base.noise_floor
-    if not above > 0 or not floor > 0:
-        return ""
-    share = 100 * max(found.rmse - floor, 0.0) / above
-    times = number(found.rmse / floor, 2)
-    return (
-        f" ({number(share, 2)} % of the error above the noise; {times} times the noise)"
-    )
+def _speed(force: EquationForce) -> str:
+    pace: Pace = force.pace
+    return pace.speed_words(force.record.units)
+
+
+# ---- what is wrong
+
+
+def wrong_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
+    """How far the simulated model is off, and how large the missing force is."""
+    worst, *others = off_words(diagnosis.base)
+    force = EquationForce.of(diagnosis.analysis, None)
+    told = f"Simulated on {judged_words(is_held_out)}"
+    told += f"; it also misses {' and '.join(others)}." if others else "."
+    lacking = "" if force.is_uncertain else _lacking(force)
+    return Answer(f"The model misses {worst}.", f"{told} {lacking}".strip())
 
 
 def _lacking(force: EquationForce) -> str:
@@ -102,11 +126,6 @@ def _lacking(force: EquationForce) -> str:
     beside = force.pace.size_words(f"d{force.equation}/dt")
     said = f"The model's d{force.equation}/dt is off by {strength_words(force)}"
     return f"{said}, {beside}." if beside else f"{said}."
-
-
-def _speed(force: EquationForce) -> str:
-    pace: Pace = force.pace
-    return pace.speed_words(force.record.units)
 
 
 def was_wrong_words(diagnosis: Diagnosis, whose: str) -> str:
@@ -147,7 +166,24 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
         return Answer("No equation, time or region stands out.")
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
     is_named = is_past or bool(diagnosis.findings)
-    return place_answer(force, is_named, is_known)
+    answer = place_answer(force, is_named, is_known)
+    places = _open_places(diagnosis)
+    if len(places) < 2:
+        return answer
+    lead = f"Either {' or '.join(places)}: the data do not tell."
+    return Answer(lead, f"As a force it shows {lowered(str(answer))}")
+
+
+def _open_places(diagnosis: Diagnosis) -> list[str]:
+    """Where the members of the classes that were found act, each place once."""
+    places = []
+    for finding in diagnosis.findings:
+        for effect in () if finding.is_name else finding.effects:
+            at = f"in d{effect.equation}/dt"
+            if effect.slot == "sensor":
+                at = f"at the sensor of {effect.equation}"
+            places.append(at)
+    return list(dict.fromkeys(places))
 
 
 # ---- what to do
@@ -158,24 +194,63 @@ def to_do_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     if diagnosis.findings:
         return _addition(diagnosis, is_held_out)
     advice = diagnosis.next_step
-    if not diagnosis.proposed:
+    nearest = nearest_effects(diagnosis)
+    if not nearest:
         return advice
-    names = " and ".join(map(str, diagnosis.proposed))
-    against = _proposed(diagnosis).lost
-    reason = f": {against}" if against else ""
-    nearest = f"The nearest of the catalogue is {names}. It is not established{reason}."
-    return Answer(advice.lead, f"{advice.detail} {nearest}".strip())
+    names = " and ".join(map(str, nearest))
+    candidate = _candidate_with(diagnosis, nearest)
+    against, _, _ = candidate.lost.partition(" (")
+    reason = f"; {against}" if against else ""
+    fall = _fall_with(diagnosis, nearest)
+    less = f": {number(100 * fall, 2)} % less error" if fall > 0 else ""
+    if is_second_storage(nearest[0]):
+        lead = f"Try {names}{less}, but not proven."
+        return Answer(lead, f"{capitalised(against)}. {advice.detail}")
+    told = f"Nearest of the catalogue is {names}{less}, but not proven{reason}."
+    return Answer(advice.lead, f"{advice.detail} {told}".strip())
+
+
+def samples_to_average(diagnosis: Diagnosis) -> int:
+    """How many samples hide a force that shakes in their mean; 0 where none does."""
+    if not disturbance_word(diagnosis):
+        return 0
+    return EquationForce.of(diagnosis.analysis, None).pace.samples_per_cycle
+
+
+def nearest_effects(diagnosis: Diagnosis) -> tuple[Effect, ...]:
+    """What comes nearest where nothing is named; () where nothing comes near.
+
+    That is what is proposed, else the first of the ranking, if its size differs from
+    zero and it lowers the error by a tenth.
+    """
+    if diagnosis.findings:
+        return ()
+    if diagnosis.proposed or not diagnosis.ranking:
+        return diagnosis.proposed
+    first = diagnosis.ranking[0]
+    is_sure = abs(first.coefficient) > PROPOSED_Z * first.std_error
+    is_better = first.comparison is not None and (
+        first.comparison.rmse < NEARER * diagnosis.base.rmse
+    )
+    return first.effects if is_sure and is_better else ()
 
 
 def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     told = capitalised("; ".join(map(finding_words, diagnosis.findings)))
     outcome = _outcome(diagnosis, is_held_out)
     if diagnosis.verdict != Verdict.NAMED:
-        outcome += (
-            " What is left then is more than noise, and has no name: add, and "
-            "diagnose again."
-        )
+        outcome += f" Then diagnose again: what is left is {_left_words(diagnosis)}."
+    if any(not finding.is_name for finding in diagnosis.findings):
+        outcome += " Which of them, an experiment tells; found.separation proposes one."
     return Answer(f"{told}.", outcome.strip())
+
+
+def _left_words(diagnosis: Diagnosis) -> str:
+    """How much is left with what is proposed, beside the noise."""
+    found = _proposed(diagnosis).comparison
+    if found is None or _is_at_floor(found):
+        return "more than noise"
+    return f"{number(found.rmse / found.noise_floor, 2)} times the noise"
 
 
 def finding_words(finding: Finding) -> str:
@@ -193,19 +268,34 @@ def _outcome(diagnosis: Diagnosis, is_held_out: bool) -> str:
     found = _proposed(diagnosis).comparison
     if found is None:
         return ""
-    unit = spaced(found.error_unit)
+    size, unit = scale_of_errors(found.error_unit)
     which = "held-out" if is_held_out else "training"
-    before = number(diagnosis.base.rmse, 3)
-    after = f"{number(found.rmse, 3)}{unit}"
-    floor = f"noise floor {number(found.noise_floor, 3)}{unit}"
-    is_all = found.rmse <= FAILING_ERROR * found.noise_floor
-    trend = f"falls from {before} to {after}"
-    return f"The {which} error {trend} ({'at the ' if is_all else ''}{floor})."
+    before = number(size * diagnosis.base.rmse, 3)
+    after = f"{number(size * found.rmse, 3)}{spaced(unit)}"
+    floor = f"noise floor {number(size * found.noise_floor, 3)}"
+    at = "at the " if _is_at_floor(found) else ""
+    return f"The {which} error falls from {before} to {after} ({at}{floor})."
+
+
+def _fall_with(diagnosis: Diagnosis, effects: tuple[Effect, ...]) -> float:
+    """The share of the error that effects take away; 0 where that is not known."""
+    if not effects:
+        return 0.0
+    found = _candidate_with(diagnosis, effects).comparison
+    return 0.0 if found is None else 1 - found.rmse / diagnosis.base.rmse
+
+
+def _is_at_floor(found: Comparison) -> bool:
+    return found.rmse <= FAILING_ERROR * found.noise_floor
 
 
 def _proposed(diagnosis: Diagnosis) -> Candidate:
     """The candidate that is proposed."""
+    return _candidate_with(diagnosis, diagnosis.proposed)
+
+
+def _candidate_with(diagnosis: Diagnosis, effects: tuple[Effect, ...]) -> Candidate:
     for candidate in diagnosis.ranking:
-        if candidate.effects == diagnosis.proposed:
+        if candidate.effects == effects:
             return candidate
     return diagnosis.ranking[0]

@@ -21,29 +21,29 @@ def certainty_words(diagnosis: Diagnosis) -> str:
     """Whether something is missing, how far the error is off, whether why is known."""
     base = diagnosis.base
     ratio = base.rmse / base.noise_floor
-    times = f"error {number(ratio, 2)} times the noise"
+    error = f"the error is {number(ratio, 2)} times the noise"
     if ratio < AT_NOISE:
-        times = "the error is that of the noise"
+        error = "the error is that of the noise"
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
-        return f"Nothing is seen to be missing ({times}). {ONE_ERROR}"
+        return f"Nothing is seen to be missing: {error}. {ONE_ERROR}"
     sure = "The residuals are no noise"
     if ratio > SURE_ERROR or diagnosis.findings:  # these are established
         sure = "Certain that something is missing"
-    return f"{sure} ({times}). Cause: {_cause(diagnosis)}. {ONE_ERROR}"
+    told = (f"{sure}: {error}.", _cause(diagnosis), ONE_ERROR)
+    return " ".join(filter(None, told))
 
 
 def _cause(diagnosis: Diagnosis) -> str:
-    if not diagnosis.findings:
-        force = EquationForce.of(diagnosis.analysis, None)
-        if disturbance_word(diagnosis):
-            return "a disturbance, not found yet"
-        is_suspected = likely_cause(diagnosis.record.data.units, force)
-        return "suspected, not proven" if is_suspected else "not known"
-    is_class = any(not finding.is_name for finding in diagnosis.findings)
-    named = "one of a class" if is_class else "named"
-    if diagnosis.verdict == Verdict.PARTLY_NAMED:
-        return f"a part is {named}"
-    return named
+    """What is still open about the cause, in a sentence; "" where it is named."""
+    if diagnosis.findings:
+        is_class = any(not finding.is_name for finding in diagnosis.findings)
+        return "Which of them it is, the data do not tell." if is_class else ""
+    if disturbance_word(diagnosis):
+        return "It is a fast disturbance; its source is not found yet."
+    force = EquationForce.of(diagnosis.analysis, None)
+    if likely_cause(diagnosis.record.data.units, force):
+        return "The cause is suspected, not proven."
+    return "The cause is not known."
 
 
 def undetermined_words(parameters: pd.DataFrame) -> str:
@@ -62,8 +62,8 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
     if len(names) > MOST_NAMED:
         listed += f" and {len(names) - MOST_NAMED} more"
     return (
-        f"Not determined by these data: {listed} (standard error above the value); "
-        "do not rely on them."
+        f"Parameters that these data do not determine: {listed} (standard error "
+        "above the value); do not rely on them."
     )
 
 

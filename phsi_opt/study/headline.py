@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.units import spaced
@@ -18,6 +19,7 @@ from phsi_opt.presentation.report_content import (
 from phsi_opt.presentation.units import STANDARD_DEVIATIONS
 from phsi_opt.study.answers import (
     finding_words,
+    missing_answer,
     to_do_answer,
     was_wrong_words,
     where_answer,
@@ -48,15 +50,6 @@ NOW = {
         "Something is still missing that no effect of the catalogue explains."
     ),
 }
-# What is said of a model to which nothing was added.
-SAID = {
-    Verdict.NOTHING_MISSING: "Nothing is missing",
-    Verdict.NAMED: "Something is missing, and it is named",
-    Verdict.PARTLY_NAMED: "Something is missing, and a part of it is named",
-    Verdict.UNEXPLAINED: (
-        "Something is missing that no effect of the catalogue explains"
-    ),
-}
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
 UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
@@ -67,7 +60,7 @@ def headline_of(study: StudyRecord) -> Headline:
     """The verdict on the present model, and the answers of the first screen."""
     present = study.diagnoses.get(len(study.steps) - 1)
     status = NOT_ASKED if present is None else str(present.verdict)
-    telling = _telling(study, present)
+    telling = telling_diagnosis(study)
     if telling is not None:
         facts = _facts_of(study, telling)
     else:
@@ -84,12 +77,13 @@ def headline_of(study: StudyRecord) -> Headline:
     )
 
 
-def _telling(study: StudyRecord, present: Diagnosis | None) -> Diagnosis | None:
+def telling_diagnosis(study: StudyRecord) -> Diagnosis | None:
     """The diagnosis whose answers stand on the first screen.
 
     That of the present model while something is missing; else the first one that found
     something: it says what was wrong.
     """
+    present = study.diagnoses.get(len(study.steps) - 1)
     if present is not None and present.verdict != Verdict.NOTHING_MISSING:
         return present
     for _, diagnosis in sorted(study.diagnoses.items()):
@@ -133,7 +127,7 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
             f"What the model lacks has not been asked yet: {errors}. "
             "Call study.diagnose() or study.auto()."
         )
-    return _said(present, errors)
+    return verdict_sentence(present, study.held_out is not None)
 
 
 def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -> str:
@@ -180,15 +174,11 @@ def _unestablished(study: StudyRecord) -> set[str]:
     return proposed - established
 
 
-def _said(diagnosis: Diagnosis, errors: str) -> str:
-    """The verdict with the errors; the facts say more."""
-    said = SAID[diagnosis.verdict]
+def verdict_sentence(diagnosis: Diagnosis, is_held_out: bool) -> str:
+    """What a model lacks, that nothing was added to; the facts say more."""
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
-        return f"{said}: {diagnosis.reason}."
-    n_tried = len(diagnosis.ranking)
-    if diagnosis.verdict == Verdict.UNEXPLAINED and n_tried:
-        return f"{said} ({n_tried} tried): {errors}."
-    return f"{said}: {errors}."
+        return f"Nothing is missing: {diagnosis.reason}."
+    return str(missing_answer(diagnosis, is_held_out))
 
 
 def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
@@ -197,7 +187,7 @@ def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
     answers = (
         Answer(was_wrong_words(diagnosis, _whose(study, diagnosis))),
         where_answer(diagnosis, is_past=True),
-        Answer(since_when(diagnosis)),
+        since_when(diagnosis, _trained(study, diagnosis)),
         Answer(_was_added(study, diagnosis)),
     )
     return _facts(PAST, answers)
@@ -208,10 +198,18 @@ def _present_facts(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
     answers = (
         wrong_answer(diagnosis, is_held_out),
         where_answer(diagnosis),
-        Answer(since_when(diagnosis)),
+        since_when(diagnosis, study.last.train),
         to_do_answer(diagnosis, is_held_out),
     )
     return _facts(PRESENT if diagnosis.findings else UNNAMED, answers)
+
+
+def _trained(study: StudyRecord, diagnosis: Diagnosis) -> Comparison:
+    """The model that a diagnosis looked at, on its training data."""
+    for number_of_step, known in study.diagnoses.items():
+        if known is diagnosis:
+            return study.steps[number_of_step].train
+    return study.last.train
 
 
 def _facts(questions: Sequence[str], answers: Sequence[Answer]) -> list[Fact]:

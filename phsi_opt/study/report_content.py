@@ -22,15 +22,19 @@ from phsi_opt.presentation.report_content import (
     ErrorStep,
     Fact,
     Failure,
+    Glance,
     ParameterRow,
     Report,
+    Runs,
     Staircase,
 )
-from phsi_opt.presentation.units import STANDARD_DEVIATIONS
+from phsi_opt.presentation.units import STANDARD_DEVIATIONS, scale_of_errors
 from phsi_opt.study.checks import checks_of
 from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.force_content import failure_of, law_of
-from phsi_opt.study.headline import errors_in_words, headline_of
+from phsi_opt.study.glance import glance_of
+from phsi_opt.study.headline import errors_in_words, headline_of, telling_diagnosis
+from phsi_opt.study.off_words import NEAR_FLOOR, only_follows
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.run_content import runs_of
 from phsi_opt.study.step import Step
@@ -38,10 +42,6 @@ from phsi_opt.study.step_story import step_story
 
 ENDED_AT_BOUND = "at its bound"
 LEVEL = 0.95  # of the intervals: the convention of most tables
-# Errors over the noise floor: of training data that are fitted to the noise, and of
-# data held out that are not foretold.
-NEAR_FLOOR = 1.1
-FAR_ABOVE_FLOOR = 2.0
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
     "linear": "on a straight line to the next sample",
@@ -56,14 +56,17 @@ def report_content(study: StudyRecord, laws: Sequence[EffectLaw] = ()) -> Report
         study: as it stands.
         laws: of the effects that were added.
     """
+    runs = runs_of(study)
+    failures = _failures(study)
     return Report(
         f"Study of {', '.join(study.train.measured)}",
         headline_of(study),
         _staircase(study),
+        _glance(study, failures, runs),
         _equations(study),
-        runs_of(study),
+        runs,
         tuple(law_of(law) for law in laws),
-        _failures(study),
+        failures,
         checks_of(study),
         _settings(study),
         _code(study),
@@ -82,10 +85,10 @@ def _staircase(study: StudyRecord) -> Staircase:
         )
     said = errors_in_words(study)
     sentence = f"{said[:1].upper()}{said[1:]}."
-    if _only_follows(study.last):
+    if only_follows(study.last.train, study.last.judged):
         sentence += (
-            " On training data the last model is at or below the noise floor: it "
-            "follows what it was fitted to, and does not foretell the rest."
+            " The model fits the training data to the noise, but not the data held "
+            "out: it follows what it was fitted to."
         )
     else:
         sentence += _at_floor(study.last, size)
@@ -94,16 +97,6 @@ def _staircase(study: StudyRecord) -> Staircase:
             " The movement of a channel is the standard deviation of its measurements."
         )
     return Staircase(tuple(steps), unit, sentence)
-
-
-def scale_of_errors(unit: str) -> tuple[float, str]:
-    """A factor on errors and the unit that they then have.
-
-    Those of several channels are told in percent of what was measured.
-    """
-    if unit == STANDARD_DEVIATIONS:
-        return 100.0, "% of the movement"
-    return 1.0, unit
 
 
 def _at_floor(step: Step, size: float) -> str:
@@ -126,15 +119,6 @@ def _at_floor(step: Step, size: float) -> str:
 def is_just_below(error: float, floor: float) -> bool:
     """Whether an error is below the noise floor, and no further than it is known."""
     return floor / NEAR_FLOOR < error < floor
-
-
-def _only_follows(step: Step) -> bool:
-    """Whether a model fits its training data to the noise, and no other data."""
-    if step.held_out is None:
-        return False
-    floor = step.judged.noise_floor
-    is_fitted = step.train.rmse < NEAR_FLOOR * floor
-    return is_fitted and step.held_out.rmse > FAR_ABOVE_FLOOR * floor
 
 
 def _equations(study: StudyRecord) -> tuple[Equations, ...]:
@@ -197,6 +181,18 @@ def _failures(study: StudyRecord) -> tuple[Failure, ...]:
         heading = proper_names(heading)
         failures.append(failure_of(diagnosis, heading, study.unit, told))
     return tuple(failures)
+
+
+def _glance(
+    study: StudyRecord, failures: Sequence[Failure], runs: Runs
+) -> Glance | None:
+    """Where what the verdict tells of is seen best."""
+    telling = telling_diagnosis(study)
+    told = [diagnosis for _, diagnosis in sorted(study.diagnoses.items())]
+    for diagnosis, failure in zip(told, failures, strict=True):
+        if diagnosis is telling:
+            return glance_of(diagnosis, failure, runs)
+    return None
 
 
 def _settings(study: StudyRecord) -> tuple[Fact, ...]:

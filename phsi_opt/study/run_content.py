@@ -10,6 +10,7 @@ from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.step import Step
 
+TRAINING = "training"  # the part of the data that is fitted
 # Together in all trajectories and channels: two megabytes of text.
 MOST_DRAWN_SAMPLES = 60_000
 MOST_PER_CURVE = 1_500  # two for each pixel of a wide screen
@@ -21,7 +22,7 @@ DIGITS_OF_TIME = 6  # over the range of a record: a zoomed curve has no steps
 def runs_of(study: StudyRecord) -> Runs:
     """The trajectories of both parts, with base model, first step and present model."""
     steps = _shown_steps(study)
-    parts = [("training", [step.train for step in steps])]
+    parts = [(TRAINING, [step.train for step in steps])]
     if study.held_out is not None:
         held_out = [step.held_out for step in steps if step.held_out is not None]
         parts.insert(0, ("held out", held_out))

@@ -3,6 +3,7 @@
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.presentation.numbers import capitalised
 from phsi_opt.study.answers import (
+    missing_answer,
     to_do_answer,
     where_answer,
     wrong_answer,
@@ -22,15 +23,16 @@ def step_story(study: StudyRecord, number: int) -> str:
     diagnosis = study.diagnoses[number]
     is_held_out = study.held_out is not None
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
-        off = off_words(diagnosis.base)
+        off = " and ".join(off_words(diagnosis.base))
         return (
             f"Simulated on {judged_words(is_held_out)}, the model is off: {off}. "
             "That is what noise leaves; these data show nothing that is missing."
         )
     told = (
+        missing_answer(diagnosis, is_held_out),
         wrong_answer(diagnosis, is_held_out),
         where_answer(diagnosis),
-        since_when(diagnosis),
+        since_when(diagnosis, study.steps[number].train),
         to_do_answer(diagnosis, is_held_out),
         _done_since(study, number),
     )

@@ -10,16 +10,19 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
 
 from phsi_opt.model.model import Model
+from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
     argument_symbols,
+    in_intervals,
     interval_arguments,
     map_intervals,
+    mapped,
 )
+from phsi_opt.transcription.pattern import entries_of, entry_places
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +59,10 @@ def defect_slopes(
     ``x`` is (n_nodes, n_states) and ``theta`` (n_free,).
     """
     slopes = model.built(("dense slopes", scheme), lambda: _dense_slopes(model, scheme))
-    columns = interval_arguments(grid, ca.DM(x.T))
-    at_begin, at_end = map_intervals(slopes, grid, columns, theta)
+    columns = interval_arguments(grid, x.T)
+    at_begin, at_end = in_intervals(slopes, grid, columns, theta)
     shape = (grid.n_intervals, model.n_states, model.n_states)
-    return DefectSlopes(
-        np.array(at_begin).T.reshape(shape), np.array(at_end).T.reshape(shape)
-    )
+    return DefectSlopes(at_begin.T.reshape(shape), at_end.T.reshape(shape))
 
 
 def interval_slopes(
@@ -80,8 +81,13 @@ def interval_slopes(
 
 
 @dataclass(frozen=True, eq=False)
-class _OfOneInterval:
-    """A function of one interval, and the places of its entries, (n_entries, 2)."""
+class OfOne:
+    """A function of one interval or node, and the places of its entries.
+
+    Attributes:
+        entries: the function, whose last result are the entries.
+        places: (n_entries, 2) row and column of each.
+    """
 
     entries: ca.Function
     places: np.ndarray
@@ -98,79 +104,75 @@ def _dense_slopes(model: Model, scheme: str) -> ca.Function:
     return ca.Function("slopes", arguments, [ca.vec(in_x0), ca.vec(in_x1)])
 
 
-def _slopes_of_one(model: Model, scheme: str, with_theta: bool) -> _OfOneInterval:
+def _slopes_of_one(model: Model, scheme: str, with_theta: bool) -> OfOne:
     function = defect(model, scheme)
     arguments = argument_symbols(function)
     x0, x1, *_, parameters = arguments
     unknowns = [x0, x1, parameters] if with_theta else [x0, x1]
     slopes = ca.jacobian(function(*arguments), ca.vertcat(*unknowns))
-    entries = ca.Function("steps", arguments, [_entries(slopes)])
-    return _OfOneInterval(entries, _places(slopes))
+    entries = ca.Function("steps", arguments, [entries_of(slopes)])
+    return OfOne(entries, entry_places(slopes))
 
 
-def _linear_one(model: Model, scheme: str) -> _OfOneInterval:
+def linear_defect(model: Model, scheme: str) -> OfOne:
     """The defect of one interval with its slopes in (x0, x1, theta)."""
+    return model.built(("linear", scheme), lambda: _linear_one(model, scheme))
+
+
+def _linear_one(model: Model, scheme: str) -> OfOne:
     function = defect(model, scheme)
     arguments = argument_symbols(function)
     x0, x1, *_, parameters = arguments
     value = function(*arguments)
     slopes = ca.jacobian(value, ca.vertcat(x0, x1, parameters))
-    both = ca.Function("linear", arguments, [value, _entries(slopes)])
-    return _OfOneInterval(both, _places(slopes))
+    both = ca.Function("linear", arguments, [value, entries_of(slopes)])
+    return OfOne(both, entry_places(slopes))
 
 
 class DefectLinearization:
-    """Defects of a model with their sparse slopes, made once for many points.
+    """Defects of a model with their slopes, made once for many points of a grid.
 
     Args:
         model: the model.
         scheme: name of the integrator.
+        grid: nodes and intervals.
+        n_trajectories: of the parameters.
+
+    Attributes:
+        places: (n_entries, 2) equation and unknown of each slope that is not always
+            zero, among (x0, x1, theta).
     """
 
-    def __init__(self, model: Model, scheme: str) -> None:
-        self.model = model
-        one = model.built(("linear", scheme), lambda: _linear_one(model, scheme))
-        self._places = one.places
-        self._function = one.entries
+    def __init__(
+        self, model: Model, scheme: str, grid: Grid, n_trajectories: int
+    ) -> None:
+        one = linear_defect(model, scheme)
+        self.places = one.places
+        is_shared = n_trajectories == 1
+        self._evaluated = Evaluated(mapped(one.entries, grid.n_intervals, is_shared))
+        self._begin = grid.begin
+        self._trajectory = grid.trajectory[grid.begin]
+        self._given = [grid.t[grid.begin], grid.h, grid.u0.ravel(), grid.u1.ravel()]
 
     def at(
-        self, grid: Grid, x: np.ndarray, parameters: np.ndarray
-    ) -> tuple[np.ndarray, csc_matrix, csc_matrix]:
-        """Linearise at a point.
+        self, x: np.ndarray, parameters: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Linearise at states (n_nodes, n_states).
 
         Args:
-            grid: nodes and intervals.
-            x: (n_nodes, n_states) states.
+            x: the states.
             parameters: (n_free, n_trajectories).
 
         Returns:
-            The defects, (n_intervals * n_states,), and sparse matrices: their slopes in
-            the states, node by node, and in the parameters of every trajectory, of
-            which the first n_free columns belong to the first trajectory.
+            The defects, (n_intervals, n_states), and the slopes, (n_intervals,
+            n_entries). They are written over by the next call.
         """
-        columns = interval_arguments(grid, ca.DM(x.T))
-        found = map_intervals(self._function, grid, columns, ca.DM(parameters))
-        values, entries = (np.array(part) for part in found)
-        n = self.model.n_states
-        n_free, n_trajectories = parameters.shape
-        rows, inner = self._places.T
-        at_row = np.arange(grid.n_intervals) * n + rows[:, None]
-        in_state = inner < 2 * n
-        at_node = grid.begin * n + inner[in_state, None]
-        in_states = coo_matrix(
-            (entries[in_state].ravel(), (at_row[in_state].ravel(), at_node.ravel())),
-            shape=(values.size, x.size),
-        )
-        first = grid.trajectory[grid.begin] * n_free
-        at_parameter = first + inner[~in_state, None] - 2 * n
-        of_parameters = coo_matrix(
-            (
-                entries[~in_state].ravel(),
-                (at_row[~in_state].ravel(), at_parameter.ravel()),
-            ),
-            shape=(values.size, n_free * n_trajectories),
-        )
-        return values.T.ravel(), in_states.tocsc(), of_parameters.tocsc()
+        ends = x[self._begin].ravel(), x[self._begin + 1].ravel()
+        theta = parameters.ravel()
+        if parameters.shape[1] > 1:
+            theta = parameters.T[self._trajectory].ravel()
+        values, entries = self._evaluated(*ends, *self._given, theta)
+        return values, entries
 
 
 def interval_curvatures(
@@ -187,7 +189,7 @@ def interval_curvatures(
     return IntervalEntries(values, one.places)
 
 
-def _curvature_of_one(model: Model, scheme: str) -> _OfOneInterval:
+def _curvature_of_one(model: Model, scheme: str) -> OfOne:
     function = defect(model, scheme)
     *given, parameters = argument_symbols(function)
     x0, x1 = given[:2]
@@ -196,17 +198,5 @@ def _curvature_of_one(model: Model, scheme: str) -> _OfOneInterval:
     hessian = ca.hessian(value, ca.vertcat(x0, x1, parameters))[0]
     upper = ca.triu(hessian)
     arguments = [*given, multiplier, parameters]
-    entries = ca.Function("curvature", arguments, [_entries(upper)])
-    return _OfOneInterval(entries, _places(upper))
-
-
-def _places(matrix: ca.SX) -> np.ndarray:
-    """Row and column of each entry that is not always zero, (n_entries, 2)."""
-    rows, columns = matrix.sparsity().get_triplet()
-    return np.array([rows, columns], dtype=int).T
-
-
-def _entries(matrix: ca.SX) -> ca.SX:
-    """The entries at `_places`, as a column."""
-    entries = [matrix[row, column] for row, column in _places(matrix).tolist()]
-    return ca.vertcat(ca.SX(0, 1), *entries)
+    entries = ca.Function("curvature", arguments, [entries_of(upper)])
+    return OfOne(entries, entry_places(upper))

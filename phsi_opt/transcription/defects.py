@@ -17,7 +17,9 @@ from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.interval_map import (
     argument_symbols,
+    in_intervals,
     interval_arguments,
+    known_arguments,
     map_intervals,
 )
 
@@ -196,9 +198,9 @@ def local_errors(
         solution leaves the range of numbers.
     """
     exact = model.built("exact", lambda: _fine_integration(model))
-    x0, _, *others = interval_arguments(grid, x.T)
-    ends = map_intervals(exact, grid, [x0, *others], theta)
-    return np.array(ends).T - x[grid.begin + 1]
+    begins = x[grid.begin].T
+    (ends,) = in_intervals(exact, grid, [begins, *known_arguments(grid)], theta)
+    return ends.T - x[grid.begin + 1]
 
 
 def _fine_integration(model: Model) -> ca.Function:

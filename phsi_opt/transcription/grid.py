@@ -191,6 +191,8 @@ def interpolate_at_nodes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:
     Returns:
         (n_nodes, ...); at a sample its own value.
     """
+    if np.all(steps == 1):
+        return values
     n_nodes = np.append(steps, 1)
     return _NodePlaces.of(n_nodes, np.array([len(steps)])).interpolated(values)
 

@@ -6,18 +6,10 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.evaluated import Evaluated
+from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import (
-    argument_symbols,
-    interval_arguments,
-    mapped,
-)
-
-# Intervals in one call: a map over all of a long record takes longer to make than to
-# evaluate, one over a few is called too often.
-AT_ONCE = 500
+from phsi_opt.transcription.interval_map import argument_symbols, interval_arguments
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,35 +46,19 @@ class KnownDefects:
         only: list[int] | None = None,
     ) -> None:
         chosen = list(range(len(model.free))) if only is None else only
-        self._n_states = model.n_states
-        self._n_chosen = len(chosen)
-        self._n_intervals = grid.n_intervals
-        self._size = max(min(grid.n_intervals, AT_ONCE), 1)
         together = model.built(
             ("with slopes", scheme, tuple(chosen)),
             lambda: _with_slopes(model, scheme, chosen),
         )
-        self._evaluated = Evaluated(mapped(together, self._size, False))
+        self._n_chosen = len(chosen)
+        self._function = ColumnFunction(together, (together.n_in() - 1,))
         states = grid.y if x is None else x
-        self._parts = []
-        arguments = [np.asarray(one).T for one in interval_arguments(grid, states.T)]
-        for begin in range(0, grid.n_intervals, self._size):
-            inside = np.arange(begin, begin + self._size)
-            inside = np.minimum(inside, grid.n_intervals - 1)  # the last one is filled
-            self._parts.append([one[inside].ravel() for one in arguments])
+        self._arguments = interval_arguments(grid, states.T)
 
     def at(self, theta: np.ndarray) -> ParameterSlopes:
         """Defects and slopes for parameters theta (n_free,)."""
-        n_padded = len(self._parts) * self._size
-        d = np.empty((n_padded, self._n_states))
-        slopes = np.empty((n_padded, self._n_states * self._n_chosen))
-        repeated = np.tile(theta, self._size)
-        for number, part in enumerate(self._parts):
-            place = slice(number * self._size, (number + 1) * self._size)
-            d[place], slopes[place] = self._evaluated(*part, repeated)
-        n = self._n_intervals
-        in_rows = slopes[:n].reshape(n * self._n_states, self._n_chosen)
-        return ParameterSlopes(d[:n], in_rows)
+        d, slopes = self._function(*self._arguments, np.asarray(theta))
+        return ParameterSlopes(d.T, slopes.T.reshape(d.size, self._n_chosen))
 
     def residual_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Defects (n_defects,) and slopes (n_defects, n_chosen), for a program."""

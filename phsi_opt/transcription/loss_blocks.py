@@ -59,19 +59,14 @@ class ThetaVariable:
 
         ``l1`` holds a weight lambda per slot; a slot that it does not name has none.
         """
-        entries = self.unknown.entries
-        places = []
-        weights = []
-        for place, entry in enumerate(entries):
-            if entry.prunable and l1.get(entry.slot, 0) > 0:
-                places.append(place)
-                weights.append(l1[entry.slot])
+        weights = self.unknown.weights(l1)
+        places = np.flatnonzero(weights > 0).tolist()
         if not places:
             return
         build.l1(
             "theta",
             self.values[places],
-            factor * np.array(weights),
+            factor * weights[places],
             self.point.theta[places],
             self.point.theta_scale[places],
         )

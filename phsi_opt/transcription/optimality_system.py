@@ -7,7 +7,6 @@ with a step is the business of the callers.
 
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.optimization.along_time import TimeLayout
@@ -16,6 +15,7 @@ from phsi_opt.optimization.chained import Chained
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import REGULAR, chain_of, time_order
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.pattern import Pattern
 
 # Share of the largest curvature of (scaled) parameters below which a direction is as
 # good as rounding: it is the difference of numbers as large as the largest.
@@ -46,14 +46,19 @@ class OptimalitySystem:
     """
 
     def __init__(
-        self, grid: Grid, n_states: int, hessian: ca.Sparsity, jacobian: ca.Sparsity
+        self, grid: Grid, n_states: int, hessian: Pattern, jacobian: Pattern
     ) -> None:
         self._n_x = grid.n_nodes * n_states
-        self.n_theta = hessian.size1() - self._n_x
-        self._hessian = _Places.of(hessian)
-        self._jacobian = _Places.of(jacobian)
-        self._in_x = self._hessian.rows >= self.n_theta
-        self._of_x = self._jacobian.columns >= self.n_theta
+        self.n_theta = hessian.shape[0] - self._n_x
+        self._hessian = hessian
+        self._jacobian = jacobian
+        is_state = hessian.rows >= self.n_theta
+        of_x = jacobian.columns >= self.n_theta
+        self._in_x = np.flatnonzero(is_state)
+        self._of_x = np.flatnonzero(of_x)
+        self._of_theta = np.flatnonzero(~of_x)
+        self._own = np.flatnonzero(hessian.columns < self.n_theta)
+        self._mixed = np.flatnonzero(~is_state & (hessian.columns >= self.n_theta))
         order = time_order(grid, ("node", n_states), ("interval", n_states))
         rows, columns = self._entry_places()
         self._layout = TimeLayout(rows, columns, order, chain_of(grid, n_states))
@@ -62,23 +67,22 @@ class OptimalitySystem:
         """Rows and columns of what `_entries` lists."""
         row = self._hessian.rows[self._in_x] - self.n_theta
         column = self._hessian.columns[self._in_x] - self.n_theta
+        self._above = self._in_x[row < column]
+        self._diagonal = self._in_x[row == column]
         is_above = row < column
         defect = self._jacobian.rows[self._of_x] + self._n_x
         state = self._jacobian.columns[self._of_x] - self.n_theta
         every_state = np.arange(self._n_x)
         rows = [row, column[is_above], every_state, defect, state]
         columns = [column, row[is_above], every_state, state, defect]
-        self._is_above = is_above
-        self._is_diagonal = row == column
         return np.concatenate(rows), np.concatenate(columns)
 
     def _entries(self, hessian: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-        of_states = hessian[self._in_x]
         slopes = jacobian[self._of_x]
-        largest = np.max(of_states[self._is_diagonal], initial=TINY)
+        largest = np.max(hessian[self._diagonal], initial=TINY)
         shift = np.full(self._n_x, REGULAR * largest)
-        above = of_states[self._is_above]
-        return np.concatenate([of_states, above, shift, slopes, slopes])
+        of_states = [hessian[self._in_x], hessian[self._above], shift]
+        return np.concatenate([*of_states, slopes, slopes])
 
     def factored(self, hessian: np.ndarray, jacobian: np.ndarray) -> "Factored":
         """The system, from entries in the order of the patterns.
@@ -92,27 +96,33 @@ class OptimalitySystem:
             np.linalg.LinAlgError: an entry is no number.
         """
         factors = self._layout.factors(self._entries(hessian, jacobian))
-        of_theta, coupling = self._border(hessian, jacobian)
-        return Factored(factors, of_theta, coupling)
+        of_theta = self._theta_block(hessian)
+        return Factored(factors, of_theta, self._right(hessian, jacobian))
 
-    def _border(
-        self, hessian: np.ndarray, jacobian: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Hessian of the parameters, and what couples them with the others, dense."""
-        n_theta = self.n_theta
-        at = self._hessian
-        of_theta = np.zeros((n_theta, n_theta))
-        is_own = at.columns < n_theta
-        of_theta[at.rows[is_own], at.columns[is_own]] = hessian[is_own]
-        of_theta = np.triu(of_theta) + np.triu(of_theta, 1).T
-        coupling = np.zeros((self._n_x + self._jacobian.n_rows, n_theta))
-        is_mixed = ~is_own & ~self._in_x
-        states = at.columns[is_mixed] - n_theta
-        coupling[states, at.rows[is_mixed]] = hessian[is_mixed]
-        defects = self._n_x + self._jacobian.rows[~self._of_x]
-        parameters = self._jacobian.columns[~self._of_x]
-        coupling[defects, parameters] = jacobian[~self._of_x]
-        return of_theta, coupling
+    def _theta_block(self, hessian: np.ndarray) -> np.ndarray:
+        """Hessian of the parameters, dense."""
+        block = np.zeros((self.n_theta, self.n_theta))
+        if len(self._own):
+            rows = self._hessian.rows[self._own]
+            columns = self._hessian.columns[self._own]
+            np.add.at(block, (rows, columns), hessian[self._own])
+        return np.triu(block) + np.triu(block, 1).T
+
+    def _right(self, hessian: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+        """What couples the parameters with the others, and an empty column, dense.
+
+        Column after column in memory, as it is solved for.
+        """
+        n = self._n_x + self._jacobian.shape[0]
+        right = np.zeros((n, self.n_theta + 1), order="F")
+        if len(self._mixed):
+            states = self._hessian.columns[self._mixed] - self.n_theta
+            parameters = self._hessian.rows[self._mixed]
+            np.add.at(right, (states, parameters), hessian[self._mixed])
+        defects = self._n_x + self._jacobian.rows[self._of_theta]
+        parameters = self._jacobian.columns[self._of_theta]
+        right[defects, parameters] = jacobian[self._of_theta]
+        return right
 
     def curvature(self, hessian: np.ndarray, z: np.ndarray) -> float:
         """z'Hz of a step z (n_variables,), from entries of the upper triangle."""
@@ -143,15 +153,16 @@ class Factored:
     Args:
         factors: of the states and multipliers.
         of_theta: (n_theta, n_theta) Hessian of the parameters.
-        coupling: (n_others, n_theta) of the parameters with all others.
+        right: (n_others, n_theta + 1) what couples the parameters with all others, and
+            a column for what they pull by themselves.
     """
 
     def __init__(
-        self, factors: Banded | Chained, of_theta: np.ndarray, coupling: np.ndarray
+        self, factors: Banded | Chained, of_theta: np.ndarray, right: np.ndarray
     ) -> None:
         self._factors = factors
         self._of_theta = of_theta
-        self._coupling = coupling
+        self._right = right
         self._per_theta: np.ndarray | None = None
 
     @property
@@ -167,16 +178,18 @@ class Factored:
                 multipliers are changes likewise.
             g: (n_constraints,) values of the constraints.
         """
-        coupling = self._coupling
-        n_theta = coupling.shape[1]
+        right = self._right
+        n_theta = right.shape[1] - 1
         n_x = len(gradient) - n_theta
-        right = np.concatenate([-gradient[n_theta:], -g])
+        right[:n_x, n_theta] = -gradient[n_theta:]
+        right[n_x:, n_theta] = -g
+        coupling = right[:, :n_theta]
         if self._per_theta is None:
-            solved = self._factors.solve(np.column_stack([coupling, right]))
+            solved = self._factors.solve(right)
             self._per_theta = solved[:, :n_theta]
             alone = solved[:, n_theta]
         else:
-            alone = self._factors.solve(right)
+            alone = self._factors.solve(right[:, n_theta])
         left = self._of_theta - coupling.T @ self._per_theta
         theta = _solved(left, -gradient[:n_theta] - coupling.T @ alone)
         others = alone - self._per_theta @ theta
@@ -195,17 +208,3 @@ def _solved(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:
     is_told = values > SILENT * values[-1]
     told = vectors[:, is_told]
     return told @ ((told.T @ right) / values[is_told])
-
-
-@dataclass(frozen=True, eq=False)
-class _Places:
-    """Rows and columns of the entries of a pattern, in CasADi's order."""
-
-    rows: np.ndarray
-    columns: np.ndarray
-    n_rows: int
-
-    @classmethod
-    def of(cls, pattern: ca.Sparsity) -> "_Places":
-        rows, columns = pattern.get_triplet()
-        return cls(np.array(rows, int), np.array(columns, int), pattern.size1())

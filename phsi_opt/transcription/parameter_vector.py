@@ -80,6 +80,18 @@ class Theta:
         """Upper bounds, (n_theta,)."""
         return np.array([entry.parameter.upper for entry in self.entries])
 
+    def weights(self, l1: Mapping[str, float]) -> np.ndarray:
+        """Weight of each entry in an L1 term, (n_theta,); zero: it is not in it.
+
+        Args:
+            l1: weight by slot; a slot that is not named has none.
+        """
+        weights = np.zeros(len(self.names))
+        for place, entry in enumerate(self.entries):
+            if entry.prunable:
+                weights[place] = l1.get(entry.slot, 0.0)
+        return weights
+
     def spread(self, values: np.ndarray) -> np.ndarray:
         """Theta from one value per model parameter, (n_free,) -> (n_theta,)."""
         return np.asarray(values, dtype=float)[self.owner]

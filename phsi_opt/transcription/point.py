@@ -42,3 +42,28 @@ class Point:
     x_scale: np.ndarray
     w: np.ndarray | None = None
     x_bounds: StateBounds | None = None
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Sizes of parameters and states in z, the variables of a program, (n,)."""
+        return np.concatenate([self.theta_scale, np.tile(self.x_scale, len(self.x))])
+
+    @property
+    def scaled(self) -> np.ndarray:
+        """Parameters and states over their sizes, (n,), where z begins."""
+        return np.concatenate([self.theta, self.x.ravel()]) / self.scale
+
+    def unscaled(self, z: np.ndarray) -> dict[str, np.ndarray]:
+        """Values of parameters and states, by block, from z (n,)."""
+        values = z * self.scale
+        return {"theta": values[self.of_theta], "x": values[self.of_x]}
+
+    @property
+    def of_theta(self) -> slice:
+        """Where the parameters stand in z, which begins with them."""
+        return slice(0, self.theta.size)
+
+    @property
+    def of_x(self) -> slice:
+        """Where the states stand in z."""
+        return slice(self.theta.size, self.theta.size + self.x.size)

@@ -97,6 +97,7 @@ def model() -> ph.PseudoHamiltonian:
     inertia = ph.Parameter(START["J"], lower=1e-2)
     damping = ph.Parameter(START["d"], lower=0, unit="1/s")
     return ph.PseudoHamiltonian(
+        kind="mechanical",
         states=STATES,
         inputs=INPUTS,
         S=[[0.0, 1.0, 0.0], [-1.0, 0.0, 1.0], [0.0, -1.0, 0.0]],

@@ -37,7 +37,7 @@ FLYING = (20.0, 80.0)  # s
 SAMPLING = 0.01  # s
 THIN = 5  # samples
 WINDOW = 5.0  # s
-UNITS = {"q": "rad", "u": "%", "t": "s"}
+UNITS = {"q": "rad", "p": "rad/s", "u": "%", "t": "s"}
 # Simulations fitted by hand to the same windows of the steps, to compare: errors in
 # degrees.
 BY_HAND = {
@@ -66,7 +66,7 @@ def load(
 
 def model() -> ph.PseudoHamiltonian:
     """Gravity, damping, and a thrust in proportion to the command."""
-    gravity = ph.Parameter(10.0, lower=0, unit="1/s^2")
+    gravity = ph.Parameter(10.0, lower=0)
     return ph.PseudoHamiltonian(
         states=["q", "p"],
         inputs=["u"],

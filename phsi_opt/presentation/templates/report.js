@@ -18,7 +18,7 @@
 
   // On a phone the answers come first; what stands behind them is opened.
   if (matchMedia("(max-width: 40rem)").matches) {
-    document.querySelectorAll(".facts details").forEach((one) => { one.open = false; });
+    document.querySelectorAll(".facts > div:not(:last-child) details").forEach((one) => { one.open = false; });
   }
 
   // On paper nothing can be opened: everything is.
@@ -138,7 +138,7 @@
     const unit = content.unit;
     draw("staircase", traces, {
       xaxis: { tickvals: x, ticktext: labels, range: [-0.6, steps.length - 1 + behind], zeroline: false },
-      yaxis: Object.assign(ticks, { type: log ? "log" : "linear", range: log ? [Math.log10(least / 2), Math.log10(2 * most)] : [0, 1.2 * most], title: { text: withUnit("error", unit) } }),
+      yaxis: Object.assign(ticks, { type: log ? "log" : "linear", range: log ? [Math.log10(least / 2), Math.log10(2 * most)] : [0, 1.2 * most], title: { text: unit.startsWith("%") ? "error<br>(%)" : withUnit("error", unit) } }),
     });
   }
 
@@ -180,6 +180,31 @@
     ];
   }
 
+  // Beside the verdict: one channel, the force that is missing there below it.
+  function glance() {
+    const place = data.glance;
+    if (!place) return;
+    const run = data.runs.runs[place.run];
+    const one = run.channels[place.channel];
+    const info = data.runs.channels[place.channel];
+    const traces = [{ x: one.t, y: one.measured, name: "measured", mode: "markers", marker: { color: color("measured"), size: 4 }, hovertemplate: "%{y:.4g}" }];
+    one.models.forEach((values, m) => {
+      if (m === 0 || m === one.models.length - 1) traces.push({ x: one.t, y: values, name: m ? "present model" : "base model", line: styleOf(m, one.models.length), mode: "lines", hovertemplate: "%{y:.4g}" });
+    });
+    const lacks = place.force;
+    const below = lacks ? band(lacks.t, lacks.force, lacks.std.map((v) => (v === null ? null : 2 * v)), "\u00b1 2 std.") : [];
+    if (lacks) below.push({ x: lacks.t, y: lacks.force, mode: "lines", line: { color: color("between"), width: 2 }, name: "missing", hovertemplate: "%{y:.3g}" });
+    below.forEach((trace) => { trace.yaxis = "y2"; });
+    const shapes = [];
+    if (place.window) shapes.push({ type: "rect", xref: "x", x0: place.window[0], x1: place.window[1], yref: "paper", y0: 0, y1: 1, fillcolor: faint("before", 0.18), line: { width: 1, color: faint("before", 0.7) }, layer: "below" });
+    draw("glance", traces.concat(below), {
+      xaxis: { anchor: lacks ? "y2" : "y", title: { text: since(withUnit("t", data.runs.unit_of_time), run.since) } },
+      yaxis: { domain: [lacks ? 0.55 : 0, 1], title: { text: withUnit(info.name, info.unit) } },
+      yaxis2: { domain: [0, 0.42], title: { text: wrapped(place.label, 14) } },
+      shapes: shapes, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, traceorder: "normal" },
+    });
+  }
+
   function follows(id, one, label) {
     const parts = band(one.centre, one.mean, one.std, "spread");
     parts.unshift({ x: one.x, y: one.force, mode: "markers", marker: { color: color("measured"), size: 3, opacity: 0.6 }, name: "force", hoverinfo: "skip" });
@@ -207,6 +232,7 @@
   function drawAll() {
     if (!window.Plotly) return;
     staircase();
+    glance();
     measured();
     data.laws.forEach((law, k) => follows("law-" + k, law.follows, law.label));
     data.forces.forEach((forces, f) => forces.forEach((one, k) => force(`force-${f}-${k}`, one)));

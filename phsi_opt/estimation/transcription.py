@@ -1,0 +1,81 @@
+"""A likelihood laid out: model, grid and point, and what solvers make of them.
+
+Full steps take its numbers, IPOPT its program. A program takes longer to put together
+than full steps to end, so it is made when it is asked for.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from phsi_opt.model.model import Model
+from phsi_opt.optimization.program import Program
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
+from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
+
+
+@dataclass(frozen=True, eq=False)
+class Transcription:
+    """A likelihood laid out for the solvers.
+
+    Attributes:
+        loss: the likelihood.
+        model: whose defects vanish.
+        grid: nodes and intervals, cut into windows or whole.
+        unknown: names and places of the free parameters.
+        point: to start from, with the scale of each unknown.
+        l1: weight by slot.
+        sigma: (n_states,) noise to start from.
+        window: length of the windows in time, None: whole trajectories.
+    """
+
+    loss: MaximumLikelihood
+    model: Model
+    grid: Grid
+    unknown: Theta
+    point: Point
+    l1: Mapping[str, float]
+    sigma: np.ndarray
+    window: float | None = None
+
+    @cached_property
+    def program(self) -> Program:
+        """The nonlinear program, put together when a solver asks for it."""
+        return self.loss.program(
+            self.model, self.grid, self.point, self.l1, self.sigma, self.unknown
+        )
+
+    @property
+    def has_slacks(self) -> bool:
+        """Whether the program has variables beside parameters and states."""
+        has_l1 = bool(np.any(self.unknown.weights(self.l1) > 0))
+        return self.loss.huber is not None or has_l1
+
+    @cached_property
+    def values(self) -> LikelihoodValues:
+        """The likelihood in numbers, where it has no slack variables."""
+        return LikelihoodValues(
+            self.model, self.grid, self.loss.integrator, self.point, self.unknown
+        )
+
+    def __str__(self) -> str:
+        where = "" if self.window is None else f" in windows of {self.window:.3g}"
+        return (
+            f"maximum likelihood, {len(self.unknown)} parameters, "
+            f"{self.point.x.size} states{where}"
+        )
+
+    @property
+    def has_path(self) -> bool:
+        """Whether it can be solved along solutions of the model.
+
+        Not with windows, nor with slack variables.
+        """
+        n_pieces = self.grid.n_nodes - self.grid.n_intervals
+        is_whole = n_pieces == len(self.grid.first)
+        return is_whole and not self.has_slacks

@@ -1,0 +1,160 @@
+"""The likelihood in numbers: what its program says, value by value."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.estimation.transcription import Transcription
+from phsi_opt.initialization.scaling import first_point
+from phsi_opt.optimization.ipopt import Solver
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import StateBounds
+
+SIGMA = np.array([0.05, 0.2])
+
+
+def duffing(*, per_trajectory: bool = False, sensors: bool = False) -> ph.Model:
+    shown = {
+        "q": ph.formula("offset + 0.1*q**2", offset=ph.Parameter(0.1)),
+        "p": ph.formula("gain*p", gain=ph.Parameter(0.2, per_trajectory=True)),
+    }
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula(
+            "k*q**2/2 + a*q**4/4 + p**2/2",
+            k=ph.Parameter(1.2, lower=0.0, per_trajectory=per_trajectory),
+            a=ph.Parameter(0.5),
+        ),
+        R={"p": ph.formula("c", c=ph.Parameter(0.2, upper=3.0))},
+        F={"p": ph.formula("u*cos(t)")},
+        inputs=["u"],
+        sensor=shown if sensors else {},
+    )
+
+
+def measurements() -> ph.Measurements:
+    """Three runs with inputs; some values are missing."""
+    rng = np.random.default_rng(0)
+    times = [np.cumsum(rng.uniform(0.05, 0.2, n)) for n in (9, 7, 5)]
+    values = [rng.normal(size=(len(t), 2)) for t in times]
+    values[0][3, 0] = np.nan
+    values[1][2:5, 1] = np.nan
+    inputs = [rng.normal(size=(len(t), 1)) for t in times]
+    return ph.Measurements.from_arrays(
+        times, values, inputs, states=["q", "p"], inputs=["u"]
+    )
+
+
+def transcription(model: ph.Model, steps: int = 1) -> Transcription:
+    data = measurements()
+    grid = grid_of(data, steps)
+    unknown = Theta.of(model, [run.name for run in data.trajectories])
+    point = first_point(model, grid)
+    point = replace(
+        point,
+        theta=unknown.spread(point.theta),
+        theta_scale=unknown.spread(point.theta_scale),
+    )
+    return Transcription(MaximumLikelihood(), model, grid, unknown, point, {}, SIGMA)
+
+
+MODELS = {
+    "plain": duffing(),
+    "a parameter per trajectory": duffing(per_trajectory=True),
+    "sensors": duffing(sensors=True),
+    "both": duffing(per_trajectory=True, sensors=True),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("steps", [1, 2])
+def test_values_and_slopes_are_those_of_the_program(name: str, steps: int) -> None:
+    laid_out = transcription(MODELS[name], steps)
+    program = laid_out.program
+    likelihood = laid_out.values
+    rng = np.random.default_rng(1)
+    z = program.start + 0.1 * rng.normal(size=program.start.size)
+    values = likelihood.at(z)
+    weighed = likelihood.weighed(values, SIGMA)
+    slope = ca.gradient(program.objective, program.z)
+    expected = ca.Function(
+        "expected",
+        [program.z, program.settings],
+        [program.objective, slope, program.residual, program.g],
+    )
+    objective, gradient, residual, g = (
+        np.array(part).ravel() for part in expected(z, SIGMA)
+    )
+    kkt = Solver(program).kkt(z, SIGMA)
+    assert weighed.objective == pytest.approx(objective.item(), rel=1e-12)
+
+    def check(found: np.ndarray, wanted: np.ndarray) -> None:
+        np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-12)
+
+    check(weighed.gradient, gradient)
+    check(weighed.residual, residual)
+    check(values.g, g)
+    jacobian = likelihood.jacobian.filled(values.jacobian)
+    check(jacobian.toarray(), kkt.jacobian.toarray())
+    hessian = likelihood.hessian.symmetric(weighed.hessian)
+    check(hessian.toarray(), kkt.hessian.toarray())
+
+
+def test_variables_begin_and_end_where_those_of_the_program_do() -> None:
+    laid_out = transcription(duffing(per_trajectory=True))
+    x = laid_out.point.x
+    bounds = StateBounds(np.full(x.shape, -np.inf), np.full(x.shape, np.inf))
+    bounds.lower[0] = -2.0
+    bounds.upper[3] = 4.0
+    bounded = replace(laid_out, point=replace(laid_out.point, x_bounds=bounds))
+    for one in (laid_out, bounded):
+        program = one.program
+        np.testing.assert_array_equal(one.point.scaled, program.start)
+        np.testing.assert_array_equal(one.point.scale, program.scale)
+        np.testing.assert_array_equal(one.values.lower, program.lower)
+        np.testing.assert_array_equal(one.values.upper, program.upper)
+        unscaled = one.point.unscaled(program.start)
+        for block, values in program.values(program.start).items():
+            np.testing.assert_array_equal(unscaled[block], values)
+
+
+def test_slack_variables_are_told_without_a_program() -> None:
+    plain = transcription(duffing())
+    huber = replace(plain, loss=MaximumLikelihood(huber=1.345))
+    model = ph.FirstOrder(["q", "p"], F={"q": ph.polynomials("q", degree=3)})
+    sparse = replace(plain, model=model, unknown=Theta.of(model, plain.unknown.runs))
+    assert not plain.has_slacks
+    assert huber.has_slacks
+    assert not sparse.has_slacks
+    assert replace(sparse, l1={"F": 0.1}).has_slacks
+    assert not replace(sparse, l1={"H": 0.1}).has_slacks
+
+
+def test_a_fit_by_full_steps_puts_no_program_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(3)
+    t = np.linspace(0.0, 20.0, 201)
+    spring = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.5)),
+        R=ph.damping("p"),
+    )
+    x = ph.simulate(spring.with_values({"k": 2.0, "R_p": 0.2}), t, [1.0, 0.0])
+    data = ph.Measurements.from_arrays(
+        t, x + 0.02 * rng.normal(size=x.shape), states=["q", "p"]
+    )
+
+    def never(*_: object) -> None:
+        raise AssertionError("a program was put together")
+
+    monkeypatch.setattr(MaximumLikelihood, "program", never)
+    fit = ph.identify(spring.with_values({"R_p": 0.1}), data)
+    assert fit.values["k"] == pytest.approx(2.0, abs=4 * fit.std_errors["k"])
