@@ -11,7 +11,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
 
 from phsi_opt.model_error.linearization import Linearization
-from phsi_opt.optimization.chained import NEGLIGIBLE
+from phsi_opt.optimization.passage import NEGLIGIBLE
 
 
 @dataclass(eq=False)

@@ -13,19 +13,19 @@ memory, of LU factors of the band (`optimization.banded`), which serve every sys
 Nodes between samples, on which nothing was measured, follow from the sample before.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dgetrf, dgetrs, dpotrf
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 from scipy.sparse import csr_matrix, diags
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from phsi_opt.errors import SolveError
+from phsi_opt.optimization.passage import Passage, neighbours_first
 
 # From this number of states on: below, the band is as fast.
 FEWEST_STATES = 32
-NEGLIGIBLE = 1e-18  # share of the largest slope of a gap that is only rounding
-PANEL = 64  # columns that are worked out together
+GAPS_TOGETHER = 64  # whose products are worked out at a time
 # Curvature, as a share of the largest, above which a state is measured, and below which
 # it is not. What lies between would cost digits.
 LEAST_CURVED = 1e-8
@@ -92,7 +92,7 @@ class ChainLayout:
         first = begin[row // n_states] * n_states
         if np.any((column < first) | (column >= first + 2 * n_states)):
             return None
-        order = _neighbours_first(row % n_states, column % n_states, n_states)
+        order = neighbours_first(row % n_states, column % n_states, n_states)
         rank = np.argsort(order)
         state = _renamed(rows[curved], rank)
         row, column = _renamed(row, rank), _renamed(column, rank)
@@ -115,49 +115,6 @@ class ChainLayout:
         return csr_matrix((entries[self.sloped], (self.row, self.column)), shape=shape)
 
 
-@dataclass(frozen=True, eq=False)
-class _Gap:
-    """Intervals from one sample to the next.
-
-    Attributes:
-        intervals: their numbers.
-        begin: sample at which it begins.
-        end: sample at which it ends.
-        begins_run: whether no gap ends where it begins.
-    """
-
-    intervals: range
-    begin: int
-    end: int
-    begins_run: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Between:
-    """An interval that ends at a node between samples.
-
-    Attributes:
-        number: of the interval.
-        node: at which it begins; it ends at the next.
-        before: J0, slopes in the states at its begin.
-        factors: LU factors of J1, slopes in the states at its end.
-        pivots: of these factors.
-        behind: J0 of the next interval.
-    """
-
-    number: int
-    node: int
-    before: np.ndarray
-    factors: np.ndarray
-    pivots: np.ndarray
-    behind: np.ndarray
-
-    def solved(self, right: np.ndarray, transposed: bool = False) -> np.ndarray:
-        """J1^-1 of right-hand sides (n_states, k), or that of its transpose."""
-        found: np.ndarray = dgetrs(self.factors, self.pivots, right, transposed)[0]
-        return found
-
-
 class Chained:
     """Cholesky factors of the system of one layout.
 
@@ -172,7 +129,8 @@ class Chained:
         log_abs_det: logarithm of the absolute value of the determinant.
 
     Raises:
-        np.linalg.LinAlgError: a multiplier or a node does not follow.
+        SolveError: a node between samples does not follow.
+        np.linalg.LinAlgError: a multiplier does not.
     """
 
     def __init__(
@@ -183,16 +141,20 @@ class Chained:
         is_sample: np.ndarray,
     ) -> None:
         self._layout = layout
-        self._slopes = layout.slopes(entries)
-        self._gaps = _gaps(layout.begin, is_sample)
-        self._last = np.array([gap.intervals[-1] for gap in self._gaps], dtype=int)
-        self._between: list[_Between] = []
-        self._inverse = np.zeros_like(curvature)
-        self._inverse[is_sample] = 1 / curvature[is_sample]
-        self.n = curvature.size + len(layout.begin) * layout.n_states
-        self._factor()
-        of_samples = float(np.sum(np.log(curvature[is_sample])))
-        self.log_abs_det = of_samples + 2 * self._log_det_of_blocks()
+        slopes = layout.slopes(entries)
+        rank = np.arange(layout.n_states)
+        self._passage = Passage(slopes, layout.begin, is_sample, rank)
+        self._over_gaps = self._passage.slopes()
+        self._inverse = 1 / curvature[is_sample].ravel()
+        self.n = curvature.size + slopes.shape[0]
+        band = _band_of_squares(self._over_gaps, self._inverse, layout.n_states)
+        self._factors, info = dpbtrf(band, lower=True, overwrite_ab=True)
+        if info:
+            raise np.linalg.LinAlgError("multipliers do not follow")
+        of_samples = -float(np.sum(np.log(self._inverse)))
+        of_multipliers = 2 * float(np.sum(np.log(self._factors[0])))
+        of_inside = 2 * self._passage.log_abs_det
+        self.log_abs_det = of_samples + of_multipliers + of_inside
 
     @classmethod
     def of(cls, layout: ChainLayout, entries: np.ndarray) -> "Chained | None":
@@ -201,152 +163,67 @@ class Chained:
         is_sample = _samples(layout.begin, curvature)
         if is_sample is None or not np.all(np.isfinite(entries)):
             return None
-        try:
+        with suppress(np.linalg.LinAlgError, SolveError):
             return cls(layout, entries, curvature, is_sample)
-        except np.linalg.LinAlgError:
-            return None
-
-    def _factor(self) -> None:
-        """S = J H^-1 J' of the samples, from block to block: S = L L'.
-
-        A block couples with the one before by few diagonals; what these leave zero is
-        not worked out.
-        """
-        n = self._layout.n_states
-        over_gaps = self._over_gaps()
-        weighted = over_gaps @ diags(self._inverse.ravel())
-        coupled = csr_matrix(weighted @ over_gaps.T)
-        self._own = np.empty((len(self._gaps), n, n)).transpose(0, 2, 1)
-        self._below = np.zeros((len(self._gaps), n, n))
-        for number, gap in enumerate(self._gaps):
-            block = _block(coupled, number, number, n)
-            if not gap.begins_run:
-                above = _block(coupled, number - 1, number, n)
-                seen = _seen(self._own[number - 1], above)
-                self._below[number] = seen.T
-                _take_square(block, seen)
-            factor, info = dpotrf(block, lower=True, clean=True, overwrite_a=True)
-            if info:
-                raise np.linalg.LinAlgError("multipliers do not follow")
-            self._own[number] = factor
-
-    def _over_gaps(self) -> csr_matrix:
-        """J of every gap in the samples, nodes between them solved for.
-
-        What touches its neighbours in a step hardly touches what is far away in
-        several: slopes that are no more than rounding are left out.
-        """
-        n = self._layout.n_states
-        rows = (self._last[:, None] * n + np.arange(n)).ravel()
-        own = self._slopes[rows].tocoo()
-        of_sample = np.repeat(self._inverse[:, 0] > 0, n)
-        kept = of_sample[own.col]  # a fine gap is joined to the sample at its end
-        entries = [own.data[kept]]
-        places = [(own.row[kept], own.col[kept])]
-        for number, gap in enumerate(self._gaps):
-            if len(gap.intervals) == 1:
-                continue
-            before = self._over(gap)
-            largest = np.max(np.abs(before), initial=0.0)
-            row, column = np.nonzero(np.abs(before) > NEGLIGIBLE * largest)
-            entries.append(before[row, column])
-            places.append((number * n + row, gap.begin * n + column))
-        row, column = np.concatenate(places, axis=1)
-        shape = (len(rows), self._inverse.size)
-        return csr_matrix((np.concatenate(entries), (row, column)), shape=shape)
-
-    def _over(self, gap: _Gap) -> np.ndarray:
-        """Slopes of a whole gap in the sample at its begin, (n_states, n_states)."""
-        n = self._layout.n_states
-        before = _block(self._slopes, gap.intervals[0], gap.begin, n)
-        first = before
-        for node, number in enumerate(gap.intervals[:-1], gap.begin):
-            after = _block(self._slopes, number, node + 1, n)
-            factors, pivots, info = dgetrf(after, overwrite_a=True)
-            if info:
-                raise np.linalg.LinAlgError("a node does not follow")
-            behind = _block(self._slopes, number + 1, node + 1, n)
-            between = _Between(number, node, first, factors, pivots, behind)
-            self._between.append(between)
-            before = -behind @ between.solved(before)
-            first = behind
-        return before
-
-    def _log_det_of_blocks(self) -> float:
-        total = 0.0
-        for factor in self._own:
-            total += float(np.sum(np.log(np.diag(factor))))
-        for between in self._between:
-            diagonal = np.diag(between.factors)
-            total += float(np.sum(np.log(np.abs(diagonal))))
-        return total
+        return None
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solution for one right-hand side (n,) or several (n, k)."""
         layout = self._layout
-        n_x = self._inverse.size
+        n_x = layout.n_nodes * layout.n_states
         columns = right.reshape(self.n, -1)
         shape = (-1, layout.n_states, columns.shape[1])
-        a = columns[:n_x].reshape(shape)[:, layout.order]
-        b = columns[n_x:].reshape(shape)[:, layout.order]
-        multipliers = np.zeros_like(b)
-        self._fill_multipliers(multipliers, a)
-        missed = self._missed(self._states(multipliers, a, b), b)
-        multipliers[self._last] = self._solved(missed[self._last])
-        self._fill_multipliers(multipliers, a)
-        both = np.concatenate([self._states(multipliers, a, b), multipliers])
-        found = np.empty_like(both)
-        found[:, layout.order] = both
+        sorted_columns = columns.reshape(shape)[:, layout.order]
+        flat = sorted_columns.reshape(columns.shape)
+        x, multipliers = self._solved(flat[:n_x], flat[n_x:])
+        found = np.empty_like(sorted_columns)
+        found[:, layout.order] = np.concatenate([x, multipliers]).reshape(shape)
         return found.reshape(right.shape)
 
-    def _fill_multipliers(self, multipliers: np.ndarray, a: np.ndarray) -> None:
-        """Those of intervals that end between samples, from those behind them."""
-        for between in reversed(self._between):
-            number = between.number
-            pull = a[between.node + 1] - between.behind.T @ multipliers[number + 1]
-            multipliers[number] = between.solved(pull, transposed=True)
+    def _solved(self, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States and multipliers for a (n_x, k) and b (n_multipliers, k)."""
+        passage = self._passage
+        weights = self._inverse[:, None]
+        pulled = passage.pulled(a[passage.inside])
+        a_samples = a[passage.samples] - passage.first.T @ pulled
+        missed = self._over_gaps @ (weights * a_samples) - passage.over(b)
+        of_last = self._multipliers(missed)
+        samples = weights * (a_samples - self._over_gaps.T @ of_last)
+        offset = b[passage.of_inside] - passage.first @ samples
+        x = np.empty_like(a)
+        x[passage.samples] = samples
+        x[passage.inside] = passage.followed(offset)
+        multipliers = np.empty_like(b)
+        multipliers[passage.of_last] = of_last
+        onward = passage.pulled(passage.onward.T @ of_last)
+        multipliers[passage.of_inside] = pulled - onward
+        return x, multipliers
 
-    def _states(
-        self, multipliers: np.ndarray, a: np.ndarray, b: np.ndarray
-    ) -> np.ndarray:
-        """States of samples by their curvature, and of nodes from those before."""
-        flat = multipliers.reshape(-1, a.shape[2])
-        pull = a - (self._slopes.T @ flat).reshape(a.shape)
-        states: np.ndarray = self._inverse[:, :, None] * pull
-        for between in self._between:
-            node = between.node
-            offset = b[between.number] - between.before @ states[node]
-            states[node + 1] = between.solved(offset)
-        return states
-
-    def _missed(self, states: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """J x - b, (n_intervals, n_states, k)."""
-        shown = self._slopes @ states.reshape(-1, states.shape[2])
-        missed: np.ndarray = shown.reshape(b.shape) - b
-        return missed
-
-    def _solved(self, right: np.ndarray) -> np.ndarray:
-        """S^-1 of right-hand sides (n_gaps, n_states, k), block after block."""
-        found = np.empty_like(right)
-        for number, gap in enumerate(self._gaps):
-            own = right[number]
-            if not gap.begins_run:
-                own = own - self._below[number] @ found[number - 1]
-            found[number] = dtrsm(1.0, self._own[number], own, lower=True)
-        for number in reversed(range(len(found))):
-            own = found[number]
-            is_followed = number + 1 < len(found)
-            if is_followed and not self._gaps[number + 1].begins_run:
-                own = own - self._below[number + 1].T @ found[number + 1]
-            found[number] = dtrsm(1.0, self._own[number], own, lower=True, trans_a=True)
+    def _multipliers(self, right: np.ndarray) -> np.ndarray:
+        """S^-1 of right-hand sides (n_last, k)."""
+        found: np.ndarray = dpbtrs(self._factors, right, lower=True)[0]
         return found
 
 
-def _neighbours_first(row: np.ndarray, column: np.ndarray, n_states: int) -> np.ndarray:
-    """An order of states in which those that touch are near, (n_states,)."""
-    ones = np.ones(len(row))
-    touching = csr_matrix((ones, (row, column)), shape=(n_states, n_states))
-    return reverse_cuthill_mckee(csr_matrix(touching + touching.T), True)
+def _band_of_squares(
+    slopes: csr_matrix, inverse: np.ndarray, n_states: int
+) -> np.ndarray:
+    """J H^-1 J' in LAPACK's storage of the lower half of a band, (height, n)."""
+    n = slopes.shape[0]
+    weighted = slopes @ diags(inverse)
+    transposed = slopes.T.tocsr()
+    step = GAPS_TOGETHER * n_states
+    parts = []
+    for first in range(0, n, step):
+        part = (weighted[first : first + step] @ transposed).tocoo()
+        row = part.row + first
+        is_lower = row >= part.col
+        parts.append((row[is_lower], part.col[is_lower], part.data[is_lower]))
+    height = 1 + max(int(np.max(row - column)) for row, column, _ in parts)
+    band = np.zeros((height, n), order="F")
+    for row, column, value in parts:
+        band[row - column, column] = value
+    return band
 
 
 def _renamed(places: np.ndarray, rank: np.ndarray) -> np.ndarray:
@@ -354,39 +231,6 @@ def _renamed(places: np.ndarray, rank: np.ndarray) -> np.ndarray:
     block, state = np.divmod(places, len(rank))
     renamed: np.ndarray = block * len(rank) + rank[state]
     return renamed
-
-
-def _block(matrix: csr_matrix, row: int, column: int, n: int) -> np.ndarray:
-    """Block of n rows and n columns, by its numbers, in Fortran's order."""
-    limits = matrix.indptr[row * n : row * n + n + 1]
-    own = slice(limits[0], limits[-1])
-    rows = np.repeat(np.arange(n), np.diff(limits))
-    columns = matrix.indices[own] - column * n
-    is_in = (columns >= 0) & (columns < n)
-    block = np.zeros((n, n), order="F")
-    block[rows[is_in], columns[is_in]] = matrix.data[own][is_in]
-    return block
-
-
-def _seen(factor: np.ndarray, above: np.ndarray) -> np.ndarray:
-    """L^-1 of a block, zero above where the block is; in Fortran's order."""
-    n = len(above)
-    seen = np.zeros_like(above)
-    for first in range(0, n, PANEL):
-        own = slice(first, first + PANEL)
-        top = int(np.argmax(above[:, own].any(axis=1)))
-        right = above[top:, own]
-        seen[top:, own] = dtrsm(1.0, factor[top:, top:], right, lower=True)
-    return seen
-
-
-def _take_square(block: np.ndarray, seen: np.ndarray) -> None:
-    """Lower triangle of B - V'V by columns, without the zeros at the top of V."""
-    n = len(block)
-    for first in range(0, n, PANEL):
-        own = slice(first, first + PANEL)
-        top = int(np.argmax(seen[:, own].any(axis=1)))
-        block[first:, own] -= seen[top:, first:].T @ seen[top:, own]
 
 
 def _samples(begin: np.ndarray, curvature: np.ndarray) -> np.ndarray | None:
@@ -403,16 +247,3 @@ def _samples(begin: np.ndarray, curvature: np.ndarray) -> np.ndarray | None:
     has_previous[begin + 1] = True
     follows = is_between & has_next & has_previous
     return is_sample if np.all(is_sample | follows) else None
-
-
-def _gaps(begin: np.ndarray, is_sample: np.ndarray) -> list[_Gap]:
-    """From every sample to the next of its trajectory."""
-    starts = np.flatnonzero(is_sample[begin])
-    limits = [*starts.tolist(), len(begin)]
-    gaps: list[_Gap] = []
-    for first, limit in pairwise(limits):
-        begins_run = not gaps or gaps[-1].end != begin[first]
-        end = int(begin[limit - 1]) + 1
-        gap = _Gap(range(first, limit), int(begin[first]), end, begins_run)
-        gaps.append(gap)
-    return gaps
