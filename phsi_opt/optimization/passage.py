@@ -19,7 +19,7 @@ from phsi_opt.optimization.banded import Banded, BandLayout
 NEGLIGIBLE = 1e-18  # share of the largest slope that is only rounding
 # Columns that are solved for together. What touches its neighbours in a step hardly
 # touches what is far away in several: states that are so many apart share one at first.
-PANEL = 32
+PANEL = 40
 
 
 class Passage:
@@ -66,6 +66,7 @@ class Passage:
         self.last = behind[:, self.samples]
         before = slopes[self.of_inside]
         self.first = before[:, self.samples]
+        self._reach = self._farthest(slopes)
         self._factors: Banded | None = None
         if len(self.inside):
             self._factors = self._factored(before[:, self.inside].tocoo(), ~is_last)
@@ -77,6 +78,13 @@ class Passage:
             np.flatnonzero(chosen)[:, None] * n + np.arange(n)
         ).ravel()
         return places
+
+    def _farthest(self, slopes: csr_matrix) -> int:
+        """Places between states that touch, at most."""
+        entries = slopes.tocoo()
+        n = len(self._rank)
+        places = self._rank[entries.row % n] - self._rank[entries.col % n]
+        return int(np.max(np.abs(places), initial=0))
 
     def _factored(self, slopes: coo_matrix, is_inside: np.ndarray) -> Banded:
         """Of the slopes inside, in the order that makes the narrower band."""
@@ -155,7 +163,7 @@ class Passage:
             distance = number + first - self._rank[row % n]
             if apart < n:
                 distance = (distance + apart // 2) % apart - apart // 2
-                if np.any(np.abs(distance) >= apart // 2 - apart // 8):
+                if np.any(np.abs(distance) >= apart // 2 - self._reach):
                     return None
             found.append((felt[row, number], row, self._rank[row % n] + distance))
         value, row, rank = (np.concatenate(part) for part in zip(*found, strict=True))
