@@ -229,6 +229,7 @@ class _Stepper:
             return None
         if self._factored is not None and self._factored.is_dear and _is_fast(errors):
             return self._corrected(place, self._factored)
+        self._factored = None  # many states leave no room for those before
         with suppress(SolveError, np.linalg.LinAlgError):
             self._factored = self._system.factored(
                 place.weighed.hessian, place.values.jacobian

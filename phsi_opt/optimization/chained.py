@@ -212,18 +212,25 @@ def _band_of_squares(
     n = slopes.shape[0]
     weighted = slopes @ diags(inverse)
     transposed = slopes.T.tocsr()
+    height = 1 + _farthest(transposed)
+    band = np.zeros(height * n)
     step = GAPS_TOGETHER * n_states
-    parts = []
     for first in range(0, n, step):
         part = (weighted[first : first + step] @ transposed).tocoo()
-        row = part.row + first
-        is_lower = row >= part.col
-        parts.append((row[is_lower], part.col[is_lower], part.data[is_lower]))
-    height = 1 + max(int(np.max(row - column)) for row, column, _ in parts)
-    band = np.zeros((height, n), order="F")
-    for row, column, value in parts:
-        band[row - column, column] = value
-    return band
+        below = part.row + first - part.col
+        is_lower = below >= 0
+        places = part.col[is_lower].astype(np.int64) * height + below[is_lower]
+        band[places] = part.data[is_lower]
+    return band.reshape(n, height).T
+
+
+def _farthest(transposed: csr_matrix) -> int:
+    """Places between rows that touch one column, at most."""
+    transposed.sort_indices()
+    begin, end = transposed.indptr[:-1], transposed.indptr[1:]
+    is_any = end > begin
+    indices = transposed.indices
+    return int(np.max(indices[end[is_any] - 1] - indices[begin[is_any]], initial=0))
 
 
 def _renamed(places: np.ndarray, rank: np.ndarray) -> np.ndarray:

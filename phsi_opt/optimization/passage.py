@@ -17,9 +17,10 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from phsi_opt.optimization.banded import Banded, BandLayout
 
 NEGLIGIBLE = 1e-18  # share of the largest slope that is only rounding
-# Columns that are solved for together. What touches its neighbours in a step hardly
-# touches what is far away in several: states that are so many apart share one at first.
-PANEL = 40
+# What touches its neighbours in a step hardly touches what is far away in several:
+# states that are so many places apart share a column at first.
+APART = 40
+PANEL = 8  # columns that are solved for together
 
 
 class Passage:
@@ -66,7 +67,7 @@ class Passage:
         self.last = behind[:, self.samples]
         before = slopes[self.of_inside]
         self.first = before[:, self.samples]
-        self._reach = self._farthest(slopes)
+        self._reach = self._farthest(self.onward)
         self._factors: Banded | None = None
         if len(self.inside):
             self._factors = self._factored(before[:, self.inside].tocoo(), ~is_last)
@@ -135,7 +136,7 @@ class Passage:
             place: (n_gaps,) number of that block.
         """
         n = len(self._rank)
-        apart = min(PANEL, n)
+        apart = min(APART, n)
         carried = self._carried_by(apart, blocks, place)
         while carried is None:
             apart = min(2 * apart, n)
@@ -163,9 +164,11 @@ class Passage:
             distance = number + first - self._rank[row % n]
             if apart < n:
                 distance = (distance + apart // 2) % apart - apart // 2
-                if np.any(np.abs(distance) >= apart // 2 - self._reach):
-                    return None
-            found.append((felt[row, number], row, self._rank[row % n] + distance))
+            rank = self._rank[row % n] + distance
+            is_far = np.abs(distance) >= apart // 2 - self._reach
+            if apart < n and np.any(is_far | (rank < 0) | (rank >= n)):
+                return None
+            found.append((felt[row, number], row, rank))
         value, row, rank = (np.concatenate(part) for part in zip(*found, strict=True))
         state = np.argsort(self._rank)[rank]
         places = (row, place[row // n] * n + state)
