@@ -1,5 +1,6 @@
 """Full steps from a simple start: the optimum that IPOPT finds, or no answer."""
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -184,11 +185,13 @@ def test_dear_factors_serve_several_steps_to_the_same_optimum(
     chain = state_growth.model(FEWEST_STATES // 2)
     data = state_growth.data(FEWEST_STATES // 2, 100)
     factored = OptimalitySystem.factored
-    points = []
+    points: list[weakref.ref[Factored]] = []
 
     def counted(system: OptimalitySystem, *entries: np.ndarray) -> Factored:
-        points.append(True)
-        return factored(system, *entries)
+        assert all(of_earlier() is None for of_earlier in points)  # to make room
+        found = factored(system, *entries)
+        points.append(weakref.ref(found))
+        return found
 
     monkeypatch.setattr(OptimalitySystem, "factored", counted)
     loss = ph.MaximumLikelihood(steps=1)

@@ -1,16 +1,17 @@
 """Linear algebra along the time, for many states.
 
 Where samples measure every state, states are solved for by their own curvature, and
-what is left for the multipliers is positive definite and couples neighbours in time.
-Its blocks are factorised by Cholesky: a thirtieth of the work, and a sixth of the
-memory, of LU factors of the band (`optimization.banded`), which serve every system.
+what is left for the multipliers is positive definite and couples neighbours in time: a
+band whose Cholesky factors take a small part of the work, and a fifth of the memory, of
+LU factors of the whole (`optimization.banded`), which serve every system.
 
 ::
 
     [H  J'] [x]   [a]
     [J  0 ] [l] = [b]      H diagonal;  J H^-1 J' l = J H^-1 a - b
 
-Nodes between samples, on which nothing was measured, follow from the sample before.
+Nodes between samples, on which nothing was measured, follow from the sample before
+(`optimization.passage`).
 """
 
 from contextlib import suppress
