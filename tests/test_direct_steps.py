@@ -28,6 +28,7 @@ from problems.benchmarks import state_growth
 
 T = np.linspace(0.0, 20.0, 201)
 NOISE = 0.02
+MANY_MASSES = 16
 
 
 def spring(
@@ -182,8 +183,9 @@ def test_a_step_is_that_of_dense_algebra() -> None:
 def test_dear_factors_serve_several_steps_to_the_same_optimum(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    chain = state_growth.model(FEWEST_STATES // 2)
-    data = state_growth.data(FEWEST_STATES // 2, 100)
+    chain = state_growth.model(MANY_MASSES)
+    data = state_growth.data(MANY_MASSES, 100)
+    assert 2 * MANY_MASSES >= FEWEST_STATES
     factored = OptimalitySystem.factored
     points: list[weakref.ref[Factored]] = []
 

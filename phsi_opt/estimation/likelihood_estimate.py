@@ -140,7 +140,7 @@ class LikelihoodEstimate(Estimate):
         return uncertainty.reduced(self.point, self.solution, self.grid, self.n_values)
 
     def release(self) -> None:
-        """Make room: factors of many states are large, and come again when asked for."""
+        """Make room: factors of many states are large; they come again if asked for."""
         self.__dict__.pop("reduced", None)
 
     def uncertainty_at_optimum(self) -> Uncertainty:

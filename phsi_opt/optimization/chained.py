@@ -25,7 +25,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.optimization.passage import Passage, neighbours_first
 
 # From this number of states on: below, the band is as fast.
-FEWEST_STATES = 32
+FEWEST_STATES = 14
 GAPS_TOGETHER = 64  # whose products are worked out at a time
 # Curvature, as a share of the largest, above which a state is measured, and below which
 # it is not. What lies between would cost digits.
