@@ -1081,9 +1081,34 @@ def test_many_channels_promise_nothing_by_their_number() -> None:
     white = Disturbances(search.plain)
     record = WhiteRecord(search._likelihood(white), white)
     sensors = search._sensors(1.0, search.first_times()[0])
-    (alone,) = record.promised_gains([Trial([], sensors)], search.channels)
-    assert alone.sensors > MODEL_ERROR_EVIDENCE  # by chance, with a size for each
-    assert not search._promising.is_any
+    trials = [Trial([], sensors), Trial([], sensors, is_tied=True)]
+    gains = []
+    for trial in trials:
+        (gain,) = record.promised_gains([trial], search.channels)
+        gains.append(gain.sensors)
+    alone, tied = gains
+    assert alone > MODEL_ERROR_EVIDENCE  # by chance, with a size for each
+    assert tied < MODEL_ERROR_EVIDENCE / 2
+    assert search.found().disturbances.is_white
+
+
+def test_tied_sizes_are_searched_for_with_less_of_a_promise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    little = score_test.PromisedGain(forces=0.4 * MODEL_ERROR_EVIDENCE)
+
+    def promised(
+        _: WhiteRecord, trials: list[Trial], channels: tuple[int, ...]
+    ) -> list[score_test.PromisedGain]:
+        return [little] * len(trials)
+
+    monkeypatch.setattr(WhiteRecord, "promised_gains", promised)
+    tied = search_of_a_chain()
+    alone = search_of(0)
+    for search, is_promising in ((tied, True), (alone, False)):
+        search.__dict__.pop("_promising", None)
+        assert search._promising.forces == is_promising
+        search.__dict__.pop("_promising")
 
 
 def test_a_function_gains_what_the_evidence_says() -> None:

@@ -62,7 +62,7 @@ class Gaps:
     def over_each(self) -> list[tuple[np.ndarray, ...]]:
         """Of each gap: slopes at begin and end, right-hand sides, effect of forces."""
         right = self.right.reshape(len(self.begin), self.n, 2)
-        found = []
+        found: list[tuple[np.ndarray, ...]] = []
         limits = np.cumsum([0, *N_STEPS])
         for first, limit in pairwise(limits):
             before, own = self.before[first], right[first]
