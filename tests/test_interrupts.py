@@ -5,6 +5,7 @@ is different.
 import contextlib
 import signal
 import threading
+from collections.abc import Sequence
 from types import FrameType
 
 import casadi as ca
@@ -67,19 +68,21 @@ def test_full_steps_end_where_ctrl_c_is_pressed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     expected = ph.identify(SPRING, record()).values
-    step = direct_steps.DirectSteps._step
+    step = direct_steps._Stepper.step
     begun = []
 
     def pressed(
-        steps: direct_steps.DirectSteps, place: direct_steps._Place
+        stepper: direct_steps._Stepper,
+        place: direct_steps._Place,
+        errors: Sequence[float],
     ) -> NewtonStep | None:
         begun.append(True)
         if len(begun) == 2:
             press()
-        return step(steps, place)
+        return step(stepper, place, errors)
 
     with monkeypatch.context() as patched:
-        patched.setattr(direct_steps.DirectSteps, "_step", pressed)
+        patched.setattr(direct_steps._Stepper, "step", pressed)
         with pytest.raises(KeyboardInterrupt):
             ph.identify(SPRING, record())
     assert len(begun) == 2

@@ -13,6 +13,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import t as student_t
 
 from phsi_opt.comparison.profile_likelihood import profile
+from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.verdict import Verdict
@@ -41,7 +42,7 @@ from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
 from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.model_error.score_test import WhiteRecord
+from phsi_opt.model_error.score_test import Trial, WhiteRecord
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.model_error.state_functions import (
     LENGTH,
@@ -51,6 +52,7 @@ from phsi_opt.model_error.state_functions import (
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
+from problems.benchmarks import state_growth
 
 TRUE = {"k": 4.0, "c": 0.3, "g": 1.0}
 SIZE = 0.2  # of the hidden force, a tenth of the typical acceleration
@@ -975,9 +977,9 @@ def test_trials_that_are_asked_together_promise_what_each_does_alone() -> None:
     sensors = search._sensors(1.0, TIME)
     forces = [Process(place, 1.0, TIME) for place in search.problem.forced]
     trials = [
-        score_test.Trial(forces, sensors),
-        score_test.Trial([], []),
-        score_test.Trial([replace(one, time=3 * TIME) for one in forces], []),
+        Trial(forces, sensors),
+        Trial([], []),
+        Trial([replace(one, time=3 * TIME) for one in forces], []),
     ]
     together = record.promised_gains(trials, search.channels)
     for trial, gain in zip(trials, together, strict=True):
@@ -1036,8 +1038,7 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     record = WhiteRecord(search._likelihood(white), white)
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
-    component = score_test._Component.of_force(search.problem, force)
-    asked = score_test._Asked([component], record.left, 1)
+    asked = score_test._Asked.of(search.problem, Trial([force], []), record.left)
     asked.information = np.eye(1)
     record._set_excess([asked])
     (slope,) = asked.excess
@@ -1045,6 +1046,69 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     beside = Disturbances(search.plain, (replace(force, size=small),))
     rise = search.evidence(beside).log_evidence - search.evidence(white).log_evidence
     assert slope * small**2 == pytest.approx(rise, rel=0.05)
+
+
+@cache
+def search_of_a_chain() -> DisturbanceSearch:
+    """White noise alone, on twenty channels."""
+    chain = state_growth.model(10)
+    estimate = estimated(state_growth.data(10, 200), MaximumLikelihood(), chain)
+    assert isinstance(estimate, LikelihoodEstimate)
+    return estimate.plain.search
+
+
+def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(score_test, "N_SIGNS", 1000)
+    search = search_of_a_chain()
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(0.01, TIME)
+    trial = Trial([], sensors, is_tied=True)
+    asked = score_test._Asked.of(search.problem, trial, record.left)
+    asked.information = np.eye(1)
+    record._set_excess([asked])
+    (slope,) = asked.excess
+    rise = search.evidence(replace(white, sensors=sensors)).log_evidence
+    rise -= search.evidence(white).log_evidence
+    # It is the small difference of two traces, one of them by random signs.
+    assert slope == pytest.approx(rise, abs=0.01 * asked.kinds[0].seen(asked.felt[0]))
+
+
+def test_many_channels_promise_nothing_by_their_number() -> None:
+    search = search_of_a_chain()
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(1.0, search.first_times()[0])
+    trials = [Trial([], sensors), Trial([], sensors, is_tied=True)]
+    gains = []
+    for trial in trials:
+        (gain,) = record.promised_gains([trial], search.channels)
+        gains.append(gain.sensors)
+    alone, tied = gains
+    assert alone > MODEL_ERROR_EVIDENCE  # by chance, with a size for each
+    assert tied < MODEL_ERROR_EVIDENCE / 2
+    assert search.found().disturbances.is_white
+
+
+def test_tied_sizes_are_searched_for_with_less_of_a_promise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    little = score_test.PromisedGain(forces=0.4 * MODEL_ERROR_EVIDENCE)
+
+    def promised(
+        _: WhiteRecord, trials: list[Trial], channels: tuple[int, ...]
+    ) -> list[score_test.PromisedGain]:
+        return [little] * len(trials)
+
+    monkeypatch.setattr(WhiteRecord, "promised_gains", promised)
+    tied = search_of_a_chain()
+    alone = search_of(0)
+    for search, is_promising in ((tied, True), (alone, False)):
+        search.__dict__.pop("_promising", None)
+        assert search._promising.forces == is_promising
+        search.__dict__.pop("_promising")
 
 
 def test_a_function_gains_what_the_evidence_says() -> None:

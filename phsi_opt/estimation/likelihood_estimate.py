@@ -139,6 +139,10 @@ class LikelihoodEstimate(Estimate):
         """The likelihood at the solution, states eliminated."""
         return uncertainty.reduced(self.point, self.solution, self.grid, self.n_values)
 
+    def release(self) -> None:
+        """Make room: factors of many states are large; they come again if asked for."""
+        self.__dict__.pop("reduced", None)
+
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Inverse of the information about theta when the states follow it.
 

@@ -20,8 +20,10 @@ from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import Disturbances, Structure
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.optimization.banded import Banded, BandLayout
-from phsi_opt.transcription.elimination import RIDGE
+from phsi_opt.optimization.along_time import TimeLayout
+from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.chained import Chained
+from phsi_opt.transcription.elimination import RIDGE, chain_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,8 +249,9 @@ class MarginalLikelihood:
             rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
             columns += [on_diagonal, on_diagonal[:-1], on_diagonal[1:]]
         order = np.argsort(self._times_of_unknowns(), kind="stable")
-        places = (np.concatenate(rows), np.concatenate(columns))
-        self._layout = BandLayout(*places, order, is_symmetric=True)
+        chain = chain_of(self.problem.grid, self.problem.n_states)
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        self._layout = TimeLayout(row, column, order, chain)
 
     def places_of_processes(self) -> list[tuple[int, int]]:
         """First place and length of every process among the unknowns."""
@@ -386,7 +389,7 @@ class MarginalLikelihood:
             entries += [below, below]
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
-        factors = Banded.of(self._layout, np.concatenate(entries))
+        factors = self._layout.factors(np.concatenate(entries))
         weighted_border = squared[:, None] * self.border_in_shown
         n, n_border = self._border_in_unknowns.shape
         right = np.empty((n + len(problem.offset), n_border + 1))
@@ -563,7 +566,7 @@ class Eliminated:
     weights: np.ndarray
     right: np.ndarray
     solved: np.ndarray
-    factors: Banded
+    factors: Banded | Chained
     log_evidence: float
 
 

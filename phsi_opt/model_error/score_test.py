@@ -62,6 +62,12 @@ class _Shifts:
     dynamics: np.ndarray
 
     @classmethod
+    def none(cls, problem: Linearization, k: int) -> "_Shifts":
+        """Columns that change nothing yet."""
+        n_dynamics = problem.dynamics_in_states.shape[0]
+        return cls(np.zeros((problem.n_values, k)), np.zeros((n_dynamics, k)))
+
+    @classmethod
     def joined(cls, parts: Sequence["_Shifts"]) -> "_Shifts":
         """All columns side by side."""
         values = np.hstack([part.values for part in parts])
@@ -70,56 +76,94 @@ class _Shifts:
 
 @dataclass(frozen=True, eq=False)
 class _Component:
-    """A process of size one that could act beside the model.
+    """A process that could act beside the model.
 
     Attributes:
-        problem: the linearised record.
-        whitener: of its values.
+        whitener: of its values at size one.
+        size: its own.
         effects: of a force, what its values do to the dynamics; None: of a sensor.
         shown: of a sensor, places of the measured values that it is added to.
     """
 
-    problem: Linearization
     whitener: Whitener
+    size: float
     effects: csc_matrix | None = None
     shown: np.ndarray | None = None
 
     @classmethod
     def of_force(cls, problem: Linearization, force: Process) -> "_Component":
         whitener = whitener_of_force(problem, force)
-        return cls(problem, whitener, problem.dynamics_of_force(force.place))
+        return cls(whitener, force.size, problem.dynamics_of_force(force.place))
 
     @classmethod
     def of_sensor(cls, problem: Linearization, sensor: Process) -> "_Component":
         whitener = whitener_of_sensor(problem, sensor)
-        return cls(problem, whitener, shown=problem.values_of(sensor.place))
+        shown = problem.values_of(sensor.place)
+        return cls(whitener, sensor.size, shown=shown)
 
     @property
     def n(self) -> int:
         """Number of its values."""
         return len(self.whitener.diagonal)
 
-    def shifts(self, values: np.ndarray) -> _Shifts:
-        """What its values (n, k) do.
+    def add(self, values: np.ndarray, shifts: _Shifts) -> None:
+        """Add what its values (n, k) do.
 
         What a force adds to the states, the data would show; so it is taken from the
         dynamics where it is added to the data.
         """
-        problem = self.problem
-        k = values.shape[1]
-        shown = np.zeros((problem.n_values, k))
-        dynamics = np.zeros((problem.dynamics_in_states.shape[0], k))
         if self.effects is not None:
-            dynamics = -np.asarray(self.effects @ values)
+            shifts.dynamics[:] -= self.effects @ (self.size * values)
         else:
-            shown[self.shown] = values
-        return _Shifts(shown, dynamics)
+            shifts.values[self.shown] += self.size * values
 
     def felt(self, left: _Shifts) -> np.ndarray:
         """What it would take to bring down what is left, (n, k)."""
         if self.effects is not None:
-            return np.asarray(self.effects.T @ left.dynamics)
-        return left.values[self.shown]
+            return self.size * np.asarray(self.effects.T @ left.dynamics)
+        return self.size * left.values[self.shown]
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """Components whose variances share a factor: of small systems one alone.
+
+    Attributes:
+        components: with sizes in the ratios that they keep.
+    """
+
+    components: Sequence[_Component]
+
+    def add(self, values: Sequence[np.ndarray], shifts: _Shifts) -> None:
+        """Add what the values (n, k) of its components do."""
+        for component, own in zip(self.components, values, strict=True):
+            component.add(own, shifts)
+
+    def felt(self, left: _Shifts) -> list[np.ndarray]:
+        """What it would take of each component to bring down what is left, (n, k)."""
+        return [component.felt(left) for component in self.components]
+
+    def covariance_times(self, felt: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Of what each component feels, (n, k)."""
+        moved = []
+        for component, own in zip(self.components, felt, strict=True):
+            moved.append(component.whitener.covariance_times(own))
+        return moved
+
+    def seen(self, felt: Sequence[np.ndarray]) -> float:
+        """What is felt, squared, as far as the kind could bring it down."""
+        seen = 0.0
+        for component, own in zip(self.components, felt, strict=True):
+            seen += float(np.sum(component.whitener.factor_of(own) ** 2))
+        return seen
+
+    def signals(self, rng: np.random.Generator, scale: float) -> list[np.ndarray]:
+        """Values of its components by random signs over the scale, (n, N_SIGNS)."""
+        signals = []
+        for component in self.components:
+            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
+            signals.append(component.whitener.coloured(signs) / np.sqrt(scale))
+        return signals
 
 
 class WhiteRecord:
@@ -181,37 +225,27 @@ class WhiteRecord:
             trials: processes that could act.
             channels: states whose noise is estimated, and would follow.
         """
-        together = []
-        for trial in trials:
-            components = self._components(trial)
-            together.append(_Asked(components, self.left, len(trial.forces)))
-        worth_asking = [asked for asked in together if asked.components]
+        together = [_Asked.of(self.problem, trial, self.left) for trial in trials]
+        worth_asking = [asked for asked in together if asked.kinds]
         if worth_asking:
-            self._set_information(worth_asking, channels)
+            are_tied = any(trial.is_tied for trial in trials)
+            self._set_information(worth_asking, _groups(channels, are_tied))
             self._set_excess(worth_asking)
         return [asked.gain for asked in together]
 
-    def _components(self, trial: "Trial") -> list[_Component]:
-        components = []
-        for force in trial.forces:
-            components.append(_Component.of_force(self.problem, force))
-        for sensor in trial.sensors:
-            components.append(_Component.of_sensor(self.problem, sensor))
-        return components
-
     def _set_information(
-        self, together: Sequence["_Asked"], channels: Sequence[int]
+        self, together: Sequence["_Asked"], groups: Sequence[Sequence[int]]
     ) -> None:
         """Average information about variances, while noises follow them."""
-        noise = self._noise_shifts(channels)
+        noise = self._noise_shifts(groups)
         moved = [shift for asked in together for shift in asked.moved()]
         shifts = _Shifts.joined([noise, *moved])
         products = _products(shifts, self._left(shifts)) / 2
-        n = len(channels)
+        n = len(groups)
         of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
         first = n
         for asked in together:
-            own = slice(first, first + len(asked.components))
+            own = slice(first, first + len(asked.kinds))
             mixed = products[own, :n]
             asked.information = products[own, own] - mixed @ of_noise @ mixed.T
             first = own.stop
@@ -221,34 +255,40 @@ class WhiteRecord:
         for asked in together:
             asked.set_excess(self._left(asked.signalled()))
 
-    def _noise_shifts(self, channels: Sequence[int]) -> _Shifts:
-        """How the data would move with the logarithm of each channel's noise."""
+    def _noise_shifts(self, groups: Sequence[Sequence[int]]) -> _Shifts:
+        """How the data would move with the logarithm of each group's noise."""
         residual = self.left.values / self._parts.weights[:, None]
-        is_in = self.problem.channel[:, None] == np.array(channels, dtype=int)
-        shifts = np.where(is_in, 2 * residual, 0.0)
-        return _Shifts(shifts, np.zeros((len(self.left.dynamics), len(channels))))
+        shifts = _Shifts.none(self.problem, len(groups))
+        for number, channels in enumerate(groups):
+            is_in = np.isin(self.problem.channel, channels)
+            shifts.values[is_in, number] = 2 * residual[is_in, 0]
+        return shifts
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Processes that could act together, each at its time; their sizes do not matter.
+    """Processes that could act together, each at its time.
 
     Attributes:
         forces: that could act.
         sensors: processes that could add to what is shown.
+        is_tied: whether those of one kind share a factor, as in a search; otherwise
+            sizes do not matter.
     """
 
     forces: Sequence[Process]
     sensors: Sequence[Process]
+    is_tied: bool = False
 
 
 class _Asked:
-    """The components of a trial, and what the record says of them.
+    """The processes of a trial, and what the record says of them.
 
     Args:
-        components: forces first.
+        problem: the linearised record.
+        kinds: those of forces first.
         left: what states and parameters leave of the data.
-        n_forces: number of forces.
+        n_forces: number of kinds of forces.
 
     Attributes:
         information: (n, n) about the variances.
@@ -256,14 +296,28 @@ class _Asked:
     """
 
     def __init__(
-        self, components: Sequence[_Component], left: _Shifts, n_forces: int
+        self,
+        problem: Linearization,
+        kinds: Sequence[_Kind],
+        left: _Shifts,
+        n_forces: int,
     ) -> None:
-        self.components = components
-        self.felt = [component.felt(left) for component in components]
+        self._problem = problem
+        self.kinds = kinds
+        self.felt = [kind.felt(left) for kind in kinds]
         self.n_forces = n_forces
         self.information = np.zeros((0, 0))
         self.excess = np.zeros(0)
-        self._signals: list[np.ndarray] = []
+        self._signals: list[list[np.ndarray]] = []
+
+    @classmethod
+    def of(cls, problem: Linearization, trial: Trial, left: _Shifts) -> "_Asked":
+        """About a trial."""
+        forces = [_Component.of_force(problem, force) for force in trial.forces]
+        sensors = [_Component.of_sensor(problem, sensor) for sensor in trial.sensors]
+        of_forces = _kinds(forces, trial.is_tied)
+        kinds = of_forces + _kinds(sensors, trial.is_tied)
+        return cls(problem, kinds, left, len(of_forces))
 
     @property
     def size(self) -> np.ndarray:
@@ -271,37 +325,33 @@ class _Asked:
         return np.sqrt(np.maximum(np.diag(self.information), TINY))
 
     def moved(self) -> list[_Shifts]:
-        """What each component does to the data where it follows what it feels."""
+        """What each kind does to the data where it follows what it feels."""
         moved = []
-        for component, own in zip(self.components, self.felt, strict=True):
-            values = component.whitener.covariance_times(own)
-            moved.append(component.shifts(values))
+        for kind, own in zip(self.kinds, self.felt, strict=True):
+            shifts = _Shifts.none(self._problem, 1)
+            kind.add(kind.covariance_times(own), shifts)
+            moved.append(shifts)
         return moved
 
     def signalled(self) -> _Shifts:
-        """What random signals of all components do together, a column per sign."""
+        """What random signals of all kinds do together, a column per sign."""
         rng = np.random.default_rng(SIGN_SEED)
         self._signals = []
-        shifts = []
-        for component, scale in zip(self.components, self.size, strict=True):
-            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
-            signal = component.whitener.coloured(signs) / np.sqrt(scale)
-            self._signals.append(signal)
-            shifts.append(component.shifts(signal))
-        return _Shifts(
-            np.sum([shift.values for shift in shifts], axis=0),
-            np.sum([shift.dynamics for shift in shifts], axis=0),
-        )
+        together = _Shifts.none(self._problem, N_SIGNS)
+        for kind, scale in zip(self.kinds, self.size, strict=True):
+            signals = kind.signals(rng, scale)
+            self._signals.append(signals)
+            kind.add(signals, together)
+        return together
 
     def set_excess(self, left: _Shifts) -> None:
         """From what is left of the signals."""
         slopes = []
-        for component, signal, own, scale in zip(
-            self.components, self._signals, self.felt, self.size, strict=True
+        for kind, signals, own, scale in zip(
+            self.kinds, self._signals, self.felt, self.size, strict=True
         ):
-            by_chance = np.sum(signal * component.felt(left)) / N_SIGNS
-            seen = np.sum(component.whitener.factor_of(own) ** 2) / scale
-            slopes.append((seen - by_chance) / 2)
+            by_chance = _product(signals, kind.felt(left)) / N_SIGNS
+            slopes.append((kind.seen(own) / scale - by_chance) / 2)
         self.excess = np.maximum(slopes, MOST_UNWANTED)
 
     @property
@@ -317,6 +367,28 @@ class _Asked:
             _gain(self.excess[of_forces], information[of_forces, of_forces]),
             _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
         )
+
+
+def _groups(channels: Sequence[int], is_tied: bool) -> list[Sequence[int]]:
+    """Channels whose noises share a factor."""
+    if is_tied:
+        return [channels] if channels else []
+    return [[channel] for channel in channels]
+
+
+def _kinds(components: Sequence[_Component], is_tied: bool) -> list[_Kind]:
+    """Components of one kind, together or one by one."""
+    if is_tied:
+        return [_Kind(components)] if components else []
+    return [_Kind([component]) for component in components]
+
+
+def _product(some: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> float:
+    """Sum of the products of their values."""
+    products = 0.0
+    for one, other in zip(some, others, strict=True):
+        products += float(np.sum(one * other))
+    return products
 
 
 def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:

@@ -112,11 +112,17 @@ class Banded:
                 "nor act on one that is; measure it, or take it out of the model."
             )
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution for one right-hand side (n,) or several (n, k)."""
+    def solve(self, right: np.ndarray, is_transposed: bool = False) -> np.ndarray:
+        """Solution for one right-hand side (n,) or several (n, k).
+
+        Args:
+            right: one or several.
+            is_transposed: whether the matrix is taken transposed.
+        """
         # Column after column in memory, as LAPACK has them: nothing is copied there.
         columns = right.reshape(self.n, -1).T[:, self.order]
-        is_transposed = self._is_symmetric and len(columns) >= TRANSPOSED_FROM
+        if self._is_symmetric:
+            is_transposed = len(columns) >= TRANSPOSED_FROM
         found, _ = dgbtrs(
             self.factors,
             self.kl,
