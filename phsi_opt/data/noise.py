@@ -6,6 +6,8 @@ guess: `missing_force` estimates the noise with a model). What quantisation alon
 (`resolution`) counts as noise at least, unless the noise is declared.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
@@ -64,17 +66,18 @@ def scatter_residuals(data: Measurements, state: int) -> list[np.ndarray]:
     Returns:
         One array (n_measured - 4,) per trajectory, empty where it has too few.
     """
-    values = [run.x[:, state] for run in data.trajectories]
-    is_measured = [np.isfinite(of_run) for of_run in values]
-    times = [run.t for run in data.trajectories]
-    t = np.concatenate([at[m] for at, m in zip(times, is_measured, strict=True)])
-    y = np.concatenate([of[m] for of, m in zip(values, is_measured, strict=True)])
-    run = np.repeat(np.arange(len(values)), [int(m.sum()) for m in is_measured])
+    runs = data.trajectories
+    values = np.concatenate([of_run.x[:, state] for of_run in runs])
+    is_measured = np.isfinite(values)
+    lengths = [of_run.n_samples for of_run in runs]
+    t = np.concatenate([of_run.t for of_run in runs])[is_measured]
+    y = values[is_measured]
+    run = np.repeat(np.arange(len(runs)), lengths)[is_measured]
     reach = N_STENCIL // 2
     middle = np.arange(reach, len(t) - reach)
     middle = middle[run[middle - reach] == run[middle + reach]]
     residuals = _cubic_residuals(t, y, middle)
-    ends = np.searchsorted(run[middle], np.arange(1, len(values)))
+    ends = np.searchsorted(run[middle], np.arange(1, len(runs)))
     return np.split(residuals, ends)
 
 
@@ -94,22 +97,27 @@ def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.nda
         y: Values (n_samples,) without gaps.
         middle: (n_middle,) samples with neighbours on both sides.
     """
+    at = {offset: t[middle + offset] for offset in (0, *NEIGHBOURS)}
     predicted = np.zeros(len(middle))
     variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
     for offset in NEIGHBOURS:
-        weight = _lagrange_weight(t, middle, offset)
+        weight = _lagrange_weight(at, offset)
         predicted += weight * y[middle + offset]
         variance += weight**2
     return (y[middle] - predicted) / np.sqrt(1 + variance)
 
 
-def _lagrange_weight(t: np.ndarray, middle: np.ndarray, offset: int) -> np.ndarray:
-    """Weight of one neighbour in the cubic's value at each sample in the middle."""
-    weight = np.ones(len(middle))
+def _lagrange_weight(at: Mapping[int, np.ndarray], offset: int) -> np.ndarray:
+    """Weight of one neighbour in the cubic's value at each sample in the middle.
+
+    Args:
+        at: (n_middle,) times of the samples in the middle, 0, and of their neighbours.
+        offset: of the neighbour.
+    """
+    weight = np.ones(len(at[0]))
     for other in NEIGHBOURS:
         if other != offset:
-            distance = t[middle] - t[middle + other]
-            weight *= distance / (t[middle + offset] - t[middle + other])
+            weight *= (at[0] - at[other]) / (at[offset] - at[other])
     return weight
 
 
