@@ -48,6 +48,7 @@ from phsi_opt.model_error.state_functions import (
     LINEAR_SHARE,
     smooth_functions,
 )
+from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -968,7 +969,9 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
     assert not nothing.plain.search._promising.is_any
 
 
-def test_trials_that_are_asked_together_promise_what_each_does_alone() -> None:
+def test_trials_that_are_asked_together_promise_what_each_does_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     search = search_of(0)
     white = Disturbances(search.plain)
     record = WhiteRecord(search._likelihood(white), white)
@@ -984,6 +987,16 @@ def test_trials_that_are_asked_together_promise_what_each_does_alone() -> None:
         (alone,) = record.promised_gains([trial], search.channels)
         assert gain.forces == pytest.approx(alone.forces, rel=1e-6)
         assert gain.sensors == pytest.approx(alone.sensors, rel=1e-6)
+    solved: list[tuple[int, ...]] = []
+    solve = Banded.solve
+
+    def noted(banded: Banded, right: np.ndarray) -> np.ndarray:
+        solved.append(right.shape)
+        return solve(banded, right)
+
+    monkeypatch.setattr(Banded, "solve", noted)
+    record.promised_gains(trials, search.channels)
+    assert len(solved) == 2  # what is felt, and random signals
     assert together[0].forces > 0
     assert together[1] == score_test.PromisedGain()
 
@@ -1036,8 +1049,8 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     record = WhiteRecord(search._likelihood(white), white)
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
-    component = score_test._Component.of_force(search.problem, force)
-    asked = score_test._Asked([component], record.left, 1)
+    components = score_test._Places(record).components(score_test.Trial([force], []))
+    asked = score_test._Asked(components, 1)
     asked.information = np.eye(1)
     record._set_excess([asked])
     (slope,) = asked.excess

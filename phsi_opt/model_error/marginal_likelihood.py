@@ -387,11 +387,13 @@ class MarginalLikelihood:
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
         factors = Banded.of(self._layout, np.concatenate(entries))
-        weighted_border = squared[:, None] * self.border_in_shown
         n, n_border = self._border_in_unknowns.shape
-        right = np.empty((n + len(problem.offset), n_border + 1))
+        n_theta = len(self.moving)
+        # Column after column in memory, as it is solved for.
+        right = np.zeros((n + len(problem.offset), n_border + 1), order="F")
         right[:n, :n_border] = self._border_in_unknowns
-        right[:n, :n_border] += self.shown.T @ weighted_border
+        in_theta = squared[:, None] * self.border_in_shown[:, :n_theta]
+        right[:n, :n_theta] += self.shown.T @ in_theta
         right[n:, :n_border] = self.border_in_dynamics
         right[:n, n_border] = self.shown.T @ (squared * problem.residual)
         right[n:, n_border] = -problem.offset

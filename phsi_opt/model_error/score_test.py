@@ -10,6 +10,7 @@ are those of random signs.)
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.sparse import csc_matrix
@@ -62,10 +63,45 @@ class _Shifts:
     dynamics: np.ndarray
 
     @classmethod
-    def joined(cls, parts: Sequence["_Shifts"]) -> "_Shifts":
-        """All columns side by side."""
-        values = np.hstack([part.values for part in parts])
-        return cls(values, np.hstack([part.dynamics for part in parts]))
+    def none(cls, problem: Linearization, k: int) -> "_Shifts":
+        """No change, to be added to; column after column in memory."""
+        n_dynamics = problem.dynamics_in_states.shape[0]
+        values = np.zeros((problem.n_values, k), order="F")
+        return cls(values, np.zeros((n_dynamics, k), order="F"))
+
+    def columns(self, chosen: slice) -> "_Shifts":
+        """Some of the columns; the same memory."""
+        return _Shifts(self.values[:, chosen], self.dynamics[:, chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where processes act, and what the data say there.
+
+    Attributes:
+        effects: of a force, what its values do to the dynamics; None: of a sensor.
+        shown: of a sensor, places of the measured values that it is added to.
+    """
+
+    effects: csc_matrix | None = None
+    shown: np.ndarray | None = None
+
+    def add(self, shifts: _Shifts, values: np.ndarray) -> None:
+        """Add what values (n, k) do to shifts.
+
+        What a force adds to the states, the data would show; so it is taken from the
+        dynamics where it is added to the data.
+        """
+        if self.effects is not None:
+            shifts.dynamics[:] -= self.effects @ values
+        else:
+            shifts.values[self.shown] += values
+
+    def felt(self, left: _Shifts) -> np.ndarray:
+        """What it would take to bring down what is left, (n, k)."""
+        if self.effects is not None:
+            return np.asarray(self.effects.T @ left.dynamics)
+        return left.values[self.shown]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,53 +109,24 @@ class _Component:
     """A process of size one that could act beside the model.
 
     Attributes:
-        problem: the linearised record.
+        place: where it acts.
         whitener: of its values.
-        effects: of a force, what its values do to the dynamics; None: of a sensor.
-        shown: of a sensor, places of the measured values that it is added to.
+        felt: (n, 1) what it would take to bring down what is left of the data.
     """
 
-    problem: Linearization
+    place: _Place
     whitener: Whitener
-    effects: csc_matrix | None = None
-    shown: np.ndarray | None = None
-
-    @classmethod
-    def of_force(cls, problem: Linearization, force: Process) -> "_Component":
-        whitener = whitener_of_force(problem, force)
-        return cls(problem, whitener, problem.dynamics_of_force(force.place))
-
-    @classmethod
-    def of_sensor(cls, problem: Linearization, sensor: Process) -> "_Component":
-        whitener = whitener_of_sensor(problem, sensor)
-        return cls(problem, whitener, shown=problem.values_of(sensor.place))
+    felt: np.ndarray
 
     @property
     def n(self) -> int:
         """Number of its values."""
         return len(self.whitener.diagonal)
 
-    def shifts(self, values: np.ndarray) -> _Shifts:
-        """What its values (n, k) do.
-
-        What a force adds to the states, the data would show; so it is taken from the
-        dynamics where it is added to the data.
-        """
-        problem = self.problem
-        k = values.shape[1]
-        shown = np.zeros((problem.n_values, k))
-        dynamics = np.zeros((problem.dynamics_in_states.shape[0], k))
-        if self.effects is not None:
-            dynamics = -np.asarray(self.effects @ values)
-        else:
-            shown[self.shown] = values
-        return _Shifts(shown, dynamics)
-
-    def felt(self, left: _Shifts) -> np.ndarray:
-        """What it would take to bring down what is left, (n, k)."""
-        if self.effects is not None:
-            return np.asarray(self.effects.T @ left.dynamics)
-        return left.values[self.shown]
+    @cached_property
+    def factor(self) -> np.ndarray:
+        """F'F is the variance that the prior gives what is felt, (n, 1)."""
+        return self.whitener.factor_of(self.felt)
 
 
 class WhiteRecord:
@@ -149,8 +156,8 @@ class WhiteRecord:
         ridge = RIDGE * np.eye(n_theta)
         self._information = self.border.information[:n_theta, :n_theta] + ridge
         residual = self.problem.residual[:, None]
-        self._data = _Shifts(residual, -self.problem.offset[:, None])
-        self.left = self._left(self._data)
+        data = _Shifts(residual, -self.problem.offset[:, None])
+        self.left = self._answered(data, self._parts.solved[:, -1:].copy())
 
     def _left(self, shifts: _Shifts) -> _Shifts:
         """What states and parameters leave of shifts, weighted by the noise.
@@ -159,11 +166,21 @@ class WhiteRecord:
         """
         likelihood = self._likelihood
         n = likelihood.n_unknowns
+        shape = (n + len(shifts.dynamics), shifts.values.shape[1])
+        inner = np.empty(shape, order="F")
+        weighted = self._parts.weights[:, None] * shifts.values
+        inner[:n] = likelihood.shown.T @ weighted
+        inner[n:] = shifts.dynamics
+        return self._answered(shifts, self._parts.factors.solve(inner))
+
+    def _answered(self, shifts: _Shifts, answer: np.ndarray) -> _Shifts:
+        """The same, once the states have answered; their answer is written over."""
+        likelihood = self._likelihood
+        n = likelihood.n_unknowns
         weights = self._parts.weights[:, None]
-        weighted = weights * shifts.values
-        inner = np.vstack([likelihood.shown.T @ weighted, shifts.dynamics])
-        answer = self._parts.factors.solve(inner)
-        in_theta = self._in_shown.T @ weighted - self._right.T @ answer
+        in_theta = self._in_shown.T @ (weights * shifts.values)
+        # The matrix is symmetric: what was solved for the parameters serves again.
+        in_theta -= self._right.T @ answer
         theta = np.linalg.solve(self._information, in_theta)
         answer -= self._solved @ theta
         shown = likelihood.shown @ answer[:n] + self._in_shown @ theta
@@ -174,59 +191,96 @@ class WhiteRecord:
     ) -> "list[PromisedGain]":
         """Gains of the log evidence by the processes of each trial.
 
-        What few columns need is solved for together; the random signals of each trial
-        by themselves, so that memory does not grow with the trials.
+        All columns are solved for together: those that components feel, then the random
+        signals of all trials.
 
         Args:
             trials: processes that could act.
             channels: states whose noise is estimated, and would follow.
         """
+        places = _Places(self)
         together = []
         for trial in trials:
-            components = self._components(trial)
-            together.append(_Asked(components, self.left, len(trial.forces)))
+            components = places.components(trial)
+            together.append(_Asked(components, len(trial.forces)))
         worth_asking = [asked for asked in together if asked.components]
         if worth_asking:
             self._set_information(worth_asking, channels)
             self._set_excess(worth_asking)
         return [asked.gain for asked in together]
 
-    def _components(self, trial: "Trial") -> list[_Component]:
-        components = []
-        for force in trial.forces:
-            components.append(_Component.of_force(self.problem, force))
-        for sensor in trial.sensors:
-            components.append(_Component.of_sensor(self.problem, sensor))
-        return components
-
     def _set_information(
         self, together: Sequence["_Asked"], channels: Sequence[int]
     ) -> None:
         """Average information about variances, while noises follow them."""
-        noise = self._noise_shifts(channels)
-        moved = [shift for asked in together for shift in asked.moved()]
-        shifts = _Shifts.joined([noise, *moved])
-        products = _products(shifts, self._left(shifts)) / 2
         n = len(channels)
-        of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
+        n_components = sum(len(asked.components) for asked in together)
+        shifts = _Shifts.none(self.problem, n + n_components)
+        shifts.values[:, :n] = self._noise_shifts(channels)
+        owned = []
         first = n
         for asked in together:
-            own = slice(first, first + len(asked.components))
+            owned.append(slice(first, first + len(asked.components)))
+            asked.add_moved(shifts.columns(owned[-1]))
+            first = owned[-1].stop
+        products = _products(shifts, self._left(shifts)) / 2
+        of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
+        for asked, own in zip(together, owned, strict=True):
             mixed = products[own, :n]
             asked.information = products[own, own] - mixed @ of_noise @ mixed.T
-            first = own.stop
 
     def _set_excess(self, together: Sequence["_Asked"]) -> None:
         """Slopes of the log evidence in the variances times their sizes."""
-        for asked in together:
-            asked.set_excess(self._left(asked.signalled()))
+        shifts = _Shifts.none(self.problem, N_SIGNS * len(together))
+        owned = []
+        for number, asked in enumerate(together):
+            owned.append(slice(number * N_SIGNS, (number + 1) * N_SIGNS))
+            asked.add_signals(shifts.columns(owned[-1]))
+        left = self._left(shifts)
+        for asked, own in zip(together, owned, strict=True):
+            asked.set_excess(left.columns(own))
 
-    def _noise_shifts(self, channels: Sequence[int]) -> _Shifts:
+    def _noise_shifts(self, channels: Sequence[int]) -> np.ndarray:
         """How the data would move with the logarithm of each channel's noise."""
         residual = self.left.values / self._parts.weights[:, None]
         is_in = self.problem.channel[:, None] == np.array(channels, dtype=int)
-        shifts = np.where(is_in, 2 * residual, 0.0)
-        return _Shifts(shifts, np.zeros((len(self.left.dynamics), len(channels))))
+        return np.where(is_in, 2 * residual, 0.0)
+
+
+class _Places:
+    """The places of a record's processes, each made once for all trials.
+
+    Args:
+        record: the record, with what is left of its data.
+    """
+
+    def __init__(self, record: WhiteRecord) -> None:
+        self._problem = record.problem
+        self._left = record.left
+        self._made: dict[tuple[str, int], tuple[_Place, np.ndarray]] = {}
+
+    def components(self, trial: "Trial") -> list[_Component]:
+        """The components of a trial, forces first."""
+        problem = self._problem
+        components = []
+        for force in trial.forces:
+            place, felt = self._place("force", force.place)
+            whitener = whitener_of_force(problem, force)
+            components.append(_Component(place, whitener, felt))
+        for sensor in trial.sensors:
+            place, felt = self._place("sensor", sensor.place)
+            whitener = whitener_of_sensor(problem, sensor)
+            components.append(_Component(place, whitener, felt))
+        return components
+
+    def _place(self, kind: str, number: int) -> tuple[_Place, np.ndarray]:
+        if (kind, number) not in self._made:
+            if kind == "force":
+                place = _Place(effects=self._problem.dynamics_of_force(number))
+            else:
+                place = _Place(shown=self._problem.values_of(number))
+            self._made[kind, number] = (place, place.felt(self._left))
+        return self._made[kind, number]
 
 
 @dataclass(frozen=True)
@@ -247,7 +301,6 @@ class _Asked:
 
     Args:
         components: forces first.
-        left: what states and parameters leave of the data.
         n_forces: number of forces.
 
     Attributes:
@@ -255,11 +308,8 @@ class _Asked:
         excess: (n,) slopes of the log evidence in the variances times their sizes.
     """
 
-    def __init__(
-        self, components: Sequence[_Component], left: _Shifts, n_forces: int
-    ) -> None:
+    def __init__(self, components: Sequence[_Component], n_forces: int) -> None:
         self.components = components
-        self.felt = [component.felt(left) for component in components]
         self.n_forces = n_forces
         self.information = np.zeros((0, 0))
         self.excess = np.zeros(0)
@@ -270,37 +320,39 @@ class _Asked:
         """Root of the information about each variance, (n,)."""
         return np.sqrt(np.maximum(np.diag(self.information), TINY))
 
-    def moved(self) -> list[_Shifts]:
-        """What each component does to the data where it follows what it feels."""
-        moved = []
-        for component, own in zip(self.components, self.felt, strict=True):
-            values = component.whitener.covariance_times(own)
-            moved.append(component.shifts(values))
-        return moved
+    def add_moved(self, shifts: _Shifts) -> None:
+        """Add what each component does to the data where it follows what it feels.
 
-    def signalled(self) -> _Shifts:
-        """What random signals of all components do together, a column per sign."""
-        rng = np.random.default_rng(SIGN_SEED)
+        Args:
+            shifts: a column per component.
+        """
+        for k, component in enumerate(self.components):
+            values = component.whitener.coloured(component.factor)
+            component.place.add(shifts.columns(slice(k, k + 1)), values)
+
+    def add_signals(self, shifts: _Shifts) -> None:
+        """Add what random signals of all components do together.
+
+        Args:
+            shifts: a column per sign.
+        """
+        signs = _signs(tuple(component.n for component in self.components), N_SIGNS)
         self._signals = []
-        shifts = []
-        for component, scale in zip(self.components, self.size, strict=True):
-            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
-            signal = component.whitener.coloured(signs) / np.sqrt(scale)
+        for component, own, scale in zip(
+            self.components, signs, self.size, strict=True
+        ):
+            signal = component.whitener.coloured(own) / np.sqrt(scale)
             self._signals.append(signal)
-            shifts.append(component.shifts(signal))
-        return _Shifts(
-            np.sum([shift.values for shift in shifts], axis=0),
-            np.sum([shift.dynamics for shift in shifts], axis=0),
-        )
+            component.place.add(shifts, signal)
 
     def set_excess(self, left: _Shifts) -> None:
         """From what is left of the signals."""
         slopes = []
-        for component, signal, own, scale in zip(
-            self.components, self._signals, self.felt, self.size, strict=True
+        for component, signal, scale in zip(
+            self.components, self._signals, self.size, strict=True
         ):
-            by_chance = np.sum(signal * component.felt(left)) / N_SIGNS
-            seen = np.sum(component.whitener.factor_of(own) ** 2) / scale
+            by_chance = np.sum(signal * component.place.felt(left)) / N_SIGNS
+            seen = np.sum(component.factor**2) / scale
             slopes.append((seen - by_chance) / 2)
         self.excess = np.maximum(slopes, MOST_UNWANTED)
 
@@ -317,6 +369,18 @@ class _Asked:
             _gain(self.excess[of_forces], information[of_forces, of_forces]),
             _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
         )
+
+
+@lru_cache(1)
+def _signs(lengths: tuple[int, ...], n_signs: int) -> list[np.ndarray]:
+    """Random signs (n, n_signs) for processes of these lengths, for every trial."""
+    rng = np.random.default_rng(SIGN_SEED)
+    signs = []
+    for n in lengths:
+        drawn = rng.choice([-1.0, 1.0], (n, n_signs))
+        signs.append(np.asfortranarray(drawn))
+        signs[-1].flags.writeable = False
+    return signs
 
 
 def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:
