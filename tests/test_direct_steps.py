@@ -7,7 +7,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
-from phsi_opt.estimation import maximum_likelihood
+from phsi_opt.estimation import direct_steps, maximum_likelihood
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
@@ -20,7 +20,7 @@ from phsi_opt.optimization.endings import DIRECT_STEPS
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
-from phsi_opt.transcription.optimality_system import OptimalitySystem
+from phsi_opt.transcription.optimality_system import NewtonStep, OptimalitySystem
 from phsi_opt.transcription.pattern import Pattern
 
 T = np.linspace(0.0, 20.0, 201)
@@ -174,6 +174,35 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     )
     left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
     np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
+    # From another point, whose gradient and offset are those of the same quadratic.
+    moved, multipliers = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
+    there = gradient + whole @ moved
+    lagrangian = system.lagrangian_gradient(there, entries[1], multipliers)
+    again = system.step_again(lagrangian, g + J @ moved, multipliers)
+    found = np.r_[moved + again.z, again.multipliers]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_the_last_steps_take_the_curvature_of_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    expected = ph.identify(unknown(), swinging())
+    full: list[object] = []
+    step = OptimalitySystem.step
+
+    def counted(system: OptimalitySystem, *given: np.ndarray) -> NewtonStep:
+        full.append(system)
+        return step(system, *given)
+
+    monkeypatch.setattr(OptimalitySystem, "step", counted)
+    fit = ph.identify(unknown(), swinging())
+    assert 1 < len(full) <= fit.outcome.iterations - 2
+    monkeypatch.setattr(direct_steps, "AGAIN", 0.0)
+    full.clear()
+    anew = ph.identify(unknown(), swinging())
+    assert len(full) == anew.outcome.iterations
+    for name, value in expected.values.items():
+        assert anew.values[name] == pytest.approx(value, rel=1e-8)
 
 
 # --- States by kinematics

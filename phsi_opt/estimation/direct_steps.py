@@ -34,6 +34,9 @@ NEARLY_HOLDING = 1e-2
 # Share of the error that a step leaves, at most; the first steps find their way.
 CONTRACTION = 0.7
 FREE_STEPS = 3
+# Error of a step, and share of it that the next one leaves, up to which that may take
+# its curvature and slopes: it then costs a third.
+AGAIN = 0.1
 # Share of the way to a bound that a step goes at most: bounds are not crossed, and an
 # optimum at one is not found here.
 TO_BOUND = 0.99
@@ -116,9 +119,12 @@ class DirectSteps:
         began = time.perf_counter()
         place = self._at(z, sigma)
         errors: list[float] = []
+        step: NewtonStep | None = None
+        is_same = False  # the likelihood, since the last step
         most = min(MOST_DIRECT_STEPS, self.settings.max_iterations)
         for n_steps in range(1, most + 1):
-            step = self._step(place)
+            step = self._step_again(place, step, errors) if is_same else None
+            step = step or self._step(place)
             is_late = time.perf_counter() - began > self.settings.max_seconds
             if step is None or is_late:
                 return None
@@ -126,15 +132,28 @@ class DirectSteps:
             if not _contracts(errors):
                 return None
             place = self._at(self._moved(place.z, step.z), place.sigma)
+            is_same = False
             if not place.violation < NEARLY_HOLDING:
                 continue
             updated = noise.updated(place.sigma, place.weighed.residual)
             has_settled = noise.has_settled(place.sigma, updated)
             if has_settled and self._is_optimal(place, step):
                 return self._optimum_at(place, updated, n_steps, began)
+            is_same = has_settled
             if not has_settled:
                 place = self._with_noise(place, updated)
         return None
+
+    def _step_again(
+        self, place: _Place, last: NewtonStep | None, errors: list[float]
+    ) -> NewtonStep | None:
+        """A step by the curvature of the one before; None where it contracts less."""
+        if last is None or errors[-1] > AGAIN:
+            return None
+        gradient = self._lagrangian_gradient(place, last)
+        step = self._system.step_again(gradient, place.values.g, last.multipliers)
+        error = place.violation + self._length(place, step)
+        return step if error < AGAIN * errors[-1] else None
 
     def _step(self, place: _Place) -> NewtonStep | None:
         """The full step; None where there is none."""
@@ -156,11 +175,15 @@ class DirectSteps:
 
     def _is_optimal(self, place: _Place, step: NewtonStep) -> bool:
         """Whether the conditions hold behind a step, with its multipliers."""
-        gradient = self._system.lagrangian_gradient(
-            place.weighed.gradient, place.values.jacobian, step.multipliers
-        )
+        gradient = self._lagrangian_gradient(place, step)
         error = max(float(np.max(np.abs(gradient))), place.violation)
         return error < self.settings.tolerance
+
+    def _lagrangian_gradient(self, place: _Place, step: NewtonStep) -> np.ndarray:
+        """At a place, with the multipliers of the step that led there."""
+        return self._system.lagrangian_gradient(
+            place.weighed.gradient, place.values.jacobian, step.multipliers
+        )
 
     def _moved(self, z: np.ndarray, step: np.ndarray) -> np.ndarray:
         """After the step, or the part of it that stays within the bounds."""

@@ -33,6 +33,25 @@ class NewtonStep:
     multipliers: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class _Eliminated:
+    """A system whose states and multipliers are solved for.
+
+    Attributes:
+        factors: of states and multipliers, parameters held.
+        coupling: (n_x + n_constraints, n_theta) how the parameters act on both.
+        per_theta: in the same shape, how both answer.
+        curvature: (n_told,) that is left for the parameters, along directions.
+        directions: (n_theta, n_told), those that the data tell.
+    """
+
+    factors: Banded
+    coupling: np.ndarray
+    per_theta: np.ndarray
+    curvature: np.ndarray
+    directions: np.ndarray
+
+
 class OptimalitySystem:
     """Steps of ``min objective subject to g = 0`` in z = (theta, x).
 
@@ -42,6 +61,8 @@ class OptimalitySystem:
         hessian: pattern of its upper triangle.
         jacobian: pattern of the slopes of g.
     """
+
+    _last: _Eliminated  # of the last full step
 
     def __init__(
         self, grid: Grid, n_states: int, hessian: Pattern, jacobian: Pattern
@@ -103,17 +124,38 @@ class OptimalitySystem:
         """
         n_theta = self.n_theta
         factors = Banded.of(self._layout, self._band_entries(hessian, jacobian))
-        of_theta = self._theta_block(hessian)
         right = self._right(hessian, jacobian)
         right[: self._n_x, n_theta] = -gradient[n_theta:]
         right[self._n_x :, n_theta] = -g
         coupling = right[:, :n_theta]
         solved = factors.solve(right)
         per_theta = solved[:, :n_theta]
-        alone = solved[:, n_theta]
-        left = of_theta - coupling.T @ per_theta
-        theta = _solved(left, -gradient[:n_theta] - coupling.T @ alone)
-        others = alone - per_theta @ theta
+        left = self._theta_block(hessian) - coupling.T @ per_theta
+        self._last = _Eliminated(factors, coupling, per_theta, *_told(left))
+        return self._joined(solved[:, n_theta], gradient)
+
+    def step_again(
+        self, gradient: np.ndarray, g: np.ndarray, multipliers: np.ndarray
+    ) -> NewtonStep:
+        """A step from another point by curvature and slopes of the last `step`.
+
+        It costs one solve, and is worth it where these have hardly changed.
+
+        Args:
+            gradient: of the Lagrangian there, (n_variables,).
+            g: (n_constraints,) values of the constraints there.
+            multipliers: (n_constraints,) of that Lagrangian.
+        """
+        right = np.concatenate([-gradient[self.n_theta :], -g])
+        step = self._joined(self._last.factors.solve(right), gradient)
+        return NewtonStep(step.z, multipliers + step.multipliers)
+
+    def _joined(self, alone: np.ndarray, gradient: np.ndarray) -> NewtonStep:
+        """The step of all unknowns, from that of the others while parameters stay."""
+        last = self._last
+        right = -gradient[: self.n_theta] - last.coupling.T @ alone
+        theta = last.directions @ ((last.directions.T @ right) / last.curvature)
+        others = alone - last.per_theta @ theta
         z = np.concatenate([theta, others[: self._n_x]])
         return NewtonStep(z, others[self._n_x :])
 
@@ -165,14 +207,16 @@ class OptimalitySystem:
         return gradient + of_constraints
 
 
-def _solved(curvature: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Step of the parameters; none in directions on which the data are silent.
+def _told(curvature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Curvature of the parameters along directions that the data tell, and these.
 
-    There it would be as large as rounding makes it.
+    In the others a step would be as large as rounding makes it.
+
+    Returns:
+        (n_told,), and (n_theta, n_told).
     """
-    if not len(right):
-        return right
+    if not len(curvature):
+        return np.zeros(0), np.zeros((0, 0))
     values, vectors = np.linalg.eigh((curvature + curvature.T) / 2)
     is_told = values > SILENT * values[-1]
-    told = vectors[:, is_told]
-    return told @ ((told.T @ right) / values[is_told])
+    return values[is_told], vectors[:, is_told]
