@@ -31,7 +31,8 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import formula
-from phsi_opt.model_error import score_test
+from phsi_opt.model_error import marginal_likelihood, score_test
+from phsi_opt.model_error.ascent import slopes
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
@@ -42,6 +43,7 @@ from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
 from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.model_error.score_test import WhiteRecord
+from phsi_opt.model_error.signs import random_signs
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.model_error.state_functions import (
     LENGTH,
@@ -987,6 +989,7 @@ def test_trials_that_are_asked_together_promise_what_each_does_alone(
         (alone,) = record.promised_gains([trial], search.channels)
         assert gain.forces == pytest.approx(alone.forces, rel=1e-6)
         assert gain.sensors == pytest.approx(alone.sensors, rel=1e-6)
+    n_felt = len(search.channels) + 2 * len(forces) + len(sensors)
     solved: list[tuple[int, ...]] = []
     solve = Banded.solve
 
@@ -996,7 +999,8 @@ def test_trials_that_are_asked_together_promise_what_each_does_alone(
 
     monkeypatch.setattr(Banded, "solve", noted)
     record.promised_gains(trials, search.channels)
-    assert len(solved) == 2  # what is felt, and random signals
+    # What is felt, and the random signals of each trial that has any.
+    assert [shape[1] for shape in solved] == [n_felt, *[score_test.N_SIGNS] * 2]
     assert together[0].forces > 0
     assert together[1] == score_test.PromisedGain()
 
@@ -1038,6 +1042,28 @@ def test_nothing_more_is_worked_out_where_no_disturbance_is_promised(
     errors = nothing.standard_errors
     assert errors is not None
     assert (errors.source, errors.evidence) == (Source.NOISE, 0.0)
+
+
+def test_random_signs_and_whiteners_are_made_once_for_a_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    signs = random_signs((5, 3), 4)
+    assert random_signs((5, 3), 4) is signs
+    assert [one.shape for one in signs] == [(5, 4), (3, 4)]
+    assert set(np.concatenate(signs).ravel()) == {-1.0, 1.0}
+    assert not any(one.flags.writeable for one in signs)
+    search = search_of(0)
+    start = search._force_starts()[0]
+    made: list[float] = []
+    whitener = marginal_likelihood.whitener_of_force
+
+    def counted(problem: Linearization, force: Process) -> Whitener:
+        made.append(force.time)
+        return whitener(problem, force)
+
+    monkeypatch.setattr(marginal_likelihood, "whitener_of_force", counted)
+    slopes(search._likelihood(start), start, search.channels)
+    assert len(made) == 2 * len(start.forces)  # at its time, and a little later
 
 
 def test_slopes_in_a_variance_are_those_of_the_evidence(

@@ -7,6 +7,7 @@ guess: `missing_force` estimates the noise with a model). What quantisation alon
 """
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
@@ -52,20 +53,26 @@ def difference_noise(data: Measurements) -> np.ndarray:
 def _difference_noise(data: Measurements) -> np.ndarray:
     noise = np.full(data.n_states, np.nan)
     for k in range(data.n_states):
-        residuals = np.concatenate(scatter_residuals(data, k))
+        _, residuals = scatter_residuals(data, k)
         if len(residuals):
             noise[k] = robust_deviation(residuals)
     return np.maximum(noise, quantisation_noise(data))
 
 
-def scatter_residuals(data: Measurements, state: int) -> list[np.ndarray]:
+def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
     """Residuals of samples against the cubic through their neighbours, as `r_i` above.
 
     Of all trajectories at once: there may be thousands of short ones.
 
     Returns:
-        One array (n_measured - 4,) per trajectory, empty where it has too few.
+        (2, n_residuals): the number of the trajectory of each, and the residuals;
+        n_measured - 4 per trajectory, none where it has too few.
     """
+    make = partial(_scatter_residuals, state=state)
+    return data.derived(f"scatter of state {state}", make)
+
+
+def _scatter_residuals(data: Measurements, state: int) -> np.ndarray:
     runs = data.trajectories
     values = np.concatenate([of_run.x[:, state] for of_run in runs])
     is_measured = np.isfinite(values)
@@ -76,9 +83,7 @@ def scatter_residuals(data: Measurements, state: int) -> list[np.ndarray]:
     reach = N_STENCIL // 2
     middle = np.arange(reach, len(t) - reach)
     middle = middle[run[middle - reach] == run[middle + reach]]
-    residuals = _cubic_residuals(t, y, middle)
-    ends = np.searchsorted(run[middle], np.arange(1, len(runs)))
-    return np.split(residuals, ends)
+    return np.vstack([run[middle], _cubic_residuals(t, y, middle)])
 
 
 def robust_deviation(residuals: np.ndarray) -> float:
@@ -150,8 +155,8 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
 
 def _check_that_something_moves(data: Measurements, y: np.ndarray) -> None:
     measured = y[:, np.isfinite(y).any(axis=0)]
-    highest = np.nanmax(measured, axis=0)
-    lowest = np.nanmin(measured, axis=0)
+    highest = np.fmax.reduce(measured, axis=0)  # NaN is not measured
+    lowest = np.fmin.reduce(measured, axis=0)
     if not (highest > lowest).any():
         raise DataError(
             f"every measured value of {', '.join(data.measured)} is the same "
@@ -179,12 +184,12 @@ def least_noise(y: np.ndarray) -> np.ndarray:
 def _spread(y: np.ndarray) -> np.ndarray:
     """Standard deviation per channel, (n_states,); 1 where nothing was measured."""
     spread = np.ones(y.shape[1])
-    for k in np.flatnonzero(np.isfinite(y).any(axis=0)):
-        spread[k] = np.nanstd(y[:, k])
+    is_measured = np.isfinite(y)
+    for k in np.flatnonzero(is_measured.any(axis=0)):
+        spread[k] = np.std(y[is_measured[:, k], k])
     return spread
 
 
 def _size(y: np.ndarray) -> np.ndarray:
     """Largest absolute value per channel, (n_states,), not zero."""
-    magnitudes = np.abs(np.nan_to_num(y))
-    return np.maximum(magnitudes.max(axis=0), LEAST_SIZE)
+    return np.fmax(np.fmax.reduce(np.abs(y), axis=0), LEAST_SIZE)

@@ -10,10 +10,10 @@ are those of random signs.)
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
@@ -23,11 +23,11 @@ from phsi_opt.model_error.marginal_likelihood import (
     whitener_of_sensor,
 )
 from phsi_opt.model_error.processes import Process, Whitener
+from phsi_opt.model_error.signs import random_signs
 from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import RIDGE
 
-SIGN_SEED = 0  # of the random signs: the same every time
 # Random vectors for every group of processes: a slope is then known to about a third of
 # its standard deviation.
 N_SIGNS = 8
@@ -80,11 +80,18 @@ class _Place:
 
     Attributes:
         effects: of a force, what its values do to the dynamics; None: of a sensor.
+        transposed: the same, transposed.
         shown: of a sensor, places of the measured values that it is added to.
     """
 
     effects: csc_matrix | None = None
+    transposed: csr_matrix | None = None
     shown: np.ndarray | None = None
+
+    @classmethod
+    def of_force(cls, effects: csc_matrix) -> "_Place":
+        """Of a force with these effects."""
+        return cls(effects, effects.T)
 
     def add(self, shifts: _Shifts, values: np.ndarray) -> None:
         """Add what values (n, k) do to shifts.
@@ -99,8 +106,8 @@ class _Place:
 
     def felt(self, left: _Shifts) -> np.ndarray:
         """What it would take to bring down what is left, (n, k)."""
-        if self.effects is not None:
-            return np.asarray(self.effects.T @ left.dynamics)
+        if self.transposed is not None:
+            return np.asarray(self.transposed @ left.dynamics)
         return left.values[self.shown]
 
 
@@ -169,7 +176,7 @@ class WhiteRecord:
         shape = (n + len(shifts.dynamics), shifts.values.shape[1])
         inner = np.empty(shape, order="F")
         weighted = self._parts.weights[:, None] * shifts.values
-        inner[:n] = likelihood.shown.T @ weighted
+        inner[:n] = likelihood.shown_transposed @ weighted
         inner[n:] = shifts.dynamics
         return self._answered(shifts, self._parts.factors.solve(inner))
 
@@ -191,8 +198,8 @@ class WhiteRecord:
     ) -> "list[PromisedGain]":
         """Gains of the log evidence by the processes of each trial.
 
-        All columns are solved for together: those that components feel, then the random
-        signals of all trials.
+        What few columns need is solved for together; the random signals of each trial
+        by themselves: fresh memory costs more than a further call.
 
         Args:
             trials: processes that could act.
@@ -231,14 +238,10 @@ class WhiteRecord:
 
     def _set_excess(self, together: Sequence["_Asked"]) -> None:
         """Slopes of the log evidence in the variances times their sizes."""
-        shifts = _Shifts.none(self.problem, N_SIGNS * len(together))
-        owned = []
-        for number, asked in enumerate(together):
-            owned.append(slice(number * N_SIGNS, (number + 1) * N_SIGNS))
-            asked.add_signals(shifts.columns(owned[-1]))
-        left = self._left(shifts)
-        for asked, own in zip(together, owned, strict=True):
-            asked.set_excess(left.columns(own))
+        for asked in together:
+            shifts = _Shifts.none(self.problem, N_SIGNS)
+            asked.add_signals(shifts)
+            asked.set_excess(self._left(shifts))
 
     def _noise_shifts(self, channels: Sequence[int]) -> np.ndarray:
         """How the data would move with the logarithm of each channel's noise."""
@@ -276,7 +279,7 @@ class _Places:
     def _place(self, kind: str, number: int) -> tuple[_Place, np.ndarray]:
         if (kind, number) not in self._made:
             if kind == "force":
-                place = _Place(effects=self._problem.dynamics_of_force(number))
+                place = _Place.of_force(self._problem.dynamics_of_force(number))
             else:
                 place = _Place(shown=self._problem.values_of(number))
             self._made[kind, number] = (place, place.felt(self._left))
@@ -336,7 +339,7 @@ class _Asked:
         Args:
             shifts: a column per sign.
         """
-        signs = _signs(tuple(component.n for component in self.components), N_SIGNS)
+        signs = random_signs(tuple(one.n for one in self.components), N_SIGNS)
         self._signals = []
         for component, own, scale in zip(
             self.components, signs, self.size, strict=True
@@ -369,18 +372,6 @@ class _Asked:
             _gain(self.excess[of_forces], information[of_forces, of_forces]),
             _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
         )
-
-
-@lru_cache(1)
-def _signs(lengths: tuple[int, ...], n_signs: int) -> list[np.ndarray]:
-    """Random signs (n, n_signs) for processes of these lengths, for every trial."""
-    rng = np.random.default_rng(SIGN_SEED)
-    signs = []
-    for n in lengths:
-        drawn = rng.choice([-1.0, 1.0], (n, n_signs))
-        signs.append(np.asfortranarray(drawn))
-        signs[-1].flags.writeable = False
-    return signs
 
 
 def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:
