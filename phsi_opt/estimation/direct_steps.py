@@ -36,7 +36,7 @@ CONTRACTION = 0.7
 FREE_STEPS = 3
 # Error of a step, and share of it that the next one leaves, up to which that may take
 # its curvature and slopes: it then costs a third.
-AGAIN = 0.1
+AGAIN = 0.03
 # Share of the way to a bound that a step goes at most: bounds are not crossed, and an
 # optimum at one is not found here.
 TO_BOUND = 0.99

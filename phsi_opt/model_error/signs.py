@@ -15,7 +15,7 @@ MOST_SETS = 4  # sets of signs; a search asks for the same ones at every step
 
 @lru_cache(MOST_SETS)
 def random_signs(lengths: tuple[int, ...], n: int) -> tuple[np.ndarray, ...]:
-    """Signs (length, n) for each of the lengths, read-only, column after column."""
+    """Signs, (n_values, n) for each of the lengths n_values, read-only."""
     rng = np.random.default_rng(SEED)
     drawn = []
     for length in lengths:
