@@ -1044,6 +1044,25 @@ def test_nothing_more_is_worked_out_where_no_disturbance_is_promised(
     assert (errors.source, errors.evidence) == (Source.NOISE, 0.0)
 
 
+def test_the_other_kind_is_searched_for_where_it_promised_something(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    beside: list[bool] = []
+    other = DisturbanceSearch._with_the_other_kind
+
+    def noted(search: DisturbanceSearch, found: Disturbances) -> list[Disturbances]:
+        beside.append(bool(found.forces))
+        return other(search, found)
+
+    monkeypatch.setattr(DisturbanceSearch, "_with_the_other_kind", noted)
+    for promised in (True, False):
+        search = search_of(0)
+        promising = replace(search._promising, forces=True, sensors=promised)
+        vars(search)["_promising"] = promising
+        assert search.found().disturbances.forces
+        assert len(beside) == 1  # from the first of the two alone
+
+
 def test_random_signs_and_whiteners_are_made_once_for_a_place(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -286,7 +286,10 @@ class DisturbanceSearch:
         one = max(of_forces, of_sensors, key=_log_evidence)
         if one.log_evidence > worth:
             best = one
-            if not self.is_brief:
+            promises = (
+                promising.sensors if one.disturbances.forces else promising.forces
+            )
+            if promises and not self.is_brief:
                 best = self._clearer(best, self._with_the_other_kind(one.disturbances))
         if self.is_brief:
             return best
