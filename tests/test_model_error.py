@@ -1044,6 +1044,17 @@ def test_nothing_more_is_worked_out_where_no_disturbance_is_promised(
     assert (errors.source, errors.evidence) == (Source.NOISE, 0.0)
 
 
+def test_pieces_in_which_nothing_is_found_ask_nothing_of_the_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = replace(search_of(0))  # a copy: what is worked out about it is kept
+    vars(search)["_pieces"] = replace(search)
+    nothing = Evidence(Disturbances(search.plain), 0.0)
+    monkeypatch.setattr(DisturbanceSearch, "_found_directly", lambda _: nothing)
+    assert search.found().disturbances.is_white
+    assert "white" not in vars(search)
+
+
 def test_the_other_kind_is_searched_for_where_it_promised_something(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -1056,7 +1067,7 @@ def test_the_other_kind_is_searched_for_where_it_promised_something(
 
     monkeypatch.setattr(DisturbanceSearch, "_with_the_other_kind", noted)
     for promised in (True, False):
-        search = search_of(0)
+        search = replace(search_of(0))
         promising = replace(search._promising, forces=True, sensors=promised)
         vars(search)["_promising"] = promising
         assert search.found().disturbances.forces

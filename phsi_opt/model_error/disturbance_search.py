@@ -179,9 +179,9 @@ class DisturbanceSearch:
         if pieces is None:
             return self._found_directly()
         in_pieces = pieces._found_directly().disturbances
-        white = self.white
         if in_pieces.is_white and not self.noise_differs:
-            return white
+            return self.evidence(Disturbances(self.plain))
+        white = self.white
         start = self.translated(in_pieces, pieces)
         best = self.best_of([start], most_steps=STEPS_ON_WHOLE)
         is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
