@@ -291,7 +291,8 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     system = OptimalitySystem(grid, 2, pattern_of(H), pattern_of(J))
     entries = H[np.nonzero(H)], J[np.nonzero(J)]
     free = Room(np.full(2, -1e9), np.full(2, 1e9))
-    step = system.factored(*entries).step(gradient, g, free)
+    factored = system.factored(*entries)
+    step = factored.step(gradient, g, free)
     whole = H + np.triu(H, 1).T
     matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])
     expected = np.linalg.solve(matrix, -np.r_[gradient, g])
@@ -299,6 +300,13 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     np.testing.assert_allclose(system.times(entries[0], step.z), whole @ step.z)
     left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
     np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
+    # From another point, whose gradient and offset are those of the same quadratic.
+    moved, multipliers = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
+    there = gradient + whole @ moved
+    lagrangian = system.lagrangian_gradient(there, entries[1], multipliers)
+    again = factored.step(lagrangian, g + J @ moved, free)
+    found = np.r_[moved + again.z, multipliers + again.multipliers]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
     # Held at zero, the first parameter has no row.
     one_held = Room(np.array([0.0, -1e9]), np.array([0.0, 1e9]))
     held = system.factored(*entries).step(gradient, g, one_held)
@@ -337,6 +345,28 @@ def test_dear_factors_serve_several_steps_to_the_same_optimum(
         close = pytest.approx(value, abs=1e-4 * anew.std_errors[name])
         assert kept.values[name] == close
     assert kept.std_errors == pytest.approx(anew.std_errors, rel=1e-5)
+
+
+def test_the_last_steps_take_the_factors_of_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    expected = ph.identify(unknown(), swinging())
+    full: list[object] = []
+    factored = OptimalitySystem.factored
+
+    def counted(system: OptimalitySystem, *entries: np.ndarray) -> Factored:
+        full.append(system)
+        return factored(system, *entries)
+
+    monkeypatch.setattr(OptimalitySystem, "factored", counted)
+    fit = ph.identify(unknown(), swinging())
+    assert 1 < len(full) <= fit.outcome.iterations - 2
+    monkeypatch.setattr(direct_steps, "AGAIN", 0.0)
+    full.clear()
+    anew = ph.identify(unknown(), swinging())
+    assert len(full) == anew.outcome.iterations
+    for name, value in expected.values.items():
+        assert anew.values[name] == pytest.approx(value, rel=1e-8)
 
 
 # --- States by kinematics

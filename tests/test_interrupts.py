@@ -5,8 +5,8 @@ is different.
 import contextlib
 import signal
 import threading
-from collections.abc import Sequence
 from types import FrameType
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -71,15 +71,11 @@ def test_full_steps_end_where_ctrl_c_is_pressed(
     step = direct_steps._Stepper.step
     begun = []
 
-    def pressed(
-        stepper: direct_steps._Stepper,
-        place: direct_steps._Place,
-        errors: Sequence[float],
-    ) -> NewtonStep | None:
+    def pressed(stepper: direct_steps._Stepper, *given: Any) -> NewtonStep | None:
         begun.append(True)
         if len(begun) == 2:
             press()
-        return step(stepper, place, errors)
+        return step(stepper, *given)
 
     with monkeypatch.context() as patched:
         patched.setattr(direct_steps._Stepper, "step", pressed)

@@ -81,7 +81,7 @@ class LikelihoodEstimate(Estimate):
     @property
     def n_values(self) -> int:
         """Number of measured values."""
-        return int(self.grid.measured.sum())
+        return len(self.grid.channel)
 
     @property
     def nodes(self) -> np.ndarray:
@@ -193,8 +193,7 @@ class LikelihoodEstimate(Estimate):
     @property
     def plain(self) -> PlainEstimate:
         """The estimate as one that counts residuals as white noise."""
-        channel = np.nonzero(self.grid.measured)[1]
-        residual = self.standardized * self.sigma[channel]
+        residual = self.standardized * self.sigma[self.grid.channel]
         within = 1.0
         score_variance = 1.0
         if self.loss.huber is not None:

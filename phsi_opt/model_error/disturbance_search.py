@@ -183,9 +183,9 @@ class DisturbanceSearch:
         if pieces is None:
             return self._found_directly()
         in_pieces = pieces._found_directly().disturbances
-        white = self.white
         if in_pieces.is_white and not self.noise_differs:
-            return white
+            return self.evidence(Disturbances(self.plain))
+        white = self.white
         start = self.translated(in_pieces, pieces)
         best = self.best_of([start], most_steps=STEPS_ON_WHOLE)
         is_clear = best.log_evidence > white.log_evidence + MODEL_ERROR_EVIDENCE
@@ -297,7 +297,10 @@ class DisturbanceSearch:
         one = max(of_forces, of_sensors, key=_log_evidence)
         if one.log_evidence > worth:
             best = one
-            if not self.is_brief:
+            promises = (
+                promising.sensors if one.disturbances.forces else promising.forces
+            )
+            if promises and not self.is_brief:
                 best = self._clearer(best, self._with_the_other_kind(one.disturbances))
         if self.is_brief:
             return best

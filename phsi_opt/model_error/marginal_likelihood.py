@@ -192,6 +192,7 @@ class MarginalLikelihood:
     Attributes:
         n_unknowns: number of states at all nodes and of values of processes.
         shown: slope of the measured values in them, sparse.
+        shown_transposed: the same, transposed.
         border_in_shown: (n_values, n_border), in parameters and coefficients.
         border_in_dynamics: (n_intervals * n_states, n_border).
     """
@@ -203,6 +204,7 @@ class MarginalLikelihood:
         self.structure = structure
         self.moving = moving
         self.shown = self._shown_in_unknowns()
+        self.shown_transposed = self.shown.T
         self.n_unknowns = self.shown.shape[1]
         self._set_layout()
         self._set_border()
@@ -221,7 +223,7 @@ class MarginalLikelihood:
             ones = np.ones(len(values))
             shape = (n_values, len(values))
             blocks.append(csr_matrix((ones, (values, column)), shape=shape))
-        return csr_matrix(hstack(blocks))
+        return csr_matrix(hstack(blocks) if len(blocks) > 1 else blocks[0])
 
     def _dynamics_in_unknowns(self) -> coo_matrix:
         problem = self.problem
@@ -232,7 +234,7 @@ class MarginalLikelihood:
         for channel in self.structure.sensors:
             n_values = len(problem.values_of(channel))
             blocks.append(coo_matrix((n_dynamics, n_values)))
-        return hstack(blocks).tocoo()
+        return (hstack(blocks) if len(blocks) > 1 else blocks[0]).tocoo()
 
     def _set_layout(self) -> None:
         """Places of all entries: dynamics, products of slopes, priors of processes."""
@@ -390,13 +392,15 @@ class MarginalLikelihood:
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
         factors = self._layout.factors(np.concatenate(entries))
-        weighted_border = squared[:, None] * self.border_in_shown
         n, n_border = self._border_in_unknowns.shape
-        right = np.empty((n + len(problem.offset), n_border + 1))
+        n_theta = len(self.moving)
+        # Column after column in memory, as it is solved for.
+        right = np.zeros((n + len(problem.offset), n_border + 1), order="F")
         right[:n, :n_border] = self._border_in_unknowns
-        right[:n, :n_border] += self.shown.T @ weighted_border
+        in_theta = squared[:, None] * self.border_in_shown[:, :n_theta]
+        right[:n, :n_theta] += self.shown_transposed @ in_theta
         right[n:, :n_border] = self.border_in_dynamics
-        right[:n, n_border] = self.shown.T @ (squared * problem.residual)
+        right[:n, n_border] = self.shown_transposed @ (squared * problem.residual)
         right[n:, n_border] = -problem.offset
         log_noise = float(np.sum(np.log(weight)))
         log_prior += self.log_room(disturbances)
@@ -405,6 +409,7 @@ class MarginalLikelihood:
             right=right,
             solved=factors.solve(right),
             factors=factors,
+            whiteners=whiteners,
             log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
         )
 
@@ -560,6 +565,7 @@ class Eliminated:
         right: (n_unknowns, n_border + 1) right-hand sides, the last of the data.
         solved: in the same shape.
         factors: of the matrix of unknowns and multipliers.
+        whiteners: of the processes, forces first, of size one.
         log_evidence: all that does not depend on the border.
     """
 
@@ -567,6 +573,7 @@ class Eliminated:
     right: np.ndarray
     solved: np.ndarray
     factors: Banded | Chained
+    whiteners: list[Whitener]
     log_evidence: float
 
 

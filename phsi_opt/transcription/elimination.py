@@ -268,7 +268,8 @@ def _kkt_matrix(H: coo_matrix, J: coo_matrix, x: slice) -> coo_matrix:
 def _coupling(H: coo_matrix, J: coo_matrix, theta: slice, x: slice) -> np.ndarray:
     """What couples states and multipliers with the parameters, dense."""
     n_x = x.stop - x.start
-    coupling = np.zeros((n_x + J.shape[0], theta.stop - theta.start))
+    shape = (n_x + J.shape[0], theta.stop - theta.start)
+    coupling = np.zeros(shape, order="F")  # as it is solved for
     is_mixed = (H.row >= x.start) & (H.row < x.stop)
     is_mixed &= (H.col >= theta.start) & (H.col < theta.stop)
     states = H.row[is_mixed] - x.start
