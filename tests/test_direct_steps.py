@@ -1,5 +1,6 @@
 """Full steps from a simple start: the optimum that IPOPT finds, or no answer."""
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -19,17 +20,20 @@ from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.model.built_functions import built_of
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.bounded_step import Room
+from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.endings import DIRECT_STEPS
 from phsi_opt.optimization.mixed_steps import MixedSteps
 from phsi_opt.optimization.settings import EXACT, GAUSS_NEWTON
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
-from phsi_opt.transcription.optimality_system import OptimalitySystem
+from phsi_opt.transcription.optimality_system import Factored, OptimalitySystem
 from phsi_opt.transcription.pattern import Pattern
+from problems.benchmarks import state_growth
 
 T = np.linspace(0.0, 20.0, 201)
 NOISE = 0.02
+MANY_MASSES = 16
 
 
 def spring(
@@ -286,7 +290,9 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     gradient, g = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
     system = OptimalitySystem(grid, 2, pattern_of(H), pattern_of(J))
     entries = H[np.nonzero(H)], J[np.nonzero(J)]
-    step = system.step(*entries, gradient, g, Room(np.full(2, -1e9), np.full(2, 1e9)))
+    free = Room(np.full(2, -1e9), np.full(2, 1e9))
+    factored = system.factored(*entries)
+    step = factored.step(gradient, g, free)
     whole = H + np.triu(H, 1).T
     matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])
     expected = np.linalg.solve(matrix, -np.r_[gradient, g])
@@ -294,14 +300,73 @@ def test_a_step_is_that_of_dense_algebra() -> None:
     np.testing.assert_allclose(system.times(entries[0], step.z), whole @ step.z)
     left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
     np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
+    # From another point, whose gradient and offset are those of the same quadratic.
+    moved, multipliers = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
+    there = gradient + whole @ moved
+    lagrangian = system.lagrangian_gradient(there, entries[1], multipliers)
+    again = factored.step(lagrangian, g + J @ moved, free)
+    found = np.r_[moved + again.z, multipliers + again.multipliers]
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
     # Held at zero, the first parameter has no row.
     one_held = Room(np.array([0.0, -1e9]), np.array([0.0, 1e9]))
-    held = system.step(*entries, gradient, g, one_held)
+    held = system.factored(*entries).step(gradient, g, one_held)
     matrix[0] = 0.0
     matrix[0, 0] = 1.0
     right = -np.r_[0.0, gradient[1:], g]
     found = np.r_[held.z, held.multipliers]
     np.testing.assert_allclose(found, np.linalg.solve(matrix, right), 1e-7, 1e-12)
+
+
+def test_dear_factors_serve_several_steps_to_the_same_optimum(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    chain = state_growth.model(MANY_MASSES)
+    data = state_growth.data(MANY_MASSES, 100)
+    assert 2 * MANY_MASSES >= FEWEST_STATES
+    factored = OptimalitySystem.factored
+    points: list[weakref.ref[Factored]] = []
+
+    def counted(system: OptimalitySystem, *entries: np.ndarray) -> Factored:
+        assert all(of_earlier() is None for of_earlier in points)  # to make room
+        found = factored(system, *entries)
+        points.append(weakref.ref(found))
+        return found
+
+    monkeypatch.setattr(OptimalitySystem, "factored", counted)
+    loss = ph.MaximumLikelihood(steps=1)
+    kept = ph.identify(chain, data, loss)
+    n_kept = len(points)
+    assert kept.outcome.iterations > n_kept
+    points.clear()
+    monkeypatch.setattr(direct_steps, "AGAIN_IF_DEAR", 0.0)
+    anew = ph.identify(chain, data, loss)
+    assert anew.outcome.iterations == len(points)
+    for name, value in anew.values.items():
+        close = pytest.approx(value, abs=1e-4 * anew.std_errors[name])
+        assert kept.values[name] == close
+    assert kept.std_errors == pytest.approx(anew.std_errors, rel=1e-5)
+
+
+def test_the_last_steps_take_the_factors_of_one_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    expected = ph.identify(unknown(), swinging())
+    full: list[object] = []
+    factored = OptimalitySystem.factored
+
+    def counted(system: OptimalitySystem, *entries: np.ndarray) -> Factored:
+        full.append(system)
+        return factored(system, *entries)
+
+    monkeypatch.setattr(OptimalitySystem, "factored", counted)
+    fit = ph.identify(unknown(), swinging())
+    assert 1 < len(full) <= fit.outcome.iterations - 2
+    monkeypatch.setattr(direct_steps, "AGAIN", 0.0)
+    full.clear()
+    anew = ph.identify(unknown(), swinging())
+    assert len(full) == anew.outcome.iterations
+    for name, value in expected.values.items():
+        assert anew.values[name] == pytest.approx(value, rel=1e-8)
 
 
 # --- States by kinematics

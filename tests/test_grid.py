@@ -15,7 +15,7 @@ from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, trigonometric
 from phsi_opt.optimization.column_function import AT_ONCE
 from phsi_opt.transcription.defects import defect, defect_jacobian, defects
-from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.grid import grid_of, steps_per_gap
 from phsi_opt.transcription.integrators import INTEGRATORS
 from phsi_opt.transcription.known_defects import KnownDefects
 
@@ -48,6 +48,22 @@ def model() -> PseudoHamiltonian:
 
 
 # ---- layout
+
+
+def test_measured_values_are_counted_once_and_by_their_state() -> None:
+    grid = grid_of(data())
+    assert grid.measured is grid.measured
+    assert not grid.measured.flags.writeable
+    assert grid.channel.tolist() == [0, 1, 0, 1, 0, 0, 1, 0, 1, 0, 1, *[0, 1] * 4]
+    values = np.arange(len(grid.channel), dtype=float)
+    expected = [np.sqrt(np.mean(values[grid.channel == k] ** 2)) for k in (0, 1)]
+    np.testing.assert_allclose(grid.rms_by_channel(values), expected)
+
+
+def test_steps_of_a_gap_are_counted_by_trajectory() -> None:
+    steps = [np.array([1, 2, 1, 3, 1]), np.array([2, 1, 4])]
+    found = steps_per_gap(grid_of(data(), steps))
+    assert [of_run.tolist() for of_run in found] == [of.tolist() for of in steps]
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 7])

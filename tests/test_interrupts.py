@@ -6,6 +6,7 @@ import contextlib
 import signal
 import threading
 from types import FrameType
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -67,19 +68,17 @@ def test_full_steps_end_where_ctrl_c_is_pressed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     expected = ph.identify(SPRING, record()).values
-    step = direct_steps.DirectSteps._step
+    step = direct_steps._Stepper.step
     begun = []
 
-    def pressed(
-        steps: direct_steps.DirectSteps, place: direct_steps._Place
-    ) -> NewtonStep | None:
+    def pressed(stepper: direct_steps._Stepper, *given: Any) -> NewtonStep | None:
         begun.append(True)
         if len(begun) == 2:
             press()
-        return step(steps, place)
+        return step(stepper, *given)
 
     with monkeypatch.context() as patched:
-        patched.setattr(direct_steps.DirectSteps, "_step", pressed)
+        patched.setattr(direct_steps._Stepper, "step", pressed)
         with pytest.raises(KeyboardInterrupt):
             ph.identify(SPRING, record())
     assert len(begun) == 2

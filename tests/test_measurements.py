@@ -170,6 +170,18 @@ def test_masked_entries_are_missing_samples() -> None:
     np.testing.assert_array_equal(data.trajectories[0].x, [[1], [np.nan], [3]])
 
 
+def test_plain_arrays_do_not_become_masked_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def masked(_: object) -> np.ndarray:
+        raise AssertionError("a masked array costs more than the checks of a plain one")
+
+    monkeypatch.setattr(np.ma, "asanyarray", masked)
+    t, x = np.arange(3.0), np.arange(6.0).reshape(3, 2)
+    data = Measurements.from_arrays([t, t], [x, x], states=["q", "p"])
+    assert not np.shares_memory(data.trajectories[0].x, x)
+
+
 def test_an_entirely_empty_channel_of_one_trajectory_is_fine() -> None:
     empty = np.array([[np.nan, 1.0], [np.nan, 2.0]])
     data = Measurements.from_arrays(

@@ -13,6 +13,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import t as student_t
 
 from phsi_opt.comparison.profile_likelihood import profile
+from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.verdict import Verdict
@@ -31,7 +32,8 @@ from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import formula
-from phsi_opt.model_error import score_test
+from phsi_opt.model_error import marginal_likelihood, score_test
+from phsi_opt.model_error.ascent import slopes
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
@@ -41,16 +43,19 @@ from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
 from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.model_error.score_test import WhiteRecord
+from phsi_opt.model_error.score_test import Trial, WhiteRecord
+from phsi_opt.model_error.signs import random_signs
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.model_error.state_functions import (
     LENGTH,
     LINEAR_SHARE,
     smooth_functions,
 )
+from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.losses import MaximumLikelihood
+from problems.benchmarks import state_growth
 
 TRUE = {"k": 4.0, "c": 0.3, "g": 1.0}
 SIZE = 0.2  # of the hidden force, a tenth of the typical acceleration
@@ -968,22 +973,36 @@ def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() ->
     assert not nothing.plain.search._promising.is_any
 
 
-def test_trials_that_are_asked_together_promise_what_each_does_alone() -> None:
+def test_trials_that_are_asked_together_promise_what_each_does_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     search = search_of(0)
     white = Disturbances(search.plain)
     record = WhiteRecord(search._likelihood(white), white)
     sensors = search._sensors(1.0, TIME)
     forces = [Process(place, 1.0, TIME) for place in search.problem.forced]
     trials = [
-        score_test.Trial(forces, sensors),
-        score_test.Trial([], []),
-        score_test.Trial([replace(one, time=3 * TIME) for one in forces], []),
+        Trial(forces, sensors),
+        Trial([], []),
+        Trial([replace(one, time=3 * TIME) for one in forces], []),
     ]
     together = record.promised_gains(trials, search.channels)
     for trial, gain in zip(trials, together, strict=True):
         (alone,) = record.promised_gains([trial], search.channels)
         assert gain.forces == pytest.approx(alone.forces, rel=1e-6)
         assert gain.sensors == pytest.approx(alone.sensors, rel=1e-6)
+    n_felt = len(search.channels) + 2 * len(forces) + len(sensors)
+    solved: list[tuple[int, ...]] = []
+    solve = Banded.solve
+
+    def noted(banded: Banded, right: np.ndarray) -> np.ndarray:
+        solved.append(right.shape)
+        return solve(banded, right)
+
+    monkeypatch.setattr(Banded, "solve", noted)
+    record.promised_gains(trials, search.channels)
+    # What is felt, and the random signals of each trial that has any.
+    assert [shape[1] for shape in solved] == [n_felt, *[score_test.N_SIGNS] * 2]
     assert together[0].forces > 0
     assert together[1] == score_test.PromisedGain()
 
@@ -1027,6 +1046,58 @@ def test_nothing_more_is_worked_out_where_no_disturbance_is_promised(
     assert (errors.source, errors.evidence) == (Source.NOISE, 0.0)
 
 
+def test_pieces_in_which_nothing_is_found_ask_nothing_of_the_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = replace(search_of(0))  # a copy: what is worked out about it is kept
+    vars(search)["_pieces"] = replace(search)
+    nothing = Evidence(Disturbances(search.plain), 0.0)
+    monkeypatch.setattr(DisturbanceSearch, "_found_directly", lambda _: nothing)
+    assert search.found().disturbances.is_white
+    assert "white" not in vars(search)
+
+
+def test_the_other_kind_is_searched_for_where_it_promised_something(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    beside: list[bool] = []
+    other = DisturbanceSearch._with_the_other_kind
+
+    def noted(search: DisturbanceSearch, found: Disturbances) -> list[Disturbances]:
+        beside.append(bool(found.forces))
+        return other(search, found)
+
+    monkeypatch.setattr(DisturbanceSearch, "_with_the_other_kind", noted)
+    for promised in (True, False):
+        search = replace(search_of(0))
+        promising = replace(search._promising, forces=True, sensors=promised)
+        vars(search)["_promising"] = promising
+        assert search.found().disturbances.forces
+        assert len(beside) == 1  # from the first of the two alone
+
+
+def test_random_signs_and_whiteners_are_made_once_for_a_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    signs = random_signs((5, 3), 4)
+    assert random_signs((5, 3), 4) is signs
+    assert [one.shape for one in signs] == [(5, 4), (3, 4)]
+    assert set(np.concatenate(signs).ravel()) == {-1.0, 1.0}
+    assert not any(one.flags.writeable for one in signs)
+    search = search_of(0)
+    start = search._force_starts()[0]
+    made: list[float] = []
+    whitener = marginal_likelihood.whitener_of_force
+
+    def counted(problem: Linearization, force: Process) -> Whitener:
+        made.append(force.time)
+        return whitener(problem, force)
+
+    monkeypatch.setattr(marginal_likelihood, "whitener_of_force", counted)
+    slopes(search._likelihood(start), start, search.channels)
+    assert len(made) == 2 * len(start.forces)  # at its time, and a little later
+
+
 def test_slopes_in_a_variance_are_those_of_the_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -1036,8 +1107,7 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     record = WhiteRecord(search._likelihood(white), white)
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
-    component = score_test._Component.of_force(search.problem, force)
-    asked = score_test._Asked([component], record.left, 1)
+    asked = score_test._Places(record).asked(Trial([force], []))
     asked.information = np.eye(1)
     record._set_excess([asked])
     (slope,) = asked.excess
@@ -1045,6 +1115,69 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     beside = Disturbances(search.plain, (replace(force, size=small),))
     rise = search.evidence(beside).log_evidence - search.evidence(white).log_evidence
     assert slope * small**2 == pytest.approx(rise, rel=0.05)
+
+
+@cache
+def search_of_a_chain() -> DisturbanceSearch:
+    """White noise alone, on twenty channels."""
+    chain = state_growth.model(10)
+    estimate = estimated(state_growth.data(10, 200), MaximumLikelihood(), chain)
+    assert isinstance(estimate, LikelihoodEstimate)
+    return estimate.plain.search
+
+
+def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(score_test, "N_SIGNS", 1000)
+    search = search_of_a_chain()
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(0.01, TIME)
+    trial = Trial([], sensors, is_tied=True)
+    asked = score_test._Places(record).asked(trial)
+    asked.information = np.eye(1)
+    record._set_excess([asked])
+    (slope,) = asked.excess
+    rise = search.evidence(replace(white, sensors=sensors)).log_evidence
+    rise -= search.evidence(white).log_evidence
+    # It is the small difference of two traces, one of them by random signs.
+    assert slope == pytest.approx(rise, abs=0.01 * asked.kinds[0].seen)
+
+
+def test_many_channels_promise_nothing_by_their_number() -> None:
+    search = search_of_a_chain()
+    white = Disturbances(search.plain)
+    record = WhiteRecord(search._likelihood(white), white)
+    sensors = search._sensors(1.0, search.first_times()[0])
+    trials = [Trial([], sensors), Trial([], sensors, is_tied=True)]
+    gains = []
+    for trial in trials:
+        (gain,) = record.promised_gains([trial], search.channels)
+        gains.append(gain.sensors)
+    alone, tied = gains
+    assert alone > MODEL_ERROR_EVIDENCE  # by chance, with a size for each
+    assert tied < MODEL_ERROR_EVIDENCE / 2
+    assert search.found().disturbances.is_white
+
+
+def test_tied_sizes_are_searched_for_with_less_of_a_promise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    little = score_test.PromisedGain(forces=0.4 * MODEL_ERROR_EVIDENCE)
+
+    def promised(
+        _: WhiteRecord, trials: list[Trial], channels: tuple[int, ...]
+    ) -> list[score_test.PromisedGain]:
+        return [little] * len(trials)
+
+    monkeypatch.setattr(WhiteRecord, "promised_gains", promised)
+    tied = search_of_a_chain()
+    alone = search_of(0)
+    for search, is_promising in ((tied, True), (alone, False)):
+        search.__dict__.pop("_promising", None)
+        assert search._promising.forces == is_promising
+        search.__dict__.pop("_promising")
 
 
 def test_a_function_gains_what_the_evidence_says() -> None:

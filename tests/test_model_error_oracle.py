@@ -172,7 +172,7 @@ class Dense:
 
     def force_slopes(self, equation: int) -> np.ndarray:
         """What a force of one in each interval shows, (n_values, n_intervals)."""
-        effects = self.problem.force_effects[:, :, equation]
+        effects = self.problem.effect_of_force(equation)
         by_interval = self.of_dynamics.reshape(len(self.y), *effects.shape)
         return np.einsum("vis,is->vi", by_interval, effects)
 
@@ -196,7 +196,7 @@ class Dense:
         in_theta = problem.dynamics_in_theta[:, moving]
         blocks = []
         for force in d.forces:
-            effects = problem.force_effects[:, :, force.place]
+            effects = problem.effect_of_force(force.place)
             by_interval = in_theta.reshape(*effects.shape, len(moving))
             blocks.append(np.einsum("isp,is->ip", by_interval, effects))
         return np.vstack(blocks)
@@ -854,7 +854,7 @@ def discrete_transition(
         rows = dynamics[2 * i : 2 * i + 2]
         at_begin = rows[:, 2 * i : 2 * i + 2]
         at_end = rows[:, 2 * i + 2 : 2 * i + 4]
-        effect = problem.force_effects[i, :, 1]
+        effect = problem.effect_of_force(1)[i]
         transition[:2, :2, i] = -np.linalg.solve(at_end, at_begin)
         transition[:2, 2, i] = np.linalg.solve(at_end, effect)
         if i < n - 2:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from phsi_opt.data import noise
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import (
     LEAST_NOISE_SHARE,
@@ -12,7 +13,7 @@ from phsi_opt.data.noise import (
     robust_deviation,
     scatter_residuals,
 )
-from phsi_opt.data.noise_by_run import _of_runs
+from phsi_opt.data.noise_by_run import _of_runs, scatter_by_run
 from phsi_opt.errors import DataError
 
 
@@ -102,18 +103,40 @@ def test_measurements_in_which_nothing_moves_are_refused() -> None:
         initial_noise(still)
 
 
+def test_the_scatter_of_a_channel_is_worked_out_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[int] = []
+    residuals_of = noise._cubic_residuals
+
+    def counted(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.ndarray:
+        asked.append(len(middle))
+        return residuals_of(t, y, middle)
+
+    monkeypatch.setattr(noise, "_cubic_residuals", counted)
+    rng = np.random.default_rng(0)
+    runs = [rng.normal(size=(40, 1)) for _ in range(3)]
+    data = Measurements.from_arrays([np.arange(40.0)] * 3, runs, states=["q"])
+    together = difference_noise(data)
+    assert scatter_by_run(data)[0, 0] == pytest.approx(together[0])
+    assert asked == [3 * 36]
+
+
 def test_the_scatter_of_each_run_is_the_median_of_its_own_residuals() -> None:
     rng = np.random.default_rng(4)
     lengths = (40, 3, 41, 0, 90)
     times = [np.sort(rng.uniform(0.0, 10.0, n + 2)) for n in lengths]
     values = []
-    for t, noise in zip(times, (0.1, 1.0, 0.3, 1.0, 0.02), strict=True):
-        values.append((np.sin(t) + noise * rng.normal(size=len(t)))[:, None])
+    for t, size in zip(times, (0.1, 1.0, 0.3, 1.0, 0.02), strict=True):
+        values.append((np.sin(t) + size * rng.normal(size=len(t)))[:, None])
     values[4][10:20] = np.nan
     data = Measurements.from_arrays(times, values, states=["q"])
     expected = []
-    for residuals in scatter_residuals(data, 0):
-        median = robust_deviation(residuals) if len(residuals) else np.nan
+    run, residuals = scatter_residuals(data, 0)
+    for number in range(5):
+        own = residuals[run == number]
+        median = robust_deviation(own) if len(own) else np.nan
         expected.append(median)
     assert np.isfinite(expected).tolist() == [True, True, True, False, True]
+    assert np.bincount(run.astype(int)).tolist() == [38, 1, 39, 0, 78]
     np.testing.assert_allclose(_of_runs(data, 0), expected, rtol=1e-14)

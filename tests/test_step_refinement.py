@@ -1,14 +1,17 @@
 """Steps between samples that follow from what they do to the estimates."""
 
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
+from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
 from phsi_opt.estimation.starting_point import StartingPoint
+from phsi_opt.transcription.elimination import ReducedSystem
 
 T = np.linspace(0.0, 12.0, 25)  # some six samples a period
 STIFFNESS = 4.0
@@ -56,3 +59,30 @@ def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
     assert fit.outcome.success
     assert max(int(np.max(steps)) for steps in fit.steps) == 1
     assert any("steps of integration are too long" in one for one in fit.warnings)
+
+
+def test_finer_steps_have_the_room_of_the_factors_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reduced = uncertainty.reduced
+    solve = LikelihoodSolver.solve
+    made: list[weakref.ref[ReducedSystem]] = []
+    n_finer = []
+
+    def remembered(*problem: object) -> ReducedSystem:
+        found = reduced(*problem)  # type: ignore[arg-type]
+        made.append(weakref.ref(found))
+        return found
+
+    def with_room(
+        self: LikelihoodSolver, start: StartingPoint, **options: object
+    ) -> LikelihoodEstimate:
+        if made:
+            n_finer.append(True)
+            assert all(before() is None for before in made)
+        return solve(self, start, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(uncertainty, "reduced", remembered)
+    monkeypatch.setattr(LikelihoodSolver, "solve", with_room)
+    ph.identify(spring(3.0), coarse_record())
+    assert n_finer

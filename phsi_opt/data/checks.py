@@ -45,7 +45,7 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
         DataError: The values are no regular array, not real, or in another shape.
     """
     try:
-        array = np.ma.asanyarray(values)
+        array = _as_array(values)
     except ValueError as error:
         raise DataError(
             f"{title} is not a regular array ({error}); "
@@ -62,10 +62,18 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
             f"{title} has the shape {array.shape}; expected {expected}. "
             "Reshape the array."
         )
-    filled = array.astype(np.float64).filled(np.nan)
-    floats: np.ndarray = np.array(filled)
+    floats: np.ndarray = np.array(array, dtype=np.float64, subok=True)
+    if isinstance(floats, np.ma.MaskedArray):
+        floats = floats.filled(np.nan)
     floats.flags.writeable = False
     return floats
+
+
+def _as_array(values: Any) -> np.ndarray:
+    """As it is where it is an array; masked ones cost more, and few are."""
+    is_plain = type(values) is np.ndarray
+    array: np.ndarray = values if is_plain else np.ma.asanyarray(values)
+    return array
 
 
 def from_first(values: Any, first: Any = None) -> Any:
@@ -93,7 +101,7 @@ def with_channel_axis(values: Any) -> Any:
     What is no array passes: `read_only_floats` refuses it, where its name is known.
     """
     try:
-        array = np.ma.asanyarray(values)
+        array = _as_array(values)
     except ValueError:
         return values
     return array[:, np.newaxis] if array.ndim == 1 else array

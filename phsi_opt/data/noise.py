@@ -6,6 +6,9 @@ guess: `missing_force` estimates the noise with a model). What quantisation alon
 (`resolution`) counts as noise at least, unless the noise is declared.
 """
 
+from collections.abc import Mapping
+from functools import partial
+
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
@@ -50,32 +53,37 @@ def difference_noise(data: Measurements) -> np.ndarray:
 def _difference_noise(data: Measurements) -> np.ndarray:
     noise = np.full(data.n_states, np.nan)
     for k in range(data.n_states):
-        residuals = np.concatenate(scatter_residuals(data, k))
+        _, residuals = scatter_residuals(data, k)
         if len(residuals):
             noise[k] = robust_deviation(residuals)
     return np.maximum(noise, quantisation_noise(data))
 
 
-def scatter_residuals(data: Measurements, state: int) -> list[np.ndarray]:
+def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
     """Residuals of samples against the cubic through their neighbours, as `r_i` above.
 
     Of all trajectories at once: there may be thousands of short ones.
 
     Returns:
-        One array (n_measured - 4,) per trajectory, empty where it has too few.
+        (2, n_residuals): the number of the trajectory of each, and the residuals;
+        n_measured - 4 per trajectory, none where it has too few.
     """
-    values = [run.x[:, state] for run in data.trajectories]
-    is_measured = [np.isfinite(of_run) for of_run in values]
-    times = [run.t for run in data.trajectories]
-    t = np.concatenate([at[m] for at, m in zip(times, is_measured, strict=True)])
-    y = np.concatenate([of[m] for of, m in zip(values, is_measured, strict=True)])
-    run = np.repeat(np.arange(len(values)), [int(m.sum()) for m in is_measured])
+    make = partial(_scatter_residuals, state=state)
+    return data.derived(f"scatter of state {state}", make)
+
+
+def _scatter_residuals(data: Measurements, state: int) -> np.ndarray:
+    runs = data.trajectories
+    values = np.concatenate([of_run.x[:, state] for of_run in runs])
+    is_measured = np.isfinite(values)
+    lengths = [of_run.n_samples for of_run in runs]
+    t = np.concatenate([of_run.t for of_run in runs])[is_measured]
+    y = values[is_measured]
+    run = np.repeat(np.arange(len(runs)), lengths)[is_measured]
     reach = N_STENCIL // 2
     middle = np.arange(reach, len(t) - reach)
     middle = middle[run[middle - reach] == run[middle + reach]]
-    residuals = _cubic_residuals(t, y, middle)
-    ends = np.searchsorted(run[middle], np.arange(1, len(values)))
-    return np.split(residuals, ends)
+    return np.vstack([run[middle], _cubic_residuals(t, y, middle)])
 
 
 def robust_deviation(residuals: np.ndarray) -> float:
@@ -94,22 +102,27 @@ def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.nda
         y: Values (n_samples,) without gaps.
         middle: (n_middle,) samples with neighbours on both sides.
     """
+    at = {offset: t[middle + offset] for offset in (0, *NEIGHBOURS)}
     predicted = np.zeros(len(middle))
     variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
     for offset in NEIGHBOURS:
-        weight = _lagrange_weight(t, middle, offset)
+        weight = _lagrange_weight(at, offset)
         predicted += weight * y[middle + offset]
         variance += weight**2
     return (y[middle] - predicted) / np.sqrt(1 + variance)
 
 
-def _lagrange_weight(t: np.ndarray, middle: np.ndarray, offset: int) -> np.ndarray:
-    """Weight of one neighbour in the cubic's value at each sample in the middle."""
-    weight = np.ones(len(middle))
+def _lagrange_weight(at: Mapping[int, np.ndarray], offset: int) -> np.ndarray:
+    """Weight of one neighbour in the cubic's value at each sample in the middle.
+
+    Args:
+        at: (n_middle,) times of the samples in the middle, 0, and of their neighbours.
+        offset: of the neighbour.
+    """
+    weight = np.ones(len(at[0]))
     for other in NEIGHBOURS:
         if other != offset:
-            distance = t[middle] - t[middle + other]
-            weight *= distance / (t[middle + offset] - t[middle + other])
+            weight *= (at[0] - at[other]) / (at[offset] - at[other])
     return weight
 
 
@@ -142,8 +155,8 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
 
 def _check_that_something_moves(data: Measurements, y: np.ndarray) -> None:
     measured = y[:, np.isfinite(y).any(axis=0)]
-    highest = np.nanmax(measured, axis=0)
-    lowest = np.nanmin(measured, axis=0)
+    highest = np.fmax.reduce(measured, axis=0)  # NaN is not measured
+    lowest = np.fmin.reduce(measured, axis=0)
     if not (highest > lowest).any():
         raise DataError(
             f"every measured value of {', '.join(data.measured)} is the same "
@@ -171,12 +184,12 @@ def least_noise(y: np.ndarray) -> np.ndarray:
 def _spread(y: np.ndarray) -> np.ndarray:
     """Standard deviation per channel, (n_states,); 1 where nothing was measured."""
     spread = np.ones(y.shape[1])
-    for k in np.flatnonzero(np.isfinite(y).any(axis=0)):
-        spread[k] = np.nanstd(y[:, k])
+    is_measured = np.isfinite(y)
+    for k in np.flatnonzero(is_measured.any(axis=0)):
+        spread[k] = np.std(y[is_measured[:, k], k])
     return spread
 
 
 def _size(y: np.ndarray) -> np.ndarray:
     """Largest absolute value per channel, (n_states,), not zero."""
-    magnitudes = np.abs(np.nan_to_num(y))
-    return np.maximum(magnitudes.max(axis=0), LEAST_SIZE)
+    return np.fmax(np.fmax.reduce(np.abs(y), axis=0), LEAST_SIZE)

@@ -48,12 +48,11 @@ def scatter_by_run(data: Measurements) -> np.ndarray:
 
 def _of_runs(data: Measurements, state: int) -> np.ndarray:
     """What neighbouring samples of each trajectory scatter, (n_trajectories,)."""
-    residuals = scatter_residuals(data, state)
-    lengths = np.array([len(of_run) for of_run in residuals])
-    run = np.repeat(np.arange(len(residuals)), lengths)
-    sizes = np.abs(np.concatenate(residuals))
+    run, residuals = scatter_residuals(data, state)
+    lengths = np.bincount(run.astype(int), minlength=data.n_trajectories)
+    sizes = np.abs(residuals)
     sizes = sizes[np.lexsort((sizes, run))]
-    scatter = np.full(len(residuals), np.nan)
+    scatter = np.full(len(lengths), np.nan)
     has_some = lengths > 0
     first = (np.cumsum(lengths) - lengths)[has_some]
     n = lengths[has_some]

@@ -17,6 +17,7 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.regressed_start import regressed
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.initialization.relative_guesses import resolve_guesses
+from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.effect_size import new_names
@@ -50,13 +51,18 @@ def with_simple_losses(
         if not base.is_far_off:
             return result
         return _regressed_losses(base, prospects, result, refitted)
-    if _leaves_noise(best):
-        return result
     equation = best.effect.equation
     losses = []
     for one in prospects.singles:
         if is_simple_loss(one.effect) and one.effect.equation == equation:
             losses.append(one)
+    if (
+        best.effect.name == HYSTERESIS
+    ):  # it bends to any loss, and may hide a simple one
+        for one in losses:
+            result = _again(base, result, refitted, one, best)
+    if _leaves_noise(best):
+        return result
     tried = [one.name for one in result]
     for one in losses:
         if one.name not in tried:
@@ -121,13 +127,17 @@ def _again(
     best: Candidate,
 ) -> list[Candidate]:
     """The candidates; where one is far behind the best, re-fitted from its states."""
-    (present,) = [known for known in candidates if known.name == one.name]
-    if best.fit is None or present.delta_bic < best.delta_bic + BIC_TIE:
+    present = next((known for known in candidates if known.name == one.name), None)
+    if best.fit is None:
+        return candidates
+    if present is not None and present.delta_bic < best.delta_bic + BIC_TIE:
         return candidates
     value = matched(base, best.fit, best.effect, one.effect)
     another = refitted(replace(one, values=value), best.fit, best)
     if another.fit is None:
         return candidates
+    if present is None:
+        return [*candidates, another]
     if present.fit is not None and delta_bic(present.fit, another.fit, 1.0) > 0:
         return candidates
     return [another if known is present else known for known in candidates]

@@ -11,7 +11,7 @@ result, and IPOPT begins where it would have begun.
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,7 +30,11 @@ from phsi_opt.transcription.likelihood_values import (
     PointValues,
     WeighedValues,
 )
-from phsi_opt.transcription.optimality_system import NewtonStep, OptimalitySystem
+from phsi_opt.transcription.optimality_system import (
+    Factored,
+    NewtonStep,
+    OptimalitySystem,
+)
 
 MOST_DIRECT_STEPS = 20
 # Scaled defect up to which the residuals say something about the noise.
@@ -38,6 +42,10 @@ NEARLY_HOLDING = 1e-2
 # Share of the error that two steps leave, at most; the first steps find their way.
 CONTRACTION = 0.7
 FREE_STEPS = 5
+# Error of a step, and share of it that the next one leaves, up to which that may take
+# its factors: it then costs a third, or next to nothing where factors are dear.
+AGAIN = 0.03
+AGAIN_IF_DEAR = 0.2
 # Share of the way to a bound that a step goes at most where states have one, or where
 # the model has no values at it.
 TO_BOUND = 0.99
@@ -122,18 +130,26 @@ class DirectSteps:
         began = time.perf_counter()
         place = self._at(z, sigma)
         mixed = MixedSteps()
+        stepper = _Stepper(self._system)
+        step: NewtonStep | None = None
+        is_same = False  # the likelihood, since the last step
         errors: list[float] = []
         most = min(MOST_DIRECT_STEPS, self.settings.max_iterations)
         for n_steps in range(1, most + 1):
-            step = self._step(place)
+            error = errors[-1] if errors else np.inf
+            step = stepper.step(place, self._room(place.z), step, error, is_same)
             is_late = time.perf_counter() - began > self.settings.max_seconds
             if step is None or is_late:
                 return None
-            errors.append(place.violation + self._length(place, step))
+            errors.append(_error(self._system, place, step))
             if not _contracts(errors):
                 return None
-            step = self._mixed(mixed, place, step)
+            if stepper.is_again:
+                mixed.forget()
+            else:
+                step = self._mixed(mixed, place, step)
             place = self._after(place, step)
+            is_same = False
             if not place.violation < NEARLY_HOLDING:
                 mixed.forget()
                 continue
@@ -148,23 +164,10 @@ class DirectSteps:
                 # What is silent beside a bound may lead inside where it is another one.
                 is_held = bool(found.solution.outcome.at_bounds)
                 return None if is_held and step.is_silent else found
+            is_same = has_settled
             if not has_settled:
                 mixed.forget()
                 place = self._with_noise(place, updated)
-        return None
-
-    def _step(self, place: _Place) -> NewtonStep | None:
-        """The full step; None where there is none."""
-        if not place.is_finite:
-            return None
-        with suppress(SolveError, np.linalg.LinAlgError):
-            return self._system.step(
-                place.weighed.hessian,
-                place.values.jacobian,
-                place.weighed.gradient,
-                place.values.g,
-                self._room(place.z),
-            )
         return None
 
     def _after(self, place: _Place, step: NewtonStep) -> _Place:
@@ -193,11 +196,6 @@ class DirectSteps:
         end = np.concatenate([place.z + step.z, step.multipliers])
         end = mixed.end(step.z, end, times)
         return NewtonStep(end[:n] - place.z, end[n:], step.is_silent)
-
-    def _length(self, place: _Place, step: NewtonStep) -> float:
-        """Of a step, in units of the objective's root."""
-        curvature = step.z @ self._system.times(place.weighed.hessian, step.z)
-        return float(np.sqrt(max(curvature, 0.0)))
 
     def _is_optimal(self, place: _Place, step: NewtonStep) -> bool:
         """Whether the conditions hold behind a step, with its multipliers.
@@ -272,6 +270,84 @@ class DirectSteps:
         kkt = KKT(hessian, jacobian)
         solution = Solution(values, place.z, place.weighed.residual, outcome, kkt)
         return Optimum(solution, sigma)
+
+
+class _Stepper:
+    """Steps from place to place; factors serve again as long as they lead on fast.
+
+    Args:
+        system: of the program.
+
+    Attributes:
+        is_again: whether the last step is by factors of an earlier place.
+    """
+
+    def __init__(self, system: OptimalitySystem) -> None:
+        self._system = system
+        self._factored: Factored | None = None
+        self.is_again = False
+
+    def step(
+        self,
+        place: _Place,
+        room: Room,
+        last: NewtonStep | None,
+        error: float,
+        is_same: bool,
+    ) -> NewtonStep | None:
+        """The step, with all multipliers; None where there is none.
+
+        Args:
+            place: from which it goes.
+            room: how far the parameters may move.
+            last: the step that led there; None at the start.
+            error: of the place before.
+            is_same: whether the noise is that of the place before.
+        """
+        self.is_again = False
+        if not place.is_finite:
+            return None
+        factored = self._factored
+        if factored is not None and last is not None and (is_same or factored.is_dear):
+            again = self._again(factored, place, room, last, error)
+            if again is not None:
+                self.is_again = True
+                return again
+        factored = self._factored = None  # many states leave no room for those before
+        with suppress(SolveError, np.linalg.LinAlgError):
+            self._factored = self._system.factored(
+                place.weighed.hessian, place.values.jacobian
+            )
+            return self._factored.step(place.weighed.gradient, place.values.g, room)
+        return None
+
+    def _again(
+        self,
+        factored: Factored,
+        place: _Place,
+        room: Room,
+        last: NewtonStep,
+        error: float,
+    ) -> NewtonStep | None:
+        """By factors of an earlier place, to the same end; None where they lead on
+        less fast.
+        """
+        most = AGAIN_IF_DEAR if factored.is_dear else AGAIN
+        if error > most:
+            return None
+        gradient = self._system.lagrangian_gradient(
+            place.weighed.gradient, place.values.jacobian, last.multipliers
+        )
+        step = factored.step(gradient, place.values.g, room)
+        if not _error(self._system, place, step) < most * error:
+            return None
+        return replace(step, multipliers=last.multipliers + step.multipliers)
+
+
+def _error(system: OptimalitySystem, place: _Place, step: NewtonStep) -> float:
+    """Of a place from which a step leads on, in units of the objective's root."""
+    curvature = step.z @ system.times(place.weighed.hessian, step.z)
+    return place.violation + float(np.sqrt(max(curvature, 0.0)))
 
 
 def _contracts(errors: list[float]) -> bool:

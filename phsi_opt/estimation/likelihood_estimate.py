@@ -81,7 +81,7 @@ class LikelihoodEstimate(Estimate):
     @property
     def n_values(self) -> int:
         """Number of measured values."""
-        return int(self.grid.measured.sum())
+        return len(self.grid.channel)
 
     @property
     def nodes(self) -> np.ndarray:
@@ -139,6 +139,10 @@ class LikelihoodEstimate(Estimate):
         """The likelihood at the solution, states eliminated."""
         return uncertainty.reduced(self.point, self.solution, self.grid, self.n_values)
 
+    def release(self) -> None:
+        """Make room: factors of many states are large; they come again if asked for."""
+        self.__dict__.pop("reduced", None)
+
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Inverse of the information about theta when the states follow it.
 
@@ -189,8 +193,7 @@ class LikelihoodEstimate(Estimate):
     @property
     def plain(self) -> PlainEstimate:
         """The estimate as one that counts residuals as white noise."""
-        channel = np.nonzero(self.grid.measured)[1]
-        residual = self.standardized * self.sigma[channel]
+        residual = self.standardized * self.sigma[self.grid.channel]
         within = 1.0
         score_variance = 1.0
         if self.loss.huber is not None:

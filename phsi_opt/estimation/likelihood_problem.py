@@ -115,7 +115,7 @@ def _check_sensors(task: Task) -> None:
 
 def _check_number_of_values(task: Task) -> None:
     data = task.data
-    n_values = sum(int(np.isfinite(run.x).sum()) for run in data.trajectories)
+    n_values = len(task.grid.channel)
     n_theta = len(Theta.of(task.model, task.runs))
     n_unknown = n_theta + data.n_trajectories * task.model.n_states
     if n_values <= n_unknown:

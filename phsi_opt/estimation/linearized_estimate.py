@@ -6,7 +6,7 @@ In the scale of the program; the record of slopes is that of ``phsi_opt.model_er
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix, csr_matrix, diags
 
 from phsi_opt.data.noise_by_run import scatter_by_run
 from phsi_opt.estimation.problem import Task
@@ -100,11 +100,10 @@ class SolvedLikelihood:
             observed=tuple(observed),
         )
 
-    def _force_effects(self) -> np.ndarray:
+    def _force_effects(self) -> csc_matrix:
         """A force enters its own equation, times the length of the interval."""
         lengths = self.grid.h[:, None] / self.point.x_scale
-        effects: np.ndarray = lengths[:, :, None] * np.eye(len(self.point.x_scale))
-        return effects
+        return csc_matrix(diags(lengths.ravel()))
 
     def plain(
         self,

@@ -127,6 +127,7 @@ def _with_fine_steps(
             f"{most} steps per sample at most"
         )
         there = replace(StartingPoint.at(estimate, steps), is_optimum=True)
+        estimate.release()
         finer = solver.solve(there)
         if not finer.is_success:
             return replace(estimate, notes=(*estimate.notes, _coarse(most)))

@@ -45,7 +45,7 @@ class NoiseIteration:
 
     def updated(self, sigma: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """The noise that ``residual`` shows, which the program has with ``sigma``."""
-        n_values = int(self.grid.measured.sum())
+        n_values = len(self.grid.channel)
         standardized = residual * np.sqrt(n_values / 2)
         estimate = estimated_noise(
             self.grid, standardized, sigma, self.n_theta, self.huber
@@ -96,12 +96,8 @@ def estimated_noise(
     freedom = _freedom(grid, n_theta)
     if huber is not None:
         freedom *= _normal_mean_square(huber)
-    channel = np.nonzero(grid.measured)[1]
-    result = sigma.copy()
-    for k in np.flatnonzero(grid.measured.any(axis=0)):
-        rms = sigma[k] * np.sqrt(np.mean(residual[channel == k] ** 2))
-        result[k] = rms / np.sqrt(freedom)
-    return result
+    estimate = sigma * grid.rms_by_channel(residual) / np.sqrt(freedom)
+    return np.where(grid.measured.any(axis=0), estimate, sigma)
 
 
 def _freedom(grid: Grid, n_theta: int) -> float:
@@ -111,7 +107,7 @@ def _freedom(grid: Grid, n_theta: int) -> float:
     """
     n_pieces = grid.n_nodes - grid.n_intervals
     n_used = n_theta + n_pieces * grid.y.shape[1]
-    return float(max(1 - n_used / grid.measured.sum(), LEAST_FREEDOM))
+    return float(max(1 - n_used / len(grid.channel), LEAST_FREEDOM))
 
 
 def _normal_mean_square(limit: float) -> float:

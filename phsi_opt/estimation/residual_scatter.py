@@ -47,7 +47,7 @@ class ResidualScatter:
         between_samples = np.nan_to_num(difference_noise(estimate.task.data))
         floor = _scatter_without_noise(estimate.grid.y, is_measured)
         scatter = np.maximum(between_samples, floor + TINY)
-        residual = estimate.sigma * _rms_by_channel(estimate, is_measured)
+        residual = estimate.sigma * estimate.grid.rms_by_channel(estimate.standardized)
         ratio = np.where(is_measured, residual / scatter, 0.0)
         worst = int(np.argmax(ratio))
         return cls(estimate.model.states[worst], float(ratio[worst]))
@@ -86,7 +86,7 @@ def is_far_off(estimate: LikelihoodEstimate) -> bool:
 def _is_small_beside_motion(estimate: LikelihoodEstimate) -> bool:
     """Whether the residuals of every channel are a small share of its spread."""
     is_measured = np.asarray(estimate.grid.measured.any(axis=0))
-    residual = estimate.sigma * _rms_by_channel(estimate, is_measured)
+    residual = estimate.sigma * estimate.grid.rms_by_channel(estimate.standardized)
     spread = np.nanstd(estimate.grid.y[:, is_measured], axis=0)
     return bool(np.all(residual[is_measured] <= FAR_OFF_SHARE * spread))
 
@@ -120,15 +120,3 @@ def _scatter_without_noise(y: np.ndarray, is_measured: np.ndarray) -> np.ndarray
     for k in np.flatnonzero(is_measured):
         floor[k] = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * np.nanstd(y[:, k])
     return floor
-
-
-def _rms_by_channel(
-    estimate: LikelihoodEstimate, is_measured: np.ndarray
-) -> np.ndarray:
-    """(n_states,) root mean square of (y - x)/sigma; zero where nothing is measured."""
-    residual = estimate.standardized
-    channel = np.nonzero(estimate.grid.measured)[1]
-    rms = np.zeros(len(is_measured))
-    for k in np.flatnonzero(is_measured):
-        rms[k] = np.sqrt(np.mean(residual[channel == k] ** 2))
-    return rms

@@ -16,9 +16,9 @@ from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.marginal_likelihood import Eliminated, MarginalLikelihood
 from phsi_opt.model_error.processes import Process, Whitener
+from phsi_opt.model_error.signs import random_signs
 from phsi_opt.statistics import TINY
 
-SEED = 0  # of the random signs: the same every time
 PROBED_VALUES = 8_000  # values that all random vectors together look at, at least
 LEAST_PROBES = 6
 MOST_PROBES = 24
@@ -300,7 +300,7 @@ class _Derivatives:
         moved = Disturbances(
             self.disturbances.sigma, tuple(later[:n]), tuple(later[n:])
         )
-        now = self.likelihood.whiteners(self.disturbances)
+        now = self.parts.whiteners
         then = self.likelihood.whiteners(moved)
         priors = []
         places = self.likelihood.places_of_processes()
@@ -358,8 +358,11 @@ class _Derivatives:
             step = self._moved_functions() @ sums[:, of_processes.stop :].T
             offsets += likelihood.border_in_dynamics @ step
         weighted = weights[:, None] * shifts
+        inner = np.empty((n_inner, len(sums)), order="F")
+        inner[:n] = likelihood.shown_transposed @ weighted
+        inner[n:] = offsets
         return _Columns(
-            inner=np.vstack([likelihood.shown.T @ weighted, offsets]),
+            inner=inner,
             border=likelihood.border_in_shown.T @ weighted,
             data=shifts,
         )
@@ -390,18 +393,15 @@ class _Derivatives:
         """Random signs: first of the measured values, then of the processes."""
         likelihood = self.likelihood
         n_values = self.problem.n_values
-        rng = np.random.default_rng(SEED)
         n_probes = int(np.clip(PROBED_VALUES // n_values, LEAST_PROBES, MOST_PROBES))
         self.n_probes = n_probes
-        self.value_signs = rng.choice([-1.0, 1.0], (n_values, n_probes))
-        self.process_signs = [
-            rng.choice([-1.0, 1.0], (prior.n, n_probes)) for prior in self.priors
-        ]
-        inner = np.zeros((len(self.parts.right), 2 * n_probes))
+        lengths = (n_values, *(prior.n for prior in self.priors))
+        self.value_signs, *self.process_signs = random_signs(lengths, n_probes)
+        inner = np.zeros((len(self.parts.right), 2 * n_probes), order="F")
         border = np.zeros((len(self.step), 2 * n_probes))
         weighted = np.sqrt(self.parts.weights)[:, None] * self.value_signs
         n = likelihood.n_unknowns
-        inner[:n, :n_probes] = likelihood.shown.T @ weighted
+        inner[:n, :n_probes] = likelihood.shown_transposed @ weighted
         border[:, :n_probes] = likelihood.border_in_shown.T @ weighted
         for prior, signs in zip(self.priors, self.process_signs, strict=True):
             inner[prior.places, n_probes:] = prior.transposed(signs)

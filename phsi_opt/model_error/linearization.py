@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
 
 from phsi_opt.model_error.state_functions import smooth_functions
 from phsi_opt.transcription.grid import Grid
@@ -33,8 +33,8 @@ class Linearization:
         dynamics_in_theta: J_theta, (n_intervals * n_states, n_theta).
         shown_in_states: C, sparse, (n_values, n_nodes * n_states).
         shown_in_theta: C_theta, (n_values, n_theta).
-        force_effects: (n_intervals, n_states, n_states) what a force of one in each
-            equation (the last axis) does to the dynamics.
+        force_effects: sparse, what a force of one in each equation does to the dynamics
+            of its interval: a column per (interval, equation).
         offset: of the dynamics at the solution, (n_intervals * n_states,); zero where
             it obeys the model.
         residual: r, measured minus shown, (n_values,).
@@ -50,7 +50,7 @@ class Linearization:
     nodes: np.ndarray
     dynamics_in_states: Any
     dynamics_in_theta: np.ndarray
-    force_effects: np.ndarray
+    force_effects: Any
     offset: np.ndarray
     shown_in_states: Any
     shown_in_theta: np.ndarray
@@ -96,25 +96,22 @@ class Linearization:
 
     def effect_of_force(self, equation: int) -> np.ndarray:
         """B: what a force of one does to the dynamics, (n_intervals, n_states)."""
-        return self.force_effects[:, :, equation]
+        effect = coo_matrix(self.dynamics_of_force(equation))
+        dense = np.zeros((self.grid.n_intervals, self.n_states))
+        dense[effect.col, effect.row % self.n_states] = effect.data
+        return dense
 
     def dynamics_of_force(self, equation: int) -> csc_matrix:
         """B as a sparse matrix, (n_intervals * n_states, n_intervals)."""
         if equation not in self._forces:
-            self._forces[equation] = self._sparse_effect(equation)
+            own = csc_matrix(self.force_effects)[:, equation :: self.n_states]
+            self._forces[equation] = own
         return self._forces[equation]
 
     @cached_property
     def _forces(self) -> dict[int, csc_matrix]:
         """Those of the equations asked for: a search asks hundreds of times."""
         return {}
-
-    def _sparse_effect(self, equation: int) -> csc_matrix:
-        effect = self.effect_of_force(equation)
-        interval, state = np.nonzero(effect)
-        rows = interval * self.n_states + state
-        shape = (effect.size, len(effect))
-        return csc_matrix((effect[interval, state], (rows, interval)), shape=shape)
 
     def values_of(self, channel: int) -> np.ndarray:
         """Places of the measured values of one state."""
@@ -189,7 +186,7 @@ class Linearization:
             nodes=self.nodes[kept_nodes],
             dynamics_in_states=dynamics,
             dynamics_in_theta=self.dynamics_in_theta[rows],
-            force_effects=self.force_effects[intervals],
+            force_effects=csc_matrix(self.force_effects[:, rows])[rows],
             offset=self.offset[rows],
             shown_in_states=shown,
             shown_in_theta=self.shown_in_theta[values],

@@ -20,8 +20,10 @@ from phsi_opt.errors import SolveError
 from phsi_opt.model_error.disturbances import Disturbances, Structure
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.processes import Process, Whitener
-from phsi_opt.optimization.banded import Banded, BandLayout
-from phsi_opt.transcription.elimination import RIDGE
+from phsi_opt.optimization.along_time import TimeLayout
+from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.chained import Chained
+from phsi_opt.transcription.elimination import RIDGE, chain_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +192,7 @@ class MarginalLikelihood:
     Attributes:
         n_unknowns: number of states at all nodes and of values of processes.
         shown: slope of the measured values in them, sparse.
+        shown_transposed: the same, transposed.
         border_in_shown: (n_values, n_border), in parameters and coefficients.
         border_in_dynamics: (n_intervals * n_states, n_border).
     """
@@ -201,6 +204,7 @@ class MarginalLikelihood:
         self.structure = structure
         self.moving = moving
         self.shown = self._shown_in_unknowns()
+        self.shown_transposed = self.shown.T
         self.n_unknowns = self.shown.shape[1]
         self._set_layout()
         self._set_border()
@@ -219,7 +223,7 @@ class MarginalLikelihood:
             ones = np.ones(len(values))
             shape = (n_values, len(values))
             blocks.append(csr_matrix((ones, (values, column)), shape=shape))
-        return csr_matrix(hstack(blocks))
+        return csr_matrix(hstack(blocks) if len(blocks) > 1 else blocks[0])
 
     def _dynamics_in_unknowns(self) -> coo_matrix:
         problem = self.problem
@@ -230,7 +234,7 @@ class MarginalLikelihood:
         for channel in self.structure.sensors:
             n_values = len(problem.values_of(channel))
             blocks.append(coo_matrix((n_dynamics, n_values)))
-        return hstack(blocks).tocoo()
+        return (hstack(blocks) if len(blocks) > 1 else blocks[0]).tocoo()
 
     def _set_layout(self) -> None:
         """Places of all entries: dynamics, products of slopes, priors of processes."""
@@ -247,8 +251,9 @@ class MarginalLikelihood:
             rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
             columns += [on_diagonal, on_diagonal[:-1], on_diagonal[1:]]
         order = np.argsort(self._times_of_unknowns(), kind="stable")
-        places = (np.concatenate(rows), np.concatenate(columns))
-        self._layout = BandLayout(*places, order, is_symmetric=True)
+        chain = chain_of(self.problem.grid, self.problem.n_states)
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        self._layout = TimeLayout(row, column, order, chain)
 
     def places_of_processes(self) -> list[tuple[int, int]]:
         """First place and length of every process among the unknowns."""
@@ -386,14 +391,16 @@ class MarginalLikelihood:
             entries += [below, below]
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
-        factors = Banded.of(self._layout, np.concatenate(entries))
-        weighted_border = squared[:, None] * self.border_in_shown
+        factors = self._layout.factors(np.concatenate(entries))
         n, n_border = self._border_in_unknowns.shape
-        right = np.empty((n + len(problem.offset), n_border + 1))
+        n_theta = len(self.moving)
+        # Column after column in memory, as it is solved for.
+        right = np.zeros((n + len(problem.offset), n_border + 1), order="F")
         right[:n, :n_border] = self._border_in_unknowns
-        right[:n, :n_border] += self.shown.T @ weighted_border
+        in_theta = squared[:, None] * self.border_in_shown[:, :n_theta]
+        right[:n, :n_theta] += self.shown_transposed @ in_theta
         right[n:, :n_border] = self.border_in_dynamics
-        right[:n, n_border] = self.shown.T @ (squared * problem.residual)
+        right[:n, n_border] = self.shown_transposed @ (squared * problem.residual)
         right[n:, n_border] = -problem.offset
         log_noise = float(np.sum(np.log(weight)))
         log_prior += self.log_room(disturbances)
@@ -402,6 +409,7 @@ class MarginalLikelihood:
             right=right,
             solved=factors.solve(right),
             factors=factors,
+            whiteners=whiteners,
             log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
         )
 
@@ -557,13 +565,15 @@ class Eliminated:
         right: (n_unknowns, n_border + 1) right-hand sides, the last of the data.
         solved: in the same shape.
         factors: of the matrix of unknowns and multipliers.
+        whiteners: of the processes, forces first, of size one.
         log_evidence: all that does not depend on the border.
     """
 
     weights: np.ndarray
     right: np.ndarray
     solved: np.ndarray
-    factors: Banded
+    factors: Banded | Chained
+    whiteners: list[Whitener]
     log_evidence: float
 
 

@@ -10,9 +10,10 @@ are those of random signs.)
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
@@ -22,11 +23,11 @@ from phsi_opt.model_error.marginal_likelihood import (
     whitener_of_sensor,
 )
 from phsi_opt.model_error.processes import Process, Whitener
+from phsi_opt.model_error.signs import random_signs
 from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import RIDGE
 
-SIGN_SEED = 0  # of the random signs: the same every time
 # Random vectors for every group of processes: a slope is then known to about a third of
 # its standard deviation.
 N_SIGNS = 8
@@ -62,64 +63,125 @@ class _Shifts:
     dynamics: np.ndarray
 
     @classmethod
-    def joined(cls, parts: Sequence["_Shifts"]) -> "_Shifts":
-        """All columns side by side."""
-        values = np.hstack([part.values for part in parts])
-        return cls(values, np.hstack([part.dynamics for part in parts]))
+    def none(cls, problem: Linearization, k: int) -> "_Shifts":
+        """No change, to be added to; column after column in memory."""
+        n_dynamics = problem.dynamics_in_states.shape[0]
+        values = np.zeros((problem.n_values, k), order="F")
+        return cls(values, np.zeros((n_dynamics, k), order="F"))
+
+    def columns(self, chosen: slice) -> "_Shifts":
+        """Some of the columns; the same memory."""
+        return _Shifts(self.values[:, chosen], self.dynamics[:, chosen])
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where processes act, and what the data say there.
+
+    Attributes:
+        effects: of a force, what its values do to the dynamics; None: of a sensor.
+        transposed: the same, transposed.
+        shown: of a sensor, places of the measured values that it is added to.
+    """
+
+    effects: csc_matrix | None = None
+    transposed: csr_matrix | None = None
+    shown: np.ndarray | None = None
+
+    @classmethod
+    def of_force(cls, effects: csc_matrix) -> "_Place":
+        """Of a force with these effects."""
+        return cls(effects, effects.T)
+
+    def add(self, shifts: _Shifts, values: np.ndarray) -> None:
+        """Add what values (n, k) do to shifts.
+
+        What a force adds to the states, the data would show; so it is taken from the
+        dynamics where it is added to the data.
+        """
+        if self.effects is not None:
+            shifts.dynamics[:] -= self.effects @ values
+        else:
+            shifts.values[self.shown] += values
+
+    def felt(self, left: _Shifts) -> np.ndarray:
+        """What it would take to bring down what is left, (n, k)."""
+        if self.transposed is not None:
+            return np.asarray(self.transposed @ left.dynamics)
+        return left.values[self.shown]
 
 
 @dataclass(frozen=True, eq=False)
 class _Component:
-    """A process of size one that could act beside the model.
+    """A process that could act beside the model, of its own size.
 
     Attributes:
-        problem: the linearised record.
-        whitener: of its values.
-        effects: of a force, what its values do to the dynamics; None: of a sensor.
-        shown: of a sensor, places of the measured values that it is added to.
+        place: where it acts.
+        whitener: of its values at size one.
+        size: its own.
+        felt: (n, 1) what it would take to bring down what is left of the data.
     """
 
-    problem: Linearization
+    place: _Place
     whitener: Whitener
-    effects: csc_matrix | None = None
-    shown: np.ndarray | None = None
-
-    @classmethod
-    def of_force(cls, problem: Linearization, force: Process) -> "_Component":
-        whitener = whitener_of_force(problem, force)
-        return cls(problem, whitener, problem.dynamics_of_force(force.place))
-
-    @classmethod
-    def of_sensor(cls, problem: Linearization, sensor: Process) -> "_Component":
-        whitener = whitener_of_sensor(problem, sensor)
-        return cls(problem, whitener, shown=problem.values_of(sensor.place))
+    size: float
+    felt: np.ndarray
 
     @property
     def n(self) -> int:
         """Number of its values."""
         return len(self.whitener.diagonal)
 
-    def shifts(self, values: np.ndarray) -> _Shifts:
-        """What its values (n, k) do.
+    @cached_property
+    def factor(self) -> np.ndarray:
+        """F'F is the variance that the prior gives what is felt, (n, 1)."""
+        return self.whitener.factor_of(self.felt)
 
-        What a force adds to the states, the data would show; so it is taken from the
-        dynamics where it is added to the data.
-        """
-        problem = self.problem
-        k = values.shape[1]
-        shown = np.zeros((problem.n_values, k))
-        dynamics = np.zeros((problem.dynamics_in_states.shape[0], k))
-        if self.effects is not None:
-            dynamics = -np.asarray(self.effects @ values)
-        else:
-            shown[self.shown] = values
-        return _Shifts(shown, dynamics)
+    def add(self, shifts: _Shifts, values: np.ndarray) -> None:
+        """Add what its values (n, k) do."""
+        self.place.add(shifts, self.size * values)
 
-    def felt(self, left: _Shifts) -> np.ndarray:
+    def felt_of(self, left: _Shifts) -> np.ndarray:
         """What it would take to bring down what is left, (n, k)."""
-        if self.effects is not None:
-            return np.asarray(self.effects.T @ left.dynamics)
-        return left.values[self.shown]
+        return self.size * self.place.felt(left)
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """Components whose variances share a factor: of small systems one alone.
+
+    Attributes:
+        components: with sizes in the ratios that they keep.
+    """
+
+    components: Sequence[_Component]
+
+    def add_moved(self, shifts: _Shifts) -> None:
+        """Add what they do to the data where they follow what they feel, one column."""
+        for component in self.components:
+            component.add(shifts, component.whitener.coloured(component.factor))
+
+    @property
+    def seen(self) -> float:
+        """What is felt, squared, as far as the kind could bring it down."""
+        return float(sum(np.sum(one.factor**2) for one in self.components))
+
+
+@dataclass(frozen=True, eq=False)
+class _Signal:
+    """A random signal of a component.
+
+    Attributes:
+        component: whose it is.
+        values: (n, N_SIGNS).
+    """
+
+    component: _Component
+    values: np.ndarray
+
+    def product(self, left: _Shifts) -> float:
+        """With what the component feels of what is left."""
+        return float(np.sum(self.values * self.component.felt_of(left)))
 
 
 class WhiteRecord:
@@ -149,8 +211,8 @@ class WhiteRecord:
         ridge = RIDGE * np.eye(n_theta)
         self._information = self.border.information[:n_theta, :n_theta] + ridge
         residual = self.problem.residual[:, None]
-        self._data = _Shifts(residual, -self.problem.offset[:, None])
-        self.left = self._left(self._data)
+        data = _Shifts(residual, -self.problem.offset[:, None])
+        self.left = self._answered(data, self._parts.solved[:, -1:].copy())
 
     def _left(self, shifts: _Shifts) -> _Shifts:
         """What states and parameters leave of shifts, weighted by the noise.
@@ -159,11 +221,21 @@ class WhiteRecord:
         """
         likelihood = self._likelihood
         n = likelihood.n_unknowns
+        shape = (n + len(shifts.dynamics), shifts.values.shape[1])
+        inner = np.empty(shape, order="F")
+        weighted = self._parts.weights[:, None] * shifts.values
+        inner[:n] = likelihood.shown_transposed @ weighted
+        inner[n:] = shifts.dynamics
+        return self._answered(shifts, self._parts.factors.solve(inner))
+
+    def _answered(self, shifts: _Shifts, answer: np.ndarray) -> _Shifts:
+        """The same, once the states have answered; their answer is written over."""
+        likelihood = self._likelihood
+        n = likelihood.n_unknowns
         weights = self._parts.weights[:, None]
-        weighted = weights * shifts.values
-        inner = np.vstack([likelihood.shown.T @ weighted, shifts.dynamics])
-        answer = self._parts.factors.solve(inner)
-        in_theta = self._in_shown.T @ weighted - self._right.T @ answer
+        in_theta = self._in_shown.T @ (weights * shifts.values)
+        # The matrix is symmetric: what was solved for the parameters serves again.
+        in_theta -= self._right.T @ answer
         theta = np.linalg.solve(self._information, in_theta)
         answer -= self._solved @ theta
         shown = likelihood.shown @ answer[:n] + self._in_shown @ theta
@@ -175,133 +247,171 @@ class WhiteRecord:
         """Gains of the log evidence by the processes of each trial.
 
         What few columns need is solved for together; the random signals of each trial
-        by themselves, so that memory does not grow with the trials.
+        by themselves: fresh memory costs more than a further call.
 
         Args:
             trials: processes that could act.
             channels: states whose noise is estimated, and would follow.
         """
-        together = []
-        for trial in trials:
-            components = self._components(trial)
-            together.append(_Asked(components, self.left, len(trial.forces)))
-        worth_asking = [asked for asked in together if asked.components]
+        places = _Places(self)
+        together = [places.asked(trial) for trial in trials]
+        worth_asking = [asked for asked in together if asked.kinds]
         if worth_asking:
-            self._set_information(worth_asking, channels)
+            are_tied = any(trial.is_tied for trial in trials)
+            self._set_information(worth_asking, _groups(channels, are_tied))
             self._set_excess(worth_asking)
         return [asked.gain for asked in together]
 
-    def _components(self, trial: "Trial") -> list[_Component]:
-        components = []
-        for force in trial.forces:
-            components.append(_Component.of_force(self.problem, force))
-        for sensor in trial.sensors:
-            components.append(_Component.of_sensor(self.problem, sensor))
-        return components
-
     def _set_information(
-        self, together: Sequence["_Asked"], channels: Sequence[int]
+        self, together: Sequence["_Asked"], groups: Sequence[Sequence[int]]
     ) -> None:
         """Average information about variances, while noises follow them."""
-        noise = self._noise_shifts(channels)
-        moved = [shift for asked in together for shift in asked.moved()]
-        shifts = _Shifts.joined([noise, *moved])
-        products = _products(shifts, self._left(shifts)) / 2
-        n = len(channels)
-        of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
+        n = len(groups)
+        n_kinds = sum(len(asked.kinds) for asked in together)
+        shifts = _Shifts.none(self.problem, n + n_kinds)
+        self._add_noise(shifts.columns(slice(0, n)), groups)
+        owned = []
         first = n
         for asked in together:
-            own = slice(first, first + len(asked.components))
+            owned.append(slice(first, first + len(asked.kinds)))
+            asked.add_moved(shifts.columns(owned[-1]))
+            first = owned[-1].stop
+        products = _products(shifts, self._left(shifts)) / 2
+        of_noise = np.linalg.pinv(products[:n, :n], hermitian=True)
+        for asked, own in zip(together, owned, strict=True):
             mixed = products[own, :n]
             asked.information = products[own, own] - mixed @ of_noise @ mixed.T
-            first = own.stop
 
     def _set_excess(self, together: Sequence["_Asked"]) -> None:
         """Slopes of the log evidence in the variances times their sizes."""
         for asked in together:
-            asked.set_excess(self._left(asked.signalled()))
+            shifts = _Shifts.none(self.problem, N_SIGNS)
+            asked.add_signals(shifts)
+            asked.set_excess(self._left(shifts))
 
-    def _noise_shifts(self, channels: Sequence[int]) -> _Shifts:
-        """How the data would move with the logarithm of each channel's noise."""
+    def _add_noise(self, shifts: _Shifts, groups: Sequence[Sequence[int]]) -> None:
+        """Add how the data would move with the logarithm of each group's noise."""
         residual = self.left.values / self._parts.weights[:, None]
-        is_in = self.problem.channel[:, None] == np.array(channels, dtype=int)
-        shifts = np.where(is_in, 2 * residual, 0.0)
-        return _Shifts(shifts, np.zeros((len(self.left.dynamics), len(channels))))
+        for number, channels in enumerate(groups):
+            is_in = np.isin(self.problem.channel, channels)
+            shifts.values[is_in, number] += 2 * residual[is_in, 0]
+
+
+class _Places:
+    """The places of a record's processes, each made once for all trials.
+
+    Args:
+        record: the record, with what is left of its data.
+    """
+
+    def __init__(self, record: WhiteRecord) -> None:
+        self._problem = record.problem
+        self._left = record.left
+        self._made: dict[tuple[str, int], tuple[_Place, np.ndarray]] = {}
+
+    def asked(self, trial: "Trial") -> "_Asked":
+        """A trial's kinds, forces first."""
+        problem = self._problem
+        forces = []
+        for force in trial.forces:
+            whitener = whitener_of_force(problem, force)
+            forces.append(self._component("force", force, whitener))
+        sensors = []
+        for sensor in trial.sensors:
+            whitener = whitener_of_sensor(problem, sensor)
+            sensors.append(self._component("sensor", sensor, whitener))
+        of_forces = _kinds(forces, trial.is_tied)
+        kinds = of_forces + _kinds(sensors, trial.is_tied)
+        return _Asked(kinds, len(of_forces))
+
+    def _component(self, kind: str, process: Process, whitener: Whitener) -> _Component:
+        place, felt = self._place(kind, process.place)
+        return _Component(place, whitener, process.size, process.size * felt)
+
+    def _place(self, kind: str, number: int) -> tuple[_Place, np.ndarray]:
+        if (kind, number) not in self._made:
+            if kind == "force":
+                place = _Place.of_force(self._problem.dynamics_of_force(number))
+            else:
+                place = _Place(shown=self._problem.values_of(number))
+            self._made[kind, number] = (place, place.felt(self._left))
+        return self._made[kind, number]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Processes that could act together, each at its time; their sizes do not matter.
+    """Processes that could act together, each at its time.
 
     Attributes:
         forces: that could act.
         sensors: processes that could add to what is shown.
+        is_tied: whether those of one kind share a factor, as in a search; otherwise
+            sizes do not matter.
     """
 
     forces: Sequence[Process]
     sensors: Sequence[Process]
+    is_tied: bool = False
 
 
 class _Asked:
-    """The components of a trial, and what the record says of them.
+    """The processes of a trial, and what the record says of them.
 
     Args:
-        components: forces first.
-        left: what states and parameters leave of the data.
-        n_forces: number of forces.
+        kinds: those of forces first.
+        n_forces: number of kinds of forces.
 
     Attributes:
         information: (n, n) about the variances.
         excess: (n,) slopes of the log evidence in the variances times their sizes.
     """
 
-    def __init__(
-        self, components: Sequence[_Component], left: _Shifts, n_forces: int
-    ) -> None:
-        self.components = components
-        self.felt = [component.felt(left) for component in components]
+    def __init__(self, kinds: Sequence[_Kind], n_forces: int) -> None:
+        self.kinds = kinds
         self.n_forces = n_forces
         self.information = np.zeros((0, 0))
         self.excess = np.zeros(0)
-        self._signals: list[np.ndarray] = []
+        self._signals: list[list[_Signal]] = []
 
     @property
     def size(self) -> np.ndarray:
         """Root of the information about each variance, (n,)."""
         return np.sqrt(np.maximum(np.diag(self.information), TINY))
 
-    def moved(self) -> list[_Shifts]:
-        """What each component does to the data where it follows what it feels."""
-        moved = []
-        for component, own in zip(self.components, self.felt, strict=True):
-            values = component.whitener.covariance_times(own)
-            moved.append(component.shifts(values))
-        return moved
+    def add_moved(self, shifts: _Shifts) -> None:
+        """Add what each kind does to the data where it follows what it feels.
 
-    def signalled(self) -> _Shifts:
-        """What random signals of all components do together, a column per sign."""
-        rng = np.random.default_rng(SIGN_SEED)
+        Args:
+            shifts: a column per kind.
+        """
+        for k, kind in enumerate(self.kinds):
+            kind.add_moved(shifts.columns(slice(k, k + 1)))
+
+    def add_signals(self, shifts: _Shifts) -> None:
+        """Add what random signals of all components do together.
+
+        Args:
+            shifts: a column per sign.
+        """
+        lengths = [one.n for kind in self.kinds for one in kind.components]
+        signs = iter(random_signs(tuple(lengths), N_SIGNS))
         self._signals = []
-        shifts = []
-        for component, scale in zip(self.components, self.size, strict=True):
-            signs = rng.choice([-1.0, 1.0], (component.n, N_SIGNS))
-            signal = component.whitener.coloured(signs) / np.sqrt(scale)
-            self._signals.append(signal)
-            shifts.append(component.shifts(signal))
-        return _Shifts(
-            np.sum([shift.values for shift in shifts], axis=0),
-            np.sum([shift.dynamics for shift in shifts], axis=0),
-        )
+        for kind, scale in zip(self.kinds, self.size, strict=True):
+            signals = []
+            for one in kind.components:
+                values = one.whitener.coloured(next(signs)) / np.sqrt(scale)
+                signals.append(_Signal(one, values))
+                one.add(shifts, values)
+            self._signals.append(signals)
 
     def set_excess(self, left: _Shifts) -> None:
         """From what is left of the signals."""
         slopes = []
-        for component, signal, own, scale in zip(
-            self.components, self._signals, self.felt, self.size, strict=True
+        for kind, signals, scale in zip(
+            self.kinds, self._signals, self.size, strict=True
         ):
-            by_chance = np.sum(signal * component.felt(left)) / N_SIGNS
-            seen = np.sum(component.whitener.factor_of(own) ** 2) / scale
-            slopes.append((seen - by_chance) / 2)
+            by_chance = sum(signal.product(left) for signal in signals) / N_SIGNS
+            slopes.append((kind.seen / scale - by_chance) / 2)
         self.excess = np.maximum(slopes, MOST_UNWANTED)
 
     @property
@@ -317,6 +427,20 @@ class _Asked:
             _gain(self.excess[of_forces], information[of_forces, of_forces]),
             _gain(self.excess[of_sensors], information[of_sensors, of_sensors]),
         )
+
+
+def _groups(channels: Sequence[int], is_tied: bool) -> list[Sequence[int]]:
+    """Channels whose noises share a factor."""
+    if is_tied:
+        return [channels] if channels else []
+    return [[channel] for channel in channels]
+
+
+def _kinds(components: Sequence[_Component], is_tied: bool) -> list[_Kind]:
+    """Components of one kind, together or one by one."""
+    if is_tied:
+        return [_Kind(components)] if components else []
+    return [_Kind([component]) for component in components]
 
 
 def _products(shifts: _Shifts, left: _Shifts) -> np.ndarray:

@@ -28,6 +28,7 @@ class BandLayout:
         is_symmetric: whether the matrices are.
 
     Attributes:
+        rank: (n,) place of every unknown in that order.
         kl: number of diagonals below the main one.
         ku: number of diagonals above it.
     """
@@ -42,10 +43,10 @@ class BandLayout:
         self.order = order
         self.is_symmetric = is_symmetric
         self.n = len(order)
-        rank = np.empty(self.n, dtype=np.int64)
-        rank[order] = np.arange(self.n)
-        sorted_rows = rank[rows]
-        sorted_columns = rank[columns]
+        self.rank = np.empty(self.n, dtype=np.int64)
+        self.rank[order] = np.arange(self.n)
+        sorted_rows = self.rank[rows]
+        sorted_columns = self.rank[columns]
         offsets = sorted_rows - sorted_columns
         self.kl = int(np.max(offsets, initial=0))
         self.ku = int(np.max(-offsets, initial=0))
@@ -97,6 +98,7 @@ class Banded:
 
     def _factor(self, layout: BandLayout, entries: np.ndarray) -> None:
         self.order = layout.order
+        self._rank = layout.rank
         self.n = layout.n
         self.kl = layout.kl
         self.ku = layout.ku
@@ -112,11 +114,19 @@ class Banded:
                 "nor act on one that is; measure it, or take it out of the model."
             )
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solution for one right-hand side (n,) or several (n, k)."""
-        # Column after column in memory, as LAPACK has them: nothing is copied there.
-        columns = right.reshape(self.n, -1).T[:, self.order]
-        is_transposed = self._is_symmetric and len(columns) >= TRANSPOSED_FROM
+    def solve(self, right: np.ndarray, is_transposed: bool = False) -> np.ndarray:
+        """Solution for one right-hand side (n,) or several (n, k).
+
+        Column after column in memory, as LAPACK has them; nothing is copied where the
+        right-hand sides are so too.
+
+        Args:
+            right: one or several.
+            is_transposed: whether the matrix is taken transposed.
+        """
+        columns = np.take(right.reshape(self.n, -1).T, self.order, axis=1)
+        if self._is_symmetric:
+            is_transposed = len(columns) >= TRANSPOSED_FROM
         found, _ = dgbtrs(
             self.factors,
             self.kl,
@@ -126,9 +136,8 @@ class Banded:
             trans=int(is_transposed),
             overwrite_b=True,
         )
-        result = np.empty(found.shape)
-        result[self.order] = found
-        return result.reshape(right.shape)
+        result = np.take(found.T, self._rank, axis=1)
+        return result[0] if right.ndim == 1 else result.T
 
     @property
     def log_abs_det(self) -> float:

@@ -14,7 +14,9 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from phsi_opt.errors import SolveError
+from phsi_opt.optimization.along_time import Chain, TimeLayout
 from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.chained import Chained
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 
@@ -70,6 +72,11 @@ def time_order(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
     return np.argsort(np.concatenate(times), kind="stable")
 
 
+def chain_of(grid: Grid, n_states: int) -> Chain:
+    """Nodes and intervals of a grid for a system of its states."""
+    return Chain(grid.begin, grid.n_nodes, n_states)
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
     """A change of the unknowns, one column or several side by side.
@@ -117,7 +124,9 @@ class ReducedSystem:
         H = H.tocoo()
         J = J.tocoo()
         order = time_order(grid, ("node", n_states), ("interval", n_states))
-        factors = Banded(_kkt_matrix(H, J, x), order, is_symmetric=True)
+        matrix = _kkt_matrix(H, J, x)
+        layout = TimeLayout(matrix.row, matrix.col, order, chain_of(grid, n_states))
+        factors = layout.factors(matrix.data)
         coupling = _coupling(H, J, theta, x)
         self._eliminate(grid, n_states, factors, coupling, _own_block(H, theta))
 
@@ -126,7 +135,7 @@ class ReducedSystem:
         cls,
         grid: Grid,
         n_states: int,
-        factors: Banded,
+        factors: Banded | Chained,
         coupling: np.ndarray,
         curvature: np.ndarray,
     ) -> "ReducedSystem":
@@ -147,7 +156,7 @@ class ReducedSystem:
         self,
         grid: Grid,
         n_states: int,
-        factors: Banded,
+        factors: Banded | Chained,
         coupling: np.ndarray,
         curvature: np.ndarray,
     ) -> None:
@@ -259,7 +268,8 @@ def _kkt_matrix(H: coo_matrix, J: coo_matrix, x: slice) -> coo_matrix:
 def _coupling(H: coo_matrix, J: coo_matrix, theta: slice, x: slice) -> np.ndarray:
     """What couples states and multipliers with the parameters, dense."""
     n_x = x.stop - x.start
-    coupling = np.zeros((n_x + J.shape[0], theta.stop - theta.start))
+    shape = (n_x + J.shape[0], theta.stop - theta.start)
+    coupling = np.zeros(shape, order="F")  # as it is solved for
     is_mixed = (H.row >= x.start) & (H.row < x.stop)
     is_mixed &= (H.col >= theta.start) & (H.col < theta.stop)
     states = H.row[is_mixed] - x.start

@@ -10,6 +10,7 @@ stays small where the sampling is coarse. Arrays are still rows (n_nodes, n_stat
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -53,10 +54,29 @@ class Grid:
         """Number of intervals."""
         return len(self.h)
 
-    @property
+    @cached_property
     def measured(self) -> np.ndarray:
-        """Where a state was measured, (n_nodes, n_states)."""
-        return np.isfinite(self.y)
+        """Where a state was measured, (n_nodes, n_states), read-only."""
+        measured = np.isfinite(self.y)
+        measured.flags.writeable = False
+        return measured
+
+    @cached_property
+    def channel(self) -> np.ndarray:
+        """State of every measured value in the order of the nodes, (n_values,)."""
+        return np.nonzero(self.measured)[1]
+
+    def rms_by_channel(self, values: np.ndarray) -> np.ndarray:
+        """Root mean square per state, (n_states,); zero where nothing is measured.
+
+        Args:
+            values: (n_values,) one per measured value, in the order of the nodes.
+        """
+        n_states = self.y.shape[1]
+        squares = np.bincount(self.channel, values**2, minlength=n_states)
+        counts = np.bincount(self.channel, minlength=n_states)
+        rms: np.ndarray = np.sqrt(squares / np.maximum(counts, 1))
+        return rms
 
     @property
     def first(self) -> np.ndarray:
@@ -171,14 +191,13 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
 def steps_per_gap(grid: Grid) -> list[np.ndarray]:
     """Number of intervals in every gap, (n_samples - 1,) per trajectory."""
     samples = np.flatnonzero(grid.sample)
-    n_intervals = np.diff(samples)
     trajectory = grid.trajectory[samples]
     is_inside = np.diff(trajectory) == 0
-    per_trajectory = []
-    for number in range(grid.trajectory[-1] + 1):
-        is_own = is_inside & (trajectory[:-1] == number)
-        per_trajectory.append(n_intervals[is_own])
-    return per_trajectory
+    n_intervals = np.diff(samples)[is_inside]
+    ends = np.searchsorted(
+        trajectory[:-1][is_inside], np.arange(trajectory[-1]), "right"
+    )
+    return np.split(n_intervals, ends)
 
 
 def interpolate_at_nodes(values: np.ndarray, steps: np.ndarray) -> np.ndarray:

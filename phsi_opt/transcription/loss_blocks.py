@@ -101,7 +101,7 @@ def measurement_residual(
     shown = outputs(model, grid, x, theta) if model.sensor else x
     # Row by row (n_nodes, n_states) is CasADi's order column by column.
     measured = np.flatnonzero(grid.measured.ravel()).tolist()
-    channel = np.nonzero(grid.measured)[1].tolist()
+    channel = grid.channel.tolist()
     y = ca.DM(grid.y.ravel()[measured])
     return (y - ca.vec(shown)[measured]) / ca.vec(sigma[channel])
 

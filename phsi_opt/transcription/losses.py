@@ -182,7 +182,7 @@ class MaximumLikelihood:
         )
         noise = build.setting("sigma", sigma)
         residual = measurement_residual(model, grid, x, of_runs, noise)
-        n_measured = int(grid.measured.sum())
+        n_measured = len(grid.channel)
         if self.huber is not None:
             residual = residual - outlier_slack(build, n_measured, self.huber)
         build.residual(residual * np.sqrt(2 / n_measured))

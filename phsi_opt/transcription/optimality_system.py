@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.optimization.banded import Banded, BandLayout
+from phsi_opt.optimization.along_time import TimeLayout
+from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.bounded_step import Room, bounded_step
+from phsi_opt.optimization.chained import Chained
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import REGULAR, time_order
+from phsi_opt.transcription.elimination import REGULAR, chain_of, time_order
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.pattern import Pattern
 
@@ -57,11 +59,11 @@ class OptimalitySystem:
         self._own = np.flatnonzero(hessian.columns < self.n_theta)
         self._mixed = np.flatnonzero(~is_state & (hessian.columns >= self.n_theta))
         order = time_order(grid, ("node", n_states), ("interval", n_states))
-        rows, columns = self._band_places()
-        self._layout = BandLayout(rows, columns, order, is_symmetric=True)
+        rows, columns = self._entry_places()
+        self._layout = TimeLayout(rows, columns, order, chain_of(grid, n_states))
 
-    def _band_places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and columns of what `_band_entries` lists."""
+    def _entry_places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of what `_entries` lists."""
         row = self._hessian.rows[self._in_x] - self.n_theta
         column = self._hessian.columns[self._in_x] - self.n_theta
         self._above = self._in_x[row < column]
@@ -74,49 +76,27 @@ class OptimalitySystem:
         columns = [column, row[is_above], every_state, state, defect]
         return np.concatenate(rows), np.concatenate(columns)
 
-    def _band_entries(self, hessian: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    def _entries(self, hessian: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
         slopes = jacobian[self._of_x]
         largest = np.max(hessian[self._diagonal], initial=TINY)
         shift = np.full(self._n_x, REGULAR * largest)
         of_states = [hessian[self._in_x], hessian[self._above], shift]
         return np.concatenate([*of_states, slopes, slopes])
 
-    def step(
-        self,
-        hessian: np.ndarray,
-        jacobian: np.ndarray,
-        gradient: np.ndarray,
-        g: np.ndarray,
-        room: Room,
-    ) -> NewtonStep:
-        """The full step from a point, from entries in the order of the patterns.
+    def factored(self, hessian: np.ndarray, jacobian: np.ndarray) -> "Factored":
+        """The system, from entries in the order of the patterns.
 
         Args:
             hessian: entries of its upper triangle, (n_entries,).
             jacobian: entries of the slopes of g, (n_entries,).
-            gradient: of the objective, (n_variables,).
-            g: (n_constraints,) values of the constraints.
-            room: how far the parameters may move.
 
         Raises:
             SolveError: the states do not follow from the parameters and the data.
             np.linalg.LinAlgError: an entry is no number.
         """
-        n_theta = self.n_theta
-        factors = Banded.of(self._layout, self._band_entries(hessian, jacobian))
+        factors = self._layout.factors(self._entries(hessian, jacobian))
         of_theta = self._theta_block(hessian)
-        right = self._right(hessian, jacobian)
-        right[: self._n_x, n_theta] = -gradient[n_theta:]
-        right[self._n_x :, n_theta] = -g
-        coupling = right[:, :n_theta]
-        solved = factors.solve(right)
-        per_theta = solved[:, :n_theta]
-        alone = solved[:, n_theta]
-        left = of_theta - coupling.T @ per_theta
-        best = bounded_step(left, -gradient[:n_theta] - coupling.T @ alone, room)
-        others = alone - per_theta @ best.d
-        z = np.concatenate([best.d, others[: self._n_x]])
-        return NewtonStep(z, others[self._n_x :], best.is_silent)
+        return Factored(factors, of_theta, self._right(hessian, jacobian))
 
     def _theta_block(self, hessian: np.ndarray) -> np.ndarray:
         """Hessian of the parameters, dense."""
@@ -165,3 +145,54 @@ class OptimalitySystem:
         weights = jacobian * multipliers[at.rows]
         of_constraints = np.bincount(at.columns, weights, minlength=len(gradient))
         return gradient + of_constraints
+
+
+class Factored:
+    """The system of one point, ready for right-hand sides.
+
+    Args:
+        factors: of the states and multipliers.
+        of_theta: (n_theta, n_theta) Hessian of the parameters.
+        right: (n_others, n_theta + 1) what couples the parameters with all others, and
+            a column for what they pull by themselves.
+    """
+
+    def __init__(
+        self, factors: Banded | Chained, of_theta: np.ndarray, right: np.ndarray
+    ) -> None:
+        self._factors = factors
+        self._of_theta = of_theta
+        self._right = right
+        self._per_theta: np.ndarray | None = None
+
+    @property
+    def is_dear(self) -> bool:
+        """Whether it cost many times what a step with it costs."""
+        return isinstance(self._factors, Chained)
+
+    def step(self, gradient: np.ndarray, g: np.ndarray, room: Room) -> NewtonStep:
+        """The full step.
+
+        Args:
+            gradient: (n_variables,) of the objective; or of the Lagrangian, and
+                multipliers are changes likewise.
+            g: (n_constraints,) values of the constraints.
+            room: how far the parameters may move.
+        """
+        right = self._right
+        n_theta = right.shape[1] - 1
+        n_x = len(gradient) - n_theta
+        right[:n_x, n_theta] = -gradient[n_theta:]
+        right[n_x:, n_theta] = -g
+        coupling = right[:, :n_theta]
+        if self._per_theta is None:
+            solved = self._factors.solve(right)
+            self._per_theta = solved[:, :n_theta]
+            alone = solved[:, n_theta]
+        else:
+            alone = self._factors.solve(right[:, n_theta])
+        left = self._of_theta - coupling.T @ self._per_theta
+        best = bounded_step(left, -gradient[:n_theta] - coupling.T @ alone, room)
+        others = alone - self._per_theta @ best.d
+        z = np.concatenate([best.d, others[:n_x]])
+        return NewtonStep(z, others[n_x:], best.is_silent)

@@ -6,6 +6,12 @@ A driven spring with hidden dry friction, position alone measured: one training 
 of n samples, a third of it held out beside. Processor seconds of one thread.
 """
 
+import os
+
+# Before NumPy is loaded: one thread for all.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import time
 from dataclasses import dataclass, field
 

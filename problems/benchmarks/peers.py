@@ -131,7 +131,8 @@ def _iteration(estimate: LikelihoodEstimate) -> float:
         there = likelihood.at(estimate.solution.z)
         weighed = likelihood.weighed(there, estimate.sigma)
         slopes = there.jacobian
-        system.step(weighed.hessian, slopes, weighed.gradient, there.g, room)
+        factored = system.factored(weighed.hessian, slopes)
+        factored.step(weighed.gradient, there.g, room)
 
     seconds = []
     for _ in range(N_TIMED):
