@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import phsi_opt as ph
+from phsi_opt.study.answers import samples_to_average
 from problems.measured import (
     ball_and_hoop,
     battery_cell,
@@ -64,12 +65,18 @@ class Set:
 
 @dataclass(eq=False)
 class Told:
-    """A study with its diagnoses, and the processor seconds that each took."""
+    """A study with its diagnoses, and the processor seconds that each took.
+
+    ``averaged`` is the story of the same records with fewer samples, means of
+    ``n_averaged`` each, where that is advised.
+    """
 
     study: ph.Study
     diagnoses: list[ph.Diagnosis] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     stopped: str = ""
+    n_averaged: int = 0
+    averaged: "Told | None" = None
 
 
 def pendulum_base() -> ph.PseudoHamiltonian:
@@ -186,8 +193,18 @@ SETS = {
 
 
 def told(chosen: Set) -> Told:
+    """Diagnose and add, and again from means of samples where that is advised."""
+    records = chosen.records()
+    story = _told(ph.Study(chosen.model(), *records))
+    story.n_averaged = samples_to_average(story.diagnoses[-1])
+    if story.n_averaged:
+        means = [record.thinned(story.n_averaged) for record in records]
+        story.averaged = _told(ph.Study(chosen.model(), *means))
+    return story
+
+
+def _told(study: ph.Study) -> Told:
     """Diagnose and add, at most `MOST_STEPS` times."""
-    study = ph.Study(chosen.model(), *chosen.records())
     story = Told(study)
     for _ in range(MOST_STEPS + 1):
         began = time.process_time()
@@ -209,28 +226,44 @@ def told(chosen: Set) -> Told:
 
 def chapter(name: str, chosen: Set, story: Told) -> list[str]:
     """What the page says of a set."""
-    errors = story.study.history
-    unit = f" ({story.study.unit})" if story.study.unit else ""
-    shown = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor"]
     lines = [f"## {name}", "", f"Base model: {chosen.machine}. Known: {chosen.known}."]
-    lines += [""]
-    pairs = zip(story.diagnoses, story.seconds, strict=True)
-    for number, (diagnosis, seconds) in enumerate(pairs, start=1):
-        reason = diagnosis.reason
-        said = f"{number}. **{diagnosis.verdict}** ({seconds:.0f} s): {reason}."
-        lines.append(said)
-    if story.stopped:
-        lines.append(f"   {story.stopped}")
+    lines += ["", *_steps(story)]
     last = story.diagnoses[-1]
     remains = [text for text in last.sentences if "no missing force" not in text]
-    if remains and last.verdict != ph.Verdict.NOTHING_MISSING:
+    is_missing = last.verdict != ph.Verdict.NOTHING_MISSING
+    if remains and is_missing:
         lines += ["", f"What remains: {remains[0]}"]
-    lines += ["", f"Errors of the free run{unit}:", ""]
+    if last.next_step and is_missing:
+        lines += ["", f"What to do next: {last.next_step}"]
+    lines += ["", *_errors(story)]
+    if story.averaged is not None:
+        lines += [f"As advised, from means of {story.n_averaged} samples:", ""]
+        lines += [*_steps(story.averaged), "", *_errors(story.averaged)]
+    return lines
+
+
+def _steps(story: Told) -> list[str]:
+    """A line for each diagnosis."""
+    lines = []
+    pairs = zip(story.diagnoses, story.seconds, strict=True)
+    for number, (diagnosis, seconds) in enumerate(pairs, start=1):
+        verdict, reason = diagnosis.verdict, diagnosis.reason
+        lines.append(f"{number}. **{verdict}** ({seconds:.0f} s): {reason}.")
+    if story.stopped:
+        lines.append(f"   {story.stopped}")
+    return lines
+
+
+def _errors(story: Told) -> list[str]:
+    """The errors of all models, as a table."""
+    unit = f" ({story.study.unit})" if story.study.unit else ""
+    shown = ["step", "effect", "train_rmse", "held_out_rmse", "noise_floor"]
     rows = []
-    for row in errors[shown].itertuples(index=False):
+    for row in story.study.history[shown].itertuples(index=False):
         rows.append([row[0], row[1], *(f"{value:.4g}" for value in row[2:])])
     header = ["step", "model", "training", "held out", "noise floor"]
-    return [*lines, markdown.lines(header, rows), ""]
+    table = markdown.lines(header, rows)
+    return [f"Errors of the free run{unit}:", "", table, ""]
 
 
 def summary(stories: dict[str, Told]) -> str:
