@@ -500,7 +500,7 @@ def test_the_likely_cause_comes_before_the_symptom(
 
 
 def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
-    pace = Pace(51.0, 0.75, 1 / 300, 700.0, 18.0)
+    pace = Pace(51.0, 0.75, 0.15, 1 / 300, 700.0, 18.0)
     assert pace.is_vibration
     assert against_vibration(pace).lead == (
         "Average every 6 samples and diagnose again: anything else that is missing "

@@ -448,15 +448,28 @@ def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
     assert "a vibration or an error of a sensor" in said[0]
 
 
+def test_what_follows_the_quick_parts_of_a_slow_motion_is_no_vibration(
+    cases: dict[str, Case],
+) -> None:
+    # A lag in steps that are held for minutes: it moves within four seconds.
+    stepped = Pace(0.08, 0.002, 4.0, 0.1, 0.6, 1.4)
+    assert not stepped.is_vibration
+    assert replace(stepped, time=20.0).is_vibration
+    pace = ForceAnalysis.of(cases["wave"]).paces["p"]
+    # Of a sine, the deviation over that of its rate is a period over two pi.
+    assert pace.time == pytest.approx(1 / (2 * np.pi * pace.motion), rel=0.3)
+
+
+
 def test_a_force_is_told_beside_the_models_own_rate() -> None:
-    assert Pace(1.0, 1.0, 0.1, 5.0, 2.0).size_words("dp/dt") == (
+    assert Pace(1.0, 1.0, 0.2, 0.1, 5.0, 2.0).size_words("dp/dt") == (
         "2.5 times the size of the model's own dp/dt"
     )
     assert (
-        Pace(1.0, 1.0, 0.1, 1.0, 2.0).size_words("dp/dt")
+        Pace(1.0, 1.0, 0.2, 0.1, 1.0, 2.0).size_words("dp/dt")
         == "50 % of the model's own dp/dt"
     )
-    assert Pace(1.0, 1.0, 0.1, 1.0, 0.0).size_words("dp/dt") == ""
+    assert Pace(1.0, 1.0, 0.2, 0.1, 1.0, 0.0).size_words("dp/dt") == ""
 
 
 @pytest.fixture

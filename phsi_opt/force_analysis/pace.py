@@ -15,6 +15,7 @@ from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.force_analysis.units import frequency_words
 from phsi_opt.presentation.numbers import number
+from phsi_opt.statistics import TINY
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,6 +36,7 @@ class Pace:
         frequency: at which the force is strongest, in cycles per unit of time; 0 where
             it is mostly constant.
         motion: frequency at which the fastest of the states is strongest.
+        time: in which the fastest of the states moves by as much as it varies.
         interval: typical time between samples.
         strength: rms of the force.
         own: rms of what the model itself has in the equation.
@@ -42,6 +44,7 @@ class Pace:
 
     frequency: float
     motion: float
+    time: float
     interval: float
     strength: float
     own: float
@@ -59,6 +62,7 @@ class Pace:
         return cls(
             float(where["frequency"]),
             _frequency_of_motion(record),
+            _time_of_motion(record),
             float(np.median(record.h)),
             float(where["strength"]),
             float(np.sqrt(np.mean(own**2))),
@@ -66,8 +70,13 @@ class Pace:
 
     @property
     def is_vibration(self) -> bool:
-        """Whether the force is many times as fast as the motion, or as the samples."""
-        return self.is_near_sampling or self._times_motion > VIBRATION
+        """Whether the force is many times as fast as the motion, or as the samples.
+
+        A cycle of it must also be over before the states move: of a motion that is
+        mostly slow, what follows its quick parts is no vibration.
+        """
+        is_faster = self._times_motion > VIBRATION and self.frequency * self.time > 1
+        return self.is_near_sampling or is_faster
 
     @property
     def is_near_sampling(self) -> bool:
@@ -107,6 +116,13 @@ class Pace:
         if ratio >= 1:
             return f"{number(ratio, 2)} times the size of the model's own {rate}"
         return f"{100 * ratio:.2g} % of the model's own {rate}"
+
+
+def _time_of_motion(record: ForceRecord) -> float:
+    """Shortest ratio of a state's standard deviation to the rms of its rate."""
+    sizes = np.std(record.states, axis=0)
+    rates = np.sqrt(np.mean(record.rates**2, axis=0))
+    return float(np.min(sizes / np.maximum(rates, TINY), initial=np.inf))
 
 
 def _frequency_of_motion(record: ForceRecord) -> float:
