@@ -410,10 +410,11 @@ class Session:
         if isinstance(message, Said):
             self._note(message.line)
         elif isinstance(message, Shown):
-            self._show(message.snapshot)
-            self._keep_fitted()
+            # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
                 self.job.show()
+            self._show(message.snapshot)
+            self._keep_fitted()
         elif isinstance(message, Wrote):
             self.report_path = Path(message.path)
         elif isinstance(message, Refused):
