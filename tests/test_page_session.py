@@ -686,6 +686,24 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(session: Session) -> No
     assert session.snapshot.diagnosed is not None, "it went on from what was kept"
 
 
+def test_a_model_counts_as_made_before_it_is_seen(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+    show = Session._show
+
+    def noted(self: Session, snapshot: Snapshot) -> None:
+        assert self.job is not None
+        seen.append(self.job.is_shown)
+        show(self, snapshot)
+
+    monkeypatch.setattr(Session, "_show", noted)
+    session.fit()
+    wait_for(lambda: session.snapshot is not None)
+    session.cancel()
+    assert seen[0]
+
+
 def test_a_worker_that_is_lost_is_told(session: Session) -> None:
     session.fit()
     wait_for(lambda: bool(session.job and session.job.lines))

@@ -460,7 +460,6 @@ def test_what_follows_the_quick_parts_of_a_slow_motion_is_no_vibration(
     assert pace.time == pytest.approx(1 / (2 * np.pi * pace.motion), rel=0.3)
 
 
-
 def test_a_force_is_told_beside_the_models_own_rate() -> None:
     assert Pace(1.0, 1.0, 0.2, 0.1, 5.0, 2.0).size_words("dp/dt") == (
         "2.5 times the size of the model's own dp/dt"
