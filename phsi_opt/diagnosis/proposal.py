@@ -377,7 +377,10 @@ def _single(candidate: Candidate) -> Proposal | None:
 
 
 def _is_significant(base: DiagnosedModel, candidate: Candidate) -> bool:
-    """Whether p-value and BIC hold, and the error on the judging record falls."""
+    """Whether p-value and BIC hold, and the error on the judging record falls.
+
+    Or most of it is gone, where that record is too short to tell.
+    """
     if candidate.comparison is None or not candidate.delta_bic < 0 or candidate.lost:
         return False
     if not candidate.p_value < FALSE_DISCOVERY_RATE:

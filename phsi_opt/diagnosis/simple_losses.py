@@ -56,9 +56,8 @@ def with_simple_losses(
     for one in prospects.singles:
         if is_simple_loss(one.effect) and one.effect.equation == equation:
             losses.append(one)
-    if (
-        best.effect.name == HYSTERESIS
-    ):  # it bends to any loss, and may hide a simple one
+    # Hysteresis bends to any loss, and may hide a simple one.
+    if best.effect.name == HYSTERESIS:
         for one in losses:
             result = _again(base, result, refitted, one, best)
     if _leaves_noise(best):
