@@ -16,6 +16,8 @@ import sympy as sp
 
 from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_uncertainty import FitUncertainty
+from phsi_opt.later import Later
 from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.expressions import evaluate
 from phsi_opt.model.model import FirstOrder, Model, PseudoHamiltonian
@@ -37,6 +39,10 @@ OUTCOME = Outcome(
 )
 
 
+def known(covariance: np.ndarray, *warnings: str) -> Later[FitUncertainty]:
+    return Later.known(FitUncertainty(covariance=covariance, warnings=warnings))
+
+
 def fit_of(model: Model, **values: float) -> Fit:
     model = model.with_values(values)
     n = len(model.free)
@@ -46,7 +52,7 @@ def fit_of(model: Model, **values: float) -> Fit:
         model=model,
         loss="MaximumLikelihood",
         loss_value=1.25,
-        covariance=covariance,
+        uncertainty=known(covariance, "take care"),
         noise={"q": 0.01},
         outcome=OUTCOME,
         n_values=320,
@@ -55,7 +61,6 @@ def fit_of(model: Model, **values: float) -> Fit:
         seconds=0.5,
         units={"q": "m", "t": "s"},
         removed=("H[p]",),
-        warnings=("take care",),
         provenance={"phsi_opt": "0.1.0"},
     )
 
@@ -253,7 +258,7 @@ def loaded_fit() -> Fit:
         fit_of(model),
         names=("m[run 1]", "m[run 2]"),
         by_trajectory={"run 1": {"m": 1.5}, "run 2": {"m": 2.5}},
-        covariance=np.diag([0.01, 0.04]),
+        uncertainty=known(np.diag([0.01, 0.04])),
     )
 
 
@@ -297,7 +302,7 @@ def test_the_picture_says_which_estimates_are_not_to_be_relied_on() -> None:
     covariance = fit.covariance.copy()
     at_bound = fit.names.index("R_p")
     covariance[at_bound] = covariance[:, at_bound] = np.nan
-    ax = replace(fit, covariance=covariance).plot()
+    ax = replace(fit, uncertainty=known(covariance)).plot()
     labels = [text.get_text() for text in ax.get_yticklabels()]
     assert "R_p = 0.7 N s/m, at its bound" in labels
     assert labels[-1].endswith(", no standard error")

@@ -2,6 +2,7 @@
 units, the same on every run.
 """
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import phsi_opt
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, SolveError
+from phsi_opt.estimation import likelihood_estimate
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.pruning import Pruning
@@ -17,6 +19,11 @@ from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, polynomials, trigonometric
+from phsi_opt.model_error.standard_errors import (
+    PlainEstimate,
+    StandardErrors,
+    standard_errors,
+)
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.simulation.simulate import simulate
 from phsi_opt.transcription.losses import MaximumLikelihood, MissingForce, PHSILoss
@@ -179,6 +186,29 @@ def test_two_runs_agree_to_the_last_bit(position_fit: Fit) -> None:
     assert again.values == position_fit.values
     assert again.covariance.tobytes() == position_fit.covariance.tobytes()
     assert again.loss_value == position_fit.loss_value
+
+
+def test_standard_errors_are_worked_out_when_they_are_asked_for(
+    position_fit: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def counted(plain: PlainEstimate) -> StandardErrors:
+        calls.append(1)
+        return standard_errors(plain)
+
+    monkeypatch.setattr(likelihood_estimate, "standard_errors", counted)
+    fit = identify(spring(), positions_only())
+    assert fit.values == position_fit.values
+    assert calls == []
+    assert fit.std_errors == position_fit.std_errors
+    assert "+-" in str(fit)
+    assert calls == [1]
+
+
+def test_a_pickled_fit_holds_its_standard_errors(position_fit: Fit) -> None:
+    fit = pickle.loads(pickle.dumps(identify(spring(), positions_only())))
+    assert fit.covariance.tobytes() == position_fit.covariance.tobytes()
 
 
 def test_the_order_of_trajectories_and_columns_does_not_matter(

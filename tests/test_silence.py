@@ -9,6 +9,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.comparison.model_selection import is_like_noise
 from phsi_opt.diagnosis.doubts import fitted_size, found_by_chance, kinds_of
+from phsi_opt.later import Later
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.screening.effect_size import Size
 from problems.field_machines.cases import draw
@@ -54,7 +55,8 @@ def test_the_more_kinds_of_candidates_the_clearer_a_size_must_be() -> None:
     fit = found.proposed_fit
     assert fit is not None
     (effect,) = found.proposed
-    clearer = replace(fit, covariance=fit.covariance / 9)
+    known = replace(fit.uncertainty.value, covariance=fit.covariance / 9)
+    clearer = replace(fit, uncertainty=Later.known(known))
     p_value = fitted_size(found.fit, clearer, effect).p_value
     most = int(0.05 / p_value)
     assert most > 3

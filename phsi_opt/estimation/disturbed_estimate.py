@@ -14,6 +14,7 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.estimation.model_error_table import model_error_rows, prior_rows
@@ -145,19 +146,28 @@ class DisturbedEstimate(Estimate):
         if not self.is_success:
             return fit
         bic = self.deviance + len(self.unknown) * float(np.log(self.n_values))
-        covariances = {Source.NOISE: self.plain.uncertainty.covariance}
-        for source in self.spreads:
-            covariances[source] = self._uncertainty(source).covariance
         return replace(
             fit,
             noise=self._noise_by_name(),
             bic=bic,
             steps=tuple(steps_per_gap(self.grid)),
-            std_error_source=self.source,
+            prior_rows=prior_rows(self.priors),
+        )
+
+    def fit_uncertainty(self) -> FitUncertainty:
+        """The standard errors, with those of noise alone, and what acts beside."""
+        found = super().fit_uncertainty()
+        if not self.is_success:
+            return found
+        covariances = {Source.NOISE: self.plain.uncertainty.covariance}
+        for source in self.spreads:
+            covariances[source] = self._uncertainty(source).covariance
+        return replace(
+            found,
+            source=self.source,
             covariances=covariances,
             freedom=self.spread.freedom,
             model_error_rows=model_error_rows(_solved(self), self.disturbances),
-            prior_rows=prior_rows(self.priors),
         )
 
     def _noise_by_name(self) -> dict[str, float]:

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.problem import Loss, Task
 from phsi_opt.estimation.uncertainty import Uncertainty, unknown
+from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.transcription.grid import Grid
@@ -128,27 +130,32 @@ class Estimate(ABC):
 
     def fit(self) -> Fit:
         """The result record."""
-        warnings = (
-            *self.notes,
-            *self._selection_warnings(),
-            *self._bound_warnings(),
-            *self.uncertainty.warnings,
-        )
         return Fit(
             model=self.model.with_values(self.values),
             names=self.unknown.names,
             by_trajectory=self._values_by_trajectory(),
             loss=type(self.loss).__name__,
             loss_value=self.misfit,
-            covariance=self.uncertainty.covariance,
+            uncertainty=Later(self.fit_uncertainty),
             noise={},
             outcome=self.solution.outcome,
             n_values=self.n_values,
             hold=self.task.data.hold,
             units=dict(self.task.data.units),
             removed=self.removed,
-            warnings=warnings,
             provenance=self._provenance(),
+        )
+
+    def fit_uncertainty(self) -> FitUncertainty:
+        """How well the estimates are known, with all that was worked out about it."""
+        return FitUncertainty(
+            covariance=self.uncertainty.covariance,
+            warnings=(
+                *self.notes,
+                *self._selection_warnings(),
+                *self._bound_warnings(),
+                *self.uncertainty.warnings,
+            ),
         )
 
     def _values_by_trajectory(self) -> dict[str, dict[str, float]]:

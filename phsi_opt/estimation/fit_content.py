@@ -12,8 +12,10 @@ import numpy as np
 from phsi_opt.data.checks import HOLDS
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.estimation.fit_record import FitRecord
+from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.model_content import Content, model_content, model_from
 from phsi_opt.estimation.model_error_table import ModelErrorRow, PriorRow
+from phsi_opt.later import Later
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.transcription.parameter_vector import Theta
@@ -95,17 +97,21 @@ def fit_parts(content: Content) -> dict[str, Any]:
             raise DataError(f"{what}: {numbers.tolist()}; none can be negative")
     if freedom is not None and freedom.shape != (len(names),):
         raise DataError(f"{freedom.size} degrees of freedom for {len(names)} estimates")
+    uncertainty = FitUncertainty(
+        covariance=covariance.reshape(len(names), len(names)),
+        source=_source_from(content),
+        covariances=_covariances_from(content.get("covariances", {}), len(names)),
+        freedom=freedom,
+        model_error_rows=_model_error_from(content.get("model_error", [])),
+        warnings=_texts(content["warnings"]),
+    )
     return {
         "model": model,
         "names": names,
         "by_trajectory": by_trajectory,
         "loss": str(content["loss"]),
         "loss_value": float(content["loss_value"]),
-        "covariance": covariance.reshape(len(names), len(names)),
-        "std_error_source": _source_from(content),
-        "covariances": _covariances_from(content.get("covariances", {}), len(names)),
-        "freedom": freedom,
-        "model_error_rows": _model_error_from(content.get("model_error", [])),
+        "uncertainty": Later.known(uncertainty),
         "prior_rows": _priors_from(content.get("model_error_priors", [])),
         "noise": noise,
         "outcome": _outcome_from(content["outcome"]),
@@ -117,7 +123,6 @@ def fit_parts(content: Content) -> dict[str, Any]:
         "seconds": float(content.get("seconds", np.nan)),
         "units": {str(name): str(unit) for name, unit in content["units"].items()},
         "removed": _texts(content["removed"]),
-        "warnings": _texts(content["warnings"]),
         "provenance": dict(content["provenance"]),
     }
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phsi_opt.errors import DataError
+from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
 from phsi_opt.estimation.model_error_table import (
     MODEL_ERROR_COLUMNS,
@@ -20,6 +21,7 @@ from phsi_opt.estimation.model_error_table import (
     ModelErrorRow,
     PriorRow,
 )
+from phsi_opt.later import Later
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
 from phsi_opt.model.slots import Entry
@@ -47,8 +49,10 @@ class FitRecord(Identified):
             name; empty where all parameters are shared.
         loss: Name of the loss, such as "MaximumLikelihood".
         loss_value: The loss at the solution, without its L1 terms.
-        covariance: (n_names, n_names) covariance of the estimates in the order of
-            ``names``; NaN where it is not known.
+        uncertainty: What the standard errors come from, and what to know before the
+            numbers are used. It can cost more than the estimates, and is worked out
+            when one of the properties that read it is first asked for: ``covariance``,
+            ``std_errors``, ``intervals``, ``model_error``, ``warnings`` and others.
         noise: Standard deviation of the measurement noise by state, in the state's
             unit; empty for `PHSILoss`.
         outcome: What the solver said.
@@ -56,7 +60,6 @@ class FitRecord(Identified):
         bic: Bayesian information criterion; NaN for `PHSILoss`, whose residuals are not
             independent.
         units: Unit by name, of states, inputs and the time ``t``.
-        warnings: Sentences to read before the numbers are used.
         provenance: What the fit was made from: version, loss, settings, digest of the
             data.
         states: Estimated states at the samples, (n_samples, n_states) per trajectory;
@@ -65,13 +68,6 @@ class FitRecord(Identified):
             trajectory.
         huber: Residuals beyond this many standard deviations counted linearly (see
             `MaximumLikelihood`); None: all counted squared.
-        std_error_source: What the standard errors come from, one of `Source`: white
-            noise, the scatter between trajectories, or model error.
-        covariances: (n_names, n_names) by source, all that were worked out; that of
-            white noise is the inverse of the likelihood's information.
-        freedom: (n_names,) degrees of freedom of the variances, for intervals; None:
-            those that the residuals leave.
-        model_error_rows: What was found beside the model (see `model_error`).
         prior_rows: Which priors of the model error were compared (see
             `model_error_priors`).
     """
@@ -80,26 +76,63 @@ class FitRecord(Identified):
     by_trajectory: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     loss: str
     loss_value: float
-    covariance: np.ndarray
+    uncertainty: Later[FitUncertainty]
     noise: Mapping[str, float]
     outcome: Outcome
     n_values: int
     bic: float = np.nan
     units: Mapping[str, str] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
     states: tuple[np.ndarray, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
     huber: float | None = None
-    std_error_source: Source = Source.NOISE
-    covariances: Mapping[Source, np.ndarray] = field(default_factory=dict)
-    freedom: np.ndarray | None = None
-    model_error_rows: tuple[ModelErrorRow, ...] = ()
     prior_rows: tuple[PriorRow, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.names:
             object.__setattr__(self, "names", self.model.free)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the estimates in the order of ``names``, (n_names, n_names).
+
+        NaN where it is not known.
+        """
+        return self.uncertainty.value.covariance
+
+    @property
+    def covariances(self) -> Mapping[Source, np.ndarray]:
+        """Covariances by source, (n_names, n_names), all that were worked out.
+
+        That of white noise is the inverse of the likelihood's information.
+        """
+        return self.uncertainty.value.covariances
+
+    @property
+    def std_error_source(self) -> Source:
+        """What the standard errors come from, one of `Source`.
+
+        White noise, the scatter between trajectories, or model error.
+        """
+        return self.uncertainty.value.source
+
+    @property
+    def freedom(self) -> np.ndarray | None:
+        """Degrees of freedom of the variances, (n_names,), for intervals.
+
+        None: those that the residuals leave.
+        """
+        return self.uncertainty.value.freedom
+
+    @property
+    def model_error_rows(self) -> tuple[ModelErrorRow, ...]:
+        """What was found beside the model (see `model_error`)."""
+        return self.uncertainty.value.model_error_rows
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences to read before the numbers are used."""
+        return self.uncertainty.value.warnings
 
     @cached_property
     def estimates(self) -> dict[str, float]:

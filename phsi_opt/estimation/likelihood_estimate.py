@@ -11,6 +11,7 @@ import numpy as np
 from phsi_opt.estimation import uncertainty
 from phsi_opt.estimation.estimate import Estimate
 from phsi_opt.estimation.fit import Fit
+from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.transcription import Transcription
@@ -210,7 +211,7 @@ class LikelihoodEstimate(Estimate):
 
     def fit(self) -> Fit:
         """The result record, with noise, states and information criterion."""
-        fit = replace(
+        return replace(
             super().fit(),
             noise=self._noise_by_name(),
             bic=self.bic,
@@ -218,21 +219,24 @@ class LikelihoodEstimate(Estimate):
             steps=tuple(steps_per_gap(self.grid)),
             huber=self.loss.huber,
         )
+
+    def fit_uncertainty(self) -> FitUncertainty:
+        """The standard errors that survive model error, with those of noise alone."""
+        plain = super().fit_uncertainty()
         found = self.standard_errors
         if found is None:
-            return fit
-        covariances = {Source.NOISE: fit.covariance}
+            return plain
+        covariances = {Source.NOISE: plain.covariance}
         for source, spread in found.spreads.items():
             if source != Source.NOISE:
                 covariances[source] = self._unscaled(spread.covariance)
-        rows = model_error_rows(self.solved, found.disturbances)
         return replace(
-            fit,
+            plain,
             covariance=covariances[found.source],
+            source=found.source,
             covariances=covariances,
             freedom=found.spread.freedom,
-            std_error_source=found.source,
-            model_error_rows=rows,
+            model_error_rows=model_error_rows(self.solved, found.disturbances),
         )
 
     def _unscaled(self, covariance: np.ndarray) -> np.ndarray:

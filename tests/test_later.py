@@ -1,0 +1,42 @@
+"""A value that is worked out when it is first asked for."""
+
+import pickle
+from copy import deepcopy
+
+import pytest
+
+from phsi_opt.later import Later
+
+
+def test_the_work_is_done_once_and_when_it_is_asked_for() -> None:
+    calls = []
+
+    def work() -> int:
+        calls.append(1)
+        return 7
+
+    later = Later(work)
+    assert calls == []
+    assert (later.value, later.value) == (7, 7)
+    assert calls == [1]
+
+
+def test_what_was_interrupted_begins_anew() -> None:
+    answers = iter([KeyboardInterrupt, 7])
+
+    def work() -> int:
+        answer = next(answers)
+        if answer is KeyboardInterrupt:
+            raise KeyboardInterrupt
+        return 7
+
+    later = Later(work)
+    with pytest.raises(KeyboardInterrupt):
+        _ = later.value
+    assert later.value == 7
+
+
+def test_copies_hold_the_value() -> None:
+    later = Later(lambda: [1, 2])  # a lambda cannot be pickled
+    assert pickle.loads(pickle.dumps(later)).value == [1, 2]
+    assert deepcopy(later).value == [1, 2]
