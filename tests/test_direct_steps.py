@@ -30,6 +30,7 @@ from phsi_opt.transcription.interval_map import mapped
 from phsi_opt.transcription.optimality_system import Factored, OptimalitySystem
 from phsi_opt.transcription.pattern import Pattern
 from problems.benchmarks import state_growth
+from problems.benchmarks.peer_cases import PROBLEMS, drawn
 
 T = np.linspace(0.0, 20.0, 201)
 NOISE = 0.02
@@ -235,6 +236,19 @@ def test_steps_that_leave_a_share_of_the_error_each_are_mixed(
         limit = 1e-2 * fit.std_errors[name]
         assert fit.values[name] == pytest.approx(by_ipopt.values[name], abs=limit)
     assert fit.bic == pytest.approx(by_ipopt.bic, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", [102, 103, 104])
+def test_a_step_that_brings_the_defects_down_does_not_count_as_slow(seed: int) -> None:
+    """From states that were interpolated to finer steps, which obey no model."""
+    lorenz = PROBLEMS[2]
+    case = drawn(lorenz, seed)
+    guess = dict(zip(lorenz.truth, case.guess.tolist(), strict=True))
+    model = lorenz.model().with_values(guess)
+    data = ph.Measurements.from_arrays([lorenz.t], list(case.y), states=["x", "y", "z"])
+    fit = ph.identify(model, data)
+    assert np.max(fit.steps[0]) == 2
+    assert fit.outcome.status == DIRECT_STEPS
 
 
 def test_where_full_steps_creep_the_exact_hessian_comes_first_on_a_problem_like_it(

@@ -12,19 +12,21 @@ result, and IPOPT begins where it would have begun.
 import time
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.interrupts import solving
+from phsi_opt.later import Later
 from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.optimization.endings import STEPS_OPTIMUM
 from phsi_opt.optimization.ipopt import KKT, Solution, names_at_bounds
 from phsi_opt.optimization.mixed_steps import MixedSteps
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.settings import FEASIBLE_PATH, SolverSettings
+from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.likelihood_values import (
     LikelihoodValues,
     PointValues,
@@ -37,7 +39,8 @@ from phsi_opt.transcription.optimality_system import (
 )
 
 MOST_DIRECT_STEPS = 20
-# Scaled defect up to which the residuals say something about the noise.
+# Scaled defect up to which the residuals say something about the noise, and steps what
+# they converge to.
 NEARLY_HOLDING = 1e-2
 # Share of the error that two steps leave, at most; the first steps find their way.
 CONTRACTION = 0.7
@@ -59,10 +62,13 @@ class Optimum:
     Attributes:
         solution: of the program with that noise.
         sigma: (n_states,).
+        nearby: the program linearised at the last place on the way that was factored,
+            its states eliminated; None: not known.
     """
 
     solution: Solution
     sigma: np.ndarray
+    nearby: ReducedSystem | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +87,17 @@ class _Place:
     values: PointValues
     weighed: WeighedValues
 
-    @property
+    @cached_property
     def violation(self) -> float:
         """The largest scaled defect."""
         return float(np.max(np.abs(self.values.g), initial=0.0))
 
     @property
+    def nearly_holds(self) -> bool:
+        """Whether the residuals and the steps tell more than what the defects do."""
+        return self.violation < NEARLY_HOLDING
+
+    @cached_property
     def is_finite(self) -> bool:
         """Whether the model has values and slopes here."""
         with np.errstate(all="ignore"):
@@ -117,6 +128,15 @@ class DirectSteps:
             likelihood.jacobian,
         )
 
+    @cached_property
+    def _bounds(self) -> list[tuple[np.ndarray, np.ndarray, int]]:
+        """Variables with a lower bound, it and 1; the same of upper ones, and -1."""
+        sides = []
+        for bound, inwards in ((self.likelihood.lower, 1), (self.likelihood.upper, -1)):
+            places = np.flatnonzero(np.isfinite(bound))
+            sides.append((places, bound[places], inwards))
+        return sides
+
     def optimum(
         self, z: np.ndarray, sigma: np.ndarray, noise: NoiseIteration
     ) -> Optimum | None:
@@ -144,14 +164,13 @@ class DirectSteps:
             errors.append(_error(self._system, place, step))
             if not _contracts(errors):
                 return None
-            if stepper.is_again:
+            if stepper.is_again or not place.nearly_holds:
                 mixed.forget()
             else:
                 step = self._mixed(mixed, place, step)
             place = self._after(place, step)
             is_same = False
-            if not place.violation < NEARLY_HOLDING:
-                mixed.forget()
+            if not place.nearly_holds:
                 continue
             updated = noise.updated(place.sigma, place.weighed.residual)
             has_settled = noise.has_settled(place.sigma, updated)
@@ -163,12 +182,20 @@ class DirectSteps:
                 found = self._optimum_at(place, updated, n_steps, began, is_slow)
                 # What is silent beside a bound may lead inside where it is another one.
                 is_held = bool(found.solution.outcome.at_bounds)
-                return None if is_held and step.is_silent else found
+                if is_held and step.is_silent:
+                    return None
+                return replace(found, nearby=self._reduced(stepper))
             is_same = has_settled
             if not has_settled:
                 mixed.forget()
                 place = self._with_noise(place, updated)
         return None
+
+    def _reduced(self, stepper: "_Stepper") -> ReducedSystem | None:
+        """The program at the last place that was factored."""
+        if stepper.factored is None:
+            return None
+        return stepper.factored.reduced(self.likelihood.grid, self.likelihood.n_states)
 
     def _after(self, place: _Place, step: NewtonStep) -> _Place:
         """Where the step leads; beside a bound at which the model has no values."""
@@ -213,6 +240,8 @@ class DirectSteps:
     def _share(self, z: np.ndarray, step: np.ndarray) -> float:
         """The part of a step that keeps states within their bounds."""
         likelihood = self.likelihood
+        if likelihood.point.x_bounds is None:
+            return 1.0
         room = np.where(step > 0, likelihood.upper - z, z - likelihood.lower)
         of_states = slice(self._system.n_theta, None)
         room, size = room[of_states], np.abs(step[of_states])
@@ -222,12 +251,13 @@ class DirectSteps:
 
     def _moved(self, z: np.ndarray, step: np.ndarray) -> np.ndarray:
         """After the step, or that part of it; what reaches a bound is put on it."""
-        lower, upper = self.likelihood.lower, self.likelihood.upper
         moved = z + self._share(z, step) * step
-        for bound in (lower, upper):
-            is_there = np.isclose(moved, bound, BESIDE_BOUND, BESIDE_BOUND)
-            moved = np.where(is_there, bound, moved)
-        return np.clip(moved, lower, upper)
+        for places, bound, inwards in self._bounds:
+            there = moved[places]
+            close = BESIDE_BOUND * (1 + np.abs(bound))
+            is_there = inwards * (there - bound) <= close
+            moved[places] = np.where(is_there, bound, there)
+        return moved
 
     def _at(self, z: np.ndarray, sigma: np.ndarray) -> _Place:
         with solving(), np.errstate(all="ignore"):
@@ -264,12 +294,17 @@ class DirectSteps:
             at_bounds=names_at_bounds(likelihood.unknown.names, place.z, bounds),
             is_exact=is_slow,
         )
-        hessian = likelihood.hessian.symmetric(place.weighed.hessian)
-        jacobian = likelihood.jacobian.filled(place.values.jacobian)
         values = likelihood.point.unscaled(place.z)
-        kkt = KKT(hessian, jacobian)
+        kkt = Later(partial(self._kkt, place))
         solution = Solution(values, place.z, place.weighed.residual, outcome, kkt)
         return Optimum(solution, sigma)
+
+    def _kkt(self, place: _Place) -> KKT:
+        likelihood = self.likelihood
+        return KKT(
+            likelihood.hessian.symmetric(place.weighed.hessian),
+            likelihood.jacobian.filled(place.values.jacobian),
+        )
 
 
 class _Stepper:
@@ -280,11 +315,12 @@ class _Stepper:
 
     Attributes:
         is_again: whether the last step is by factors of an earlier place.
+        factored: the system at the last place where it was; None before.
     """
 
     def __init__(self, system: OptimalitySystem) -> None:
         self._system = system
-        self._factored: Factored | None = None
+        self.factored: Factored | None = None
         self.is_again = False
 
     def step(
@@ -307,18 +343,18 @@ class _Stepper:
         self.is_again = False
         if not place.is_finite:
             return None
-        factored = self._factored
+        factored = self.factored
         if factored is not None and last is not None and (is_same or factored.is_dear):
             again = self._again(factored, place, room, last, error)
             if again is not None:
                 self.is_again = True
                 return again
-        factored = self._factored = None  # many states leave no room for those before
+        factored = self.factored = None  # many states leave no room for those before
         with suppress(SolveError, np.linalg.LinAlgError):
-            self._factored = self._system.factored(
+            self.factored = self._system.factored(
                 place.weighed.hessian, place.values.jacobian
             )
-            return self._factored.step(place.weighed.gradient, place.values.g, room)
+            return self.factored.step(place.weighed.gradient, place.values.g, room)
         return None
 
     def _again(

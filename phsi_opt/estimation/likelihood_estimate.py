@@ -71,6 +71,8 @@ class LikelihoodEstimate(Estimate):
         sigma: (n_states,) standard deviation of the noise per state.
         is_known: (n_states,) whether it was declared.
         way: how it was solved, one of `WAYS`.
+        nearby: the program, not in units of the information, linearised beside the
+            optimum and its states eliminated; None: not known.
     """
 
     loss: MaximumLikelihood
@@ -78,6 +80,7 @@ class LikelihoodEstimate(Estimate):
     sigma: np.ndarray
     is_known: np.ndarray
     way: str = GAUSS_NEWTON
+    nearby: ReducedSystem | None = None
 
     @property
     def n_values(self) -> int:
@@ -140,9 +143,20 @@ class LikelihoodEstimate(Estimate):
         """The likelihood at the solution, states eliminated."""
         return uncertainty.reduced(self.point, self.solution, self.grid, self.n_values)
 
+    @property
+    def linearized(self) -> tuple[ReducedSystem, float]:
+        """The likelihood, states eliminated, at the optimum or, if known, beside it.
+
+        And the unit of its curvature, that of the information being one.
+        """
+        if self.nearby is not None:
+            return self.nearby, 2 / self.n_values
+        return self.reduced, 1.0
+
     def release(self) -> None:
         """Make room: factors of many states are large; they come again if asked for."""
         self.__dict__.pop("reduced", None)
+        object.__setattr__(self, "nearby", None)
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Inverse of the information about theta when the states follow it.

@@ -211,6 +211,7 @@ class LikelihoodSolver:
             sigma=optimum.sigma,
             is_known=self.problem.noise.is_known,
             way=way,
+            nearby=optimum.nearby,
         )
 
     def _transcribed(

@@ -61,6 +61,8 @@ def by_likelihood(
         estimate = _careful_optimum(solver, start)
     if loss.steps is None and task.settings.thorough:
         estimate = _with_fine_steps(solver, estimate)
+    if estimate.nearby is not None:
+        estimate.release()
     estimate = _with_few_terms(solver, estimate)
     warnings = scatter_warnings(estimate, problem.noise.is_known)
     warnings += resolution_notes(estimate, problem.noise)

@@ -36,6 +36,10 @@ class Room:
         """Which are at a bound beyond which the objective would fall, (n,)."""
         return np.where(gradient > 0, self.below == 0, self.above == 0)
 
+    def holds(self, step: np.ndarray) -> bool:
+        """Whether the parameters can take a whole step (n,)."""
+        return bool(np.all((self.below <= step) & (step <= self.above)))
+
     def share(self, step: np.ndarray) -> np.ndarray:
         """Of a step (n,), that which each of the parameters can take, at most 1."""
         room = np.where(step > 0, self.above, self.below)
@@ -73,16 +77,20 @@ def bounded_step(curvature: np.ndarray, pull: np.ndarray, room: Room) -> Bounded
     if not n:
         return BoundedStep(pull, False)
     curvature = (curvature + curvature.T) / 2
-    values = np.linalg.eigvalsh(curvature)
+    values, vectors = np.linalg.eigh(curvature)
+    silent = SILENT * values[-1]
+    is_silent = bool(values[0] <= silent)
+    whole = _told_step(values, vectors, pull, silent)
+    if room.holds(whole):
+        return BoundedStep(whole, is_silent)
     d = np.zeros(n)
     is_free = np.ones(n, dtype=bool)
-    silent = SILENT * values[-1]
     loose = SILENT * np.max(np.abs(pull))
     for _ in range(MOST_CHANGES * n):
         slope = pull - curvature @ d
         step = np.zeros(n)
-        own = np.ix_(is_free, is_free)
-        step[is_free] = _told_step(curvature[own], slope[is_free], silent)
+        free = np.linalg.eigh(curvature[np.ix_(is_free, is_free)])
+        step[is_free] = _told_step(*free, slope[is_free], silent)
         left = Room(np.minimum(room.below - d, 0.0), np.maximum(room.above - d, 0.0))
         shares = left.share(step)
         first = int(np.argmin(shares))
@@ -99,12 +107,20 @@ def bounded_step(curvature: np.ndarray, pull: np.ndarray, room: Room) -> Bounded
         if inwards[loosest] <= loose:
             break
         is_free[loosest] = True
-    return BoundedStep(d, bool(values[0] <= silent))
+    return BoundedStep(d, is_silent)
 
 
-def _told_step(curvature: np.ndarray, slope: np.ndarray, silent: float) -> np.ndarray:
-    """The full step in the directions with more curvature than what is silent."""
-    values, vectors = np.linalg.eigh(curvature)
+def _told_step(
+    values: np.ndarray, vectors: np.ndarray, slope: np.ndarray, silent: float
+) -> np.ndarray:
+    """The full step in the directions with more curvature than what is silent.
+
+    Args:
+        values: (n,) curvatures.
+        vectors: (n, n) their directions.
+        slope: (n,).
+        silent: curvature of rounding.
+    """
     is_told = values > silent
     told = vectors[:, is_told]
     step: np.ndarray = told @ ((told.T @ slope) / values[is_told])

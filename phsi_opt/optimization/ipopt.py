@@ -11,7 +11,7 @@ its linear systems.
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -19,6 +19,7 @@ import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
+from phsi_opt.later import Later
 from phsi_opt.optimization.endings import Ending, ending_of_ipopt
 from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
 from phsi_opt.optimization.nearby_optimum import nearby_optimum
@@ -76,14 +77,19 @@ class Solution:
         z: scaled vector, (n_variables,).
         residual: (n_residuals,).
         outcome: how the solve ended.
-        kkt: second-order information at z.
+        later_kkt: what `kkt` is, for those who ask.
     """
 
     values: dict[str, np.ndarray]
     z: np.ndarray
     residual: np.ndarray
     outcome: Outcome
-    kkt: KKT = field(repr=False)
+    later_kkt: Later[KKT] = field(repr=False)
+
+    @property
+    def kkt(self) -> KKT:
+        """Second-order information at z."""
+        return self.later_kkt.value
 
 
 def solve(
@@ -218,12 +224,12 @@ class Solver:
             outcome: of the solve that led there.
         """
         values = self.program.values(z)
-        kkt = self.kkt(z, set_to)
         dense = self.program.dense
         if dense is None:
             residual = np.array(self._residual(z, set_to)).ravel()
         else:
             residual = dense.at(z).residual
+        kkt = Later(partial(self.kkt, z, set_to))
         return Solution(values, z, residual, outcome, kkt)
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:

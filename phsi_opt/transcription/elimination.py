@@ -138,6 +138,7 @@ class ReducedSystem:
         factors: Banded | Chained,
         coupling: np.ndarray,
         curvature: np.ndarray,
+        per_theta: np.ndarray | None = None,
     ) -> "ReducedSystem":
         """Of parts that were made elsewhere.
 
@@ -147,9 +148,10 @@ class ReducedSystem:
             factors: of states and multipliers, parameters held.
             coupling: (n_x + n_constraints, n_theta) how theta acts on both.
             curvature: (n_theta, n_theta) of theta alone.
+            per_theta: what the factors make of the coupling, where it is known.
         """
         system = cls.__new__(cls)
-        system._eliminate(grid, n_states, factors, coupling, curvature)
+        system._eliminate(grid, n_states, factors, coupling, curvature, per_theta)
         return system
 
     def _eliminate(
@@ -159,12 +161,15 @@ class ReducedSystem:
         factors: Banded | Chained,
         coupling: np.ndarray,
         curvature: np.ndarray,
+        per_theta: np.ndarray | None = None,
     ) -> None:
         self._n_states = n_states
         self._n_x = grid.n_nodes * n_states
         self._factors = factors
         self._coupling = coupling
-        self._per_theta = factors.solve(coupling) if coupling.shape[1] else coupling
+        if per_theta is None:
+            per_theta = factors.solve(coupling) if coupling.shape[1] else coupling
+        self._per_theta = per_theta
         information = curvature - coupling.T @ self._per_theta
         self.information = (information + information.T) / 2
 

@@ -14,7 +14,12 @@ from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.bounded_step import Room, bounded_step
 from phsi_opt.optimization.chained import Chained
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import REGULAR, chain_of, time_order
+from phsi_opt.transcription.elimination import (
+    REGULAR,
+    ReducedSystem,
+    chain_of,
+    time_order,
+)
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.pattern import Pattern
 
@@ -170,6 +175,22 @@ class Factored:
         """Whether it cost many times what a step with it costs."""
         return isinstance(self._factors, Chained)
 
+    @property
+    def coupling(self) -> np.ndarray:
+        """What couples the parameters with all others, (n_others, n_theta)."""
+        return self._right[:, :-1]
+
+    def reduced(self, grid: Grid, n_states: int) -> ReducedSystem:
+        """The same with the states eliminated, for other questions than the step."""
+        return ReducedSystem.of_factors(
+            grid,
+            n_states,
+            self._factors,
+            self.coupling,
+            self._of_theta,
+            self._per_theta,
+        )
+
     def step(self, gradient: np.ndarray, g: np.ndarray, room: Room) -> NewtonStep:
         """The full step.
 
@@ -180,11 +201,11 @@ class Factored:
             room: how far the parameters may move.
         """
         right = self._right
-        n_theta = right.shape[1] - 1
+        coupling = self.coupling
+        n_theta = coupling.shape[1]
         n_x = len(gradient) - n_theta
         right[:n_x, n_theta] = -gradient[n_theta:]
         right[n_x:, n_theta] = -g
-        coupling = right[:, :n_theta]
         if self._per_theta is None:
             solved = self._factors.solve(right)
             self._per_theta = solved[:, :n_theta]

@@ -46,12 +46,12 @@ def likelihood_alone(data: ph.Measurements) -> None:
 
 def by_default(data: ph.Measurements) -> None:
     """As users call it."""
-    ph.identify(model(), data)
+    _ = ph.identify(model(), data).std_errors
 
 
 def with_force(data: ph.Measurements) -> None:
     """With a random force in the equations."""
-    ph.identify(model(), data, ph.MaximumLikelihood(model_error=True))
+    _ = ph.identify(model(), data, ph.MaximumLikelihood(model_error=True)).std_errors
 
 
 WAYS: dict[str, Callable[[ph.Measurements], None]] = {
