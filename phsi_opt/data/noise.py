@@ -143,11 +143,11 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     y = np.concatenate([run.x for run in data.trajectories])
     _check_that_something_moves(data, y)
     is_measured = np.isfinite(y).any(axis=0)
-    spread = _spread(y)
+    spread = channel_spread(data)
     spread = np.where(spread > 0, spread, _size(y))
     noise = difference_noise(data) if given is None else given
     noise = np.where(np.isfinite(noise), noise, UNKNOWN_NOISE_SHARE * spread)
-    noise = np.maximum(noise, least_noise(y))
+    noise = np.maximum(noise, _least_noise(channel_spread(data), _size(y)))
     is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
     noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
     return np.where(is_measured, noise, UNMEASURED_NOISE)
@@ -175,10 +175,24 @@ def least_noise(y: np.ndarray) -> np.ndarray:
         (n_states,): `LEAST_NOISE_SHARE` of the spread, or of the size where a channel
         does not move.
     """
-    spread = _spread(y)
-    size = _size(y)
+    return _least_noise(_spread(y), _size(y))
+
+
+def _least_noise(spread: np.ndarray, size: np.ndarray) -> np.ndarray:
     moves = spread > ROUNDING_SHARE * size
     return LEAST_NOISE_SHARE * np.where(moves, spread, size)
+
+
+def channel_spread(data: Measurements) -> np.ndarray:
+    """Standard deviation of the measured values per state, (n_states,).
+
+    1 where nothing was measured.
+    """
+
+    def make(data: Measurements) -> np.ndarray:
+        return _spread(np.concatenate([run.x for run in data.trajectories]))
+
+    return data.derived("spread", make)
 
 
 def _spread(y: np.ndarray) -> np.ndarray:

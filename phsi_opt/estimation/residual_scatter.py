@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.data.noise import LEAST_NOISE_SHARE, difference_noise
+from phsi_opt.data.noise import LEAST_NOISE_SHARE, channel_spread, difference_noise
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.statistics import TINY
 
@@ -45,7 +45,8 @@ class ResidualScatter:
         """The ratio of the worst channel at the estimate."""
         is_measured = np.asarray(estimate.grid.measured.any(axis=0))
         between_samples = np.nan_to_num(difference_noise(estimate.task.data))
-        floor = _scatter_without_noise(estimate.grid.y, is_measured)
+        spread = np.where(is_measured, channel_spread(estimate.task.data), 0.0)
+        floor = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * spread
         scatter = np.maximum(between_samples, floor + TINY)
         residual = estimate.sigma * estimate.grid.rms_by_channel(estimate.standardized)
         ratio = np.where(is_measured, residual / scatter, 0.0)
@@ -87,8 +88,8 @@ def _is_small_beside_motion(estimate: LikelihoodEstimate) -> bool:
     """Whether the residuals of every channel are a small share of its spread."""
     is_measured = np.asarray(estimate.grid.measured.any(axis=0))
     residual = estimate.sigma * estimate.grid.rms_by_channel(estimate.standardized)
-    spread = np.nanstd(estimate.grid.y[:, is_measured], axis=0)
-    return bool(np.all(residual[is_measured] <= FAR_OFF_SHARE * spread))
+    limit = FAR_OFF_SHARE * channel_spread(estimate.task.data)
+    return bool(np.all((residual <= limit)[is_measured]))
 
 
 def scatter_warnings(
@@ -113,10 +114,3 @@ def scatter_warnings(
         "ph.MaximumLikelihood(huber=1.345, window=...)",
     )
 
-
-def _scatter_without_noise(y: np.ndarray, is_measured: np.ndarray) -> np.ndarray:
-    """(n_states,) least scatter to compare with; zero where nothing is measured."""
-    floor = np.zeros(y.shape[1])
-    for k in np.flatnonzero(is_measured):
-        floor[k] = NOISE_FREE_SCATTER * LEAST_NOISE_SHARE * np.nanstd(y[:, k])
-    return floor

@@ -21,6 +21,7 @@ KINEMATIC_STEPS = 3  # of Newton's method; one is exact where the rates are line
 # Share of the largest curvature of the rates' squares below which they leave a
 # direction of the states open.
 LEAST_CURVATURE = 1e-6
+SETTLED_STATES = 1e-4  # share of them that the last step moves: they are a start
 
 
 def kinematic_states(model: Model, grid: Grid) -> np.ndarray | None:
@@ -56,6 +57,8 @@ def kinematic_states(model: Model, grid: Grid) -> np.ndarray | None:
         if step is None:
             return None
         x[:, unknown] += step
+        if np.max(np.abs(step)) < SETTLED_STATES * np.max(np.abs(x[:, unknown])):
+            break
     return x
 
 

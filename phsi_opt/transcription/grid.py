@@ -78,7 +78,7 @@ class Grid:
         rms: np.ndarray = np.sqrt(squares / np.maximum(counts, 1))
         return rms
 
-    @property
+    @cached_property
     def first(self) -> np.ndarray:
         """First node of each trajectory."""
         return np.flatnonzero(np.diff(self.trajectory, prepend=-1))
