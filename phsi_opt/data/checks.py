@@ -107,6 +107,12 @@ def with_channel_axis(values: Any) -> Any:
     return array[:, np.newaxis] if array.ndim == 1 else array
 
 
+def is_bad(values: np.ndarray, may_be_missing: bool) -> np.ndarray:
+    """Which values are infinite or huge, or NaN where none may be missing."""
+    bad = np.abs(values) > LARGEST_VALUE
+    return bad if may_be_missing else bad | np.isnan(values)
+
+
 def check_values(
     values: np.ndarray, place_of: Callable[[int], str], may_be_missing: bool
 ) -> None:
@@ -120,12 +126,10 @@ def check_values(
     Raises:
         DataError: A value cannot be used; the first one is named.
     """
-    is_bad = np.abs(values) > LARGEST_VALUE
-    if not may_be_missing:
-        is_bad |= np.isnan(values)
-    if not is_bad.any():
+    bad = is_bad(values, may_be_missing)
+    if not bad.any():
         return
-    i = int(np.argmax(is_bad))
+    i = int(np.argmax(bad))
     raise DataError(f"{place_of(i)} {_what_is_wrong(values[i])}")
 
 

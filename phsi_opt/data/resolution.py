@@ -106,6 +106,8 @@ def resolution(runs: Sequence[np.ndarray]) -> float:
 def _n_repeated(runs: Sequence[np.ndarray]) -> int:
     """Number of values that stand in their trajectory before."""
     values = np.concatenate(runs)
+    if np.all(np.diff(np.sort(values))):
+        return 0  # as measurements are that are not quantised: no two are equal
     run = np.repeat(np.arange(len(runs)), [len(of_run) for of_run in runs])
     order = np.lexsort((values, run))
     is_same = np.diff(values[order]) == 0

@@ -11,7 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.checks import check_unique, check_values, read_only_floats
+from phsi_opt.data.checks import (
+    check_unique,
+    check_values,
+    is_bad,
+    read_only_floats,
+)
 from phsi_opt.data.wording import number_of
 from phsi_opt.errors import DataError
 
@@ -131,8 +136,11 @@ def _check_columns(
             f"expected {len(names)}, one for each of {list(names)}. "
             "Name every column of the array."
         )
+    may_be_missing = kind == "state"
+    if not is_bad(values, may_be_missing).any():
+        return
     for name, column in zip(names, values.T, strict=True):
-        _check_channel(run, f"{kind} {name!r}", column, may_be_missing=kind == "state")
+        _check_channel(run, f"{kind} {name!r}", column, may_be_missing)
 
 
 def _check_channel(

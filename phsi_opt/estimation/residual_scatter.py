@@ -113,4 +113,3 @@ def scatter_warnings(
         "Both stand in [loss] of a study file; in Python, "
         "ph.MaximumLikelihood(huber=1.345, window=...)",
     )
-
