@@ -108,7 +108,15 @@ def with_channel_axis(values: Any) -> Any:
 
 
 def is_bad(values: np.ndarray, may_be_missing: bool) -> np.ndarray:
-    """Which values are infinite or huge, or NaN where none may be missing."""
+    """Which values are infinite or huge, or NaN where none may be missing.
+
+    Args:
+        values: (n_samples,) or (n_samples, n_channels).
+        may_be_missing: Whether NaN is allowed.
+
+    Returns:
+        In the shape of the values.
+    """
     bad = np.abs(values) > LARGEST_VALUE
     return bad if may_be_missing else bad | np.isnan(values)
 

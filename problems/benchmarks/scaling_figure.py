@@ -22,8 +22,8 @@ def figure(
         n = rows["n_samples"]
         colour = colours[name]
         times.plot(n, rows["seconds"], "o-", color=colour, label=f"identify, {title}")
-        of_it = f"of it IPOPT, {title}"
-        times.plot(n, rows["ipopt_seconds"], "s:", color=colour, label=of_it)
+        of_it = f"of it solves, {title}"
+        times.plot(n, rows["solve_seconds"], "s:", color=colour, label=of_it)
         memory.plot(n, rows["peak_gb"], "o-", color=colour, label=title)
     if len(done):
         ends = np.array([done["n_samples"].min(), done["n_samples"].max()], dtype=float)
