@@ -21,6 +21,7 @@ from scipy.integrate import solve_ivp
 
 Array = np.ndarray
 RTOL = 1e-8
+ESCAPED = 1e6  # times what a motion begins with: it runs away
 
 
 @dataclass(frozen=True)
@@ -302,6 +303,17 @@ def simulate(
     return states.reshape(len(times), *x0.shape)[..., : 2 * n]
 
 
+@dataclass(frozen=True)
+class _Escape:
+    """An event of `solve_ivp`: a state leaves a bound, and the integration ends."""
+
+    bound: float
+    terminal: bool = True
+
+    def __call__(self, _t: float, x: Array) -> float:
+        return self.bound - float(np.abs(x).max())
+
+
 def _tightly(rates: Callable[[float, Array], Array], x0: Array, times: Array) -> Array:
     """By LSODA; no pulse, kink or step of the input is passed over."""
     options = {
@@ -310,12 +322,15 @@ def _tightly(rates: Callable[[float, Array], Array], x0: Array, times: Array) ->
         "rtol": RTOL,
         "atol": RTOL * np.abs(x0).max(),
         "max_step": float(np.max(np.diff(times))),
+        # On its way to infinity LSODA would take ever shorter steps, without an end.
+        "events": _Escape(ESCAPED * max(float(np.abs(x0).max()), 1.0)),
     }
     with np.errstate(over="ignore", invalid="ignore"), warnings.catch_warnings():
         # LSODA's own words about a machine that runs away.
         warnings.simplefilter("ignore", UserWarning)
         solved = solve_ivp(rates, (times[0], times[-1]), x0, **options)
-    if not solved.success or not np.isfinite(solved.y).all():
+    is_through = solved.status == 0
+    if not is_through or not np.isfinite(solved.y).all():
         raise RunawayError(
             f"a machine could not be simulated to t = {times[-1]:.6g}: {solved.message}"
         )
