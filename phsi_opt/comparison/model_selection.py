@@ -32,12 +32,22 @@ from phsi_opt.statistics import (
 def is_like_noise(comparison: Comparison) -> bool:
     """Whether the residuals look like noise: as small as the noise floor, and white.
 
-    The whiteness of several channels is tested together (Bonferroni). Noise that the
-    fit found to last from sample to sample need not be white.
+    Noise that the fit found to last from sample to sample need not be white.
+    """
+    if not is_small_as_noise(comparison):
+        return False
+    return is_white_noise(comparison) or comparison.record.has_correlated_noise
+
+
+def is_white_noise(comparison: Comparison) -> bool:
+    """Whether the residuals are as small as the noise floor, and white.
+
+    This is asked of a model with an effect more: what an effect leaves that imitates
+    another one looks like noise that lasts. The whiteness of several channels is tested
+    together (Bonferroni).
     """
     p_values = comparison.table["whiteness"].to_numpy()
     is_white = np.nanmin(p_values) * len(p_values) > WHITENESS_LEVEL
-    is_white = is_white or comparison.record.has_correlated_noise
     return bool(is_white and is_small_as_noise(comparison))
 
 
@@ -54,7 +64,7 @@ def is_failing(comparison: Comparison) -> bool:
 def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> bool:
     """Whether a larger model explains what was missing.
 
-    What it leaves on the training record is like noise, or as small as the noise there
+    What it leaves on the training record is white noise, or as small as the noise there
     and on the record that judges.
 
     Args:
@@ -62,7 +72,7 @@ def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> b
         trained: the larger model on the training record.
         judged: the larger model on the record that judges.
     """
-    if is_like_noise(trained):
+    if is_white_noise(trained):
         return True
     is_small = (
         judged.rmse < FAILING_ERROR * judged.noise_floor

@@ -10,7 +10,6 @@ from phsi_opt.comparison.model_selection import (
     delta_bic,
     falls_significantly,
     free_run_deviance,
-    is_like_noise,
     share_of_change,
 )
 from phsi_opt.criteria import (
@@ -121,7 +120,7 @@ def _is_better_held_out(
     is_exact = best.fit is not None and best.fit.std_error_source == Source.NOISE
     if is_exact and other.effect.family != best.effect.family:
         return False
-    if other.trained is None or other.lost or not is_like_noise(other.trained):
+    if other.lost or not other.leaves_noise:
         return False
     return bool(other.held_out_rmse < best.held_out_rmse)
 

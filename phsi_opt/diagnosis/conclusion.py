@@ -12,6 +12,7 @@ from phsi_opt.comparison.model_selection import (
 )
 from phsi_opt.criteria import (
     CLOCK_Z,
+    EXPLAINED_BESIDE_OTHERS,
     EXPLAINED_IF_NAMED,
     EXPLAINED_IF_PARTLY,
     EXPLAINED_IF_PROPOSED,
@@ -146,7 +147,7 @@ def _concluded(
         )
         against = f"{steps} may look like it"
         return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
-    is_enough = share > EXPLAINED_IF_PARTLY or not is_failing(base.judged)
+    is_enough = share > EXPLAINED_BESIDE_OTHERS or not is_failing(base.judged)
     if is_all and is_enough and not against:
         return Conclusion(
             Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
@@ -155,7 +156,8 @@ def _concluded(
     remainder = left or Remainder.of(base, proposed.fit)
     if not against and remainder.gone < FORCE_GONE_IF_PARTLY:
         against = f"of the missing force {remainder}"
-    if share > EXPLAINED_IF_PARTLY and not against:
+    least = EXPLAINED_BESIDE_OTHERS if base.is_later else EXPLAINED_IF_PARTLY
+    if share > least and not against:
         reason = (
             f"{said}: that accounts for {percent}; {change}. Of the missing force "
             f"{remainder}; what remains, no effect of the catalogue explains with it"

@@ -15,6 +15,7 @@ from phsi_opt.comparison.model_selection import (
     deviance,
     free_run_deviance,
     is_like_noise,
+    is_white_noise,
     p_value_of_larger_model,
     share_of_change,
 )
@@ -208,7 +209,7 @@ class _Rival:
         """The best candidate when one more was re-fitted."""
         fit = done.before_sharpening
         rival = self
-        if is_like_noise(done.trained):
+        if is_white_noise(done.trained):
             fit = done.fit
             rival = replace(
                 self, misfit=min(self.misfit, misfit), score=max(self.score, score)

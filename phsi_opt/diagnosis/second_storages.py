@@ -31,8 +31,7 @@ def with_second_storages(
         refitted: makes a re-fit of one more.
     """
     result = list(candidates)
-    runs = [base.trained, *(one.trained for one in result)]
-    if any(run is not None and is_like_noise(run) for run in runs):
+    if is_like_noise(base.trained) or any(one.leaves_noise for one in result):
         return result
     tried = [one.name for one in result]
     weakest = weakest_equations(base.fit.model, base.record.estimate)

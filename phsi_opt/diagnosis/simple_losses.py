@@ -60,7 +60,7 @@ def with_simple_losses(
     if best.effect.name == HYSTERESIS:
         for one in losses:
             result = _again(base, result, refitted, one, best)
-    if _leaves_noise(best):
+    if best.leaves_noise:
         return result
     tried = [one.name for one in result]
     for one in losses:
@@ -112,10 +112,6 @@ def _best(candidates: Sequence[Candidate]) -> Candidate | None:
     """The re-fitted candidate of the lowest BIC that is to be believed."""
     found = [one for one in candidates if one.fit is not None and not one.lost]
     return min(found, key=lambda one: one.delta_bic, default=None)
-
-
-def _leaves_noise(one: Candidate) -> bool:
-    return one.trained is not None and is_like_noise(one.trained)
 
 
 def _again(
