@@ -12,15 +12,17 @@ from phsi_opt.comparison.model_selection import (
 )
 from phsi_opt.criteria import (
     CLOCK_Z,
-    EXPLAINED_BESIDE_OTHERS,
+    EXPLAINED_IF_MUCH_REMAINS,
     EXPLAINED_IF_NAMED,
     EXPLAINED_IF_PARTLY,
     EXPLAINED_IF_PROPOSED,
     FORCE_GONE_IF_PARTLY,
     INEXACT_SHARE,
     LARGE_LAW_SHARE,
+    LARGE_REMAINDER,
     MOST_FAMILIES,
     SIMPLE_SHARE,
+    SPRING_Z,
 )
 from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.alike import alike, alike_in_pair
@@ -147,17 +149,15 @@ def _concluded(
         )
         against = f"{steps} may look like it"
         return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
-    is_enough = share > EXPLAINED_BESIDE_OTHERS or not is_failing(base.judged)
+    is_enough = share > EXPLAINED_IF_PARTLY or not is_failing(base.judged)
     if is_all and is_enough and not against:
         return Conclusion(
             Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
         )
     percent = f"{100 * share:.0f} % of the squared error above the noise floor"
     remainder = left or Remainder.of(base, proposed.fit)
-    if not against and remainder.gone < FORCE_GONE_IF_PARTLY:
-        against = f"of the missing force {remainder}"
-    least = EXPLAINED_BESIDE_OTHERS if base.is_later else EXPLAINED_IF_PARTLY
-    if share > least and not against:
+    against = against or _against_beside_the_rest(base, proposed, share, remainder)
+    if share > EXPLAINED_IF_PARTLY and not against:
         reason = (
             f"{said}: that accounts for {percent}; {change}. Of the missing force "
             f"{remainder}; what remains, no effect of the catalogue explains with it"
@@ -237,6 +237,9 @@ def _against(
         if len(joined) > MOST_FAMILIES and not _are_losses(finding.effects):
             return f"the data do not tell apart {', '.join(joined)}"
     effects = proposed.candidate.effects
+    of_energy = _against_two_springs(effects)
+    if of_energy:
+        return of_energy
     if base.handicap(effects) and share_of_motion(base.record.estimate) < INEXACT_SHARE:
         sizes = [fitted_size(base.fit, proposed.fit, effect) for effect in effects]
         if min(size.z for size in sizes) < CLOCK_Z:
@@ -322,6 +325,51 @@ def _against_small(
         return ""
     percent = f"{100 * share:.0f} % of the squared error above the noise floor"
     return f"{_inexact(base)}, and only {percent} is explained"
+
+
+def _against_beside_the_rest(
+    base: DiagnosedModel, proposed: Proposal, share: float, remainder: Remainder
+) -> str:
+    """Why an effect that leaves more than noise is not named; empty where it is.
+
+    Args:
+        base: the model that is diagnosed.
+        proposed: what is added.
+        share: of the squared error above the noise floor that it explains.
+        remainder: what it leaves of the missing force.
+    """
+    if remainder.gone < FORCE_GONE_IF_PARTLY:
+        return f"of the missing force {remainder}"
+    if share <= EXPLAINED_IF_MUCH_REMAINS and remainder.share > LARGE_REMAINDER:
+        percent = 100 * remainder.share
+        return (
+            f"the force that remains is {percent:.2g} % of the motion's own, more than "
+            "models err by"
+        )
+    for effect in proposed.candidate.effects:
+        size = fitted_size(base.fit, proposed.fit, effect)
+        if effect.slot == "H" and not size.z >= SPRING_Z:
+            return (
+                f"the size of {effect}, {size}, is not clear enough: a term of the "
+                "energy bends to whatever force goes with the position"
+            )
+    return ""
+
+
+def _against_two_springs(effects: Sequence[Effect]) -> str:
+    """Why two terms of the energy there are not named; empty where they are.
+
+    Two that are needed together stand for one whose law is another.
+    """
+    if len(effects) < 2 or any(one.slot != "H" for one in effects):
+        return ""
+    if len({one.equation for one in effects}) > 1:
+        return ""
+    first, second = effects
+    return (
+        f"{first} and {second} may together stand for one force that depends on the "
+        "position by another law"
+    )
 
 
 def _inexact(base: DiagnosedModel) -> str:

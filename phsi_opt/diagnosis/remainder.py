@@ -23,12 +23,14 @@ class Remainder:
         equation: the one whose force is strongest, over its uncertainty, before.
         before: root mean square of its force; ``after``: with the effects.
         unit: of both.
+        share: of the motion's own rates that the strongest force with the effects is.
     """
 
     equation: str
     before: float
     after: float
     unit: str
+    share: float
 
     @classmethod
     def of(cls, base: DiagnosedModel, fit: Fit) -> "Remainder":
@@ -42,11 +44,11 @@ class Remainder:
         try:
             after = Record.of_aligned(fit, record.aligned).estimate
         except PhsiOptError:
-            return cls(equation, strong, strong, unit)
+            return cls(equation, strong, strong, unit, share_of_motion(before))
         rows = list(after.prior.rows)
         place = rows.index(fit.model.states.index(equation))
         left = float(_root_mean_squares(after)[place])
-        return cls(equation, strong, left, unit)
+        return cls(equation, strong, left, unit, share_of_motion(after))
 
     @property
     def gone(self) -> float:
