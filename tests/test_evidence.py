@@ -100,6 +100,11 @@ def test_noise_is_small_and_white_in_all_channels_together() -> None:
     assert not evidence.is_like_noise(lasting)
     lasting.record.has_correlated_noise = True
     assert evidence.is_like_noise(lasting)
+    # Of what an effect leaves more is asked.
+    assert not evidence.is_white_noise(lasting)
+    assert not evidence.is_explained(judged(9.0, 1.0), lasting, judged(5.0, 1.0))
+    assert evidence.is_white_noise(judged(small, 2.0))
+    assert not evidence.is_white_noise(judged(small * 1.002, 2.0))
 
 
 def test_what_is_left_is_like_noise_or_small_and_most_of_it_explained() -> None:

@@ -1,9 +1,15 @@
 """What is established to be missing: an effect by its name, or a class of them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 
+from phsi_opt.criteria import MOST_FAMILIES
+from phsi_opt.model.catalogue_forces import HYSTERESIS
 from phsi_opt.model.effect import Effect
+
+LOSS = "a loss of energy whose law the data do not tell"
+LOSS_SOMEWHERE = "a loss of energy whose place and law the data do not tell"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,3 +56,22 @@ class Finding:
             f"{self.family}{where}: {first.name if where else first} ({size}), which "
             f"the data do not tell from {others}"
         )
+
+
+def families(effects: Sequence[Effect]) -> list[str]:
+    """The families of effects, each once, in their order."""
+    return list(dict.fromkeys(effect.family for effect in effects))
+
+
+def class_of(effects: Sequence[Effect]) -> str:
+    """What a class is called; of many laws of loss that they take energy."""
+    joined = families(effects)
+    if len(joined) > MOST_FAMILIES and are_losses(effects):
+        places = {effect.equation for effect in effects}
+        return LOSS if len(places) == 1 else LOSS_SOMEWHERE
+    return " or ".join(joined)
+
+
+def are_losses(effects: Sequence[Effect]) -> bool:
+    """Whether all take energy from the motion: then they are alike in that."""
+    return all(one.slot == "R" or one.name == HYSTERESIS for one in effects)
