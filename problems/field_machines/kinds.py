@@ -23,7 +23,7 @@ from problems.hidden_effects.machines import log_uniform
 Draw = Callable[[np.random.Generator], Experiment]
 
 NOISE_LEVELS = (0.005, 0.02, 0.05)
-FIRST_REPORTED = 8700  # seed; those below were seen while developing
+FIRST_REPORTED = 8800  # seed; those below were seen while developing
 FAR_OFF = (0.5, 1.5)  # starting values over the true ones
 NEAR = (0.8, 1.25)
 

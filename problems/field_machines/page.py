@@ -26,7 +26,7 @@ from problems.tools import markdown
 from problems.tools.intervals import share
 from problems.tools.provenance import write
 
-DEVELOPED_ON = "developed on seeds below 600; 8000 to 8619 were seen"
+DEVELOPED_ON = "developed on seeds below 600; 8000 to 8719 were seen"
 ANSWERS = (NAME, CLASS, FALSE, SILENT)
 LEVELS = markdown.enumerated(f"{100 * noise:g}" for noise in NOISE_LEVELS)
 INTRODUCTION = markdown.paragraph(f"""
