@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -69,3 +70,11 @@ def sleeps(path: str) -> None:
 
 def dies(number: int) -> int:
     os._exit(7)
+
+
+def halved(number: int, say: Callable[[str], None]) -> float:
+    """Says what it does; three cannot be halved."""
+    say(f"halving {number}")
+    if number == 3:
+        raise ph.SolveError("three")
+    return number / 2
