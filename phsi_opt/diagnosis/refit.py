@@ -16,7 +16,7 @@ from phsi_opt.criteria import (
     STRAYED_STATES,
 )
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel, n_intervals
-from phsi_opt.diagnosis.friction_sharpening import CornerSharpening
+from phsi_opt.diagnosis.friction_sharpening import CornerSharpening, with_effects
 from phsi_opt.diagnosis.refit_effort import (
     BESIDE_SHARP,
     BRIEF,
@@ -84,14 +84,46 @@ class Refit:
     judged: Comparison
     before_sharpening: Fit | None
 
+    def beside(self, base: DiagnosedModel) -> "Refit":
+        """The same beside the records of a base model, where it was made of copies."""
+        trained = replace(self.trained, record=base.record.refitted(self.fit))
+        judged = trained
+        if base.is_held_out:
+            record = base.judged.record.refitted(self.fit)
+            judged = replace(self.judged, record=record)
+        return replace(self, trained=trained, judged=judged)
 
-def refit(base: DiagnosedModel, request: RefitRequest) -> Refit | None:
-    """Fit the base model with effects more; None where that fails."""
+
+def refit(
+    base: DiagnosedModel, request: RefitRequest, blunt: Fit | None = None
+) -> Refit | None:
+    """`refitted`; None where that fails, which is said."""
     try:
-        return _Refitting(base, request).result()
+        return refitted(base, request, blunt)
     except PhsiOptError as error:
         base.say(f"not re-fitted: {error}")
         return None
+
+
+def refitted(
+    base: DiagnosedModel, request: RefitRequest, blunt: Fit | None = None
+) -> Refit:
+    """Fit the base model with effects more.
+
+    Args:
+        base: the model that is diagnosed.
+        request: what is added.
+        blunt: the same re-fit before it is known whether its corners are sharpened.
+
+    Raises:
+        PhsiOptError: the larger model cannot be fitted.
+    """
+    return _Refitting(base, request).result(blunt)
+
+
+def beats_rival(fit: Fit, rival: Fit | None) -> bool:
+    """Whether a fit clearly beats another, or there is none."""
+    return rival is None or delta_bic(rival, fit, 1.0) < -BIC_TIE
 
 
 class _Refitting:
@@ -100,9 +132,7 @@ class _Refitting:
     def __init__(self, base: DiagnosedModel, request: RefitRequest) -> None:
         self.base = base
         self.request = request
-        model = base.fit.model
-        for effect in request.effects:
-            model = model.add(effect)
+        model = with_effects(base.fit.model, request.effects)
         estimate = base.record.estimate
         model = resolve_guesses(model, estimate.grid, estimate.x)
         self.model = model.with_values(request.values)
@@ -113,18 +143,19 @@ class _Refitting:
         has_memory = any(effect.memory for effect in request.effects)
         self.refinement = 2 if has_memory else 1
 
-    def result(self) -> Refit:
-        """The fit with its free runs.
+    def result(self, blunt: Fit | None) -> Refit:
+        """The fit with its free runs, from before it is sharpened where that is known.
 
         Raises:
             PhsiOptError: the model cannot be fitted.
         """
-        request = self.request
+        known = self.request.known
         model = self.model
-        fit = self.sharpening.extended(model, self.refinement, request.known)
-        blunt = None
+        fit = None
+        if blunt is None:
+            fit = self.sharpening.extended(model, self.refinement, known)
         if fit is None:
-            fit = blunt = self.begun()
+            fit = blunt = self.begun() if blunt is None else blunt
             if self.is_worth_sharpening(fit):
                 fit = self.sharpening.sharpened(fit, model)
         is_sharpened = fit is not blunt
@@ -138,8 +169,7 @@ class _Refitting:
 
     def is_worth_sharpening(self, fit: Fit) -> bool:
         """Whether dry friction clearly beats its rival, and is to be believed."""
-        rival = self.request.rival
-        if rival is not None and not delta_bic(rival, fit, 1.0) < -BIC_TIE:
+        if not beats_rival(fit, self.request.rival):
             return False
         return self.sharpening.is_believed(fit)
 
