@@ -15,22 +15,10 @@ from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.sweeps.ahead import Ahead
 from phsi_opt.sweeps.local_workers import local_workers
 from tests import sweep_tasks
+from tests.sweep_tasks import Counted
 
 STARTS = ph.MaximumLikelihood(starts=4)
 NOT_AN_EXECUTOR: Any = print
-
-
-class Counted:
-    """Has `submit` alone, which computes nothing before it is waited for."""
-
-    def __init__(self) -> None:
-        self.begun: list[Future[Any]] = []
-
-    def submit(self, fn: Any, /, *args: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_result(fn(*args))
-        self.begun.append(future)
-        return future
 
 
 @pytest.fixture(scope="module")
@@ -55,22 +43,30 @@ def test_lines_and_errors_come_when_their_case_is_asked_for(workers: Executor) -
         assert said == ["halving 4", "halving 1", "halving 3"]
 
 
-def test_what_is_not_asked_for_is_cancelled() -> None:
-    class Slow(Counted):
-        def submit(self, fn: Any, /, *args: Any) -> Future[Any]:
-            future: Future[Any] = Future()
-            if not self.begun:
-                future.set_result(fn(*args))
-            self.begun.append(future)
-            return future
+class Slow:
+    """Has done the first of five cases when it has got all of them."""
 
+    def __init__(self) -> None:
+        self.begun: list[Future[Any]] = []
+
+    def submit(self, fn: Any, /, *args: Any) -> Future[Any]:
+        if not self.begun:
+            self.first = fn(*args)
+        self.begun.append(Future())
+        if len(self.begun) == 5:
+            self.begun[0].set_result(self.first)
+        return self.begun[-1]
+
+
+def test_what_is_not_asked_for_is_cancelled() -> None:
     slow = Slow()
-    cases = {str(n): n for n in range(5)}
     executor: Any = slow
-    with closing(Ahead(sweep_tasks.halved, cases, executor, print)) as ahead:
-        assert ahead.result("0") == 0
-        ahead_of_time = slow.begun[1:]
-    assert all(future.cancelled() for future in ahead_of_time)
+    cases = {str(n): n for n in range(5)}
+    ahead = Ahead(sweep_tasks.halved, cases, executor, print)
+    assert ahead.result("0") == 0
+    assert not any(future.cancelled() for future in slow.begun)
+    ahead.close()
+    assert [future.cancelled() for future in slow.begun] == [False, *4 * [True]]
 
 
 def test_one_case_gains_nothing_elsewhere() -> None:

@@ -33,7 +33,7 @@ from phsi_opt.diagnosis.doubts import fitted_size, z_beside_others
 from phsi_opt.diagnosis.dry_friction import other_kinds, simplest_dry
 from phsi_opt.diagnosis.ranking import as_refitted, expected, request_of
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
-from phsi_opt.diagnosis.refit_round import RefitRound
+from phsi_opt.diagnosis.refit_round import RefitRound, until_their_turn
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 from phsi_opt.model_error.standard_errors import Source
@@ -108,7 +108,7 @@ class _Search:
         for place, pair in enumerate(pairs):
             if are_rivals or self._is_promising(best, pair):
                 begun[place] = request_of(pair, rival, self.known)
-        with RefitRound(self.base, begun) as refits:
+        with RefitRound(self.base, until_their_turn(begun)) as refits:
             for place, pair in enumerate(pairs):
                 if are_rivals or self._is_promising(best, pair):
                     best = self._better(best, pair, partial(refits.refit, place))

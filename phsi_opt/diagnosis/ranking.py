@@ -34,7 +34,7 @@ from phsi_opt.diagnosis.doubts import doubt, fitted_size
 from phsi_opt.diagnosis.dry_friction import simple_first
 from phsi_opt.diagnosis.friction_sharpening import may_extend
 from phsi_opt.diagnosis.refit import Refit, RefitRequest
-from phsi_opt.diagnosis.refit_round import RefitRound
+from phsi_opt.diagnosis.refit_round import RefitRound, until_their_turn
 from phsi_opt.diagnosis.second_storages import with_second_storages
 from phsi_opt.diagnosis.simple_losses import Refitted, begins_at, with_simple_losses
 from phsi_opt.estimation.fit import Fit
@@ -170,7 +170,7 @@ def _begun(
         smaller = rows[:place]
         if not any(may_extend(base, one.effects, other.effects) for other in smaller):
             found[place] = request_of(one, None, [], one is chosen[0])
-    return found
+    return until_their_turn(found)
 
 
 def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospect]:

@@ -47,6 +47,7 @@ class RefitRequest:
         rival: a fit that dry friction must clearly beat before it is sharpened.
         known: fits that have part of these effects, to begin at beside a sharp corner.
         is_likely: solve in every way there is.
+        sharpens: dry friction that is worth it; else that is left to its turn.
     """
 
     effects: Sequence[Effect]
@@ -56,6 +57,7 @@ class RefitRequest:
     rival: Fit | None = None
     known: Sequence[Fit] = ()
     is_likely: bool = False
+    sharpens: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,7 @@ def refitted(
     Args:
         base: the model that is diagnosed.
         request: what is added.
-        blunt: the same re-fit before it is known whether its corners are sharpened.
+        blunt: the fit before dry friction is sharpened, where it is known.
 
     Raises:
         PhsiOptError: the larger model cannot be fitted.
@@ -121,9 +123,9 @@ def refitted(
     return _Refitting(base, request).result(blunt)
 
 
-def beats_rival(fit: Fit, rival: Fit | None) -> bool:
-    """Whether a fit clearly beats another, or there is none."""
-    return rival is None or delta_bic(rival, fit, 1.0) < -BIC_TIE
+def is_worth_sharpening(base: DiagnosedModel, request: RefitRequest, fit: Fit) -> bool:
+    """Whether the dry friction of a fit is asked for with a sharp corner."""
+    return _Refitting(base, request).is_worth_sharpening(fit)
 
 
 class _Refitting:
@@ -169,7 +171,10 @@ class _Refitting:
 
     def is_worth_sharpening(self, fit: Fit) -> bool:
         """Whether dry friction clearly beats its rival, and is to be believed."""
-        if not beats_rival(fit, self.request.rival):
+        if not self.request.sharpens:
+            return False
+        rival = self.request.rival
+        if rival is not None and not delta_bic(rival, fit, 1.0) < -BIC_TIE:
             return False
         return self.sharpening.is_believed(fit)
 

@@ -1,9 +1,9 @@
 """Re-fits of one round, begun side by side where there is an executor.
 
 A round holds re-fits that do not begin at each other. What those before a re-fit found
-may still say whether dry friction is worth a sharp corner (`RefitRequest.rival`): its
-turn decides, and where it decides otherwise the re-fit goes on from before its corner
-was sharpened. So what comes out is what one after the other would give, to the bit.
+may still say whether dry friction is worth a sharp corner (`RefitRequest.rival`); that
+is left to its turn. So what comes out is what one after the other would give, to the
+bit.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from phsi_opt.diagnosis.dry_friction import is_dry
 from phsi_opt.diagnosis.refit import (
     Refit,
     RefitRequest,
-    beats_rival,
+    is_worth_sharpening,
     refit,
     refitted,
 )
@@ -62,25 +62,34 @@ class RefitRound:
 
         Once for a place.
         """
+        base = self._base
         if place not in self._begun:
-            return refit(self._base, request)
-        before = self._begun[place].rival
-        may_turn_out_otherwise = request.rival is not before and any(
-            is_dry(effect) for effect in request.effects
-        )
+            return refit(base, request)
+        is_final = self._begun[place].sharpens
         try:
-            done = self._ahead.result(str(place)).beside(self._base)
+            done = self._ahead.result(str(place)).beside(base)
         except PhsiOptError as error:
-            if may_turn_out_otherwise:
-                return refit(self._base, request)
-            self._base.say(f"not re-fitted: {error}")
+            if not is_final:
+                return refit(base, request)
+            base.say(f"not re-fitted: {error}")
             return None
         blunt = done.before_sharpening
-        if blunt is None or not may_turn_out_otherwise:
+        if is_final or blunt is None or not is_worth_sharpening(base, request, blunt):
             return done
-        if beats_rival(blunt, request.rival) == beats_rival(blunt, before):
-            return done
-        return refit(self._base, request, blunt)
+        return refit(base, request, blunt)
+
+
+def until_their_turn(requests: Mapping[int, RefitRequest]) -> dict[int, RefitRequest]:
+    """The re-fits of a round in which each is a rival of those after it.
+
+    Of dry friction the first alone is sharpened before its turn: the rival that it must
+    beat is known.
+    """
+    begun: dict[int, RefitRequest] = {}
+    for place, request in requests.items():
+        is_smooth = not any(is_dry(effect) for effect in request.effects)
+        begun[place] = replace(request, sharpens=not begun or is_smooth)
+    return begun
 
 
 def _refitted(base: DiagnosedModel, request: RefitRequest, say: Progress) -> Refit:
