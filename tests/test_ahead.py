@@ -1,9 +1,10 @@
 """Starts and re-fits side by side: the bits, lines and errors of one after the other."""
 
+import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import closing
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -140,6 +141,21 @@ def test_a_start_that_fails_ends_the_call_as_in_one_process(
         n_solved = 0
         with pytest.raises(ph.SolveError, match=r"^start 2$"):
             identified(executor)
+
+
+def test_ctrl_c_cancels_the_starts_that_are_not_begun() -> None:
+    class Pressed:
+        begun: ClassVar[list[Future[Any]]] = []
+
+        def submit(self, fn: Any, /, *args: Any) -> Future[Any]:
+            if len(self.begun) == 2:
+                signal.raise_signal(signal.SIGINT)
+            self.begun.append(Future())
+            return self.begun[-1]
+
+    with pytest.raises(KeyboardInterrupt):
+        identified(Pressed())
+    assert [future.cancelled() for future in Pressed.begun] == [True, True]
 
 
 def test_what_cannot_compute_is_refused() -> None:
