@@ -15,11 +15,11 @@ from phsi_opt.errors import PhsiOptError
 from phsi_opt.sweeps.sweep import Done, sweep
 
 Say = Callable[[str], None]
-Case = TypeVar("Case")
+T = TypeVar("T")
 Result = TypeVar("Result")
 
 
-class Ahead(Generic[Case, Result]):
+class Ahead(Generic[T, Result]):
     """Results by key; close it, and what is not begun is cancelled.
 
     Args:
@@ -33,8 +33,8 @@ class Ahead(Generic[Case, Result]):
 
     def __init__(
         self,
-        function: Callable[[Case, Say], Result],
-        cases: Mapping[str, Case],
+        function: Callable[[T, Say], Result],
+        cases: Mapping[str, T],
         executor: Executor | None,
         say: Say,
     ) -> None:
