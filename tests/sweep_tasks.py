@@ -1,8 +1,12 @@
 """Functions for the tests of sweeps, where another process can import them."""
 
 import os
+import pickle
 import time
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -69,3 +73,25 @@ def sleeps(path: str) -> None:
 
 def dies(number: int) -> int:
     os._exit(7)
+
+
+def halved(number: int, say: Callable[[str], None]) -> float:
+    """Says what it does; three cannot be halved."""
+    say(f"halving {number}")
+    if number == 3:
+        raise ph.SolveError("three")
+    return number / 2
+
+
+class Counted:
+    """Has `submit` alone, and computes copies at once, as another process would."""
+
+    def __init__(self) -> None:
+        self.begun: list[Future[Any]] = []
+
+    def submit(self, fn: Any, /, *args: Any) -> Future[Any]:
+        copied, values = pickle.loads(pickle.dumps((fn, args)))
+        future: Future[Any] = Future()
+        future.set_result(copied(*values))
+        self.begun.append(future)
+        return future

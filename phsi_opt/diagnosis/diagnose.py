@@ -12,6 +12,7 @@
 """
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
 
 from phsi_opt.comparison.compare import Comparison, compare, compare_record
@@ -27,6 +28,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.known_model import fit_of
+from phsi_opt.estimation.problem import silent
 from phsi_opt.estimation.record import Record
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.catalogue import catalogue
@@ -35,6 +37,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.prospects import Prospects
 from phsi_opt.screening.score_test import ScoreTest
+from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 Progress = Callable[[str], None]
@@ -50,6 +53,7 @@ def diagnose(
     without: Given = (),
     loss: MaximumLikelihood | None = None,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Diagnosis:
     """Estimate what a fitted model lacks and name it, if the data allow.
 
@@ -67,18 +71,23 @@ def diagnose(
             in the equations (``model_error=True``) would hide what is missing; it is
             left out, and a fit with one is made again without.
         progress: called with a line of text as the work goes on, such as ``print``.
+        executor: where candidates are re-fitted side by side (see `sweep`); None: here,
+            one after the other. The verdict and its numbers are the same. It is not
+            shut down.
 
     Returns:
         Where the model fails, the candidates in order, and the verdict.
 
     Raises:
-        DataError: a state or input of the model is not in the measurements.
+        DataError: a state or input of the model is not in the measurements, or the
+            executor cannot compute.
         ModelError: one of the ``effects`` or of those to leave out is unknown, does not
             fit the model, or has no free number; or a model with free parameters was
             given instead of a fit.
         SolveError: the missing force could not be estimated.
     """
-    say = progress or _silent
+    check_executor(executor)
+    say = progress or silent
     say("estimating the missing force")
     fit = fit_of(fit, data, "diagnose")
     choice = EffectChoice(effects, without).checked(fit.model, data.units)
@@ -86,7 +95,12 @@ def diagnose(
     judged = None if held_out is None else compare(fit, held_out)
     candidates = choice.candidates(fit.model, data.units)
     return diagnose_comparison(
-        trained, judged, effects=candidates, loss=loss, progress=say
+        trained,
+        judged,
+        effects=candidates,
+        loss=loss,
+        progress=say,
+        executor=executor,
     )
 
 
@@ -98,6 +112,7 @@ def diagnose_comparison(
     loss: MaximumLikelihood | None = None,
     progress: Progress | None = None,
     is_later: bool = False,
+    executor: Executor | None = None,
 ) -> Diagnosis:
     """`diagnose` for a fit that was compared before.
 
@@ -108,7 +123,7 @@ def diagnose_comparison(
         trained: the fit on the training record.
         judged: the fit on data held out.
         effects: candidates; default: `catalogue` of the model.
-        loss, progress: as in `diagnose`.
+        loss, progress, executor: as in `diagnose`.
         is_later: whether the model has effects that an earlier diagnosis found; what
             is named beside them must be clearer, unless it leaves noise.
 
@@ -126,8 +141,9 @@ def diagnose_comparison(
         trained=trained,
         judged=judged or trained,
         loss=loss,
-        say=progress or _silent,
+        say=progress or silent,
         is_later=is_later,
+        executor=executor,
     )
     base = from_missing_force(base)
     listed = effects
@@ -182,7 +198,3 @@ def _check_effects(effects: list[Effect], model: Model) -> None:
                 "of it; write one as ph.Parameter(), such as "
                 'ph.formula("c*q", c=ph.Parameter()).'
             )
-
-
-def _silent(line: str) -> None:
-    pass

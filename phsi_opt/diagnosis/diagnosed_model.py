@@ -1,6 +1,7 @@
 """The model that is diagnosed: its free runs, and how larger models are fitted."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,7 @@ class DiagnosedModel:
         say: called with a line of text as the work goes on.
         is_later: whether effects were added to it before: what remains beside them may
             be the error that every model has.
+        executor: where re-fits are made side by side; None: here.
     """
 
     trained: Comparison
@@ -42,6 +44,7 @@ class DiagnosedModel:
     loss: MaximumLikelihood
     say: Callable[[str], None]
     is_later: bool = False
+    executor: Executor | None = None
 
     @property
     def fit(self) -> Fit:

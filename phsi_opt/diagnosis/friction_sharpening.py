@@ -225,6 +225,28 @@ class CornerSharpening:
         return None
 
 
+def may_extend(
+    base: DiagnosedModel, effects: Sequence[Effect], smaller: Sequence[Effect]
+) -> bool:
+    """Whether a re-fit with effects may begin at that of a smaller model.
+
+    As `CornerSharpening.extended` does it.
+    """
+    is_sharp = base.is_along_solutions or any(is_dry(effect) for effect in smaller)
+    if base.is_long or not is_sharp:
+        return False
+    own = base.fit.model
+    of_smaller = set(with_effects(own, smaller).entries)
+    return of_smaller < set(with_effects(own, effects).entries)
+
+
+def with_effects(model: Model, effects: Sequence[Effect]) -> Model:
+    """The model with effects more."""
+    for effect in effects:
+        model = model.add(effect)
+    return model
+
+
 def _are_reached(model: Model, widths: dict[str, float]) -> bool:
     """Whether a model's corners are as sharp as that already."""
     values = model.values

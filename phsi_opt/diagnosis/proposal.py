@@ -1,7 +1,8 @@
 """What is proposed to be added: one effect, or two together where one is not enough."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import comb
 
 from phsi_opt.comparison.compare import Comparison
@@ -32,6 +33,7 @@ from phsi_opt.diagnosis.doubts import fitted_size, z_beside_others
 from phsi_opt.diagnosis.dry_friction import other_kinds, simplest_dry
 from phsi_opt.diagnosis.ranking import as_refitted, expected, request_of
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
+from phsi_opt.diagnosis.refit_round import RefitRound, until_their_turn
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 from phsi_opt.model_error.standard_errors import Source
@@ -83,19 +85,33 @@ class _Search:
         Dry friction is the simplest of its kinds in the pairs; the others are tried in
         the best one.
         """
-        best = single
-        for pair in self.pairs(simplest_dry(self.singles), self.base.most_pair_refits):
-            best = self._better(best, pair)
+        most = self.base.most_pair_refits
+        best = self._best_of(single, self.pairs(simplest_dry(self.singles), most))
         if best is None or best.candidate.partner is None:
             return best
         self.known.append(best.fit)
         first, second = best.candidate.effects
         kept = [one for one in self.singles if one.effect not in self.doubted]
         for kinds in other_kinds((first, second), kept):
-            for pair in self.pairs(kinds, 1):
-                best = self._better(best, pair)
-        for pair in self._replaced(first, second):
-            best = self._better(best, pair, is_rival=True)
+            best = self._best_of(best, self.pairs(kinds, 1))
+        return self._best_of(best, self._replaced(first, second), are_rivals=True)
+
+    def _best_of(
+        self, best: Proposal | None, pairs: Sequence[Prospect], are_rivals: bool = False
+    ) -> Proposal | None:
+        """The best of pairs that are re-fitted, where one clearly beats the best.
+
+        ``are_rivals``: they are re-fitted whatever is expected of them, to be compared.
+        """
+        rival = best.fit if best else None
+        begun = {}
+        for place, pair in enumerate(pairs):
+            if are_rivals or self._is_promising(best, pair):
+                begun[place] = request_of(pair, rival, self.known)
+        with RefitRound(self.base, until_their_turn(begun)) as refits:
+            for place, pair in enumerate(pairs):
+                if are_rivals or self._is_promising(best, pair):
+                    best = self._better(best, pair, partial(refits.refit, place))
         return best
 
     def _replaced(self, first: Effect, second: Effect) -> list[Prospect]:
@@ -129,18 +145,15 @@ class _Search:
         return found[:most]
 
     def _better(
-        self, best: Proposal | None, pair: Prospect, is_rival: bool = False
+        self,
+        best: Proposal | None,
+        pair: Prospect,
+        refitted: Callable[[RefitRequest], Refit | None],
     ) -> Proposal | None:
-        """The pair, or what of it is needed, where that clearly beats the best.
-
-        ``is_rival``: it is re-fitted whatever is expected of it, to be compared.
-        """
-        is_hopeless = best is not None and not self._is_promising(best, pair)
-        if is_hopeless and not is_rival:
-            return best
+        """The pair, or what of it is needed, where that clearly beats the best."""
         self.base.say(f"re-fitting with {pair.name}")
         rival = best.fit if best else None
-        done = refit(self.base, request_of(pair, rival, self.known))
+        done = refitted(request_of(pair, rival, self.known))
         candidate = expected(self.base, self.prospects, pair)
         if done is None:
             self._tell(replace(candidate, was_tried=True))
@@ -163,9 +176,9 @@ class _Search:
         behind = self.prospects.delta_bic(again, share)
         return behind > delta_bic(self.base.fit, fit, share) + 2 * BIC_TIE
 
-    def _is_promising(self, best: Proposal, pair: Prospect) -> bool:
+    def _is_promising(self, best: Proposal | None, pair: Prospect) -> bool:
         """Whether what a pair is expected to leave is less than what the best does."""
-        if pair.look is None:
+        if best is None or pair.look is None:
             return True
         of_pair = self.prospects.delta_bic(pair, 1.0)
         return of_pair < delta_bic(self.base.fit, best.fit, 1.0) - BIC_TIE

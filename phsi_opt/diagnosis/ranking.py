@@ -4,8 +4,9 @@ All p-values are adjusted for the number of candidates, so that the share of fal
 is controlled (Benjamini and Hochberg, J. R. Stat. Soc. B 57, 1995).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 import numpy as np
 
@@ -32,7 +33,9 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import doubt, fitted_size
 from phsi_opt.diagnosis.dry_friction import simple_first
-from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
+from phsi_opt.diagnosis.friction_sharpening import may_extend
+from phsi_opt.diagnosis.refit import Refit, RefitRequest
+from phsi_opt.diagnosis.refit_round import RefitRound, until_their_turn
 from phsi_opt.diagnosis.second_storages import with_second_storages
 from phsi_opt.diagnosis.simple_losses import Refitted, begins_at, with_simple_losses
 from phsi_opt.estimation.fit import Fit
@@ -62,21 +65,37 @@ def ranking(base: DiagnosedModel, prospects: Prospects) -> tuple[Candidate, ...]
 
 
 def _refitting(base: DiagnosedModel, prospects: Prospects) -> Refitted:
-    """Re-fits a prospect, from its own start or from the states of another fit."""
+    """Re-fits prospects, from their own start or from the states of another fit."""
 
-    def refitted(one: Prospect, at: Fit | None, rival: Candidate | None) -> Candidate:
-        base.say(f"re-fitting with {one.name}")
-        request = request_of(one, None if rival is None else rival.fit, [])
-        states = begins_at(base, at)
-        if at is not None and states is not None:
-            request = replace(request, base_values=at.model.values, states=states)
-        candidate = expected(base, prospects, one)
-        done = refit(base, request)
-        if done is None:
-            return replace(candidate, was_tried=True)
-        return as_refitted(base, candidate, done, one.n_tried)
+    def refitted(
+        found: Sequence[Prospect], at: Fit | None, rival: Candidate | None
+    ) -> list[Candidate]:
+        requests = {}
+        for place, one in enumerate(found):
+            request = request_of(one, None if rival is None else rival.fit, [])
+            states = begins_at(base, at)
+            if at is not None and states is not None:
+                request = replace(request, base_values=at.model.values, states=states)
+            requests[place] = request
+        result = []
+        with RefitRound(base, requests) as refits:
+            for place, one in enumerate(found):
+                base.say(f"re-fitting with {one.name}")
+                done = refits.refit(place, requests[place])
+                result.append(_tried(base, prospects, one, done))
+        return result
 
     return refitted
+
+
+def _tried(
+    base: DiagnosedModel, prospects: Prospects, one: Prospect, done: Refit | None
+) -> Candidate:
+    """A single effect with what came out of its re-fit, if it did not fail."""
+    candidate = expected(base, prospects, one)
+    if done is None:
+        return replace(candidate, was_tried=True)
+    return as_refitted(base, candidate, done, one.n_tried)
 
 
 def expected(base: DiagnosedModel, prospects: Prospects, one: Prospect) -> Candidate:
@@ -116,29 +135,43 @@ def _alike(prospects: Prospects, one: Prospect) -> tuple[str, ...]:
 
 def _best_refitted(base: DiagnosedModel, prospects: Prospects) -> list[Candidate]:
     """The best few, re-fitted; after one that leaves noise only its rivals."""
-    rows = _worth_refitting(base, prospects)
-    if not rows:
-        return []
-    likeliest = rows[0]
+    chosen = _worth_refitting(base, prospects)
+    rows = list(takewhile(_is_worth(base, prospects), simple_first(chosen)))
     rival = _Rival()
-    is_failing = not is_like_noise(base.trained)
     result: list[Candidate] = []
-    for one in simple_first(rows):
-        n_found = len(prospects.singles)
-        left = max(one.misfit, prospects.n_values)
-        is_worth = is_failing or one.p_value * n_found < REFIT_P_VALUE
-        if not is_worth or rival.is_out_of_reach(prospects.score(one), left):
-            break
-        base.say(f"re-fitting with {one.name}")
-        known = [done.fit for done in result if done.fit is not None]
-        candidate = expected(base, prospects, one)
-        done = refit(base, request_of(one, rival.fit, known, one is likeliest))
-        if done is None:
-            result.append(replace(candidate, was_tried=True))
-            continue
-        result.append(as_refitted(base, candidate, done, one.n_tried))
-        rival = rival.after(done, prospects.score(one), left)
+    with RefitRound(base, _begun(base, rows, chosen)) as refits:
+        for place, one in enumerate(rows):
+            left = max(one.misfit, prospects.n_values)
+            if rival.is_out_of_reach(prospects.score(one), left):
+                break
+            base.say(f"re-fitting with {one.name}")
+            known = [done.fit for done in result if done.fit is not None]
+            request = request_of(one, rival.fit, known, one is chosen[0])
+            done = refits.refit(place, request)
+            result.append(_tried(base, prospects, one, done))
+            if done is not None:
+                rival = rival.after(done, prospects.score(one), left)
     return result
+
+
+def _is_worth(base: DiagnosedModel, prospects: Prospects) -> Callable[[Prospect], bool]:
+    """Tells effects worth a re-fit beside a model that leaves noise from others."""
+    if not is_like_noise(base.trained):
+        return lambda one: True
+    n_found = len(prospects.singles)
+    return lambda one: one.p_value * n_found < REFIT_P_VALUE
+
+
+def _begun(
+    base: DiagnosedModel, rows: Sequence[Prospect], chosen: Sequence[Prospect]
+) -> dict[int, RefitRequest]:
+    """By place, the re-fits that do not begin at an earlier one of the round."""
+    found = {}
+    for place, one in enumerate(rows):
+        smaller = rows[:place]
+        if not any(may_extend(base, one.effects, other.effects) for other in smaller):
+            found[place] = request_of(one, None, [], one is chosen[0])
+    return until_their_turn(found)
 
 
 def _worth_refitting(base: DiagnosedModel, prospects: Prospects) -> list[Prospect]:

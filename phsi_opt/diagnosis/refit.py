@@ -16,7 +16,7 @@ from phsi_opt.criteria import (
     STRAYED_STATES,
 )
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel, n_intervals
-from phsi_opt.diagnosis.friction_sharpening import CornerSharpening
+from phsi_opt.diagnosis.friction_sharpening import CornerSharpening, with_effects
 from phsi_opt.diagnosis.refit_effort import (
     BESIDE_SHARP,
     BRIEF,
@@ -47,6 +47,7 @@ class RefitRequest:
         rival: a fit that dry friction must clearly beat before it is sharpened.
         known: fits that have part of these effects, to begin at beside a sharp corner.
         is_likely: solve in every way there is.
+        sharpens: dry friction that is worth it; else that is left to its turn.
     """
 
     effects: Sequence[Effect]
@@ -56,6 +57,7 @@ class RefitRequest:
     rival: Fit | None = None
     known: Sequence[Fit] = ()
     is_likely: bool = False
+    sharpens: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +86,46 @@ class Refit:
     judged: Comparison
     before_sharpening: Fit | None
 
+    def beside(self, base: DiagnosedModel) -> "Refit":
+        """The same beside the records of a base model, where it was made of copies."""
+        trained = replace(self.trained, record=base.record.refitted(self.fit))
+        judged = trained
+        if base.is_held_out:
+            record = base.judged.record.refitted(self.fit)
+            judged = replace(self.judged, record=record)
+        return replace(self, trained=trained, judged=judged)
 
-def refit(base: DiagnosedModel, request: RefitRequest) -> Refit | None:
-    """Fit the base model with effects more; None where that fails."""
+
+def refit(
+    base: DiagnosedModel, request: RefitRequest, blunt: Fit | None = None
+) -> Refit | None:
+    """`refitted`; None where that fails, which is said."""
     try:
-        return _Refitting(base, request).result()
+        return refitted(base, request, blunt)
     except PhsiOptError as error:
         base.say(f"not re-fitted: {error}")
         return None
+
+
+def refitted(
+    base: DiagnosedModel, request: RefitRequest, blunt: Fit | None = None
+) -> Refit:
+    """Fit the base model with effects more.
+
+    Args:
+        base: the model that is diagnosed.
+        request: what is added.
+        blunt: the fit before dry friction is sharpened, where it is known.
+
+    Raises:
+        PhsiOptError: the larger model cannot be fitted.
+    """
+    return _Refitting(base, request).result(blunt)
+
+
+def is_worth_sharpening(base: DiagnosedModel, request: RefitRequest, fit: Fit) -> bool:
+    """Whether the dry friction of a fit is asked for with a sharp corner."""
+    return _Refitting(base, request).is_worth_sharpening(fit)
 
 
 class _Refitting:
@@ -100,9 +134,7 @@ class _Refitting:
     def __init__(self, base: DiagnosedModel, request: RefitRequest) -> None:
         self.base = base
         self.request = request
-        model = base.fit.model
-        for effect in request.effects:
-            model = model.add(effect)
+        model = with_effects(base.fit.model, request.effects)
         estimate = base.record.estimate
         model = resolve_guesses(model, estimate.grid, estimate.x)
         self.model = model.with_values(request.values)
@@ -113,18 +145,19 @@ class _Refitting:
         has_memory = any(effect.memory for effect in request.effects)
         self.refinement = 2 if has_memory else 1
 
-    def result(self) -> Refit:
-        """The fit with its free runs.
+    def result(self, blunt: Fit | None) -> Refit:
+        """The fit with its free runs, from before it is sharpened where that is known.
 
         Raises:
             PhsiOptError: the model cannot be fitted.
         """
-        request = self.request
+        known = self.request.known
         model = self.model
-        fit = self.sharpening.extended(model, self.refinement, request.known)
-        blunt = None
+        fit = None
+        if blunt is None:
+            fit = self.sharpening.extended(model, self.refinement, known)
         if fit is None:
-            fit = blunt = self.begun()
+            fit = blunt = self.begun() if blunt is None else blunt
             if self.is_worth_sharpening(fit):
                 fit = self.sharpening.sharpened(fit, model)
         is_sharpened = fit is not blunt
@@ -138,6 +171,8 @@ class _Refitting:
 
     def is_worth_sharpening(self, fit: Fit) -> bool:
         """Whether dry friction clearly beats its rival, and is to be believed."""
+        if not self.request.sharpens:
+            return False
         rival = self.request.rival
         if rival is not None and not delta_bic(rival, fit, 1.0) < -BIC_TIE:
             return False

@@ -28,16 +28,17 @@ def with_second_storages(
         base: the model that is diagnosed.
         prospects: its larger models.
         candidates: those that were re-fitted.
-        refitted: makes a re-fit of one more.
+        refitted: makes re-fits of more.
     """
     result = list(candidates)
     if is_like_noise(base.trained) or any(one.leaves_noise for one in result):
         return result
     tried = [one.name for one in result]
+    storages = []
     weakest = weakest_equations(base.fit.model, base.record.estimate)
     for equation in weakest[:N_STORAGE_REFITS]:
         for one in prospects.singles:
             is_there = one.effect.equation == equation and one.name not in tried
             if is_there and is_second_storage(one.effect):
-                result.append(refitted(one, base.fit, None))
-    return result
+                storages.append(one)
+    return result + refitted(storages, base.fit, None)

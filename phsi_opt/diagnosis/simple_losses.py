@@ -24,9 +24,9 @@ from phsi_opt.screening.effect_size import new_names
 from phsi_opt.screening.prospects import Prospect, Prospects
 from phsi_opt.statistics import TINY
 
-# A candidate re-fitted: from its own start, or from the states of another fit; dry
+# Candidates re-fitted: from their own start, or from the states of another fit; dry
 # friction is made sharp only where it beats the best candidate so far, if there is one.
-Refitted = Callable[[Prospect, Fit | None, Candidate | None], Candidate]
+Refitted = Callable[[Sequence[Prospect], Fit | None, Candidate | None], list[Candidate]]
 
 
 def with_simple_losses(
@@ -41,7 +41,7 @@ def with_simple_losses(
         base: the model that is diagnosed.
         prospects: its larger models.
         candidates: those that were re-fitted.
-        refitted: makes a re-fit of one more.
+        refitted: makes re-fits of more.
     """
     result = list(candidates)
     best = _best(result)
@@ -63,9 +63,8 @@ def with_simple_losses(
     if best.leaves_noise:
         return result
     tried = [one.name for one in result]
-    for one in losses:
-        if one.name not in tried:
-            result.append(refitted(one, None, best))
+    untried = [one for one in losses if one.name not in tried]
+    result += refitted(untried, None, best)
     best = _best(result)
     if best is None or best.fit is None or not is_simple_loss(best.effect):
         return result
@@ -85,7 +84,7 @@ def _regressed_losses(
 
     For a model that no candidate helps: it may have lost its way.
     """
-    result = list(candidates)
+    starts = []
     for one in prospects.singles:
         if not is_simple_loss(one.effect):
             continue
@@ -97,10 +96,10 @@ def _regressed_losses(
             base_values={name: values[name] for name in own},
             look=None,
         )
-        another = refitted(start, None, None)
-        result = [known for known in result if known.name != one.name]
-        result.append(another)
-    return result
+        starts.append(start)
+    names = [one.name for one in starts]
+    others = [known for known in candidates if known.name not in names]
+    return others + refitted(starts, None, None)
 
 
 def is_simple_loss(effect: Effect) -> bool:
@@ -128,7 +127,7 @@ def _again(
     if present is not None and present.delta_bic < best.delta_bic + BIC_TIE:
         return candidates
     value = matched(base, best.fit, best.effect, one.effect)
-    another = refitted(replace(one, values=value), best.fit, best)
+    (another,) = refitted([replace(one, values=value)], best.fit, best)
     if another.fit is None:
         return candidates
     if present is None:

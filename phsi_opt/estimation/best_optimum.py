@@ -8,15 +8,21 @@ of a period or two there is one alone. A plausible optimum costs nothing of this
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
+
+import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
-from phsi_opt.estimation.multi_start import random_starts
+from phsi_opt.estimation.multi_start import random_values, with_values
+from phsi_opt.estimation.problem import Progress, silent
 from phsi_opt.estimation.residual_scatter import is_far_off, is_plausible
 from phsi_opt.estimation.starting_point import StartingPoint
+from phsi_opt.sweeps.ahead import Ahead
 
 # Difference of -2 log likelihood up to which two starts found the same optimum: far
 # below what one parameter more explains by chance, far above the solver's tolerance.
@@ -37,9 +43,7 @@ def best_optimum(
         first: the first starting point.
         with_windows: whether windows are tried where these points lead far off.
     """
-    estimates = []
-    for point in random_starts(first, solver.problem):
-        estimates.append(solver.solve_from(point))
+    estimates = _optima(solver.problem, first)
     notes = first.notes + _agreement_note(estimates)
     best = _best(estimates)
     if with_windows and is_far_off(best):
@@ -59,6 +63,35 @@ def best_optimum(
                 best = other
                 notes = first.notes
     return replace(best, notes=notes)
+
+
+def _optima(
+    problem: LikelihoodProblem, first: StartingPoint
+) -> list[LikelihoodEstimate]:
+    """What the first point and the random ones lead to, side by side if asked for."""
+    task = problem.task
+    of_workers = replace(problem, task=replace(task, say=silent, executor=None))
+    start = replace(first, alternative=None)
+    values = [None, *random_values(first, problem)]
+    cases = {f"start {number}": theta for number, theta in enumerate(values, 1)}
+    solve = partial(_optimum_at, of_workers, start)
+    estimates = []
+    with closing(Ahead(solve, cases, task.executor, task.say)) as ahead:
+        for key in cases:
+            estimates.append(replace(ahead.result(key), task=task))
+    return estimates
+
+
+def _optimum_at(
+    problem: LikelihoodProblem,
+    first: StartingPoint,
+    theta: np.ndarray | None,
+    say: Progress,
+) -> LikelihoodEstimate:
+    """The optimum from the first point, or from other values theta (n_theta,)."""
+    problem = replace(problem, task=replace(problem.task, say=say))
+    point = first if theta is None else with_values(first, theta, problem)
+    return LikelihoodSolver(problem).solve_from(point)
 
 
 def _is_better(other: LikelihoodEstimate, best: LikelihoodEstimate) -> bool:

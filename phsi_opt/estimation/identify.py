@@ -6,6 +6,7 @@ arguments are checked and put together, and a failure becomes an error.
 
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import singledispatch
 
@@ -22,6 +23,7 @@ from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import (
@@ -44,6 +46,7 @@ def identify(
     settings: SolverSettings | None = None,
     raise_on_failure: bool = True,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Fit:
     """Find the parameters of ``model`` that explain ``data``.
 
@@ -64,12 +67,15 @@ def identify(
         raise_on_failure: False returns the fit with an outcome that says what went
             wrong.
         progress: called with a line of text as the work goes on, such as ``print``.
+        executor: where the points of ``MaximumLikelihood(starts=...)`` are solved side
+            by side (see `sweep`); None: here, one after the other. The numbers are the
+            same. It is not shut down.
 
     Returns:
         The estimates, with standard errors where they are known, and the outcome.
 
     Raises:
-        DataError: if model and data do not match.
+        DataError: if model and data do not match, or the executor cannot compute.
         ModelError: for a model that cannot be solved.
         SolveError: if the solver fails.
     """
@@ -83,6 +89,7 @@ def identify(
         settings=settings,
         raise_on_failure=raise_on_failure,
         progress=progress,
+        executor=executor,
     )
 
 
@@ -97,16 +104,19 @@ def identify_aligned(
     settings: SolverSettings | None = None,
     raise_on_failure: bool = True,
     progress: Progress | None = None,
+    executor: Executor | None = None,
 ) -> Fit:
     """`identify` for measurements that were aligned with the model before.
 
     Arguments, result and errors are those of `identify`.
 
     Raises:
+        DataError: if the executor cannot compute.
         ModelError: for a model that cannot be solved.
         SolveError: if the solver fails.
     """
     began = time.perf_counter()
+    check_executor(executor)
     loss = loss or MaximumLikelihood()
     if not isinstance(loss, Loss | MissingForce):
         raise ModelError(_not_a_loss(loss))
@@ -121,6 +131,7 @@ def identify_aligned(
         pruning=pruning,
         settings=settings or SolverSettings(),
         say=progress or silent,
+        executor=executor,
     )
     estimate = estimate_by(loss, task, start)
     if raise_on_failure:

@@ -28,29 +28,24 @@ SHIFT_SPREAD = 0.3
 LEAST_STATE_SPREAD = 1e-12  # stands for that of a state that does not move
 
 
-def random_starts(
-    first: StartingPoint, problem: LikelihoodProblem
-) -> list[StartingPoint]:
-    """The first point and random ones, ``starts`` of the loss in all.
+def random_values(first: StartingPoint, problem: LikelihoodProblem) -> list[np.ndarray]:
+    """Values (n_theta,) of the points beside the first, ``starts`` of the loss in all.
 
-    Their values are those of the first times a log-normal factor; values of zero are
-    moved by a share of the parameter's size.
+    Those of the first times a log-normal factor; values of zero are moved by a share of
+    the parameter's size.
     """
-    starts = [first]
-    if problem.loss.starts == 1:
-        return starts
+    n_further = problem.loss.starts - 1
+    if not n_further:
+        return []
     size = _parameter_sizes(first, problem.task)
     unknown = Theta.of(first.model, problem.task.runs)
     lower = [entry.parameter.lower for entry in unknown.entries]
     upper = [entry.parameter.upper for entry in unknown.entries]
-    noise = replace(problem.noise, sigma=first.sigma)
-    problem = replace(problem, noise=noise)
     rng = np.random.default_rng(SEED)
-    while len(starts) < problem.loss.starts:
-        moved = _moved(first.theta, size, rng)
-        theta = np.clip(moved, lower, upper)
-        starts.append(_with_theta(first, theta, problem))
-    return starts
+    found = []
+    for _ in range(n_further):
+        found.append(np.clip(_moved(first.theta, size, rng), lower, upper))
+    return found
 
 
 def _parameter_sizes(first: StartingPoint, task: Task) -> np.ndarray:
@@ -71,9 +66,12 @@ def _moved(theta: np.ndarray, size: np.ndarray, rng: np.random.Generator) -> np.
     return np.where(theta != 0, scaled, shifted)
 
 
-def _with_theta(
+def with_values(
     first: StartingPoint, theta: np.ndarray, problem: LikelihoodProblem
 ) -> StartingPoint:
+    """The point at other values theta (n_theta,), with the states that go with them."""
+    noise = replace(problem.noise, sigma=first.sigma)
+    problem = replace(problem, noise=noise)
     states = first.states
     # Far from the data there may be no states; then those of the first point.
     with suppress(SolveError):

@@ -4,6 +4,7 @@ What is found is an `Estimate`; nothing is computed here.
 """
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass
 
 from phsi_opt.data.measurements import Measurements
@@ -39,6 +40,7 @@ class Task:
         settings: of every solve.
         say: called with a line of text as the work goes on.
         layout: adds inputs to the grid that the measurements do not hold.
+        executor: where further starts are solved; None: here.
     """
 
     model: Model
@@ -48,6 +50,7 @@ class Task:
     settings: SolverSettings
     say: Progress = silent
     layout: Callable[[Grid], Grid] = unchanged
+    executor: Executor | None = None
 
     @property
     def data(self) -> Measurements:

@@ -5,8 +5,9 @@ than full steps to end, so it is made when it is asked for.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +43,9 @@ class Transcription:
     l1: Mapping[str, float]
     sigma: np.ndarray
     window: float | None = None
+
+    def __getstate__(self) -> dict[str, Any]:  # symbols cannot be pickled
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
     @cached_property
     def program(self) -> Program:

@@ -4,6 +4,7 @@ It stops when no further effect is significant, and says why.
 """
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ from phsi_opt.study.record import StudyRecord
 from phsi_opt.study.report_text import report_sections
 from phsi_opt.study.step import Step
 from phsi_opt.study.summary import study_summary
+from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole, written_path
 
@@ -162,11 +164,19 @@ class Study(Summarised):
         return step.held_out
 
     @interruptible
-    def diagnose(self) -> Diagnosis:
-        """What the present model lacks; worked out once per step."""
-        return self._diagnosed(self._choice)
+    def diagnose(self, *, executor: Executor | None = None) -> Diagnosis:
+        """What the present model lacks; worked out once per step.
 
-    def _diagnosed(self, choice: EffectChoice) -> Diagnosis:
+        Args:
+            executor: where candidates are re-fitted side by side; as in `auto`.
+
+        Raises:
+            DataError: the executor cannot compute.
+        """
+        check_executor(executor)
+        return self._diagnosed(self._choice, executor)
+
+    def _diagnosed(self, choice: EffectChoice, executor: Executor | None) -> Diagnosis:
         """What the present model lacks, of the effects that are considered."""
         key = len(self.steps)
         considered = self._considered.get(key, self._choice)
@@ -179,6 +189,7 @@ class Study(Summarised):
                 loss=self._fitting.loss,
                 progress=self._say,
                 is_later=bool(step.added),
+                executor=executor,
             )
             self._considered[key] = choice
             self._keep_better(self._diagnoses[key].fit)
@@ -259,6 +270,8 @@ class Study(Summarised):
         max_steps: int = 4,
         effects: Given | None = None,
         without: Given = (),
+        *,
+        executor: Executor | None = None,
     ) -> str:
         """Diagnose and add while an effect is significant, then say why it stopped.
 
@@ -272,21 +285,26 @@ class Study(Summarised):
             effects: the effects to consider, as in `Study`; default: those that the
                 study considers.
             without: those never considered, beside those that the study leaves out.
+            executor: where candidates are re-fitted side by side (see `sweep`); None:
+                here, one after the other. What is found is the same. It is not shut
+                down.
 
         Returns:
             Why it stopped; kept in ``stopped``.
 
         Raises:
+            DataError: the executor cannot compute.
             ModelError: one of the ``effects``, or of those to leave out, is unknown.
         """
         if not isinstance(max_steps, int) or max_steps < 1:
             raise ModelError(
                 f"max_steps={max_steps!r} must be a whole number of at least 1."
             )
+        check_executor(executor)
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
         choice = self._choice.narrowed(further.effects, further.without)
         for _ in range(max_steps):
-            diagnosis = self._diagnosed(choice)
+            diagnosis = self._diagnosed(choice, executor)
             said = f"{diagnosis.verdict}: {diagnosis.reason}"
             self._say(said)
             if not diagnosis.proposed:

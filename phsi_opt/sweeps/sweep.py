@@ -88,14 +88,29 @@ def sweep(
         are done.
 
     Raises:
-        DataError: The function, a key, the number in flight or the folder cannot be
-            used.
+        DataError: The function, a key, the executor, the number in flight or the folder
+            cannot be used.
         SolveError: A worker ended before its case was done.
     """
     _check(function, cases, in_flight)
+    check_executor(executor)
     kept = None if folder is None else KeptResults(Path(folder), of)
     counted = _Counted(len(cases), progress)
     return _swept(function, cases, executor, kept, in_flight, counted)
+
+
+def check_executor(executor: object) -> None:
+    """Refuse what cannot compute.
+
+    Raises:
+        DataError: It has no ``submit``.
+    """
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise DataError(
+            f"executor={executor!r} has no submit, so it cannot compute; give one of "
+            "concurrent.futures, such as ProcessPoolExecutor(4), or a Dask client's "
+            "get_executor()."
+        )
 
 
 @dataclass
