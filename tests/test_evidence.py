@@ -73,7 +73,9 @@ def judged(rmse: float, floor: float, whiteness: tuple[float, ...] = (0.5,)) -> 
         rmse=rmse,
         noise_floor=floor,
         table=pd.DataFrame({"whiteness": whiteness}),
-        record=SimpleNamespace(has_correlated_noise=False),
+        record=SimpleNamespace(
+            has_correlated_noise=False, shows_correlated_noise=False
+        ),
     )
 
 
@@ -100,9 +102,12 @@ def test_noise_is_small_and_white_in_all_channels_together() -> None:
     assert not evidence.is_like_noise(lasting)
     lasting.record.has_correlated_noise = True
     assert evidence.is_like_noise(lasting)
-    # Of what an effect leaves more is asked.
+    # What an effect leaves lasts as noise only where noise did so before.
+    before = judged(9.0, 1.0)
     assert not evidence.is_white_noise(lasting)
-    assert not evidence.is_explained(judged(9.0, 1.0), lasting, judged(5.0, 1.0))
+    assert not evidence.is_explained(before, lasting, judged(5.0, 1.0))
+    before.record.shows_correlated_noise = True
+    assert evidence.is_explained(before, lasting, judged(5.0, 1.0))
     assert evidence.is_white_noise(judged(small, 2.0))
     assert not evidence.is_white_noise(judged(small * 1.002, 2.0))
 

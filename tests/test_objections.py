@@ -1,6 +1,8 @@
 """Why what stands in for an effect from outside the catalogue is not named."""
 
+import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import phsi_opt as ph
 from phsi_opt.comparison.model_selection import is_like_noise, is_white_noise
@@ -42,14 +44,47 @@ def test_what_imitates_an_effect_from_outside_is_near_and_not_named(
     assert [str(one) for one in found.proposed] == [effect]
 
 
-def test_what_an_effect_leaves_is_no_noise_that_lasts() -> None:
-    # The spring leaves what looks like noise of the sensor that lasts for two samples.
+def test_what_an_imitation_leaves_is_no_noise_that_lasts() -> None:
+    # Like noise of the sensors that lasts for two samples, of which there was none.
     found = stood_in(2010, "cubic stiffness on p")
     first = found.ranking[0]
     assert first.trained is not None
     assert is_like_noise(first.trained) and not is_white_noise(first.trained)
-    assert not first.leaves_noise
     assert found.findings == ()
+    assert "as the noise of these sensors did not before" in first.lost
+
+
+def test_noise_that_lasts_and_was_there_before_is_noise() -> None:
+    case = draw(ROWS["cubic_stiffness_0.03"], 2000)
+    rng = np.random.default_rng(1)
+    train, test = (
+        with_lasting_noise(case.train, rng),
+        with_lasting_noise(case.test, rng),
+    )
+    fit = ph.identify(case.model, train)
+    found = ph.diagnose(fit, train, test, effects=["cubic stiffness on p2"])
+    assert {"force", "sensor error"} <= {row.kind for row in fit.model_error_rows}
+    first = found.ranking[0]
+    assert first.trained is not None and not is_white_noise(first.trained)
+    assert found.verdict == ph.Verdict.NAMED
+
+
+def with_lasting_noise(
+    data: ph.Measurements, rng: np.random.Generator
+) -> ph.Measurements:
+    """The same with noise of 6 % more that has a correlation of 0.7 with its past."""
+    runs = []
+    for run in data.trajectories:
+        seen = np.isfinite(run.x).any(axis=0)
+        size = np.where(seen, 0.06 * np.nanstd(np.where(seen, run.x, 0), axis=0), 0)
+        white = rng.normal(size=run.x.shape)
+        lasting = lfilter([np.sqrt(1 - 0.7**2)], [1, -0.7], white, axis=0)
+        runs.append(run.x + size * lasting)
+    times = [run.t for run in data.trajectories]
+    inputs = [run.u for run in data.trajectories] if data.inputs else None
+    return ph.Measurements.from_arrays(
+        times, runs, states=data.states, u=inputs, inputs=data.inputs
+    )
 
 
 def test_two_springs_that_are_needed_together_stand_for_another_law() -> None:

@@ -42,13 +42,28 @@ def is_like_noise(comparison: Comparison) -> bool:
 def is_white_noise(comparison: Comparison) -> bool:
     """Whether the residuals are as small as the noise floor, and white.
 
-    This is asked of a model with an effect more: what an effect leaves that imitates
-    another one looks like noise that lasts. The whiteness of several channels is tested
-    together (Bonferroni).
+    The whiteness of several channels is tested together (Bonferroni).
     """
     p_values = comparison.table["whiteness"].to_numpy()
     is_white = np.nanmin(p_values) * len(p_values) > WHITENESS_LEVEL
     return bool(is_white and is_small_as_noise(comparison))
+
+
+def leaves_noise(base: Comparison, trained: Comparison) -> bool:
+    """Whether what a larger model leaves looks like noise.
+
+    Noise that lasts must have been seen beside the smaller model too: what an effect
+    leaves that imitates another one looks like it.
+
+    Args:
+        base: the smaller model on the training record.
+        trained: the larger one.
+    """
+    if not is_small_as_noise(trained):
+        return False
+    return is_white_noise(trained) or (
+        trained.record.has_correlated_noise and base.record.shows_correlated_noise
+    )
 
 
 def is_small_as_noise(comparison: Comparison) -> bool:
@@ -64,15 +79,15 @@ def is_failing(comparison: Comparison) -> bool:
 def is_explained(base: Comparison, trained: Comparison, judged: Comparison) -> bool:
     """Whether a larger model explains what was missing.
 
-    What it leaves on the training record is white noise, or as small as the noise there
-    and on the record that judges.
+    What it leaves on the training record looks like noise, or is as small as the noise
+    there and on the record that judges.
 
     Args:
         base: the smaller model on the record that judges.
         trained: the larger model on the training record.
         judged: the larger model on the record that judges.
     """
-    if is_white_noise(trained):
+    if leaves_noise(base, trained):
         return True
     is_small = (
         judged.rmse < FAILING_ERROR * judged.noise_floor

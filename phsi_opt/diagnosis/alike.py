@@ -120,7 +120,7 @@ def _is_better_held_out(
     is_exact = best.fit is not None and best.fit.std_error_source == Source.NOISE
     if is_exact and other.effect.family != best.effect.family:
         return False
-    if other.lost or not other.leaves_noise:
+    if other.lost or not base.is_left_with_noise(other.trained):
         return False
     return bool(other.held_out_rmse < best.held_out_rmse)
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.comparison.model_selection import is_white_noise
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 
@@ -57,11 +56,6 @@ class Candidate:
     def effects(self) -> tuple[Effect, ...]:
         """The effects that are added, one or two."""
         return (self.effect,) if self.partner is None else (self.effect, self.partner)
-
-    @property
-    def leaves_noise(self) -> bool:
-        """Whether white noise is all that its re-fit leaves on the training record."""
-        return self.trained is not None and is_white_noise(self.trained)
 
     @property
     def name(self) -> str:

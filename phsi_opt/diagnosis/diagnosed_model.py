@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.comparison.model_selection import is_like_noise
+from phsi_opt.comparison.model_selection import is_like_noise, leaves_noise
 from phsi_opt.criteria import (
     CLOCK_MARGIN,
     FAR_RUN_SHARE,
@@ -79,6 +79,13 @@ class DiagnosedModel:
         """
         left = 1 - self.trained.table["fit_percent"] / 100
         return bool((left > FAR_RUN_SHARE).any())
+
+    def is_left_with_noise(self, trained: Comparison | None) -> bool:
+        """Whether noise is all that a larger model leaves on the training record.
+
+        Of one that was not re-fitted (None) that is not known.
+        """
+        return trained is not None and leaves_noise(self.trained, trained)
 
     @property
     def may_be_far_from_linear(self) -> bool:

@@ -5,7 +5,11 @@ Each objection is a sentence; an empty one objects to nothing.
 
 from collections.abc import Sequence
 
-from phsi_opt.comparison.model_selection import explained_share, is_small_as_noise
+from phsi_opt.comparison.model_selection import (
+    explained_share,
+    is_small_as_noise,
+    is_white_noise,
+)
 from phsi_opt.criteria import (
     CLOCK_Z,
     EXPLAINED_IF_MUCH_REMAINS,
@@ -50,10 +54,27 @@ def objection(
         is_all: whether it leaves noise.
     """
     against = _against(base, proposed, findings, ranked)
+    against = against or _against_new_noise(base, proposed)
     against = against or _against_beside_others(base, proposed, is_all)
     if not against and share_of_motion(base.record.estimate) < INEXACT_SHARE:
         against = _against_small(base, proposed, is_all)
     return against
+
+
+def _against_new_noise(base: DiagnosedModel, proposed: Proposal) -> str:
+    """Why what seems to leave noise that lasts is not named; empty where it is.
+
+    Such noise was there before, and would have shown beside what was missing.
+    """
+    trained = proposed.done.trained
+    if is_white_noise(trained) or not trained.record.has_correlated_noise:
+        return ""
+    if base.record.shows_correlated_noise:
+        return ""
+    return (
+        "what remains lasts from sample to sample, as the noise of these sensors did "
+        "not before: it may be the difference from the law that is missing"
+    )
 
 
 def _against(

@@ -16,7 +16,6 @@ from phsi_opt.comparison.model_selection import (
     deviance,
     free_run_deviance,
     is_like_noise,
-    is_white_noise,
     p_value_of_larger_model,
     share_of_change,
 )
@@ -150,7 +149,7 @@ def _best_refitted(base: DiagnosedModel, prospects: Prospects) -> list[Candidate
             done = refits.refit(place, request)
             result.append(_tried(base, prospects, one, done))
             if done is not None:
-                rival = rival.after(done, prospects.score(one), left)
+                rival = rival.after(base, done, prospects.score(one), left)
     return result
 
 
@@ -238,11 +237,13 @@ class _Rival:
         is_behind = score < RIVAL_SCORE * self.score - BIC_TIE
         return is_behind or misfit > HOPELESS_VARIANCE * self.misfit
 
-    def after(self, done: Refit, score: float, misfit: float) -> "_Rival":
+    def after(
+        self, base: DiagnosedModel, done: Refit, score: float, misfit: float
+    ) -> "_Rival":
         """The best candidate when one more was re-fitted."""
         fit = done.before_sharpening
         rival = self
-        if is_white_noise(done.trained):
+        if base.is_left_with_noise(done.trained):
             fit = done.fit
             rival = replace(
                 self, misfit=min(self.misfit, misfit), score=max(self.score, score)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison, compare_record
-from phsi_opt.comparison.model_selection import delta_bic, is_white_noise
+from phsi_opt.comparison.model_selection import delta_bic
 from phsi_opt.criteria import (
     BIC_TIE,
     N_RESTART_WINDOWS,
@@ -190,7 +190,7 @@ class _Refitting:
         """
         trained = self.compared(fit)
         is_along_solutions = fit.outcome.way == FEASIBLE_PATH
-        is_enough = is_along_solutions and is_white_noise(trained)
+        is_enough = is_along_solutions and self.base.is_left_with_noise(trained)
         if is_enough or n_intervals(fit) > ONE_ATTEMPT_INTERVALS:
             return trained
         if distance_from_states(trained) < STRAYED_STATES:
@@ -211,7 +211,7 @@ class _Refitting:
     def with_estimated_widths(self, trained: Comparison) -> Comparison:
         """The same with the widths of its corners estimated, where it is near noise."""
         limit = NEAR_NOISE_ERROR * trained.noise_floor
-        is_near = not is_white_noise(trained) and trained.rmse < limit
+        is_near = not self.base.is_left_with_noise(trained) and trained.rmse < limit
         if not is_near:
             return trained
         fit = self.sharpening.with_estimated_widths(trained.fit)

@@ -31,7 +31,8 @@ def with_second_storages(
         refitted: makes re-fits of more.
     """
     result = list(candidates)
-    if is_like_noise(base.trained) or any(one.leaves_noise for one in result):
+    is_left = any(base.is_left_with_noise(one.trained) for one in result)
+    if is_left or is_like_noise(base.trained):
         return result
     tried = [one.name for one in result]
     storages = []

@@ -60,7 +60,7 @@ def with_simple_losses(
     if best.effect.name == HYSTERESIS:
         for one in losses:
             result = _again(base, result, refitted, one, best)
-    if best.leaves_noise:
+    if base.is_left_with_noise(best.trained):
         return result
     tried = [one.name for one in result]
     untried = [one for one in losses if one.name not in tried]

@@ -124,13 +124,27 @@ class Record:
 
         As the fit found it: for a few samples, and no force and no function of a state.
         """
-        longest = BRIEF_NOISE * float(np.median(self.grid.h))
         rows = self.fit.model_error_rows
         if self.fit.has_model_error:
             return False
         errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
         others = [row for row in rows if row.kind != SENSOR_ERROR and row.time != 0]
-        return bool(errors) and not others and max(errors) <= longest
+        return bool(errors) and not others and max(errors) <= self._longest_noise
+
+    @property
+    def shows_correlated_noise(self) -> bool:
+        """Whether noise of the sensors that lasts briefly is beside the model at all.
+
+        A force may be beside it too, or a function of a state.
+        """
+        rows = self.fit.model_error_rows
+        errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
+        return bool(errors) and min(errors) <= self._longest_noise
+
+    @property
+    def _longest_noise(self) -> float:
+        """Correlation time up to which an error of a sensor is noise."""
+        return BRIEF_NOISE * float(np.median(self.grid.h))
 
     @property
     def start(self) -> tuple[np.ndarray, ...]:
