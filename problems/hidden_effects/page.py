@@ -37,6 +37,8 @@ from problems.tools.provenance import write
 Tables = Mapping[str, pd.DataFrame]  # cases by row
 # Seeds from here on were not looked at while the diagnosis became what it is.
 FIRST_NEW = 1000
+# Of effects from outside seeds 1000 to 1049 and 3000 to 3049 were seen.
+FIRST_NEW_OUTSIDE = 3100
 LOUDNESS = [0, 5, 10, 40]  # error before over noise floor, ends of the groups
 
 INTRODUCTION = markdown.paragraph(f"""
@@ -71,7 +73,8 @@ def write_page() -> None:
     found = {}
     new = {}
     for name, rows in kept.items():
-        is_new = rows["seed"].ge(FIRST_NEW)
+        first = FIRST_NEW_OUTSIDE if name == "outside" else FIRST_NEW
+        is_new = rows["seed"].ge(first)
         found[name] = rows[~is_new]
         new[name] = rows[is_new]
     write("hidden_effects.md", page(found, new))
@@ -108,8 +111,9 @@ def _new_seeds(found: Tables, new: Tables) -> list[str]:
     """Rates on new seeds beside those on the first ones, names alone and with ties."""
     after = pd.concat(list(new.values()), ignore_index=True)
     text = markdown.paragraph(f"""
-        Seeds from {FIRST_NEW} on, not looked at before, beside the first ones, above,
-        which were examined while the diagnosis was developed. Named: the right effect
+        Seeds from {FIRST_NEW} on (of effects from outside {FIRST_NEW_OUTSIDE}), not
+        looked at before, beside the first ones, above, which were examined while the
+        diagnosis was developed. Named: the right effect
         comes first. With ties: or a declared, true tie of it.
         """)
     records = []
