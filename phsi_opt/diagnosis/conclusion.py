@@ -8,6 +8,7 @@ from phsi_opt.comparison.model_selection import (
     is_explained,
     is_failing,
     is_like_noise,
+    is_small_as_noise,
 )
 from phsi_opt.criteria import EXPLAINED_IF_PARTLY, EXPLAINED_IF_PROPOSED
 from phsi_opt.data.resolution import unresolved_channels
@@ -114,7 +115,7 @@ def _concluded(
     share = explained_share(base.judged, done.judged)
     against = objection(base, proposed, findings, ranked, is_all)
     unresolved = unresolved_channels(base.record.data)
-    if is_all and unresolved:
+    if unresolved and (is_all or is_small_as_noise(done.trained)):
         steps = f"the steps of {', '.join(unresolved)}"
         reason = (
             f"{said} would explain it, but so may {steps}, which moves by less than "
