@@ -73,14 +73,18 @@ def write_page() -> None:
     found = {}
     new = {}
     for name, rows in kept.items():
-        first = FIRST_NEW_OUTSIDE if name == "outside" else FIRST_NEW
-        is_new = rows["seed"].ge(first)
+        is_new = of_new_seeds(name, rows)
         found[name] = rows[~is_new]
         new[name] = rows[is_new]
     write("hidden_effects.md", page(found, new))
     one = _of_one_effect(found)
     if one:
         figure(one)
+
+
+def of_new_seeds(name: str, rows: pd.DataFrame) -> "pd.Series[bool]":
+    """Which cases of a row have seeds that nobody looked at before."""
+    return rows["seed"].ge(FIRST_NEW_OUTSIDE if name == "outside" else FIRST_NEW)
 
 
 def page(found: Tables, new: Tables | None = None) -> str:
