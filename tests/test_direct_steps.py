@@ -110,15 +110,22 @@ def test_the_simple_start_is_no_answer_where_the_model_lacks_something() -> None
     assert any("starting values" in line for line in said)
 
 
-def test_what_the_data_are_silent_about_stays_where_it_was() -> None:
-    """The position alone does not tell the scale of momentum, mass, and all forces."""
+@pytest.mark.parametrize("mass", [0.7, 1.0, 1.9])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_the_data_are_silent_about_stays_where_it_was(
+    seed: int, mass: float
+) -> None:
+    """The position alone does not tell the scale of momentum, mass, and all forces.
+
+    Nor may defects that do not hold yet, of a start that is off, seem to tell it.
+    """
     model = spring(
-        ph.Parameter(1.0, lower=0), ph.Parameter(0.1, lower=0), ph.Parameter(1.0)
+        ph.Parameter(1.0, lower=0), ph.Parameter(0.1, lower=0), ph.Parameter(mass)
     )
-    fit = ph.identify(model, swinging())
+    fit = ph.identify(model, swinging(seed=seed))
     assert fit.outcome.success
-    assert fit.values["k"] / fit.values["m"] == pytest.approx(1.7 / 1.5, rel=0.01)
-    assert 0.1 < fit.values["m"] < 10
+    assert fit.values["k"] / fit.values["m"] == pytest.approx(1.7 / 1.5, rel=0.02)
+    assert 0.5 * mass < fit.values["m"] < 2 * mass
     assert np.isnan(fit.std_errors["m"])
 
 

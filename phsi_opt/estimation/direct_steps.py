@@ -20,7 +20,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.interrupts import solving
 from phsi_opt.later import Later
-from phsi_opt.optimization.bounded_step import Room
+from phsi_opt.optimization.bounded_step import SILENT, Room
 from phsi_opt.optimization.endings import STEPS_OPTIMUM
 from phsi_opt.optimization.ipopt import KKT, Solution, names_at_bounds
 from phsi_opt.optimization.mixed_steps import MixedSteps
@@ -42,6 +42,8 @@ MOST_DIRECT_STEPS = 20
 # Scaled defect up to which the residuals say something about the noise, and steps what
 # they converge to.
 NEARLY_HOLDING = 1e-2
+# Curvature that defects of size 1 may bring about, as a share of the largest one.
+CURVED_BY_DEFECTS = 1e-3
 # Share of the error that two steps leave, at most; the first steps find their way.
 CONTRACTION = 0.7
 FREE_STEPS = 5
@@ -91,6 +93,14 @@ class _Place:
     def violation(self) -> float:
         """The largest scaled defect."""
         return float(np.max(np.abs(self.values.g), initial=0.0))
+
+    @property
+    def silent_share(self) -> float:
+        """Share of the largest curvature below which a direction is silent.
+
+        Defects that do not hold curve directions about which the data say nothing.
+        """
+        return max(SILENT, CURVED_BY_DEFECTS * self.violation)
 
     @property
     def nearly_holds(self) -> bool:
@@ -322,6 +332,7 @@ class _Stepper:
         self._system = system
         self.factored: Factored | None = None
         self.is_again = False
+        self._silent_share = SILENT  # of the place where the system was factored
 
     def step(
         self,
@@ -350,11 +361,14 @@ class _Stepper:
                 self.is_again = True
                 return again
         factored = self.factored = None  # many states leave no room for those before
+        self._silent_share = place.silent_share
         with suppress(SolveError, np.linalg.LinAlgError):
             self.factored = self._system.factored(
                 place.weighed.hessian, place.values.jacobian
             )
-            return self.factored.step(place.weighed.gradient, place.values.g, room)
+            return self.factored.step(
+                place.weighed.gradient, place.values.g, room, self._silent_share
+            )
         return None
 
     def _again(
@@ -374,7 +388,7 @@ class _Stepper:
         gradient = self._system.lagrangian_gradient(
             place.weighed.gradient, place.values.jacobian, last.multipliers
         )
-        step = factored.step(gradient, place.values.g, room)
+        step = factored.step(gradient, place.values.g, room, self._silent_share)
         if not _error(self._system, place, step) < most * error:
             return None
         return replace(step, multipliers=last.multipliers + step.multipliers)

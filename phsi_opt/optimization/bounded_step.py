@@ -62,7 +62,9 @@ class BoundedStep:
     is_silent: bool
 
 
-def bounded_step(curvature: np.ndarray, pull: np.ndarray, room: Room) -> BoundedStep:
+def bounded_step(
+    curvature: np.ndarray, pull: np.ndarray, room: Room, silent_share: float = SILENT
+) -> BoundedStep:
     """The d within the room that minimises ``d'Cd/2 - p'd``.
 
     None is taken in directions on which the data are silent: there it would be as large
@@ -72,13 +74,14 @@ def bounded_step(curvature: np.ndarray, pull: np.ndarray, room: Room) -> Bounded
         curvature: C, (n, n), none negative but by rounding.
         pull: p, (n,).
         room: for d.
+        silent_share: of the largest curvature, up to which a direction is silent.
     """
     n = len(pull)
     if not n:
         return BoundedStep(pull, False)
     curvature = (curvature + curvature.T) / 2
     values, vectors = np.linalg.eigh(curvature)
-    silent = SILENT * values[-1]
+    silent = silent_share * values[-1]
     is_silent = bool(values[0] <= silent)
     whole = _told_step(values, vectors, pull, silent)
     if room.holds(whole):

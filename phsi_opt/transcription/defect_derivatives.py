@@ -21,6 +21,7 @@ from phsi_opt.transcription.interval_map import (
     interval_arguments,
     map_intervals,
     mapped,
+    mapped_parameters,
 )
 from phsi_opt.transcription.pattern import entries_of, entry_places
 
@@ -168,9 +169,7 @@ class DefectLinearization:
             n_entries). They are written over by the next call.
         """
         ends = x[self._begin].ravel(), x[self._begin + 1].ravel()
-        theta = parameters.ravel()
-        if parameters.shape[1] > 1:
-            theta = parameters.T[self._trajectory].ravel()
+        theta = mapped_parameters(parameters, self._trajectory)
         values, entries = self._evaluated(*ends, *self._given, theta)
         return values, entries
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from phsi_opt.optimization.along_time import TimeLayout
 from phsi_opt.optimization.banded import Banded
-from phsi_opt.optimization.bounded_step import Room, bounded_step
+from phsi_opt.optimization.bounded_step import SILENT, Room, bounded_step
 from phsi_opt.optimization.chained import Chained
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.elimination import (
@@ -191,7 +191,13 @@ class Factored:
             self._per_theta,
         )
 
-    def step(self, gradient: np.ndarray, g: np.ndarray, room: Room) -> NewtonStep:
+    def step(
+        self,
+        gradient: np.ndarray,
+        g: np.ndarray,
+        room: Room,
+        silent_share: float = SILENT,
+    ) -> NewtonStep:
         """The full step.
 
         Args:
@@ -199,6 +205,8 @@ class Factored:
                 multipliers are changes likewise.
             g: (n_constraints,) values of the constraints.
             room: how far the parameters may move.
+            silent_share: of the largest curvature of the parameters, up to which they
+                do not move.
         """
         right = self._right
         coupling = self.coupling
@@ -213,7 +221,8 @@ class Factored:
         else:
             alone = self._factors.solve(right[:, n_theta])
         left = self._of_theta - coupling.T @ self._per_theta
-        best = bounded_step(left, -gradient[:n_theta] - coupling.T @ alone, room)
+        pull = -gradient[:n_theta] - coupling.T @ alone
+        best = bounded_step(left, pull, room, silent_share)
         others = alone - self._per_theta @ best.d
         z = np.concatenate([best.d, others[:n_x]])
         return NewtonStep(z, others[n_x:], best.is_silent)

@@ -15,7 +15,12 @@ from scipy.sparse import bsr_matrix, identity
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols, map_nodes, mapped
+from phsi_opt.transcription.interval_map import (
+    argument_symbols,
+    map_nodes,
+    mapped,
+    mapped_parameters,
+)
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.pattern import entries_of, entry_places
 
@@ -147,9 +152,7 @@ class SensorLinearization:
         """
         if self._evaluated is None:
             return x, np.ones_like(x)
-        theta = parameters.ravel()
-        if parameters.shape[1] > 1:
-            theta = parameters.T[self._trajectory].ravel()
+        theta = mapped_parameters(parameters, self._trajectory)
         shown, slopes = self._evaluated(x.ravel(), *self._given, theta)
         return shown, slopes
 
