@@ -1,9 +1,17 @@
-"""Windows of a grid: where it is cut, and where not."""
+"""Windows of a grid: where it is cut, and where not; what is said of them."""
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+import phsi_opt as ph
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation import maximum_likelihood
+from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
 from phsi_opt.estimation.multiple_shooting import SHORTEST_WINDOW, cut_into_windows
 from phsi_opt.transcription.grid import Grid, grid_of, steps_per_gap
 
@@ -34,3 +42,35 @@ def test_short_windows_have_the_least_number_of_samples(grid: Grid) -> None:
 
 def test_a_window_longer_than_the_record_cuts_nothing(grid: Grid) -> None:
     assert cut_into_windows(grid, 6.0).n_intervals == grid.n_intervals
+
+
+def unsolved(estimate: LikelihoodEstimate) -> LikelihoodEstimate:
+    outcome = replace(estimate.solution.outcome, success=False)
+    return replace(estimate, solution=replace(estimate.solution, outcome=outcome))
+
+
+@pytest.mark.parametrize("are_windows_solved", [True, False])
+def test_a_record_that_only_its_pieces_can_be_solved_of_is_told(
+    monkeypatch: pytest.MonkeyPatch, are_windows_solved: bool
+) -> None:
+    solve = LikelihoodSolver.solve
+
+    def of_pieces(
+        self: LikelihoodSolver, start: Any, *, window: float | None = None, **how: Any
+    ) -> LikelihoodEstimate:
+        estimate = solve(self, start, window=window, **how)
+        is_solved = are_windows_solved and window is not None
+        return estimate if is_solved else unsolved(estimate)
+
+    monkeypatch.setattr(LikelihoodSolver, "solve", of_pieces)
+    monkeypatch.setattr(maximum_likelihood, "simple_start", lambda _: None)
+    t = np.linspace(0.0, 16.0, 161)
+    x = np.column_stack([np.cos(t), -np.sin(t)])
+    y = x + 0.01 * np.random.default_rng(0).normal(size=x.shape)
+    data = ph.Measurements.from_arrays(t, y, states=["q", "p"], units={"t": "s"})
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"], S=ph.canonical(1), H=ph.formula("k*q**2/2 + p**2/2", k=2.0)
+    )
+    with pytest.raises(SolveError) as failure:
+        ph.identify(model, data)
+    assert ("Pieces of 8 s could be solved" in str(failure.value)) is are_windows_solved

@@ -73,6 +73,11 @@ class Estimate(ABC):
         return self.solution.outcome.success
 
     @property
+    def failure(self) -> str:
+        """How the solver ended where it reached no optimum, and what to do."""
+        return str(self.solution.outcome)
+
+    @property
     def theta(self) -> np.ndarray:
         """The estimates in the order of `Theta`, (n_theta,)."""
         return self.solution.values["theta"]

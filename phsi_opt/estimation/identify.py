@@ -234,4 +234,4 @@ def _not_a_loss(loss: object) -> str:
 
 def _raise_failure(estimate: Estimate) -> None:
     if not estimate.is_success:
-        raise SolveError(f"The solver failed: {estimate.solution.outcome}")
+        raise SolveError(f"The solver failed: {estimate.failure}")

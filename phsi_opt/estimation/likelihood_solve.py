@@ -87,16 +87,17 @@ class LikelihoodSolver:
         runs = self.task.data.trajectories
         longest = max(float(run.t[-1] - run.t[0]) for run in runs)
         window = self.loss.window or longest / FIRST_WINDOWS
-        has_moved = False
+        solved = 0.0
         while window < longest:
             estimate = self.solve(start, window=window)
             if estimate.is_success:
                 start = start.moved_to(estimate)
-                has_moved = True
+                solved = window
             window *= WINDOW_GROWTH
-        if failed is not None and not has_moved:
+        if failed is not None and not solved:
             return failed
-        return self.solve(start)
+        whole = self.solve(start)
+        return whole if whole.is_success else replace(whole, solved_window=solved)
 
     def _steps(self, start: StartingPoint) -> tuple[np.ndarray, ...]:
         """Intervals in every gap between samples, fine where a memory fades."""
