@@ -59,9 +59,8 @@ def heard() -> Iterator[None]:
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed inside.
     """
-    is_main = threading.current_thread() is threading.main_thread()
     before = signal.getsignal(signal.SIGINT)
-    if not is_main or before is not signal.default_int_handler:
+    if not _is_main() or before is not signal.default_int_handler:
         yield
         return
     signal.signal(signal.SIGINT, _listening.take)
@@ -90,17 +89,26 @@ def interruptible(call: Callable[P, Result]) -> Callable[P, Result]:
 def solving() -> Iterator[None]:
     """Note Ctrl-C while a solver works inside, and raise it before and after.
 
+    What solvers do in other threads is not in the way of the main one, which hears it.
+
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed in the long call that is at work.
     """
     with heard():
         _raise_noted()
-        outside, _listening.is_solving = _listening.is_solving, True
+        outside = _listening.is_solving
+        if _is_main():
+            _listening.is_solving = True
         try:
             yield
         finally:
-            _listening.is_solving = outside
+            if _is_main():
+                _listening.is_solving = outside
         _raise_noted()
+
+
+def _is_main() -> bool:
+    return threading.current_thread() is threading.main_thread()
 
 
 def _raise_noted() -> None:

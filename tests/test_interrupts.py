@@ -192,3 +192,36 @@ def test_a_study_goes_on_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> 
     assert list(study.history["effect"]) == ["base model"]
     study.add("cubic stiffness")
     assert len(study.history) == 2
+
+
+def test_solvers_of_other_threads_leave_ctrl_c_to_the_main_one() -> None:
+    """Two whose work overlaps, the one that began first ending first."""
+    events = {name: threading.Event() for name in ("both solve", "first is done")}
+
+    def first() -> None:
+        with solving():
+            second_thread.start()
+            assert events["both solve"].wait(10)
+        events["first is done"].set()
+
+    def second() -> None:
+        with solving():
+            events["both solve"].set()
+            assert events["first is done"].wait(10)
+
+    second_thread = threading.Thread(target=second)
+    first_thread = threading.Thread(target=first)
+    first_thread.start()
+    first_thread.join()
+    second_thread.join()
+
+    went_on = []
+
+    @interruptible
+    def pressed() -> None:
+        press()
+        went_on.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        pressed()
+    assert not went_on and is_quiet()
