@@ -173,7 +173,11 @@ def test_the_page_counts_preparations_that_agree(
     store.append(place | answered | {"noise": 0.02, "seconds": 1.0, "hidden": "drag"})
     whole, none = "100% (21% to 100%)", "0% (0% to 79%)"
     counted = f"| 1 | {whole} | {whole} | {none} | {whole} | {none} | {none} |"
-    assert f"| falling bodies {counted}" in page()
+    written = page()
+    assert f"| falling bodies {counted}" in written
+    assert "67% (21% to 94%) of 3 agree. Of the others 1 are silent" in written
+    assert "0 find something where it is silent, and 0 say something else" in written
+    assert "that do not count: 0." in written
 
 
 def test_a_record_prepared_in_another_way_is_the_same_motion() -> None:

@@ -142,9 +142,12 @@ def _instead(rows: pd.DataFrame) -> str:
 def _preparation() -> list[str]:
     records = []
     everything = []
+    n_failed = 0
     for name, kind in KINDS.items():
         rows = _of_interest(store.table(name, is_prepared=True))
-        rows = rows[rows["outcome"].eq("examined")]
+        is_examined = rows["outcome"].eq("examined")
+        n_failed += int((~is_examined).sum())
+        rows = rows[is_examined]
         if rows.empty:
             continue
         record: dict[str, object] = {"kind": kind.title, "n": len(rows)}
@@ -161,7 +164,32 @@ def _preparation() -> list[str]:
         effect with one of the other preparation, or both are silent. A name and a class
         that holds it agree.
         """)
-    return ["## Ways to prepare a record", "", text, "", markdown.table(records), ""]
+    rest = (
+        f"{_disagreement(joined)} Records of which one could not be solved, and that "
+    )
+    rest += f"do not count: {n_failed}."
+    table = markdown.table(records)
+    return ["## Ways to prepare a record", "", text, "", table, "", rest, ""]
+
+
+def _disagreement(rows: pd.DataFrame) -> str:
+    """How many of all preparations agree, and what the others said."""
+    n_agreeing = n_silent = n_named = 0
+    for other in PREPARED[1:]:
+        for own, said in zip(rows[PREPARED[0]], rows[other], strict=True):
+            if agree(of_text(own), of_text(said)):
+                n_agreeing += 1
+            elif not said:
+                n_silent += 1
+            elif not own:
+                n_named += 1
+    n = len(rows) * (len(PREPARED) - 1)
+    n_others = n - n_agreeing - n_silent - n_named
+    return (
+        f"All three ways together: {share(n_agreeing, n)} of {n} agree. Of the others "
+        f"{n_silent} are silent where the record as drawn is not, {n_named} find "
+        f"something where it is silent, and {n_others} say something else."
+    )
 
 
 def _same(rows: pd.DataFrame) -> dict[str, object]:
