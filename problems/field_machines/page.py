@@ -164,10 +164,10 @@ def _preparation() -> list[str]:
         effect with one of the other preparation, or both are silent. A name and a class
         that holds it agree.
         """)
-    rest = (
-        f"{_disagreement(joined)} Records of which one could not be solved, and that "
+    failed = (
+        f"Records of which one could not be solved, and that do not count: {n_failed}."
     )
-    rest += f"do not count: {n_failed}."
+    rest = f"{_disagreement(joined)} {failed}"
     table = markdown.table(records)
     return ["## Ways to prepare a record", "", text, "", table, "", rest, ""]
 
