@@ -416,7 +416,7 @@ def test_a_formula_that_is_not_a_formula_is_refused_and_never_run(
         lambda c: c.update(loss_value="a lot"),
         lambda c: c.update(noise={"q": "small"}),
         lambda c: c.update(noise=[1.0]),
-        lambda c: c.update(hold="cubic"),
+        lambda c: c.update(hold="spline"),
         lambda c: c.update(outcome={}),
         lambda c: c["outcome"].update(seconds=None),
         lambda c: c["model"].update(kind="os"),

@@ -165,7 +165,7 @@ def test_two_runs_are_the_same_to_the_last_digit() -> None:
         ({"x0": [1.0]}, "must be 2 finite numbers"),
         ({"u": np.zeros((3, 1))}, r"u has shape \(3, 1\)"),
         ({"u": None}, "the model has inputs"),
-        ({"hold": "cubic"}, "hold='cubic' is unknown"),
+        ({"hold": "spline"}, "hold='spline' is unknown"),
     ],
 )
 def test_arguments_of_the_wrong_shape_are_refused(

@@ -332,7 +332,7 @@ def test_pairs_that_cannot_be_used_are_refused(
         ({"u": [1, 2, 3], "inputs": ["q"]}, "the name 'q' is used 2 times"),
         (
             {"hold": "zeros"},
-            r"hold='zeros' is unknown; expected 'linear' or 'zero'. "
+            r"hold='zeros' is unknown; expected 'linear', 'zero' or 'cubic'. "
             r"Did you mean 'zero'\?",
         ),
         ({"hold": None}, "hold=None is unknown"),

@@ -132,7 +132,7 @@ def test_arguments_of_the_wrong_shape_are_refused(
     [
         (None, "linear", r"the model has inputs \(u\); give u of shape \(2, 1\)"),
         ([np.nan, 0.0], "linear", "expected finite numbers"),
-        ([1.0, 0.0], "cubic", "hold='cubic' is unknown"),
+        ([1.0, 0.0], "spline", "hold='spline' is unknown"),
         (lambda t: [1.0, 2.0], "linear", "gave 2 numbers; expected 1"),
     ],
 )

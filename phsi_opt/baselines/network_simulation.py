@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.simulation.simulate import ATOL, RTOL
 
@@ -88,7 +89,7 @@ def input_of(
         t: times (n_samples,).
         u: inputs (n_samples, n_inputs) at t; None for a model without inputs.
         n_inputs: number of inputs of the model.
-        hold: "linear" or "zero": between the samples.
+        hold: between the samples, one of `HOLDS`.
 
     Raises:
         DataError: if u has another shape.
@@ -107,6 +108,8 @@ def input_of(
     def interpolated(at: float) -> np.ndarray:
         return np.array([np.interp(at, t, column) for column in values.T])
 
+    if hold == "cubic":
+        return SmoothInputs(t, values)
     return held if hold == "zero" else interpolated
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pysindy as ps
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 
@@ -72,9 +73,20 @@ def _joined(parts: Sequence[SampledRates]) -> SampledRates:
 def _midpoint(run: Trajectory, hold: str) -> SampledRates:
     """(x1 - x0)/h at (x0 + x1)/2, a row per interval."""
     h = np.diff(run.t)
-    u = run.u[:-1] if hold == "zero" else _middles(run.u)
+    u = _mean_inputs(run, hold)
     dx = np.diff(run.x, axis=0) / h[:, None]
     return SampledRates(_middles(run.x), u, _middles(run.t), dx)
+
+
+def _mean_inputs(run: Trajectory, hold: str) -> np.ndarray:
+    """The mean of the inputs in every interval, (n_samples - 1, n_inputs)."""
+    if hold == "zero":
+        return run.u[:-1]
+    if hold == "linear":
+        return _middles(run.u)
+    first, last = SmoothInputs(run.t, run.u).lines(run.t[:-1], run.t[1:])
+    mean: np.ndarray = (first + last) / 2
+    return mean
 
 
 def _middles(values: np.ndarray) -> np.ndarray:

@@ -18,8 +18,9 @@ import numpy as np
 
 from phsi_opt.errors import DataError, did_you_mean
 
-# what inputs do between samples: interpolate, or keep the sample's value until the next
-HOLDS = ("linear", "zero")
+# what inputs do between samples: a straight line to the next, the sample's value until
+# the next, or a cubic spline through all of them
+HOLDS = ("linear", "zero", "cubic")
 # the time in formulas; the first column of `Measurements.to_dataframe`
 LARGEST_EXACT = 2**53  # up to which every whole number is a float
 RESERVED_NAMES = ("t", "trajectory")
@@ -294,5 +295,7 @@ def checked_hold(hold: Any) -> str:
     """
     if hold not in HOLDS:
         hint = did_you_mean(hold, HOLDS)
-        raise DataError(f"hold={hold!r} is unknown; expected 'linear' or 'zero'.{hint}")
+        raise DataError(
+            f"hold={hold!r} is unknown; expected 'linear', 'zero' or 'cubic'.{hint}"
+        )
     return str(hold)

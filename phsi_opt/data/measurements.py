@@ -66,8 +66,9 @@ class Measurements(TableReaders, Summarised):
         states: The names of the states, one for each column of x.
         inputs: The names of the inputs, one for each column of u.
         units: The unit of every state and input and of the time "t", "" when unknown.
-        hold: What inputs do between samples: "linear" interpolation, or "zero" (the
-            sample's value is kept until the next sample).
+        hold: What inputs do between samples: "linear" interpolation, "zero" (the
+            sample's value is kept until the next sample), or "cubic" (a smooth input:
+            the spline through the samples).
         noise: Standard deviations of the measurement noise by state, in the state's
             unit; None, or a state left out: unknown.
 

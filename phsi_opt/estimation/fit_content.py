@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.data.checks import HOLDS
+from phsi_opt.data.checks import checked_hold
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.fit_uncertainty import FitUncertainty
@@ -117,7 +117,7 @@ def fit_parts(content: Content) -> dict[str, Any]:
         "outcome": _outcome_from(content["outcome"]),
         "n_values": int(content["n_values"]),
         "bic": float(content["bic"]),
-        "hold": _hold_from(content["hold"]),
+        "hold": checked_hold(content["hold"]),
         "huber": _huber_from(content.get("huber")),
         "steps": _steps_from(content.get("steps", []), content.get("n_gaps", [])),
         "seconds": float(content.get("seconds", np.nan)),
@@ -191,12 +191,6 @@ def _priors_from(content: Sequence[Content]) -> tuple[PriorRow, ...]:
 
 def _by_trajectory_from(content: Content) -> dict[str, dict[str, float]]:
     return {str(run): _numbers(values) for run, values in content.items()}
-
-
-def _hold_from(hold: Any) -> str:
-    if hold not in HOLDS:
-        raise DataError(f"hold={hold!r} is unknown; expected 'linear' or 'zero'.")
-    return str(hold)
 
 
 def _huber_from(huber: Any) -> float | None:

@@ -41,7 +41,7 @@ class Identified:
 
     Attributes:
         model: The model; the found values are the values of its parameters.
-        hold: How inputs are held between samples, "linear" or "zero", as the
+        hold: How inputs are held between samples, "linear", "zero" or "cubic", as the
             measurements declared it.
         seconds: Wall time of the whole identification, starting values included.
         removed: Names of the terms that were pruned, in order.

@@ -18,6 +18,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from phsi_opt.data.checks import HOLDS
+from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.simulation import dormand_prince
@@ -61,7 +63,7 @@ def free_run(
         t: (n_samples,) strictly increasing times.
         x0: (n_states,) starting state.
         u: (n_samples, n_inputs) inputs at t; None if the model has no inputs.
-        hold: between the samples of u, "linear" or "zero" (zero-order hold).
+        hold: between the samples of u, one of `HOLDS`.
 
     Returns:
         (n_samples, n_states).
@@ -108,7 +110,7 @@ def _runs_of(rhs: ca.Function, theta: tuple[float, ...], thread: int) -> "Runs":
 def _is_usable(
     model: Model, t: np.ndarray, x0: np.ndarray, u: np.ndarray, hold: str
 ) -> bool:
-    if t.ndim != 1 or t.size < 2 or hold not in ("linear", "zero"):
+    if t.ndim != 1 or t.size < 2 or hold not in HOLDS:
         return False
     if x0.shape != (model.n_states,) or u.shape != (t.size, model.n_inputs):
         return False
@@ -144,7 +146,7 @@ class Runs:
             t: (n_samples,) strictly increasing times.
             x0: (n_states,) starting state.
             u: (n_samples, n_inputs).
-            hold: between the samples of u, "linear" or "zero".
+            hold: between the samples of u, one of `HOLDS`.
             tolerance: as `TOLERANCE`.
 
         Returns:
@@ -210,18 +212,22 @@ class _Steps:
 
 @dataclass(frozen=True, eq=False)
 class _Record:
-    """Times and inputs at the samples; the slope of the inputs in every interval."""
+    """Times and inputs at the samples; the slope of the inputs in every interval, or
+    what they are between samples where they are smooth.
+    """
 
     t: np.ndarray
     u: np.ndarray
     slope: np.ndarray
+    smooth: SmoothInputs | None = None
 
     @classmethod
     def of(cls, t: np.ndarray, u: np.ndarray, hold: str) -> "_Record":
         """The record with its slopes, which are zero where inputs are held."""
-        if hold == "linear":
-            return cls(t, u, np.diff(u, axis=0) / np.diff(t)[:, None])
-        return cls(t, u, np.zeros_like(u[1:]))
+        if hold == "zero":
+            return cls(t, u, np.zeros_like(u[1:]))
+        smooth = SmoothInputs(t, u) if hold == "cubic" else None
+        return cls(t, u, np.diff(u, axis=0) / np.diff(t)[:, None], smooth)
 
     def columns(self, steps: _Steps) -> np.ndarray:
         """Time, length, inputs and their slopes of every step, a column each; steps of
@@ -231,9 +237,14 @@ class _Record:
         n_inputs = self.u.shape[1]
         n_filled = -(-n_steps // CHUNK) * CHUNK
         columns = np.zeros((2 + 2 * n_inputs, n_filled))
-        slope = self.slope[steps.interval]
-        inputs = self.u[steps.interval] + slope * steps.since[:, None]
-        columns[0, :n_steps] = self.t[steps.interval] + steps.since
+        begin = self.t[steps.interval] + steps.since
+        if self.smooth is None:
+            slope = self.slope[steps.interval]
+            inputs = self.u[steps.interval] + slope * steps.since[:, None]
+        else:
+            inputs, at_ends = self.smooth.lines(begin, begin + steps.h)
+            slope = (at_ends - inputs) / steps.h[:, None]
+        columns[0, :n_steps] = begin
         columns[1, :n_steps] = steps.h
         columns[2 : 2 + n_inputs, :n_steps] = inputs.T
         columns[2 + n_inputs :, :n_steps] = slope.T

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from phsi_opt.data.checks import checked_hold
+from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.errors import DataError, SolveError
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
@@ -55,7 +57,8 @@ def simulate(
         x0: (n_states,) starting state.
         u: (n_samples, n_inputs) inputs at t, or a function of the time; None if the
             model has no inputs.
-        hold: between the samples of u, "linear" or "zero" (zero-order hold).
+        hold: between the samples of u, "linear", "zero" (zero-order hold) or "cubic"
+            (a smooth input: the spline through the samples).
         method: of `scipy.integrate.solve_ivp`.
         force: function (t, x) -> (n_states,) that is added to dx/dt, for a force that
             is not part of the model.
@@ -254,6 +257,7 @@ def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
 
 def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[_Piece]:
     """The stretches over which the input is smooth."""
+    checked_hold(hold)
     end = len(t) - 1
     sample = float(np.max(np.diff(t)))
     if callable(u):
@@ -271,7 +275,7 @@ def _pieces(t: np.ndarray, u: Any, hold: str) -> Iterator[_Piece]:
         # No step may be longer than a sample, or a short pulse is stepped over.
         yield _Piece(0, end, value, sample)
     else:
-        raise DataError(f"hold={hold!r} is unknown; expected 'linear' or 'zero'.")
+        yield _Piece(0, end, SmoothInputs(t, u), sample)
 
 
 def _called(u: Callable[[float], Any], at: float) -> np.ndarray:

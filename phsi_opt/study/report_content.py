@@ -45,6 +45,7 @@ LEVEL = 0.95  # of the intervals: the convention of most tables
 HOLD_WORDS = {
     "zero": "constant until the next sample (zero-order hold)",
     "linear": "on a straight line to the next sample",
+    "cubic": "smooth, on the cubic spline through the samples",
 }
 LIBRARIES = ("phsi_opt", "casadi", "numpy", "scipy", "pandas")
 

@@ -106,7 +106,10 @@ def _data(table: TableSurvey, files: list[str]) -> str:
         lines.append(f"trajectory = {text_value(runs[0].column)}  # {runs[0].said}")
         lines += _to_correct(runs[0])
     if table.of_part(INPUT):
-        lines.append('hold = "linear"  # between samples; "zero" for a digital output')
+        lines.append(
+            'hold = "linear"  # between samples; "zero" for a digital output, "cubic" '
+            "for a smooth input"
+        )
     lines += _time(table)
     lines.append("# Where it applies, without the # in front:")
     if not runs:

@@ -61,7 +61,11 @@ KEYS: tuple[Key, ...] = (
             "text, .xlsx or .mat, by paths from the study file",
         ),
         ("trajectory", "text", "column that names each line's run; default: no such"),
-        ("hold", '"linear" or "zero"', "inputs between samples; default linear"),
+        (
+            "hold",
+            '"linear", "zero" or "cubic"',
+            "inputs between samples; default linear",
+        ),
         ("time", "table", "the column of the times"),
         ("between", "list of two numbers", "times that are used; default: all"),
         ("thinned", "whole number", "so many samples become their mean; default: none"),

@@ -52,7 +52,7 @@ class DataSection:
         states: by name.
         inputs: by name.
         trajectory: the column that names each line's run; None: a run per file.
-        hold: what inputs do between samples, "linear" or "zero".
+        hold: what inputs do between samples, "linear", "zero" or "cubic".
         step: the time between neighbouring lines, where no column has the times.
         start: where times are dates, the moment at which t is 0.
         date_format: dates written otherwise than 2021-11-22 09:15:00, see strptime.

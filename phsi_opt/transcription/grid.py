@@ -16,6 +16,8 @@ from itertools import pairwise
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.smooth_inputs import SmoothInputs
+from phsi_opt.data.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +31,8 @@ class Grid:
         sample: (n_nodes,) whether the node is a sample.
         begin: (n_intervals,) first node of each interval; the next node is its end.
         h: (n_intervals,) length in time of each interval.
-        u0: (n_intervals, n_inputs) input at the beginning of the interval.
+        u0: (n_intervals, n_inputs) input at the beginning of the interval; of a smooth
+            input the straight line that acts like it.
         u1: (n_intervals, n_inputs) input at its end, equal to u0 for a held input.
         u: (n_nodes, n_inputs) input at each node.
     """
@@ -171,10 +174,17 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     x = np.concatenate([run.x for run in runs])
     y = np.full((len(t), x.shape[1]), np.nan)
     y[is_sample] = x
-    u = np.concatenate([run.u for run in runs])
-    u = u[places.left] if data.hold == "zero" else places.interpolated(u)
     trajectory = np.repeat(np.arange(len(runs)), lengths)[places.left]
     begin = np.flatnonzero(np.diff(trajectory) == 0)
+    u = np.concatenate([run.u for run in runs])
+    if data.hold == "zero":
+        u = u[places.left]
+        u0 = u1 = u[begin]
+    elif data.hold == "linear":
+        u = places.interpolated(u)
+        u0, u1 = u[begin], u[begin + 1]
+    else:
+        u, u0, u1 = _smooth(runs, t, trajectory, begin)
     return Grid(
         t=t,
         y=y,
@@ -182,10 +192,32 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
         sample=is_sample,
         begin=begin,
         h=t[begin + 1] - t[begin],
-        u0=u[begin],
-        u1=u[begin] if data.hold == "zero" else u[begin + 1],
+        u0=u0,
+        u1=u1,
         u=u,
     )
+
+
+def _smooth(
+    runs: Sequence[Trajectory], t: np.ndarray, trajectory: np.ndarray, begin: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth inputs at the nodes, and their lines at both ends of every interval.
+
+    Args:
+        runs: all trajectories.
+        t: (n_nodes,) times.
+        trajectory: (n_nodes,) number of the trajectory of each node.
+        begin: (n_intervals,) first node of each interval.
+    """
+    at_nodes, first, last = [], [], []
+    for k, run in enumerate(runs):
+        smooth = SmoothInputs(run.t, run.u)
+        own = begin[trajectory[begin] == k]
+        ends = smooth.lines(t[own], t[own + 1])
+        at_nodes.append(smooth(t[trajectory == k]))
+        first.append(ends[0])
+        last.append(ends[1])
+    return np.concatenate(at_nodes), np.concatenate(first), np.concatenate(last)
 
 
 def steps_per_gap(grid: Grid) -> list[np.ndarray]:
