@@ -11,6 +11,7 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named, every_name
+from phsi_opt.model.catalogue_energies import is_spring
 from phsi_opt.model.choice import EffectChoice
 from phsi_opt.model.kinds import KINDS
 
@@ -443,3 +444,44 @@ def simulated(truth: ph.Model) -> ph.Measurements:
     return ph.Measurements.from_arrays(
         list(times), list(states), list(inputs), states=list(truth.states), inputs=["u"]
     )
+
+
+def test_a_spring_without_an_energy_is_offered_what_one_with_it_is() -> None:
+    k = {"k": ph.Parameter(3.0, lower=0)}
+    energy = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**4 + p**2/2", **k),
+        F={"p": ph.formula("u")},
+    )
+    rates = {"q": ph.formula("p"), "p": ph.formula("u - 4*k*q**3", **k)}
+    plain = ph.FirstOrder(["q", "p"], rates, inputs=["u"])
+    offered = {str(effect): effect for effect in ph.catalogue(plain)}
+    known = {str(effect): effect for effect in ph.catalogue(energy)}
+    assert offered.keys() == known.keys()
+    assert {"linear stiffness on p", "gap on p", "hysteresis on p"} <= known.keys()
+    random = np.random.default_rng(3)
+    for name, effect in known.items():
+        assert is_spring(effect) == is_spring(offered[name])
+        assert effect.family == offered[name].family
+        first, second = energy.add(effect), plain.add(offered[name])
+        values = dict.fromkeys(first.free, 0.7) | {"k": 3.0}
+        first, second = first.with_values(values), second.with_values(values)
+        for x in random.normal(size=(5, first.n_states)):
+            u = random.normal(size=1)
+            np.testing.assert_allclose(
+                np.array(first.rhs()(x, u, 0.4, first.theta)),
+                np.array(second.rhs()(x, u, 0.4, second.theta)),
+                err_msg=name,
+            )
+
+
+def test_two_velocities_are_not_coupled_without_their_masses() -> None:
+    rates = {"x": "v", "v": "-x", "y": "w", "w": "-y"}
+    model = ph.FirstOrder(
+        ["x", "v", "y", "w"], {name: ph.formula(rate) for name, rate in rates.items()}
+    )
+    names = {effect.name for effect in ph.catalogue(model)}
+    assert "cubic stiffness" in names
+    assert "coupling stiffness" not in names

@@ -8,6 +8,7 @@ import pytest
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import (
     canonical,
     forced_rows,
@@ -17,7 +18,7 @@ from phsi_opt.model.structure import (
     storage_states,
     with_kinds_of_units,
 )
-from phsi_opt.model.terms import damping, formula, polynomials
+from phsi_opt.model.terms import Dictionary, Term, damping, formula, polynomials
 
 
 def spring() -> PseudoHamiltonian:
@@ -81,7 +82,8 @@ def motor(kind: Any = None) -> PseudoHamiltonian:
 
 
 def test_a_pair_is_of_one_kind_and_a_gyrator_is_none() -> None:
-    assert position_of_momentum(motor()) == {"flux": "turn"}
+    assert position_of_momentum(motor()) == {}
+    assert forced_rows(motor()) == (0, 1)
     assert position_of_momentum(motor("electrical")) == {"flux": "turn"}
     assert position_of_momentum(motor("thermal")) == {}
     two_fields = motor({"turn": "mechanical", "flux": "electrical"})
@@ -91,12 +93,95 @@ def test_a_pair_is_of_one_kind_and_a_gyrator_is_none() -> None:
 
 def test_a_capacitor_may_leak_and_the_position_of_a_body_may_not() -> None:
     assert forced_rows(motor("electrical")) == (0, 1) == forced_rows(motor("hydraulic"))
-    assert forced_rows(motor("mechanical")) == (1,) == forced_rows(motor())
+    assert forced_rows(motor("mechanical")) == (1,)
+
+
+def piston(kind: Any = None) -> PseudoHamiltonian:
+    """A piston of place q and momentum p before oil of pressure z."""
+    return PseudoHamiltonian(
+        states=["q", "p", "z"],
+        S=[[0, 1, 0], [-1, 0, 0.5], [0, -0.5, 0]],
+        H=formula("q**2/2 + p**2/2 + z**2/2"),
+        kind=kind or {},
+    )
+
+
+MOVES = {"q": "mechanical", "p": "mechanical"}
+
+
+def test_a_momentum_coupled_to_more_than_its_position_is_told_to_be_mechanical() -> (
+    None
+):
+    assert position_of_momentum(piston()) == {}  # it may be a tank beside a pipe
+    assert position_of_momentum(piston(MOVES)) == {"p": "q"}
+    assert forced_rows(piston(MOVES)) == (1, 2)
+    by_units = with_kinds_of_units(piston(), {"q": "mm", "p": "kg m/s", "z": "kPa"})
+    assert by_units.kind == {**MOVES, "z": "hydraulic"}
+    assert position_of_momentum(by_units) == {"p": "q"}
+
+
+def test_a_gyrator_is_known_by_its_units_too() -> None:
+    lossless = replace(motor(), S=canonical(1))
+    assert position_of_momentum(lossless) == {"flux": "turn"}
+    known = with_kinds_of_units(lossless, {"turn": "N m s", "flux": "V s"})
+    assert known.kind == {"turn": "mechanical", "flux": "electrical"}
+    assert position_of_momentum(known) == {}
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        formula("v"),
+        formula("3.6*v"),
+        formula("c*v", c=3.6),
+        formula("v/(2 + 2)"),
+        Dictionary((Term("v", Parameter(2.0, fixed=True)),)),
+    ],
+)
+def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(
+    rate: Dictionary,
+) -> None:
+    model = FirstOrder(["x", "v"], {"x": rate, "v": formula("-x")})
+    assert position_of_momentum(model) == {"v": "x"}
+    assert forced_rows(model) == (1,)
+    heat = replace(model, kind="thermal")
+    assert position_of_momentum(heat) == {}
+
+
+@pytest.mark.parametrize(
+    "rate",
+    [
+        formula("c*v", c=Parameter(1.0)),
+        formula("-v"),
+        formula("v**2"),
+        formula("v + 1"),
+        formula("v + x"),
+        formula("v*0"),
+        formula("u"),
+        formula("x"),
+        polynomials("v", 1),
+        formula("v") + formula("u"),
+    ],
+)
+def test_no_other_equation_is(rate: Dictionary) -> None:
+    model = FirstOrder(["x", "v"], {"x": rate, "v": formula("-x")}, inputs=["u"])
+    assert position_of_momentum(model) == {}
+    lossy = FirstOrder(
+        ["x", "v"], {"x": formula("v"), "v": formula("-x")}, R={"x": formula("1")}
+    )
+    assert forced_rows(lossy) == (0, 1)
+
+
+def test_of_two_positions_of_one_velocity_the_first_is_taken() -> None:
+    rates = {"a": formula("v"), "b": formula("2*v"), "v": formula("-a - b")}
+    model = FirstOrder(["a", "b", "v"], rates)
+    assert position_of_momentum(model) == {"v": "a"}
 
 
 def test_a_state_of_a_pair_is_mechanical_or_of_the_kind_of_the_other_one() -> None:
-    assert kind_of(motor(), "turn") == kind_of(motor(), "flux") == "mechanical"
-    told = motor({"flux": "electrical"})
+    lossless = replace(motor(), S=canonical(1))
+    assert kind_of(lossless, "turn") == kind_of(lossless, "flux") == "mechanical"
+    told = replace(lossless, kind={"flux": "electrical"})
     assert kind_of(told, "turn") == kind_of(told, "flux") == "electrical"
     assert kind_of(two_tanks(), "left") == ""
 
@@ -145,10 +230,16 @@ def test_units_tell_kinds_outside_the_pairs(
     assert with_kinds_of_units(two_tanks(), units).kind == kinds
 
 
-def test_what_the_model_tells_goes_before_units_and_pairs_stay_as_they_are() -> None:
+def test_what_the_model_tells_goes_before_units() -> None:
     told = replace(two_tanks(), kind={"flow": "mechanical"})
     assert with_kinds_of_units(told, {"flow": "A"}).kind == {"flow": "mechanical"}
-    assert with_kinds_of_units(spring(), {"q": "C", "p": "Wb"}).kind == {}
+
+
+def test_units_tell_the_kind_of_a_pair() -> None:
+    circuit = with_kinds_of_units(spring(), {"q": "C", "p": "Wb"})
+    assert circuit.kind == {"q": "electrical", "p": "electrical"}
+    assert position_of_momentum(circuit) == {"p": "q"}
+    assert with_kinds_of_units(spring(), {"q": "V"}).kind == {}  # of any sensor
 
 
 def test_the_memory_of_an_effect_is_neither_forced_nor_a_storage() -> None:

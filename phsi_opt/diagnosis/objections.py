@@ -34,6 +34,7 @@ from phsi_opt.diagnosis.doubts import (
 from phsi_opt.diagnosis.finding import Finding, are_losses, families
 from phsi_opt.diagnosis.proposal import Proposal
 from phsi_opt.diagnosis.remainder import Remainder, share_of_motion
+from phsi_opt.model.catalogue_energies import is_spring
 from phsi_opt.model.effect import Effect
 
 
@@ -108,7 +109,7 @@ def _against_two_springs(effects: Sequence[Effect]) -> str:
 
     Two that are needed together stand for one whose law is another.
     """
-    if len(effects) < 2 or any(one.slot != "H" for one in effects):
+    if len(effects) < 2 or not all(map(is_spring, effects)):
         return ""
     if len({one.equation for one in effects}) > 1:
         return ""
@@ -215,7 +216,7 @@ def objection_beside_the_rest(
         )
     for effect in proposed.candidate.effects:
         size = fitted_size(base.fit, proposed.fit, effect)
-        if effect.slot == "H" and not size.z >= SPRING_Z:
+        if is_spring(effect) and not size.z >= SPRING_Z:
             return (
                 f"the size of {effect}, {size}, is not clear enough: a term of the "
                 "energy bends to whatever force goes with the position"

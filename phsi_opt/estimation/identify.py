@@ -22,6 +22,7 @@ from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.initialization.finite_rates import check_rates
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
+from phsi_opt.model.structure import with_kinds_of_units
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.alignment import AlignedData
@@ -121,6 +122,7 @@ def identify_aligned(
     if not isinstance(loss, Loss | MissingForce):
         raise ModelError(_not_a_loss(loss))
     _check_free(model, loss)
+    model = with_kinds_of_units(model, aligned.data.units)
     own = aligned.for_model(model)
     if start is None:
         check_rates(model, own.grid)

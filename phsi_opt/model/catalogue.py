@@ -161,7 +161,7 @@ def _in_equations(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
         effects += second_storages(model, state)
         if position is not None:
             effects.append(parametric_stiffness(model, position, state))
-            effects.append(hysteresis(position, state))
+            effects.append(hysteresis(model, position, state))
     return effects
 
 
@@ -190,8 +190,13 @@ def _from_surroundings(model: BaseModel, units: Mapping[str, str]) -> list[Effec
 
 
 def _between_positions(model: BaseModel) -> list[Effect]:
-    """Springs between two positions of one kind."""
-    found = []
+    """Springs between two positions of one kind.
+
+    None without an energy, where the masses of the two may be anything.
+    """
+    found: list[Effect] = []
+    if not model.has_energy:
+        return found
     for (p1, q1), (p2, q2) in combinations(position_of_momentum(model).items(), 2):
         if kind_of(model, p1) == kind_of(model, p2):
             found.append(coupling(model, q1, q2, p1))

@@ -1,6 +1,7 @@
 """Effects that store energy: springs, gravity, free play and couplings.
 
-They are terms of H in the positions, and act as forces in the equations of the momenta.
+They are terms of H in the positions, and act as forces in the equations of the momenta;
+in a model without an energy they are these forces, in the equations of the velocities.
 A coil or a capacitor that saturates has a term in its own state.
 """
 
@@ -18,8 +19,14 @@ POSITION_FORCE = "a force that depends on the position"
 VOLUME_PRESSURE = "a pressure that depends on the volume"
 CHARGE_VOLTAGE = "a voltage that depends on the charge"
 SATURATION = "a storage that saturates"
-# Energies of a position q, by the role of its momentum.
-POWERS_OF_POSITION = ("{q}**2/2", "{q}**3/3", "{q}**4/4")
+FORCES_OF_ENERGY = (POSITION_FORCE, VOLUME_PRESSURE, CHARGE_VOLTAGE)
+# Energies of a position q, and the forces that they make; the latter are what a model
+# without an energy has.
+POWERS_OF_POSITION = (
+    ("{q}**2/2", "-{q}"),
+    ("{q}**3/3", "-{q}**2"),
+    ("{q}**4/4", "-{q}**3"),
+)
 STIFFNESSES = ("linear stiffness", "quadratic stiffness", "cubic stiffness")
 ELASTANCES = ("linear elastance", "quadratic elastance", "cubic elastance")
 COUPLINGS = {
@@ -45,13 +52,13 @@ def energies(model: BaseModel, state: str, position: str | None) -> list[Effect]
     """
     role = role_of(model, state)
     if role is Role.BODY and position is not None:
-        stiffnesses = _springs(STIFFNESSES, position, state, POSITION_FORCE)
-        gravity = _energy("gravity torque", position, state, f"-cos({position})")
-        return [*stiffnesses, gravity, _gap(position, state)]
+        return _springs_of_body(model, position, state)
     if role is Role.PIPE and position is not None:
-        return _springs(STIFFNESSES, position, state, VOLUME_PRESSURE)
+        return _powers(model, STIFFNESSES, position, state, VOLUME_PRESSURE)
     if role is Role.COIL and position is not None:
-        elastances = _springs(ELASTANCES, position, state, CHARGE_VOLTAGE)
+        elastances = _powers(model, ELASTANCES, position, state, CHARGE_VOLTAGE)
+        if not model.has_energy:
+            return elastances
         return [*elastances, _saturation("coil saturation", state)]
     if role is Role.CIRCUIT and model.has_energy:
         return [_saturation("coil or capacitor saturation", state)]
@@ -65,27 +72,52 @@ def coupling(model: BaseModel, q1: str, q2: str, p1: str) -> Effect:
     return Effect(name, "H", p1, term, family=family)
 
 
-def _springs(names: tuple[str, ...], q: str, p: str, family: str) -> list[Effect]:
+def is_spring(effect: Effect) -> bool:
+    """Whether it is a term of the energy, or the force that such a term makes."""
+    return effect.slot == "H" or effect.family in FORCES_OF_ENERGY
+
+
+def _springs_of_body(model: BaseModel, q: str, p: str) -> list[Effect]:
+    """All that may hold a body at its position."""
+    powers = _powers(model, STIFFNESSES, q, p, POSITION_FORCE)
+    gravity = _placed(
+        model, "gravity torque", q, p, (f"-cos({q})", f"-sin({q})"), POSITION_FORCE
+    )
+    return [*powers, gravity, _gap(model, q, p)]
+
+
+def _powers(
+    model: BaseModel, names: tuple[str, ...], q: str, p: str, family: str
+) -> list[Effect]:
     found = []
-    for name, power in zip(names, POWERS_OF_POSITION, strict=True):
-        found.append(_energy(name, q, p, power.format(q=q), family))
+    for name, (energy, force) in zip(names, POWERS_OF_POSITION, strict=True):
+        bodies = (energy.format(q=q), force.format(q=q))
+        found.append(_placed(model, name, q, p, bodies, family))
     return found
 
 
-def _saturation(name: str, state: str) -> Effect:
-    return _energy(name, state, state, f"{state}**4/4", SATURATION)
-
-
-def _energy(
-    name: str, of: str, equation: str, body: str, family: str = POSITION_FORCE
+def _placed(
+    model: BaseModel, name: str, q: str, p: str, bodies: tuple[str, str], family: str
 ) -> Effect:
-    term = one_term(body, f"{underscored(name)}_{of}")
-    return Effect(name, "H", equation, term, family=family)
+    """An energy of q in H, or without one its force in the equation of p."""
+    energy, force = bodies
+    coefficient = f"{underscored(name)}_{q}"
+    if model.has_energy:
+        return Effect(name, "H", p, one_term(energy, coefficient), family=family)
+    return Effect(name, "F", p, one_term(force, coefficient), family=family)
 
 
-def _gap(q: str, p: str) -> Effect:
+def _saturation(name: str, state: str) -> Effect:
+    term = one_term(f"{state}**4/4", f"{underscored(name)}_{state}")
+    return Effect(name, "H", state, term, family=SATURATION)
+
+
+def _gap(model: BaseModel, q: str, p: str) -> Effect:
     """A spring with free play, to both sides."""
     inner = {"play": tried(q, PLAYS, LARGEST_SHARE)}
     body = f"max(abs({q}) - play, 0)**2/2"
+    if not model.has_energy:
+        body = f"-max({q} - play, 0) + max(-{q} - play, 0)"
     term = one_term(body, f"gap_{q}", inner, lower=0.0)
-    return Effect("gap", "H", p, term, family=POSITION_FORCE)
+    slot = "H" if model.has_energy else "F"
+    return Effect("gap", slot, p, term, family=POSITION_FORCE)

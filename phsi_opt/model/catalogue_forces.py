@@ -8,6 +8,7 @@ from phsi_opt.model.catalogue_parts import one_term, tried, underscored
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.parameters import Parameter, Scan, Share
 from phsi_opt.model.roles import WORDS, Role, role_of
+from phsi_opt.model.structure import effort_of
 from phsi_opt.model.terms import Dictionary, Term, formula
 
 # Stiffness that changes with the time, by the role of the momentum.
@@ -76,7 +77,7 @@ def _free_frequency(model: BaseModel, kind: str, equation: str) -> str:
     return omega
 
 
-def hysteresis(q: str, p: str) -> Effect:
+def hysteresis(model: BaseModel, q: str, p: str) -> Effect:
     """Hysteresis of Bouc (1967) and Wen (1976) with n = 1, rounded.
 
     ::
@@ -85,7 +86,7 @@ def hysteresis(q: str, p: str) -> Effect:
 
     so that z stays within -1 and 1, and w is the displacement over which it yields.
     """
-    v = f"dH_d{p}"
+    v = effort_of(model, p)
     z = f"hysteresis_{p}"
     width = f"hysteresis_width_{p}"
     slow = f"hysteresis_slow_{p}"

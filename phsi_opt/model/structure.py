@@ -2,10 +2,13 @@
 
 The physics is read from the structure matrix S and from the kinds that the model tells.
 A row of S with one entry, dq/dt = dH/dp, makes q the position of the momentum p, if the
-two are of one kind: a gyrator, such as that of a motor, looks the same in S, and so
-does a pair without inertia. What lies outside such pairs is a storage (a tank, a
-capacitor) or a flow (a pipe, a coil); where neither the model nor a unit tells which, a
-state counts as both. Where the model loses energy already says nothing about that.
+two are of one kind: a gyrator, such as that of a motor, looks nearly the same in S, and
+so does a pair without inertia. A momentum that is coupled to more than its position, as
+that of a piston is to a pressure, must be told to be mechanical; else it could be the
+flow between two tanks. Without an energy an equation dx/dt = v makes x the position of
+the velocity v. What lies outside such pairs is a storage (a tank, a capacitor) or a
+flow (a pipe, a coil); where neither the model nor a unit tells which, a state counts as
+both. Where the model loses energy already says nothing about that.
 """
 
 from collections.abc import Mapping
@@ -14,7 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from phsi_opt.errors import ModelError
+from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.base import BaseModel
+from phsi_opt.model.expressions import evaluate, names_of
 from phsi_opt.model.kinds import (
     ELECTRICAL,
     HYDRAULIC,
@@ -25,6 +30,10 @@ from phsi_opt.model.kinds import (
     kind_of_unit,
     plain_unit,
 )
+
+# Velocities at which an equation is asked whether it is a known multiple of them; in
+# floats the multiples of powers of two are exact.
+PROBED = (1.0, -2.0, 0.25)
 
 
 def canonical(n: int) -> np.ndarray:
@@ -59,27 +68,55 @@ def position_rows(model: BaseModel) -> tuple[int, ...]:
 
 
 def position_of_momentum(model: BaseModel) -> dict[str, str]:
-    """Name of the position q of each momentum p of a canonical pair."""
-    pairs = {}
-    S = np.array(model.S)
-    for row, position in enumerate(model.states):
-        column = _momentum_column(S, row)
-        if column is not None:
-            momentum = model.states[column]
-            if _are_of_one_kind(model, position, momentum):
-                pairs[momentum] = position
+    """Name of the position q of each momentum p of a canonical pair.
+
+    Of a model without an energy, of each velocity. Of several positions that one
+    momentum moves it is the first.
+    """
+    pairs: dict[str, str] = {}
+    for position in model.states:
+        if model.has_energy:
+            momentum = _momentum(model, position)
+        else:
+            momentum = _velocity(model, position)
+        if momentum and _are_of_one_kind(model, position, momentum):
+            pairs.setdefault(momentum, position)
     return pairs
 
 
-def _momentum_column(S: np.ndarray, row: int) -> int | None:
-    """Column of the p of a row dq/dt = dH/dp, if p is coupled to no other state."""
+def _momentum(model: BaseModel, position: str) -> str:
+    """The p of an equation dq/dt = dH/dp; "" where that is not what it says."""
+    S = np.array(model.S)
+    row = model.states.index(position)
     (partners,) = np.nonzero(S[row])
-    if len(partners) != 1:
-        return None
-    momentum = int(partners[0])
-    if S[row, momentum] > 0 and np.count_nonzero(S[momentum]) == 1:
-        return momentum
-    return None
+    if len(partners) != 1 or not S[row, partners[0]] > 0:
+        return ""
+    momentum = model.states[partners[0]]
+    told = {model.kind.get(name) for name in (position, momentum)}
+    if np.count_nonzero(S[partners[0]]) > 1:
+        return momentum if told == {MECHANICAL} else ""
+    is_canonical = S[row, partners[0]] == 1
+    return momentum if is_canonical or None not in told else ""
+
+
+def _velocity(model: BaseModel, position: str) -> str:
+    """The v of an equation dx/dt = c v with a known c > 0; "" for any other."""
+    terms = model.terms_at("F", position).terms
+    if len(terms) != 1 or model.terms_at("R", position):
+        return ""
+    (term,) = terms
+    known = {name: p.value for name, p in term.inner.items() if p.fixed}
+    if term.coefficient is not None and not term.coefficient.fixed:
+        return ""
+    names = names_of(term.body) - set(known)
+    if len(names) != 1 or not names <= set(model.states) - {position}:
+        return ""
+    (velocity,) = names
+    factor = 1.0 if term.coefficient is None else term.coefficient.start
+    at = np.array(PROBED)
+    rate = factor * evaluate(term.body, {**known, velocity: at}, NUMPY)
+    is_proportional = bool(np.all(rate / at == rate[0] / at[0]))
+    return velocity if is_proportional and rate[0] > 0 else ""
 
 
 def _are_of_one_kind(model: BaseModel, position: str, momentum: str) -> bool:
@@ -106,9 +143,10 @@ def kind_of(model: BaseModel, state: str) -> str:
 def with_kinds_of_units(model: BaseModel, units: Mapping[str, str]) -> BaseModel:
     """The model with kinds by the units of the states of which it tells none.
 
-    Canonical pairs stay as the model has them. A length is a tank's level where all
-    that lies outside of pairs has the unit of a length, a volume, a flow or a pressure.
-    Volts are electrical only beside a state or an input in amperes, coulombs or webers.
+    A length is a tank's level where all that lies outside of pairs has the unit of a
+    length, a volume, a flow or a pressure. Volts are electrical only beside a state or
+    an input in amperes, coulombs or webers. Both states of a pair are asked: where
+    their units are of two kinds, they are none.
 
     Args:
         model: the model.
@@ -126,6 +164,13 @@ def with_kinds_of_units(model: BaseModel, units: Mapping[str, str]) -> BaseModel
             kind = ELECTRICAL
         if kind:
             found[name] = kind
+    for pair in position_of_momentum(model).items():
+        for name in pair:
+            kind = kind_of_unit(units.get(name, ""))
+            if kind:
+                found[name] = kind
+    if found.keys() <= model.kind.keys():
+        return model
     return replace(model, kind={**found, **model.kind})
 
 
