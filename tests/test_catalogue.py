@@ -485,3 +485,25 @@ def test_two_velocities_are_not_coupled_without_their_masses() -> None:
     names = {effect.name for effect in ph.catalogue(model)}
     assert "cubic stiffness" in names
     assert "coupling stiffness" not in names
+
+
+@pytest.mark.parametrize(("unit", "zero"), [("degC", 273.15), ("°F", 459.67)])
+def test_radiation_counts_from_the_zero_of_the_scale(unit: str, zero: float) -> None:
+    bare = ph.FirstOrder(["T"], {"T": ph.formula("0")}, kind="thermal")
+    (effect,) = [e for e in ph.catalogue(bare, {"T": unit}) if e.name == "radiation"]
+    model = bare.add(effect).with_values({"radiation_T": 2e-9})
+    for T in (-40.0, 0.0, 25.0, 600.0):
+        rate = float(model.rhs()([T], [], 0.0, model.theta))
+        expected = -2e-9 * ((T + zero) ** 4 - zero**4)
+        assert rate == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    in_kelvin = [e for e in ph.catalogue(bare, {"T": "K"}) if e.name == "radiation"]
+    assert in_kelvin[0].term.terms[0].body == "abs(T)**3"
+
+
+def test_with_an_energy_radiation_needs_kelvin() -> None:
+    model = ph.PseudoHamiltonian(
+        states=["T"], S=[[0.0]], H=ph.formula("T**2/2"), kind="thermal"
+    )
+    names = {effect.name for effect in ph.catalogue(model, {"T": "degC"})}
+    assert "heat loss" in names and "radiation" not in names
+    assert "radiation" in {effect.name for effect in ph.catalogue(model, {"T": "K"})}

@@ -16,7 +16,6 @@ from phsi_opt.model.catalogue_actuators import actuators
 from phsi_opt.model.catalogue_energies import coupling, energies
 from phsi_opt.model.catalogue_forces import forces, hysteresis, parametric_stiffness
 from phsi_opt.model.catalogue_losses import (
-    RADIATION,
     heat_from,
     losses,
     overflow_into,
@@ -25,7 +24,7 @@ from phsi_opt.model.catalogue_sensors import sensors
 from phsi_opt.model.catalogue_storages import second_storages
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.effect_list import EffectList
-from phsi_opt.model.kinds import KINDS, RELATIVE_TEMPERATURES, TEMPERATURES, plain_unit
+from phsi_opt.model.kinds import KINDS, TEMPERATURES, plain_unit
 from phsi_opt.model.redundancy import is_redundant
 from phsi_opt.model.roles import Role, role_of
 from phsi_opt.model.structure import (
@@ -150,11 +149,7 @@ def _in_equations(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
     for row in forced_rows(model):
         state = model.states[row]
         position = positions.get(state)
-        for loss in losses(model, state, position):
-            # Radiation has the fourth power of an absolute temperature.
-            is_relative = plain_unit(units.get(state, "")) in RELATIVE_TEMPERATURES
-            if loss.name != RADIATION or not is_relative:
-                effects.append(loss)
+        effects += losses(model, state, position, units.get(state, ""))
         effects += forces(model, state)
         effects += actuators(model, state)
         effects += energies(model, state, position)

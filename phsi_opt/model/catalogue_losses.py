@@ -17,6 +17,7 @@ from phsi_opt.model.catalogue_parts import (
     underscored,
 )
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.kinds import ZEROS, plain_unit
 from phsi_opt.model.parameters import Parameter, Share
 from phsi_opt.model.roles import WORDS, Role, role_of
 from phsi_opt.model.structure import effort_of
@@ -103,7 +104,9 @@ LAMINAR_LEVEL = 0.01
 HALF_LEVELS = (0.03, 0.1, 0.3, 1.0)
 
 
-def losses(model: BaseModel, state: str, position: str | None) -> list[Effect]:
+def losses(
+    model: BaseModel, state: str, position: str | None, unit: str = ""
+) -> list[Effect]:
     """The losses that the equation of a state may lack, in the words of its field.
 
     ::
@@ -113,17 +116,27 @@ def losses(model: BaseModel, state: str, position: str | None) -> list[Effect]:
         square root    c sign(e) sqrt(|e|), linear below a small level
         saturating     c e/(1 + |e|/half)
         overflow       c sign(e) max(|e| - limit, 0)
+        quartic        c |e|^3 e; of a temperature from the zero of its scale, which is
+                       at z degrees: c ((e + z)^4 - z^4)
 
     Args:
         model: the model.
         state: in whose equation they act.
         position: the position of a momentum.
+        unit: of the state.
     """
     role = role_of(model, state)
+    zero = ZEROS.get(plain_unit(unit), 0.0)
     found = []
     for name, law in LAWS[role].items():
         if law == "stribeck":
             found.append(_stribeck_friction(model, state, name))
+        elif law == "quartic" and zero:
+            # The effort of a model with an energy is not in the unit of the state.
+            if not model.has_energy:
+                found.append(
+                    _loss(name, state, _radiation(state, zero), _family(role, law))
+                )
         else:
             body = _body(law, effort_of(model, state))
             found.append(_loss(name, state, body, _family(role, law)))
@@ -199,6 +212,12 @@ def _body(law: str, e: str) -> _Body:
         "quartic": f"abs({e})**3",
     }
     return _Body(powers[law])
+
+
+def _radiation(T: str, zero: float) -> _Body:
+    """((T + z)^4 - z^4)/T multiplied out; the zero of the scale is at z degrees."""
+    powers = (f"{T}**3", f"{4 * zero:.8g}*{T}**2", f"{6 * zero**2:.10g}*{T}")
+    return _Body(" + ".join((*powers, f"{4 * zero**3:.12g}")))
 
 
 def _dry_friction(v: str) -> str:

@@ -38,8 +38,9 @@ WITHOUT_PREFIX = {
     THERMAL: ("degC", "°C", "degF", "°F", "kWh", "Wh"),
 }
 # Temperatures that count from elsewhere than absolute zero.
-RELATIVE_TEMPERATURES = frozenset({"degC", "°C", "degF", "°F"})
-TEMPERATURES = RELATIVE_TEMPERATURES | {"K"}
+# Their zero on the absolute scale of the same degrees.
+ZEROS = {"degC": 273.15, "°C": 273.15, "degF": 459.67, "°F": 459.67}
+TEMPERATURES = frozenset({*ZEROS, "K"})
 SPELLINGS = (("**", ""), ("^", ""), ("*", ""), ("·", ""), (" ", ""))
 SMALL_DIGITS = (("²", "2"), ("³", "3"))
 
