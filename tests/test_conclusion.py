@@ -1,4 +1,4 @@
-"""What a verdict makes of a pair that is not established."""
+"""What a verdict makes of a pair that is not established, and what to do by it."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -8,6 +8,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.diagnosis import conclusion
 from phsi_opt.diagnosis.conclusion import Conclusion
+from phsi_opt.diagnosis.next_step import next_step
 
 DELAY = ph.Effect("sensor delay", "sensor", "q", ph.formula("a", a=ph.Parameter()))
 FRICTION = ph.Effect("friction", "F", "p", ph.formula("b", b=ph.Parameter()))
@@ -44,6 +45,24 @@ def concluded(
     monkeypatch.setattr(conclusion, "parts_alone", lambda *_: [ALONE])
     nothing: Any = None
     return conclusion.conclusion(nothing, BOTH, (), ())
+
+
+def test_the_next_step_follows_from_the_verdict() -> None:
+    name = ph.Finding((FRICTION,), "a loss", 1.0, 0.1, 0.9)
+    of_class = ph.Finding((FRICTION, DELAY), "a loss", 1.0, 0.1, 0.9)
+
+    def told(verdict: ph.Verdict, *findings: ph.Finding) -> str:
+        analysis: Any = None  # what is found needs none
+        return str(next_step(verdict, findings, analysis, {}))
+
+    named = told(ph.Verdict.NAMED, name)
+    assert named.startswith("Add friction on p.") and "study.auto" in named
+    partly = told(ph.Verdict.PARTLY_NAMED, name)
+    assert partly.startswith("Add friction on p, then diagnose again.")
+    apart = told(ph.Verdict.NAMED, of_class)
+    assert apart.startswith("Tell friction on p from sensor delay on q by")
+    assert "found.separation" in apart
+    assert told(ph.Verdict.NOTHING_MISSING).startswith("Nothing: what is left looks")
 
 
 def test_of_a_pair_that_is_not_established_the_one_that_is_so_alone_is_named(

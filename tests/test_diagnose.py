@@ -361,6 +361,19 @@ def test_a_tie_goes_to_the_simplest(
     assert all(c.confusable_with for c in ranked)
 
 
+def test_a_p_value_is_at_most_one_however_many_were_tried(
+    drag: tuple[ph.Fit, ph.Measurements, ScoreTest],
+) -> None:
+    fit, data, _ = drag
+    compared = ph.compare(fit, data)
+    work = DiagnosedModel(compared, compared, ph.MaximumLikelihood(), lambda line: None)
+    effect = effect_named(fit.model, "constant force", "p")
+    done = refit.refit(work, refit.RefitRequest([effect], {}))
+    assert done is not None
+    candidate = ranking.as_refitted(work, Candidate(effect, 0.0, 0.0), done, 10**300)
+    assert candidate.p_value == 1.0
+
+
 def test_two_effects_that_are_proposed_together_are_added_in_one_step() -> None:
     data = measured(truth(H="2.3*q**2/2 + p**2/2 + 1.5*q**4/4", F="0.4"), seed=4)
     study = ph.Study(base(), data)
@@ -419,6 +432,10 @@ def test_a_tie_names_the_experiment_that_would_separate_it() -> None:
     assert {"constant force on p", "sensor offset on q"} <= names
     assert found.separation is not None
     assert found.separation.sentence
+    # What is told by its name alone is not tied, nor what nobody proposes.
+    named = [replace(one, effects=one.effects[:1]) for one in found.findings]
+    assert named and replace(found, findings=tuple(named)).separation is None
+    assert replace(found, findings=(), proposed=()).separation is None
 
 
 def test_evidence_counts_correlated_residuals_for_less_and_sees_a_fall_that_dies_away() -> (

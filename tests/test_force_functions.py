@@ -8,6 +8,7 @@ from phsi_opt.force_analysis.cross_validation import (
     CrossValidation,
     explained_share,
     fold_numbers,
+    fold_numbers_of_holds,
 )
 from phsi_opt.force_analysis.piecewise_linear import (
     odd_basis,
@@ -62,6 +63,46 @@ def test_a_true_function_predicts_what_was_left_out_and_a_wrong_one_does_not() -
         shares.append(explained_share(error, validation.total))
     assert shares[0] > 0.9  # twelve straight pieces follow a parabola that far
     assert shares[1] < 0.05
+
+
+def test_a_held_and_a_slow_input_together_do_not_tell_the_time() -> None:
+    n, n_values = 720, 24
+    t = np.linspace(0, 2, n, endpoint=False)
+    run = t.astype(int)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        held = np.repeat(rng.uniform(0, 900, n_values), n // n_values)
+        slow = np.sin(2 * np.pi * 1.4 * t + run)
+        # What neither has to do with: a slow sum of sines.
+        phases = (
+            2 * np.pi * (np.outer(t, rng.uniform(0.5, 1.5, 6)) + rng.uniform(size=6))
+        )
+        w = np.sin(phases).sum(axis=1)
+        inputs = np.column_stack([held, slow])
+        validation = CrossValidation.of_inputs(w, run, inputs)
+        bases = [piecewise_linear_basis(u) for u in inputs.T]
+        bases.append(product_basis(held, slow))
+        share = explained_share(validation.leave_out_error(bases), validation.total)
+        assert share < 0.2
+
+
+def test_a_true_function_of_a_held_input_is_found() -> None:
+    held = np.repeat(np.random.default_rng(5).uniform(0, 900, 24), 30)
+    run = np.zeros(720, dtype=int)
+    w = (held / 900) ** 2 - 0.3
+    validation = CrossValidation.of_inputs(w, run, held[:, None])
+    error = validation.leave_out_error([piecewise_linear_basis(held)])
+    assert explained_share(error, validation.total) > 0.9
+
+
+def test_inputs_that_move_or_are_switched_once_leave_the_stretches_as_they_are() -> (
+    None
+):
+    run = np.repeat([0, 1], 200)
+    t = np.arange(400) / 200
+    alone = fold_numbers(run)
+    for u in (np.sin(7 * t), np.where(t < 0.1, 0.0, 1.0), np.ones(400)):
+        np.testing.assert_array_equal(fold_numbers_of_holds(run, u[:, None]), alone)
 
 
 def test_bases_given_apart_are_fitted_together() -> None:

@@ -418,6 +418,22 @@ def test_a_parameter_at_its_bound_is_named_in_the_warnings() -> None:
     assert np.isnan(fit.std_errors["c"])
 
 
+def test_a_parameter_that_starting_values_press_to_zero_is_at_its_bound() -> None:
+    """Beside zero its value says nothing of its size, also where a fit starts there."""
+    t = np.linspace(0, 60, 61)
+    true = FirstOrder(["n"], {"n": formula("-6 - 0.01*n - 1.1e-5*n*abs(n)")})
+    n = simulate(true, t, [3400.0])
+    y = n + 3 * np.random.default_rng(0).normal(size=n.shape)
+    data = Measurements.from_arrays([t], [y], states=["n"])
+    a, b = Parameter(3.0, lower=0), Parameter(0.02, lower=0)
+    model = FirstOrder(["n"], {"n": formula("-a - b*n", a=a, b=b)})
+    fit = identify(model, data)
+    for one in (fit, identify(model, data, start=fit)):
+        assert one.outcome.at_bounds == ("a",)
+        assert any(w.startswith("a ended at its lower bound 0") for w in one.warnings)
+        assert not any("say nothing" in w for w in one.warnings)
+
+
 def test_a_common_factor_without_a_trace_is_named(loads: Measurements) -> None:
     model = PseudoHamiltonian(
         states=("q", "p"),

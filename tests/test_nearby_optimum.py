@@ -171,3 +171,18 @@ def test_the_size_of_a_frequency_follows_no_vanishing_amplitude() -> None:
         theta[model.free.index(name)] = 1e-12
     sizes = theta_scale(model, grid, theta, grid.y, np.ones(2))
     assert sizes[place] == pytest.approx(MOST_SHARE * 0.3)
+
+
+def test_the_size_of_a_parameter_at_its_bound_is_that_of_its_effect() -> None:
+    t = np.linspace(0, 8, 81)
+    data = ph.Measurements.from_arrays([t], [np.exp(-t)[:, None]], states=["v"])
+    a, b = ph.Parameter(3.0, lower=0), ph.Parameter(0.5, lower=0)
+    model = ph.FirstOrder(["v"], {"v": ph.formula("-a - b*v", a=a, b=b)})
+    grid = grid_of(data)
+
+    def size_of(a: float, *held: str) -> float:
+        sizes = theta_scale(model, grid, np.array([a, 0.5]), grid.y, np.ones(1), held)
+        return float(sizes[model.free.index("a")])
+
+    assert size_of(1e-12, "a") == pytest.approx(size_of(3.0))
+    assert size_of(1e-12) == pytest.approx(MOST_SHARE * 1e-12)

@@ -15,6 +15,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import numpy as np
+import pandas as pd
 import pytest
 
 import phsi_opt as ph
@@ -227,7 +228,7 @@ def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
     assert "dH_d" not in " ".join(answers.values())
     do = answers["What to do next"]
     assert "No effect of the catalogue fits." in do
-    assert "a term of your own in dp/dt that depends on q and p" in do
+    assert "a term of your own in dp/dt that depends on p." in do
     (failure,) = content.failures
     for answer in answers.values():
         assert answer.strip() in failure.told
@@ -298,6 +299,26 @@ def test_a_part_that_is_named_comes_with_what_it_leaves(study: ph.Study) -> None
         "With it, the held-out error falls by 60 %; what else is missing is not known "
         "yet."
     )
+
+
+def test_what_is_as_small_as_noise_is_not_called_none_and_has_no_suspect(
+    study: ph.Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base: Any = SimpleNamespace(rmse=1.04, noise_floor=1.0)
+    unknown = replace(
+        study.record.diagnoses[0],
+        verdict=ph.Verdict.UNEXPLAINED,
+        findings=(),
+        proposed=(),
+        base=base,
+    )
+    monkeypatch.setattr("phsi_opt.study.certainty.likely_cause", lambda *_: "Heat")
+    monkeypatch.setattr(EquationForce, "is_uncertain", True)
+    begin = "The residuals are as small as noise, but not as random"
+    said = certainty_words(unknown)
+    assert said.startswith(f"{begin}. The cause is not known.")
+    lead = missing_answer(unknown, is_held_out=True).lead
+    assert lead.startswith(f"{begin}; no missing force is sure; ")
 
 
 def with_errors(diagnosis: ph.Diagnosis, after: float) -> ph.Diagnosis:
@@ -469,11 +490,36 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
     causes = ("parameters", "inputs", "time", "conserved", "dissipated", "constant")
     row = dict.fromkeys((*causes, "unexplained"), 0.0) | shares
     fit = SimpleNamespace(model=model)
+    follows = pd.DataFrame({"equation": ["p"], "variable": ["p"], "share": [0.0]})
     force = SimpleNamespace(
-        equation="p", shares=row, cause="", record=SimpleNamespace(fit=fit)
+        equation="p",
+        shares=row,
+        cause="",
+        record=SimpleNamespace(fit=fit),
+        follows=follows,
     )
     said = advice_of_cause({}, force)  # type: ignore[arg-type]
     assert expected in str(said)
+
+
+@pytest.mark.parametrize(
+    ("variable", "expected"),
+    [("q", "depends on q."), ("q, p", "depends on q and p."), ("dH_dp", "on p.")],
+)
+def test_a_term_of_ones_own_depends_on_what_predicts_the_force(
+    variable: str, expected: str
+) -> None:
+    row = dict.fromkeys(("parameters", *CAUSES, "unexplained"), 0.0)
+    force = SimpleNamespace(
+        equation="p",
+        shares=row | {"conserved": 0.8},
+        cause="",
+        record=SimpleNamespace(fit=SimpleNamespace(model=spring())),
+        follows=pd.DataFrame(
+            {"equation": ["p"], "variable": [variable], "share": [0.93]}
+        ),
+    )
+    assert expected in advice_of_cause({}, force).lead  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.doubts import doubt, unconfirmed
 from phsi_opt.diagnosis.refit import Refit, RefitRequest, refit
-from phsi_opt.diagnosis.remainder import Remainder
+from phsi_opt.diagnosis.remainder import ForceLeft, Remainder
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.effect_size import size_of
@@ -174,8 +174,24 @@ def test_the_remainder_tells_a_right_law_from_one_that_only_moves_alike() -> Non
     right = Remainder.of(work, refitted(work, "coulomb friction").fit)
     wrong = Remainder.of(work, refitted(work, "constant force").fit)
     assert right.gone > 0.5 > wrong.gone
-    assert "% is gone" in str(right)
-    assert "nothing is gone" in str(wrong)
+    assert "% is gone" in right.words()
+    assert "nothing is gone" in wrong.words()
+
+
+def test_the_force_that_is_gone_is_told_of_the_equation_that_an_effect_acts_in() -> (
+    None
+):
+    forces = (ForceLeft("p1", 148.0, 0.6, "N"), ForceLeft("p2", 731.0, 146.0, "N"))
+    remainder = Remainder(forces, 0.1)
+    assert remainder.gone == forces[0].gone > 0.99
+    term = ph.formula("c", c=ph.Parameter())
+    effect = ph.Effect("coupling stiffness", "F", "p2", term)
+    said = "in dp2/dt 96 % is gone (rms 731 before, 146 N after)"
+    assert remainder.words([effect]) == said
+    # Of a sensor there is no force: that of the strongest equation is told.
+    sensor = ph.Effect("sensor delay", "sensor", "p2", term)
+    assert remainder.words([sensor]).startswith("in dp1/dt 100 % is gone")
+    assert Remainder(forces[:1], 0.1).words([effect]) == str(forces[0])
 
 
 def test_what_is_right_is_not_doubted() -> None:

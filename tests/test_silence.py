@@ -47,7 +47,7 @@ def test_what_a_random_force_looks_like_is_not_named() -> None:
     assert size.z > 3 and size.freedom < 10
     assert found.findings == ()
     assert found.verdict == ph.Verdict.UNEXPLAINED
-    assert "by chance" in found.ranking[0].lost
+    assert "by chance (p-value of the size, by Student" in found.ranking[0].lost
 
 
 def test_the_more_kinds_of_candidates_the_clearer_a_size_must_be() -> None:

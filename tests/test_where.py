@@ -23,6 +23,7 @@ from phsi_opt.force_analysis.force_plots import (
     plot_spectrum,
     plot_where,
 )
+from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.force_uncertainty import error_draws
 from phsi_opt.force_analysis.localization import StrongRange
 from phsi_opt.force_analysis.pace import Pace
@@ -301,6 +302,18 @@ def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
     # moved.
     assert lower["parameters"] > 0.8
     assert "other values of the model's own parameters" in found.energy.sentences[1]
+
+
+def test_a_parameter_of_small_numbers_is_not_taken_for_one_at_its_bound() -> None:
+    small = PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=canonical(1),
+        H=formula("1e9*k*q**2/2 + p**2/(2*m)", k=Parameter(3e-8, lower=0), m=M),
+        F={"p": formula("u")},
+    )
+    force = ForceRecord.of(spring_with(cubic, model=small, n=41))
+    assert force.by_parameters("p").shape[1] == 1
 
 
 def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:

@@ -178,16 +178,11 @@ def _diagnose_answer(found: Diagnosis, job: Job) -> Answer:
         "reason": found.reason,
         "proposed": [str(effect) for effect in found.proposed],
         "sentences": list(found.sentences),
-        "next": _next_step(found),
+        "next": str(found.next_step),
         "candidates": table_content(found.candidates),
     }
     text = f"{found}\n\n{sentences}"
     return Answer(text, plain(content), _code(found, job))
-
-
-def _next_step(found: Diagnosis) -> str:
-    """What to do where no effect is named; "" where one is, or nothing is missing."""
-    return str(found.next_step) if found.verdict == Verdict.UNEXPLAINED else ""
 
 
 def _code(found: Diagnosis, job: Job) -> int:
@@ -201,7 +196,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     if job.is_auto:
         study.auto(job.max_steps or file.steps.max_steps)
         code = ExitCode(_code(study.diagnose(), job))
-        advice = _next_step(study.diagnose())
+        advice = str(study.diagnose().next_step)
     content = {
         "next": advice,
         "stopped": study.stopped,

@@ -20,8 +20,9 @@ class Candidate:
         values: of its parameters, from which a re-fit starts.
         partner: a second effect beside it.
         confusable_with: names of the effects that the data cannot tell from it.
-        p_value: adjusted for all candidates (Benjamini and Hochberg 1995) and for the
-            values that were scanned.
+        p_value: of the likelihood ratio, adjusted for all candidates (Benjamini and
+            Hochberg 1995) and for the values that were scanned. Residuals count as
+            noise in it; ``lost`` may tell another, of the size beside model error.
         delta_bic: change of BIC by the effect; without a re-fit the expected one.
         train_rmse: free-run error on the training data, expected or re-fitted.
         held_out_rmse: the same on the data held out; NaN where neither is known.

@@ -132,9 +132,10 @@ def _concluded(
     remainder = left or Remainder.of(base, proposed.fit)
     against = against or objection_beside_the_rest(base, proposed, share, remainder)
     if share > EXPLAINED_IF_PARTLY and not against:
+        left_words = remainder.words(effects)
         reason = (
             f"{said}: that accounts for {percent}; {change}. Of the missing force "
-            f"{remainder}; what remains, no effect of the catalogue explains with it"
+            f"{left_words}; what remains, no effect of the catalogue explains with it"
         )
         return Conclusion(Verdict.PARTLY_NAMED, reason, findings, effects, proposed.fit)
     reason = f"the nearest is {said}, with {percent}: {change}"

@@ -141,7 +141,8 @@ def found_by_chance(
         return ""
     return (
         f"with {n_kinds} kinds of candidates, model error may look like a size of "
-        f"{effect} of {sizes[0]} by chance (p-value {min(p_value, 1.0):.1g})"
+        f"{effect} of {sizes[0]} by chance (p-value of the size, by Student's t: "
+        f"{min(p_value, 1.0):.1g})"
     )
 
 

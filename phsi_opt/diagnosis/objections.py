@@ -207,7 +207,7 @@ def objection_beside_the_rest(
         remainder: what it leaves of the missing force.
     """
     if remainder.gone < FORCE_GONE_IF_PARTLY:
-        return f"of the missing force {remainder}"
+        return f"of the missing force {remainder.words()}"
     if share <= EXPLAINED_IF_MUCH_REMAINS and remainder.share > LARGE_REMAINDER:
         percent = 100 * remainder.share
         return (

@@ -268,7 +268,7 @@ def as_refitted(
     """
     size = fitted_size(base.fit, done.fit, candidate.effect)
     share = share_of_change(base.trained, done.trained)
-    p_value = n_tried * p_value_of_larger_model(base.fit, done.fit, share)
+    of_one = p_value_of_larger_model(base.fit, done.fit, share)
     return replace(
         candidate,
         coefficient=size.value,
@@ -276,7 +276,7 @@ def as_refitted(
         fit=done.fit,
         trained=done.trained,
         comparison=done.judged,
-        p_value=p_value,
+        p_value=min(n_tried * of_one, 1.0),
         delta_bic=delta_bic(base.fit, done.fit, share),
         train_rmse=done.trained.rmse,
         held_out_rmse=done.judged.rmse,

@@ -61,8 +61,7 @@ def _reason(base: DiagnosedModel, one: Candidate, best: Candidate | None) -> str
         rises = one.held_out_rmse > HELD_OUT_RISE * before
         return f"the held-out error {'rises' if rises else 'does not fall'}"
     if not one.p_value < FALSE_DISCOVERY_RATE:
-        p_value = min(one.p_value, 1.0)
-        return f"{BY_CHANCE} (p-value {p_value:.1g})"
+        return f"{BY_CHANCE} (p-value {one.p_value:.1g})"
     if best is None:
         return f"the error on {_judging(base)} does not fall clearly"
     if one.delta_bic > best.delta_bic:

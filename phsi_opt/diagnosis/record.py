@@ -10,6 +10,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.experiment_design import Separation, separating
 from phsi_opt.diagnosis.finding import Finding
+from phsi_opt.diagnosis.next_step import next_step
 from phsi_opt.diagnosis.reason_words import brief_reason
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
@@ -17,7 +18,6 @@ from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import leading
-from phsi_opt.force_analysis.next_step import next_step
 from phsi_opt.model.effect import Effect
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.presentation.summary import (
@@ -118,9 +118,11 @@ class Diagnosis(Summarised):
         slot, equation, coefficient, std_error, p_value, delta_bic, held_out_rmse,
         confusable_with, train_rmse, share (of the squared error above the noise floor
         that it explains, on the data that judge), lost (why it is not named), unit (of
-        the coefficient; empty where it is not known). Numbers are those of the re-fit;
-        of candidates that were not re-fitted they are expected, from Gauss-Newton steps
-        along the larger model.
+        the coefficient; empty where it is not known). A p_value is that of the
+        likelihood ratio, for which residuals are noise; where model error shows,
+        ``lost`` may tell that of the size, by Student's t. Numbers are those of the
+        re-fit; of candidates that were not re-fitted they are expected, from
+        Gauss-Newton steps along the larger model.
         """
         rows = []
         for candidate in self.ranking:
@@ -204,32 +206,45 @@ class Diagnosis(Summarised):
 
     @property
     def next_step(self) -> Answer:
-        """What to measure, to try or to look at again where no effect is named."""
-        return next_step(self.analysis, self.data.units)
+        """What to do by the verdict.
+
+        To add what is named, to tell a class apart, to do nothing; where no effect is
+        named, what to measure, to try or to look at again.
+        """
+        return next_step(self.verdict, self.findings, self.analysis, self.data.units)
 
     @cached_property
     def separation(self) -> Separation | None:
-        """The experiment that would tell the first two candidates of a tie apart.
+        """The experiment that would tell two effects of a tie apart.
 
-        None where there is no tie.
+        Of what is found the members of a class are tied; of what is only proposed, what
+        the data cannot tell from it. None where nothing is.
 
         Raises:
             SolveError: the record itself cannot be simulated with both models.
         """
-        if not self.ranking:
+        if not self.proposed or self.ranking[0].fit is None:
             return None
-        first = self.ranking[0]
-        if first.fit is None:
-            return None
-        fitted = {}
-        for candidate in self.ranking:
-            if candidate.fit is not None:
-                fitted[str(candidate.effect)] = candidate.fit
-        for name in first.confusable_with:
-            if name in fitted:
-                rival = fitted[name]
-                return separating(first.fit, rival, self.data, self.estimate.sigma)
+        first = self.ranking[0].fit
+        fits = {candidate.name: candidate.fit for candidate in self.ranking}
+        for name in self._tied:
+            rival = fits.get(name)
+            if rival is not None:
+                return separating(first, rival, self.data, self.estimate.sigma)
         return None
+
+    @property
+    def _tied(self) -> list[str]:
+        """Names of the candidates that do as well as what is proposed."""
+        if not self.findings:
+            return list(self.ranking[0].confusable_with)
+        tied = []
+        for finding in self.findings:
+            first, *others = finding.effects
+            for other in others:
+                members = [other if one == first else one for one in self.proposed]
+                tied.append(" and ".join(map(str, members)))
+        return tied
 
     def learned_force(
         self,

@@ -1,5 +1,6 @@
 """What remains of a missing force when effects were added."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,44 +12,25 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.units import force_unit, spaced
+from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
 
 
 @dataclass(frozen=True)
-class Remainder:
+class ForceLeft:
     """The force of an equation before and after effects were added.
 
     Attributes:
-        equation: the one whose force is strongest, over its uncertainty, before.
-        before: root mean square of its force; ``after``: with the effects.
+        equation: in which it acts.
+        before: root mean square of the force; ``after``: with the effects.
         unit: of both.
-        share: of the motion's own rates that the strongest force with the effects is.
     """
 
     equation: str
     before: float
     after: float
     unit: str
-    share: float
-
-    @classmethod
-    def of(cls, base: DiagnosedModel, fit: Fit) -> "Remainder":
-        """Of a base model and the fit of a larger one, on the training record."""
-        record = base.record
-        before = record.estimate
-        place = int(np.argmax(_shares_of_motion(before)))
-        equation = base.fit.model.states[before.prior.rows[place]]
-        unit = force_unit(equation, record.data.units)
-        strong = float(_root_mean_squares(before)[place])
-        try:
-            after = Record.of_aligned(fit, record.aligned).estimate
-        except PhsiOptError:
-            return cls(equation, strong, strong, unit, share_of_motion(before))
-        rows = list(after.prior.rows)
-        place = rows.index(fit.model.states.index(equation))
-        left = float(_root_mean_squares(after)[place])
-        return cls(equation, strong, left, unit, share_of_motion(after))
 
     @property
     def gone(self) -> float:
@@ -63,6 +45,68 @@ class Remainder:
             f"{100 * self.gone:.0f} % is gone (rms {self.before:.3g} before, "
             f"{self.after:.3g}{unit} after)"
         )
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """The forces of all equations before and after effects were added.
+
+    Attributes:
+        forces: by equation, the one first whose force is strongest, beside its motion,
+            before. It decides whether effects are named.
+        share: of the motion's own rates that the strongest force with the effects is.
+    """
+
+    forces: tuple[ForceLeft, ...]
+    share: float
+
+    @classmethod
+    def of(cls, base: DiagnosedModel, fit: Fit) -> "Remainder":
+        """Of a base model and the fit of a larger one, on the training record."""
+        before = base.record.estimate
+        strong = _by_equation(base.fit.model, before)
+        try:
+            after = Record.of_aligned(fit, base.record.aligned).estimate
+            left = _by_equation(fit.model, after)
+        except PhsiOptError:
+            after = before
+            left = strong
+        forces = []
+        for equation in weakest_equations(base.fit.model, before):
+            unit = force_unit(equation, base.record.data.units)
+            sizes = strong[equation], left[equation]
+            forces.append(ForceLeft(equation, *sizes, unit))
+        return cls(tuple(forces), share_of_motion(after))
+
+    @property
+    def gone(self) -> float:
+        """Share of the strongest force's mean square that is gone."""
+        return self.forces[0].gone
+
+    @property
+    def after(self) -> float:
+        """Root mean square of what is left of the strongest force."""
+        return self.forces[0].after
+
+    def words(self, effects: Sequence[Effect] = ()) -> str:
+        """What is gone in the equations that effects act in.
+
+        Args:
+            effects: none, or none in an equation that may lack a force: the strongest
+                force is told.
+        """
+        acting = [effect.equation for effect in effects if effect.slot != "sensor"]
+        told = [force for force in self.forces if force.equation in acting]
+        told = told or [self.forces[0]]
+        if len(self.forces) == 1:
+            return str(told[0])
+        return " and ".join(f"in d{force.equation}/dt {force}" for force in told)
+
+
+def _by_equation(model: Model, estimate: ForceEstimate) -> dict[str, float]:
+    """Root mean square of each force by the state of its equation."""
+    equations = [model.states[row] for row in estimate.prior.rows]
+    return dict(zip(equations, _root_mean_squares(estimate).tolist(), strict=True))
 
 
 def weakest_equations(model: Model, estimate: ForceEstimate) -> list[str]:

@@ -192,8 +192,9 @@ class Estimate(ABC):
         side = "lower" if is_low else "upper"
         bound = parameter.lower if is_low else parameter.upper
         return (
-            f"{name} ended at its {side} bound {bound:g}: "
-            "it has no standard error, and the others take it as known"
+            f"{name} ended at its {side} bound {bound:g}, to which the data press it: "
+            "the model may lack something, or the bound is not right; it has no "
+            "standard error, and the others take it as known"
         )
 
     def _provenance(self) -> dict[str, Any]:

@@ -259,7 +259,8 @@ class FitRecord(Identified):
         (``freedom``) are n_values - n_names where white noise is all there is: the
         noise was estimated from the same data. Where trajectories give the standard
         errors, or disturbances that were estimated, they are fewer. Where the curvature
-        misleads (a bent valley, a bound near by), `profile` gives better limits.
+        misleads (a bent valley, a bound near by), `profile` gives better limits: these
+        are symmetric and may lie beyond a bound, at which a report cuts them.
 
         Args:
             level: Probability that an interval covers the true value, between 0 and 1.

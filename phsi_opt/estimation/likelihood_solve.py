@@ -222,7 +222,7 @@ class LikelihoodSolver:
         grid = self.task.aligned.grid_with(start.steps)
         unknown = Theta.of(model, self.task.runs)
         nodes = _at_nodes(start.states, start.steps)
-        point = point_at(model, grid, unknown, start.theta, nodes)
+        point = point_at(model, grid, unknown, start.theta, nodes, start.held)
         parameters = np.asarray(unknown.by_trajectory(start.theta))
         bounds = memory_start_bounds(model, grid, nodes, parameters)
         point = replace(point, x_bounds=bounds)

@@ -117,7 +117,8 @@ def simple_start(problem: LikelihoodProblem) -> StartingPoint | None:
         return _at_values(problem, dynamics, task.grid, x)
     found = _by_phsi_loss(problem, dynamics, task.grid, x)
     solved = dynamics.with_values(found.values)
-    return replace(_at_values(problem, solved, task.grid, x), notes=found.notes)
+    start = _at_values(problem, solved, task.grid, x)
+    return _at_estimate(found, start)
 
 
 def _from_complete_data(problem: LikelihoodProblem, grid: Grid) -> StartingPoint:
@@ -129,7 +130,7 @@ def _from_complete_data(problem: LikelihoodProblem, grid: Grid) -> StartingPoint
     first = _by_phsi_loss(problem, dynamics, grid, x)
     solved = dynamics.with_values(first.values)
     start = _at_values(problem, solved, grid, x)
-    return replace(start, notes=first.notes)
+    return _at_estimate(first, start)
 
 
 def _from_data_with_gaps(problem: LikelihoodProblem, grid: Grid) -> StartingPoint:
@@ -155,7 +156,7 @@ def _from_data_with_gaps(problem: LikelihoodProblem, grid: Grid) -> StartingPoin
     def alternative() -> StartingPoint:
         again = problem.smooth_states(confirmed, grid, rounds=1, prior=smoothing.prior)
         start = _at_values(problem, confirmed, grid, again.x)
-        return replace(start, sigma=again.sigma, notes=first.notes)
+        return _at_estimate(first, replace(start, sigma=again.sigma))
 
     start = _softened_start(problem, unconfirmed, grid, x)
     return replace(start, notes=first.notes, alternative=alternative)
@@ -197,6 +198,11 @@ def _by_phsi_loss(
     for theta in starting_values(dynamics, known, task.l1):
         estimates.append(solver.solve(dynamics, theta, task.l1))
     return best_of_starts(estimates, _by_objective)
+
+
+def _at_estimate(found: PHSIEstimate, start: StartingPoint) -> StartingPoint:
+    """A start at an estimate's values with its notes, and what it left at bounds."""
+    return replace(start, notes=found.notes, held=found.solution.outcome.at_bounds)
 
 
 def _by_objective(estimate: PHSIEstimate) -> tuple[bool, float]:
@@ -247,7 +253,10 @@ def from_first_part(
     problem = problem.with_noise_of(first.sigma)
     states = states_at(problem, first.model, first.theta)
     sigma = problem.noise.sigma
-    return StartingPoint(first.model, first.theta, states, sigma, first.notes)
+    held = first.solution.outcome.at_bounds
+    return StartingPoint(
+        first.model, first.theta, states, sigma, first.notes, held=held
+    )
 
 
 def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
@@ -279,6 +288,7 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
         sigma=problem.noise.sigma,
         steps=start.steps if keeps_steps else (),
         way=start.outcome.way if is_related else GAUSS_NEWTON,
+        held=start.outcome.at_bounds,
         is_optimum=is_related and has_same_names,
     )
 

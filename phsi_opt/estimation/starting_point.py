@@ -26,6 +26,7 @@ class StartingPoint:
         steps: intervals in every gap between samples, (n_samples - 1,) per trajectory;
             empty: one, or what the loss says.
         way: how a solution like it was found, one of `WAYS`.
+        held: parameters that a solve left at their bounds.
         is_optimum: whether it is one of this very model, with other steps or
             measurements; then windows would not lead further.
         alternative: makes a second point, for the case that this one leads nowhere;
@@ -39,6 +40,7 @@ class StartingPoint:
     notes: tuple[str, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
     way: str = GAUSS_NEWTON
+    held: tuple[str, ...] = ()
     is_optimum: bool = False
     alternative: "Callable[[], StartingPoint] | None" = None
 
@@ -54,6 +56,7 @@ class StartingPoint:
             sigma=estimate.sigma,
             steps=tuple(steps),
             way=estimate.way,
+            held=estimate.solution.outcome.at_bounds,
         )
 
     def moved_to(self, estimate: LikelihoodEstimate) -> "StartingPoint":
@@ -64,4 +67,5 @@ class StartingPoint:
             states=estimate.states,
             sigma=estimate.sigma,
             way=estimate.way,
+            held=estimate.solution.outcome.at_bounds,
         )

@@ -33,7 +33,8 @@ class Causes:
     Attributes:
         force: the record.
         equation: the state in whose equation the force acts.
-        validation: the force with the stretches that are left out.
+        validation: the force with the stretches that are left out; ``of_inputs``: with
+            those where inputs are among the functions.
         bases: functions (n_intervals, k) by kind, as the estimate would show them;
             'parameters' are the slopes in the model's parameters. Those of the time are
             not among them: their frequency differs from fold to fold.
@@ -42,6 +43,7 @@ class Causes:
     force: ForceRecord
     equation: str
     validation: CrossValidation
+    of_inputs: CrossValidation
     bases: Mapping[str, np.ndarray]
 
     @classmethod
@@ -61,8 +63,10 @@ class Causes:
         for kind, columns in functions.items():
             bases[kind] = force.as_estimated(equation, columns)
         bases["parameters"] = force.by_parameters(equation)
-        validation = CrossValidation.of(force.force_on(equation), force.run)
-        return cls(force, equation, validation, bases)
+        w = force.force_on(equation)
+        validation = CrossValidation.of(w, force.run)
+        of_inputs = CrossValidation.of_inputs(w, force.run, force.inputs)
+        return cls(force, equation, validation, of_inputs, bases)
 
     def joint_share(self, kinds: Sequence[str]) -> float:
         """Part of the force's mean square that these kinds predict together.
@@ -70,11 +74,12 @@ class Causes:
         It is judged on stretches of time that were left out.
         """
         bases = [self.bases[kind] for kind in kinds if kind != "time"]
+        validation = self.of_inputs if "inputs" in kinds else self.validation
         if "time" in kinds:
-            error = leave_out_error_with_time(self.force, self.validation, bases)
+            error = leave_out_error_with_time(self.force, validation, bases)
         else:
-            error = self.validation.leave_out_error(bases)
-        return explained_share(error, self.validation.total)
+            error = validation.leave_out_error(bases)
+        return explained_share(error, validation.total)
 
     @cached_property
     def gains(self) -> dict[str, float]:

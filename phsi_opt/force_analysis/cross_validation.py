@@ -2,7 +2,8 @@
 
 Cross-validation by stretches, not by samples: an estimated force is smooth, so a sample
 alone is known from its neighbours, and every flexible function would seem to predict
-it.
+it. An input that is held at a value for long tells the time by it: where functions of
+inputs are judged, what is left out has several such values as a whole.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,6 +15,7 @@ from phsi_opt.statistics import TINY
 
 N_FOLDS = 5  # every fifth stretch is left out in turn
 N_VALIDATION_STRETCHES = 40  # into which a record is cut
+HOLDS_IN_STRETCH = 3  # values of an input that is held, in a stretch, at least
 COEFFICIENT_RIDGE = 1e-3  # weight of the smallness of coefficients, in samples per knot
 
 
@@ -33,6 +35,19 @@ class CrossValidation:
     def of(cls, w: np.ndarray, run: np.ndarray) -> "CrossValidation":
         """The stretches of a force (n_intervals,) along trajectories ``run``."""
         return cls(w, fold_numbers(run))
+
+    @classmethod
+    def of_inputs(
+        cls, w: np.ndarray, run: np.ndarray, inputs: np.ndarray
+    ) -> "CrossValidation":
+        """The stretches of a force on which functions of inputs are judged.
+
+        Args:
+            w: the force, (n_intervals,).
+            run: number of the trajectory, (n_intervals,).
+            inputs: (n_intervals, n_inputs).
+        """
+        return cls(w, fold_numbers_of_holds(run, inputs))
 
     @property
     def total(self) -> float:
@@ -92,13 +107,57 @@ def fold_numbers(run: np.ndarray) -> np.ndarray:
     Args:
         run: number of the trajectory, (n_intervals,).
     """
+    return np.asarray(_even_stretches(run) % N_FOLDS)
+
+
+def fold_numbers_of_holds(run: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """The same; of whole holds, where an input is held for a third of a stretch.
+
+    Args:
+        run: number of the trajectory, (n_intervals,).
+        inputs: (n_intervals, n_inputs).
+    """
+    stretch = _even_stretches(run)
+    for u in inputs.T:
+        of_holds = _stretches_of_holds(_holds(run, u))
+        if of_holds is not None and of_holds[-1] < stretch[-1]:
+            stretch = of_holds
+    return np.asarray(stretch % N_FOLDS)
+
+
+def _even_stretches(run: np.ndarray) -> np.ndarray:
+    """Number of the stretch of each interval, (n_intervals,), all of like length."""
     count = np.bincount(run)
     share_of_record = N_VALIDATION_STRETCHES * count / len(run)
     at_most = np.maximum(count, 1)
     n_stretches = np.clip(np.round(share_of_record), 1, at_most).astype(int)
     n_before = np.cumsum(n_stretches) - n_stretches
-    stretch = place_in_run(run) * n_stretches[run] // count[run]
-    return np.asarray((n_before[run] + stretch) % N_FOLDS)
+    in_run = place_in_run(run) * n_stretches[run] // count[run]
+    return np.asarray(n_before[run] + in_run)
+
+
+def _holds(run: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Number of the value at which an input (n_intervals,) is held, (n_intervals,).
+
+    What changes from interval to interval belongs to the value before.
+    """
+    is_new_run = np.r_[True, np.diff(run) != 0]
+    changes = is_new_run | np.r_[True, np.diff(u) != 0]
+    stays = np.r_[~changes[1:], True]
+    return np.asarray(np.cumsum(is_new_run | (changes & stays)) - 1)
+
+
+def _stretches_of_holds(hold: np.ndarray) -> np.ndarray | None:
+    """Number of the stretch of each interval, (n_intervals,): of whole holds.
+
+    None where there are too few holds for the folds, or one is longer than a fold.
+    """
+    n_holds = int(hold[-1]) + 1
+    longest = int(np.bincount(hold).max())
+    if n_holds < N_FOLDS or longest > len(hold) / N_FOLDS:
+        return None
+    n_stretches = max(n_holds // HOLDS_IN_STRETCH, N_FOLDS)
+    return np.asarray(hold * n_stretches // n_holds)
 
 
 def place_in_run(run: np.ndarray) -> np.ndarray:

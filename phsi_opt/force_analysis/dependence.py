@@ -69,12 +69,16 @@ def depends_on(force: ForceRecord) -> "pd.DataFrame":
 
 def dependence(force: ForceRecord, equation: str) -> "pd.DataFrame":
     """What the missing force of one equation follows (see `depends_on`)."""
-    validation = CrossValidation.of(force.force_on(equation), force.run)
+    w = force.force_on(equation)
+    validation = CrossValidation.of(w, force.run)
+    of_inputs = CrossValidation.of_inputs(w, force.run, force.inputs)
     total = validation.total
     baseline = _baseline(force, equation, validation)
     rows = list(baseline.rows)
     for variable in variables(force, equation):
-        error = _leave_out_error(force, equation, variable, validation, baseline)
+        is_input = variable in force.fit.model.inputs
+        judge = of_inputs if is_input else validation
+        error = _leave_out_error(force, equation, variable, judge, baseline)
         gain = (baseline.error - error) / max(total, TINY)
         share = explained_share(error, baseline.error)
         rows.append(_Prediction(variable, share, error, gain))

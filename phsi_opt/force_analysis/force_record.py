@@ -19,9 +19,10 @@ from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.force_uncertainty import MOST_SOLVED
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
+from phsi_opt.statistics import TINY
 
-# Distance to a bound, relative to the bound where that is above one, up to which a
-# parameter stands at it.
+# Distance to a bound, as a change of the rates beside these, up to which a parameter
+# stands at it.
 AT_BOUND = 1e-6
 
 
@@ -73,6 +74,7 @@ class ForceRecord:
         grid = estimate.grid
         model = record.model.with_values(estimate.rounded)
         middles = _Middles.of(record)
+        rates = middles.values(model.rhs())
         return cls(
             fit=record.fit,
             estimate=estimate,
@@ -88,8 +90,8 @@ class ForceRecord:
             efforts=middles.values(model.function(*model.efforts)),
             inputs=middles.inputs,
             losses=_losses(model, middles),
-            rates=middles.values(model.rhs()),
-            slopes=_slopes(model, middles),
+            rates=rates,
+            slopes=_slopes(model, middles, rates),
         )
 
     def origin_of(self, trajectory: str) -> dt.datetime | None:
@@ -218,8 +220,13 @@ def _losses(model: Model, middles: _Middles) -> np.ndarray:
     return with_loss - without_loss
 
 
-def _slopes(model: Model, middles: _Middles) -> np.ndarray:
+def _slopes(model: Model, middles: _Middles, rates: np.ndarray) -> np.ndarray:
     """Slopes of dx/dt in the parameters that do not stand at a bound, of rms one.
+
+    Args:
+        model: with the values of the fit.
+        middles: where the slopes are taken.
+        rates: dx/dt there, (n_intervals, n_states).
 
     Returns:
         (n_intervals, n_states, n_moving).
@@ -228,26 +235,24 @@ def _slopes(model: Model, middles: _Middles) -> np.ndarray:
     arguments = [ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(4)]
     theta = arguments[-1]
     jacobian = ca.jacobian(rhs(*arguments), theta)
-    columns = ca.densify(jacobian[:, _moving(model)])
+    columns = ca.densify(jacobian)
     # Row by row, so that reshaping gives back states and parameters.
     flat = middles.values(ca.Function("slopes", arguments, [ca.vec(columns.T)]))
     shaped = flat.reshape(len(middles.t), model.n_states, -1)
     slopes = np.nan_to_num(shaped)
     size = np.sqrt(np.mean(slopes**2, axis=0))
-    return np.asarray(slopes / np.where(size > 0, size, 1.0))
+    rate = np.sqrt(np.mean(np.nan_to_num(rates) ** 2, axis=0))
+    strength = np.max(size / np.maximum(rate, TINY)[:, None], axis=0, initial=0.0)
+    is_moving = _to_bounds(model) > AT_BOUND / np.maximum(strength, TINY)
+    scaled = slopes / np.where(size > 0, size, 1.0)
+    return np.asarray(scaled[:, :, is_moving])
 
 
-def _moving(model: Model) -> list[int]:
-    """Places in theta of the parameters that do not stand at a bound."""
-    return [i for i, name in enumerate(model.free) if _moves(model, name)]
-
-
-def _moves(model: Model, name: str) -> bool:
-    parameter = model.entries[name].parameter
-    value = model.values[name]
-    for bound in (parameter.lower, parameter.upper):
-        if not np.isfinite(bound):
-            continue
-        if not abs(value - bound) > AT_BOUND * max(1.0, abs(bound)):
-            return False
-    return True
+def _to_bounds(model: Model) -> np.ndarray:
+    """Distance of each free parameter to the nearer of its bounds, (n_free,)."""
+    distances = []
+    for name in model.free:
+        parameter = model.entries[name].parameter
+        value = model.values[name]
+        distances.append(min(value - parameter.lower, parameter.upper - value))
+    return np.abs(np.array(distances))

@@ -8,8 +8,10 @@ state or an input that the model and the data lack.
 
 from collections.abc import Mapping
 
+from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
+from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.energy_wording import TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import Pace
@@ -52,8 +54,8 @@ UNSEEN = {
 NO_EFFECT = "No effect of the catalogue fits."
 
 
-def next_step(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
-    """What to do next about the surest missing force.
+def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
+    """What to do next about the surest missing force, for which there is no name.
 
     Args:
         analysis: of the missing forces.
@@ -173,10 +175,20 @@ def _of_time(force: EquationForce) -> Answer:
 
 
 def _of_states(force: EquationForce) -> Answer:
-    model = force.record.fit.model
-    names = dict.fromkeys((*exchange_partners(model, force.equation), force.equation))
     return Answer(
         f"Write a term of your own in d{force.equation}/dt that depends on "
-        f"{' and '.join(names)}.",
+        f"{' and '.join(_followed(force))}.",
         f"{NO_EFFECT} diagnosis.learned_force() draws the curve of what is missing.",
     )
+
+
+def _followed(force: EquationForce) -> list[str]:
+    """What predicts a force best, if clearly; else all states that it may follow."""
+    model = force.record.fit.model
+    best = leading(force.follows, force.equation)
+    if best is None or best["share"] < CLEAR_PATTERN:
+        partners = exchange_partners(model, force.equation)
+        return list(dict.fromkeys((*partners, force.equation)))
+    state_of = dict(zip(model.efforts, model.states, strict=True))
+    names = str(best["variable"]).split(", ")
+    return list(dict.fromkeys(state_of.get(name, name) for name in names))

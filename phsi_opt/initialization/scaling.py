@@ -6,6 +6,7 @@ and need no solve. Here too is the first point of a search, with the measured st
 interpolated.
 """
 
+from collections.abc import Collection
 from dataclasses import replace
 from itertools import pairwise
 
@@ -62,7 +63,12 @@ def _state_scale(
 
 
 def point_at(
-    model: Model, grid: Grid, unknown: Theta, theta: np.ndarray, x: np.ndarray
+    model: Model,
+    grid: Grid,
+    unknown: Theta,
+    theta: np.ndarray,
+    x: np.ndarray,
+    held: Collection[str] = (),
 ) -> Point:
     """The point of given parameters and states, with the size of each.
 
@@ -72,11 +78,12 @@ def point_at(
         unknown: names and places of the parameters.
         theta: (n_theta,) in the order of ``unknown``.
         x: (n_nodes, n_states) states at the nodes.
+        held: parameters that a solve left at their bounds.
     """
     from_data = _measured_scale(invert_sensors(model, grid))
     from_states = np.maximum(np.std(x, axis=0), LEAST_SIZE)
     x_scale = np.where(grid.measured.any(axis=0), from_data, from_states)
-    sizes = theta_scale(model, grid, unknown.means(theta), x, x_scale)
+    sizes = theta_scale(model, grid, unknown.means(theta), x, x_scale, held)
     return Point(theta, x, unknown.spread(sizes), x_scale)
 
 
@@ -109,7 +116,12 @@ def with_states(grid: Grid, x: np.ndarray) -> Grid:
 
 
 def theta_scale(
-    model: Model, grid: Grid, theta: np.ndarray, x: np.ndarray, x_scale: np.ndarray
+    model: Model,
+    grid: Grid,
+    theta: np.ndarray,
+    x: np.ndarray,
+    x_scale: np.ndarray,
+    held: Collection[str] = (),
 ) -> np.ndarray:
     """Size of each parameter, (n_free,): the change that shows in the equations.
 
@@ -122,6 +134,8 @@ def theta_scale(
         theta: (n_free,) parameters.
         x: (n_nodes, n_states) states at the nodes.
         x_scale: (n_states,) size of each state.
+        held: parameters that a solve left at their bounds: beside a bound at zero the
+            value says nothing of the size.
     """
     if not len(theta):
         return np.ones(0)
@@ -133,7 +147,8 @@ def theta_scale(
     scale = np.where(strength > 0, 1 / np.maximum(strength, TINY), own_size)
     most = np.full(len(theta), np.inf)
     for place, name in enumerate(model.free):
-        if theta[place] != 0 and not model.entries[name].prunable:
+        says_size = theta[place] != 0 and name not in held
+        if says_size and not model.entries[name].prunable:
             most[place] = MOST_SHARE * abs(theta[place])
     return np.clip(scale, LEAST_SHARE * np.abs(theta), most)
 

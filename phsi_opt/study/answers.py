@@ -8,6 +8,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import FAILING_ERROR, PROPOSED_Z
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.finding import Finding
+from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.equation_force import EquationForce
@@ -23,7 +24,7 @@ from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.presentation.units import scale_of_errors
-from phsi_opt.study.certainty import disturbance_word
+from phsi_opt.study.certainty import disturbance_word, no_noise_words
 from phsi_opt.study.off_words import judged_words, off_words
 
 QUADRATIC_INPUT = "quadratic input"
@@ -42,7 +43,7 @@ def missing_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
         return Answer(_missing_words(diagnosis), _gain_words(diagnosis, is_held_out))
     force = EquationForce.of(diagnosis.analysis, None)
     if force.is_uncertain:
-        lead = "The residuals are no noise, but no missing force is sure"
+        lead = f"{no_noise_words(diagnosis)}; no missing force is sure"
     elif force.pace.is_vibration:
         return Answer(f"Something swings {_speed(force)}: {VIBRATION_WORDS}.")
     else:
@@ -241,7 +242,7 @@ def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     if diagnosis.verdict != Verdict.NAMED:
         outcome += f" Then diagnose again: what is left is {_left_words(diagnosis)}."
     if any(not finding.is_name for finding in diagnosis.findings):
-        outcome += " Which of them, an experiment tells; found.separation proposes one."
+        outcome += f" Which of them, an experiment tells; {PROPOSED_EXPERIMENT}."
     return Answer(f"{told}.", outcome.strip())
 
 

@@ -19,18 +19,31 @@ FAST_DISTURBANCE = "fast disturbance"
 
 def certainty_words(diagnosis: Diagnosis) -> str:
     """Whether something is missing, how far the error is off, whether why is known."""
-    base = diagnosis.base
-    ratio = base.rmse / base.noise_floor
+    ratio = _times_noise(diagnosis)
     error = f"the error is {number(ratio, 2)} times the noise"
     if ratio < AT_NOISE:
         error = "the error is that of the noise"
     if diagnosis.verdict == Verdict.NOTHING_MISSING:
         return f"Nothing is seen to be missing: {error}. {ONE_ERROR}"
-    sure = "The residuals are no noise"
     if ratio > SURE_ERROR or diagnosis.findings:  # these are established
-        sure = "Certain that something is missing"
-    told = (f"{sure}: {error}.", _cause(diagnosis), ONE_ERROR)
-    return " ".join(filter(None, told))
+        sure = f"Certain that something is missing: {error}."
+    elif ratio < AT_NOISE:
+        sure = f"{no_noise_words(diagnosis)}."
+    else:
+        sure = f"{no_noise_words(diagnosis)}: {error}."
+    return " ".join(filter(None, (sure, _cause(diagnosis), ONE_ERROR)))
+
+
+def no_noise_words(diagnosis: Diagnosis) -> str:
+    """That something is left beside noise: a larger error, or a pattern as small."""
+    if _times_noise(diagnosis) < AT_NOISE:
+        return "The residuals are as small as noise, but not as random"
+    return "The residuals are no noise"
+
+
+def _times_noise(diagnosis: Diagnosis) -> float:
+    """The error of the free run over that of noise alone."""
+    return diagnosis.base.rmse / diagnosis.base.noise_floor
 
 
 def _cause(diagnosis: Diagnosis) -> str:
@@ -41,7 +54,7 @@ def _cause(diagnosis: Diagnosis) -> str:
     if disturbance_word(diagnosis):
         return "It is a fast disturbance; its source is not found yet."
     force = EquationForce.of(diagnosis.analysis, None)
-    if likely_cause(diagnosis.record.data.units, force):
+    if not force.is_uncertain and likely_cause(diagnosis.record.data.units, force):
         return "The cause is suspected, not proven."
     return "The cause is not known."
 
