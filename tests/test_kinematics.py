@@ -1,6 +1,7 @@
 """Nothing is missing in dx/dt = v, however the rest of the model is coupled to it."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -14,7 +15,7 @@ NOISE = 0.005
 
 
 def records(
-    rates: Callable[..., list[float]], starts: tuple[list[float], ...], **about: object
+    rates: Callable[..., list[float]], starts: tuple[list[float], ...], **about: Any
 ) -> ph.Measurements:
     """Runs of which only the first state is seen."""
     random = np.random.default_rng(5)

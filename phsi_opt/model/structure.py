@@ -13,6 +13,7 @@ both. Where the model loses energy already says nothing about that.
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from phsi_opt.model.kinds import (
     plain_unit,
 )
 
+AnyModel = TypeVar("AnyModel", bound=BaseModel)
 # Velocities at which an equation is asked whether it is a known multiple of them; in
 # floats the multiples of powers of two are exact.
 PROBED = (1.0, -2.0, 0.25)
@@ -140,7 +142,7 @@ def kind_of(model: BaseModel, state: str) -> str:
     return ""
 
 
-def with_kinds_of_units(model: BaseModel, units: Mapping[str, str]) -> BaseModel:
+def with_kinds_of_units(model: AnyModel, units: Mapping[str, str]) -> AnyModel:
     """The model with kinds by the units of the states of which it tells none.
 
     A length is a tank's level where all that lies outside of pairs has the unit of a
