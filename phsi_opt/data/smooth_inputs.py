@@ -5,8 +5,9 @@ radians per sample it keeps the share 1 - (w h)^2/12, and a fit takes what is lo
 friction or for a softer spring. A spline loses a share of order (w h)^4.
 """
 
+from typing import Any
+
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 
 class SmoothInputs:
@@ -23,7 +24,7 @@ class SmoothInputs:
     def __init__(self, t: np.ndarray, u: np.ndarray) -> None:
         self.limits = (float(t[0]), float(t[-1]))
         self.n_inputs = u.shape[1]
-        self._spline = CubicSpline(t, u) if self.n_inputs else None
+        self._spline = _spline(t, u) if self.n_inputs else None
 
     def __call__(self, times: np.ndarray | float) -> np.ndarray:
         """The inputs at times, (..., n_inputs); before and after the samples the value
@@ -60,3 +61,9 @@ class SmoothInputs:
         a3 = (last - first) / 2 - a1
         mean, rise = middle + a2 / 3, a1 + 3 * a3 / 5
         return mean - rise, mean + rise
+
+
+def _spline(t: np.ndarray, u: np.ndarray) -> Any:
+    from scipy.interpolate import CubicSpline  # slow to import, and seldom needed
+
+    return CubicSpline(t, u)
