@@ -21,7 +21,7 @@ COMPLETED = {
     "short_run": 2,
     "falling": 1,
     "roll_decay": 2,
-    "pendulum": 0,
+    "pendulum": 2,
     "closed_loop": 2,
     "circuit": 1,
     "thermal": 2,
@@ -124,7 +124,7 @@ def test_a_random_function_has_nothing_in_common_with_known_laws() -> None:
 
 def test_some_pendulums_stick_before_the_end_and_all_go_over_the_top() -> None:
     n_stuck = 0
-    for seed in range(12):
+    for seed in range(6):
         case = draw(KINDS["pendulum"], seed, model_error=0.0)
         for run in case.train.trajectories:
             assert np.ptp(run.x[:, 0]) > np.pi
