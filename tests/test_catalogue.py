@@ -507,3 +507,44 @@ def test_with_an_energy_radiation_needs_kelvin() -> None:
     names = {effect.name for effect in ph.catalogue(model, {"T": "degC"})}
     assert "heat loss" in names and "radiation" not in names
     assert "radiation" in {effect.name for effect in ph.catalogue(model, {"T": "K"})}
+
+
+@pytest.mark.parametrize(
+    ("unit", "half_turn"),
+    [("", np.pi), ("rad", np.pi), ("mrad", 1000 * np.pi), ("deg", 180.0), ("rev", 0.5)],
+)
+@pytest.mark.parametrize("has_energy", [True, False])
+def test_gravity_turns_with_the_angle_in_its_unit(
+    unit: str, half_turn: float, has_energy: bool
+) -> None:
+    model: ph.Model = ph.FirstOrder(
+        ["q", "p"], {"q": ph.formula("p"), "p": ph.formula("0")}
+    )
+    if has_energy:
+        model = ph.PseudoHamiltonian(
+            states=["q", "p"], S=ph.canonical(1), H=ph.formula("p**2/2")
+        )
+    (effect,) = [
+        e for e in ph.catalogue(model, {"q": unit}) if e.name == "gravity torque"
+    ]
+    heavy = model.add(effect).with_values({"gravity_torque_q": 1.5})
+
+    def torque(q: float) -> float:
+        return float(np.array(heavy.rhs()([q, 0.0], [], 0.0, heavy.theta))[1, 0])
+
+    assert torque(half_turn) == pytest.approx(0.0, abs=1e-9)
+    assert torque(half_turn / 2) < 0 < torque(-half_turn / 2)
+    assert torque(half_turn / 6) == pytest.approx(torque(half_turn / 2) / 2)
+
+
+def test_a_length_has_no_gravity_torque() -> None:
+    names = {effect.name for effect in ph.catalogue(driven_spring(), {"q": "mm"})}
+    assert "cubic stiffness" in names and "gravity torque" not in names
+
+
+def test_an_effect_by_name_is_that_of_the_units() -> None:
+    spring = driven_spring()
+    turned = effect_named(spring, "gravity torque", units={"q": "deg"})
+    assert turned.term.terms[0].body == "-cos(pi*q/180)"
+    # A length has none, but a name that is given is meant.
+    assert effect_named(spring, "gravity torque", units={"q": "m"}).slot == "H"

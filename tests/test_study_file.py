@@ -505,7 +505,7 @@ def test_effects_by_name_are_those_that_the_catalogue_adds(spring: Path) -> None
     file = ph.StudyFile.read(spring)
     base = file.model()
     larger = base.add("coulomb friction", "p").add("cubic stiffness", "p")
-    assert grown(file.base, names, ()) == larger
+    assert grown(file.base, names, (), {}) == larger
     assert file.with_added(*names).model() == larger
     assert larger.n_states == base.n_states and larger.free != base.free
     with pytest.raises(ph.ModelError, match="cubic stiffness"):

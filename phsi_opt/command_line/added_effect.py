@@ -23,7 +23,7 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
     model = file.model()
     if equation is not None:
         model.index(equation, "--equation")
-    effect = meant_effect(model, asked, file.own_effects)
+    effect = meant_effect(model, asked, file.own_effects, file.data.units)
     larger = model.add(effect)
     added = add_effects(path, [str(effect)])
     free = [one for one in larger.free if one not in model.entries]

@@ -62,23 +62,28 @@ def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> Effec
     return EffectList(effect for effect in effects if not is_redundant(known, effect))
 
 
-def every_name(model: BaseModel) -> EffectList:
+def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
     """The effects of the catalogue under the names of all kinds, the model's first.
 
     One term may stand there under several names.
     """
-    found = catalogue(model)
+    found = catalogue(model, units)
     known = {str(effect) for effect in found}
     untold = replace(model, kind={})
     for other in (untold, *(replace(model, kind=kind) for kind in KINDS)):
-        for effect in catalogue(other):
+        for effect in catalogue(other, units):
             if str(effect) not in known:
                 known.add(str(effect))
                 found.append(effect)
     return found
 
 
-def effect_named(model: BaseModel, name: str, equation: str | None = None) -> Effect:
+def effect_named(
+    model: BaseModel,
+    name: str,
+    equation: str | None = None,
+    units: Mapping[str, str] | None = None,
+) -> Effect:
     """The catalogue's effect of that name.
 
     The names of all kinds are known: what a model of tanks calls a linear leak may be
@@ -89,6 +94,7 @@ def effect_named(model: BaseModel, name: str, equation: str | None = None) -> Ef
         name: such as ``"coulomb friction"``.
         equation: the state in whose equation it acts; not needed where the effect
             applies to one equation only.
+        units: of the states, as in `catalogue`.
 
     Raises:
         ModelError: no effect of that name applies there, or it applies to several
@@ -96,10 +102,13 @@ def effect_named(model: BaseModel, name: str, equation: str | None = None) -> Ef
     """
     if equation is not None:
         model.index(equation, f"equation of effect {name!r}:")
-    own = [e for e in catalogue(model) if equation in (None, e.equation)]
+    own = [e for e in catalogue(model, units) if equation in (None, e.equation)]
     found = _called(name, own)
     if not found:
-        there = [e for e in every_name(model) if equation in (None, e.equation)]
+        every = every_name(model, units)
+        there = [e for e in every if equation in (None, e.equation)]
+        if not _called(name, there):  # what units rule out may still be meant
+            there = [e for e in every_name(model) if equation in (None, e.equation)]
         found = _called(name, there)
     if not found:
         raise ModelError(_not_in_catalogue(model, name, equation, own))
@@ -152,7 +161,7 @@ def _in_equations(model: BaseModel, units: Mapping[str, str]) -> list[Effect]:
         effects += losses(model, state, position, units.get(state, ""))
         effects += forces(model, state)
         effects += actuators(model, state)
-        effects += energies(model, state, position)
+        effects += energies(model, state, position, units.get(position or "", ""))
         effects += second_storages(model, state)
         if position is not None:
             effects.append(parametric_stiffness(model, position, state))

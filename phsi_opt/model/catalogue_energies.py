@@ -13,6 +13,7 @@ from phsi_opt.model.catalogue_parts import (
     underscored,
 )
 from phsi_opt.model.effect import Effect
+from phsi_opt.model.kinds import LENGTHS, RADIANS, plain_unit
 from phsi_opt.model.roles import Role, role_of
 
 POSITION_FORCE = "a force that depends on the position"
@@ -39,20 +40,27 @@ COUPLINGS = {
 PLAYS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)
 
 
-def energies(model: BaseModel, state: str, position: str | None) -> list[Effect]:
+def energies(
+    model: BaseModel, state: str, position: str | None, unit: str = ""
+) -> list[Effect]:
     """The energies that a momentum and its position q may have, in their field's words.
 
     ::
 
         stiffness, elastance    c q^2/2, c q^3/3, c q^4/4
-        gravity torque          -c cos(q)
+        gravity torque          -c cos(q), not of a length
         gap                     c max(|q| - play, 0)^2/2
         saturation              c x^4/4 of a coil's flux x, or of a circuit's storage
 
+    Args:
+        model: the model.
+        state: the momentum, or what else may have an energy of its own.
+        position: the position of a momentum.
+        unit: of the position.
     """
     role = role_of(model, state)
     if role is Role.BODY and position is not None:
-        return _springs_of_body(model, position, state)
+        return _springs_of_body(model, position, state, unit)
     if role is Role.PIPE and position is not None:
         return _powers(model, STIFFNESSES, position, state, VOLUME_PRESSURE)
     if role is Role.COIL and position is not None:
@@ -77,13 +85,15 @@ def is_spring(effect: Effect) -> bool:
     return effect.slot == "H" or effect.family in FORCES_OF_ENERGY
 
 
-def _springs_of_body(model: BaseModel, q: str, p: str) -> list[Effect]:
+def _springs_of_body(model: BaseModel, q: str, p: str, unit: str) -> list[Effect]:
     """All that may hold a body at its position."""
-    powers = _powers(model, STIFFNESSES, q, p, POSITION_FORCE)
-    gravity = _placed(
-        model, "gravity torque", q, p, (f"-cos({q})", f"-sin({q})"), POSITION_FORCE
-    )
-    return [*powers, gravity, _gap(model, q, p)]
+    springs = _powers(model, STIFFNESSES, q, p, POSITION_FORCE)
+    if plain_unit(unit) not in LENGTHS:
+        angle = RADIANS.get(plain_unit(unit), "{q}").format(q=q)
+        bodies = (f"-cos({angle})", f"-sin({angle})")
+        gravity = _placed(model, "gravity torque", q, p, bodies, POSITION_FORCE)
+        springs.append(gravity)
+    return [*springs, _gap(model, q, p)]
 
 
 def _powers(

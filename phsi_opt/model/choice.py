@@ -5,8 +5,9 @@ to which it was given; the candidates are then read from the model as it has bec
 that an effect that was added since is neither offered again nor called unknown.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from phsi_opt.errors import ModelError, did_you_mean
@@ -62,16 +63,17 @@ class EffectChoice:
         offered: list[Effect] = catalogue(model, units)
         considered = offered
         effects = None
+        aliases = partial(every_name, model, units)
         if self.effects is not None:
             effects = []
             for one in self.effects:
-                effects += _as_offered(one, offered, model, "effects")
+                effects += _as_offered(one, offered, aliases, "effects")
             considered = _all_meant(effects, offered)
             _check_new(considered, model)
         without = []
         for one in self.without:
-            every = [*considered, *offered]
-            without += _as_offered(one, every, model, "without")
+            both = [*considered, *offered]
+            without += _as_offered(one, both, aliases, "without")
         return EffectChoice(effects, without)
 
     def candidates(
@@ -124,9 +126,19 @@ def _all_meant(given: Given, offered: list[Effect]) -> list[Effect]:
 
 
 def _as_offered(
-    one: Effect | str, offered: list[Effect], model: BaseModel, what: str
+    one: Effect | str,
+    offered: list[Effect],
+    aliases: Callable[[], list[Effect]],
+    what: str,
 ) -> list[Effect | str]:
-    """What a user gave, as the catalogue calls it; an effect of one's own as it is."""
+    """What a user gave, as the catalogue calls it; an effect of one's own as it is.
+
+    Args:
+        one: what was given.
+        offered: effects that may be meant.
+        aliases: makes the catalogue under the names of all kinds.
+        what: the argument that it was given as.
+    """
     if one in offered:
         return [str(one)]
     if isinstance(one, Effect) and what == "effects":
@@ -135,7 +147,7 @@ def _as_offered(
         return [one]
     found: list[Effect | str] = []
     if isinstance(one, str):
-        for alias in every_name(model):
+        for alias in aliases():
             if _is_called(alias, one):
                 found += [str(e) for e in offered if _is_same_term(e, alias)]
     if found:

@@ -19,6 +19,9 @@ KINDS = (MECHANICAL, HYDRAULIC, ELECTRICAL, THERMAL)
 
 PREFIXES = ("", "n", "u", "µ", "m", "c", "d", "k", "M", "G")
 LENGTHS = frozenset(f"{prefix}m" for prefix in PREFIXES)
+# Angles by their unit as radians.
+RADIANS = {"rad": "{q}", "mrad": "{q}/1000", "rev": "2*pi*{q}"}
+RADIANS |= dict.fromkeys(("deg", "°"), "pi*{q}/180")
 VOLTS = frozenset(f"{prefix}V" for prefix in PREFIXES)
 # Units that take a prefix, and those that do not; spaces and signs of products are left
 # out, and powers written m3.

@@ -208,7 +208,7 @@ def effect_meant(study: Study, name: str) -> Effect:
     from phsi_opt.model.catalogue import effect_named
 
     before, _, equation = name.rpartition(" on ")
-    return effect_named(study.model, before, equation)
+    return effect_named(study.model, before, equation, study.train.units)
 
 
 def pickled(study: Study) -> bytes:

@@ -217,7 +217,7 @@ class Study(Summarised):
             SolveError: the larger model could not be fitted.
         """
         if isinstance(effect, str):
-            effect = effect_named(self.model, effect, equation)
+            effect = effect_named(self.model, effect, equation, self.train.units)
         found = self._known_candidate(effect)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:

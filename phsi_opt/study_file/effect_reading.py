@@ -100,13 +100,16 @@ def _made(
         return None
 
 
-def meant_effect(model: Model, name: str, own: Sequence[Effect]) -> Effect:
+def meant_effect(
+    model: Model, name: str, own: Sequence[Effect], units: Mapping[str, str]
+) -> Effect:
     """The effect that a name such as ``"coulomb friction on p"`` stands for.
 
     Args:
         model: to which it could be added.
         name: with its place, or without where only one equation can have it.
         own: effects that are not in the catalogue; they come first.
+        units: of the states, as in `catalogue`.
 
     Raises:
         ModelError: there is no such effect.
@@ -116,18 +119,23 @@ def meant_effect(model: Model, name: str, own: Sequence[Effect]) -> Effect:
             return effect
     before, _, equation = name.rpartition(ON)
     if before and equation in model.states:
-        return effect_named(model, before, equation)
-    return effect_named(model, name)
+        return effect_named(model, before, equation, units)
+    return effect_named(model, name, units=units)
 
 
-def grown(model: Model, added: Sequence[str], own: Sequence[Effect]) -> Model:
+def grown(
+    model: Model,
+    added: Sequence[str],
+    own: Sequence[Effect],
+    units: Mapping[str, str],
+) -> Model:
     """The model with the effects added, one after the other.
 
     Raises:
         ModelError: one of them is unknown, or the model has it already.
     """
     for name in added:
-        model = model.add(meant_effect(model, name, own))
+        model = model.add(meant_effect(model, name, own, units))
     return model
 
 
@@ -140,7 +148,7 @@ def check_effects(
     larger = model
     for name in study.added:
         try:
-            larger = larger.add(meant_effect(larger, name, own))
+            larger = larger.add(meant_effect(larger, name, own, units))
         except ModelError as error:
             file.complaints.add(part.path("added"), str(error), name)
     for key, names in (("effects", study.effects or ()), ("without", study.without)):

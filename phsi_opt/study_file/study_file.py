@@ -142,7 +142,8 @@ class StudyFile:
         """
         larger = self.model()
         for name in names:
-            larger = larger.add(meant_effect(larger, name, self.own_effects))
+            effect = meant_effect(larger, name, self.own_effects, self.data.units)
+            larger = larger.add(effect)
         added = (*self.steps.added, *names)
         return replace(self, steps=replace(self.steps, added=added))
 
@@ -241,7 +242,7 @@ class StudyFile:
         Raises:
             ModelError: one of the effects is unknown, or the model has it already.
         """
-        return grown(self.base, self.steps.added, self.own_effects)
+        return grown(self.base, self.steps.added, self.own_effects, self.data.units)
 
     def effects(self) -> list[Effect | str] | None:
         """The effects to consider, as `Study` takes them; None: the catalogue."""
@@ -316,6 +317,7 @@ class StudyFile:
             SolveError: a model could not be fitted.
         """
         for name in names:
-            study.add(meant_effect(study.model, name, self.own_effects))
+            units = study.train.units
+            study.add(meant_effect(study.model, name, self.own_effects, units))
             if after_each is not None:
                 after_each()
