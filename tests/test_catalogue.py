@@ -548,3 +548,13 @@ def test_an_effect_by_name_is_that_of_the_units() -> None:
     assert turned.term.terms[0].body == "-cos(pi*q/180)"
     # A length has none, but a name that is given is meant.
     assert effect_named(spring, "gravity torque", units={"q": "m"}).slot == "H"
+
+
+def test_what_units_rule_out_may_be_chosen_by_name() -> None:
+    spring = driven_spring()
+    units = {"q": "m"}
+    chosen = EffectChoice(["gravity torque", "gap"]).checked(spring, units)
+    names = [effect.name for effect in chosen.candidates(spring, units)]
+    assert names == ["gravity torque", "gap"]
+    without = EffectChoice(None, ["gravity torque"]).checked(spring, units)
+    assert without.candidates(spring, units) == list(ph.catalogue(spring, units))

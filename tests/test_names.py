@@ -17,6 +17,7 @@ from problems.field_machines.cases import draw
 from problems.field_machines.findings import Finding, findings_of
 from problems.field_machines.kinds import KINDS
 from problems.field_machines.records import Case
+from tests.pushed_mass import pushed_mass
 
 Force = Callable[[float, float], float]  # of position and velocity, at unit mass
 GRAVITY = 9.81
@@ -310,17 +311,6 @@ def controlled(
 
 def _pushed(u: float, friction: Callable[[float], float]) -> Force:
     return lambda q, v: u - friction(v)
-
-
-def pushed_mass(m: float | ph.Parameter) -> ph.PseudoHamiltonian:
-    """A mass and its measured force."""
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/(2*m)", m=m),
-        F={"p": ph.formula("u")},
-    )
 
 
 def dry(v: float) -> float:

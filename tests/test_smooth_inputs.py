@@ -10,6 +10,7 @@ from phsi_opt.baselines.network_simulation import input_of
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.transcription.grid import grid_of
+from tests.pushed_mass import pushed_mass
 
 MASS = 2.0
 OMEGA = 6.0  # rad/s of the faster wave of the push; six samples a period
@@ -27,16 +28,6 @@ def place(t: np.ndarray) -> np.ndarray:
     turned = np.cos(1) - np.cos(slow * t + 1)
     slow_part = 2 / slow * (turned / slow - np.sin(1) * t)
     return np.asarray((fast_part + slow_part) / MASS)
-
-
-def free_mass(m: float | ph.Parameter) -> ph.PseudoHamiltonian:
-    return ph.PseudoHamiltonian(
-        states=["q", "p"],
-        inputs=["u"],
-        S=ph.canonical(1),
-        H=ph.formula("p**2/(2*m)", m=m),
-        F={"p": ph.formula("u")},
-    )
 
 
 def times(step: float = 0.17) -> np.ndarray:
@@ -84,16 +75,16 @@ def test_few_samples_make_a_line_or_a_parabola(n_samples: int) -> None:
 def test_simulate_free_run_and_closed_form_agree() -> None:
     t = times()
     u = push(t)[:, None]
-    x = ph.simulate(free_mass(MASS), t, [0.0, 0.0], u, hold="cubic")
-    y = free_run(free_mass(MASS), t, np.zeros(2), u, "cubic")
+    x = ph.simulate(pushed_mass(MASS), t, [0.0, 0.0], u, hold="cubic")
+    y = free_run(pushed_mass(MASS), t, np.zeros(2), u, "cubic")
     np.testing.assert_allclose(y, x, atol=1e-6)
-    lines = ph.simulate(free_mass(MASS), t, [0.0, 0.0], u)
+    lines = ph.simulate(pushed_mass(MASS), t, [0.0, 0.0], u)
     error = np.max(np.abs(x[:, 0] - place(t)))
     assert error < 0.2 * np.max(np.abs(lines[:, 0] - place(t)))
 
 
 def test_the_mass_is_found_from_six_samples_a_period() -> None:
-    model = free_mass(ph.Parameter(1.0, lower=0))
+    model = pushed_mass(ph.Parameter(1.0, lower=0))
     smooth = ph.identify(model, record("cubic"))
     straight = ph.identify(model, record("linear"))
     assert smooth.values["m"] == pytest.approx(MASS, abs=3e-3)

@@ -157,6 +157,8 @@ def test_without_an_energy_a_known_multiple_of_a_velocity_is_kinematics(
         formula("v + 1"),
         formula("v + x"),
         formula("v*0"),
+        formula("sqrt(v)"),  # of a level: without a value at some of the velocities
+        formula("1/(v - 1)"),
         formula("u"),
         formula("x"),
         polynomials("v", 1),

@@ -65,13 +65,15 @@ def catalogue(model: BaseModel, units: Mapping[str, str] | None = None) -> Effec
 def every_name(model: BaseModel, units: Mapping[str, str] | None = None) -> EffectList:
     """The effects of the catalogue under the names of all kinds, the model's first.
 
-    One term may stand there under several names.
+    One term may stand there under several names. What the units rule out comes last: by
+    its name it may still be meant.
     """
     found = catalogue(model, units)
     known = {str(effect) for effect in found}
     untold = replace(model, kind={})
-    for other in (untold, *(replace(model, kind=kind) for kind in KINDS)):
-        for effect in catalogue(other, units):
+    others = (untold, *(replace(model, kind=kind) for kind in KINDS))
+    for further in (*(catalogue(other, units) for other in others), catalogue(model)):
+        for effect in further:
             if str(effect) not in known:
                 known.add(str(effect))
                 found.append(effect)
@@ -107,8 +109,6 @@ def effect_named(
     if not found:
         every = every_name(model, units)
         there = [e for e in every if equation in (None, e.equation)]
-        if not _called(name, there):  # what units rule out may still be meant
-            there = [e for e in every_name(model) if equation in (None, e.equation)]
         found = _called(name, there)
     if not found:
         raise ModelError(_not_in_catalogue(model, name, equation, own))

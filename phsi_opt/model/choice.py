@@ -5,9 +5,8 @@ to which it was given; the candidates are then read from the model as it has bec
 that an effect that was added since is neither offered again nor called unknown.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from phsi_opt.errors import ModelError, did_you_mean
@@ -63,17 +62,16 @@ class EffectChoice:
         offered: list[Effect] = catalogue(model, units)
         considered = offered
         effects = None
-        aliases = partial(every_name, model, units)
         if self.effects is not None:
             effects = []
             for one in self.effects:
-                effects += _as_offered(one, offered, aliases, "effects")
+                effects += _as_offered(one, offered, model, units, "effects")
             considered = _all_meant(effects, offered)
             _check_new(considered, model)
         without = []
         for one in self.without:
-            both = [*considered, *offered]
-            without += _as_offered(one, both, aliases, "without")
+            every = [*considered, *offered]
+            without += _as_offered(one, every, model, units, "without")
         return EffectChoice(effects, without)
 
     def candidates(
@@ -128,7 +126,8 @@ def _all_meant(given: Given, offered: list[Effect]) -> list[Effect]:
 def _as_offered(
     one: Effect | str,
     offered: list[Effect],
-    aliases: Callable[[], list[Effect]],
+    model: BaseModel,
+    units: Mapping[str, str] | None,
     what: str,
 ) -> list[Effect | str]:
     """What a user gave, as the catalogue calls it; an effect of one's own as it is.
@@ -136,7 +135,8 @@ def _as_offered(
     Args:
         one: what was given.
         offered: effects that may be meant.
-        aliases: makes the catalogue under the names of all kinds.
+        model: to which it could be added.
+        units: of its states.
         what: the argument that it was given as.
     """
     if one in offered:
@@ -147,9 +147,11 @@ def _as_offered(
         return [one]
     found: list[Effect | str] = []
     if isinstance(one, str):
-        for alias in aliases():
+        for alias in every_name(model, units):
             if _is_called(alias, one):
                 found += [str(e) for e in offered if _is_same_term(e, alias)]
+        # What the units rule out may still be meant.
+        found = found or [e for e in catalogue(model) if _is_called(e, one)]
     if found:
         return found
     names = sorted({effect.name for effect in offered})

@@ -116,8 +116,9 @@ def _velocity(model: BaseModel, position: str) -> str:
     (velocity,) = names
     factor = 1.0 if term.coefficient is None else term.coefficient.start
     at = np.array(PROBED)
-    rate = factor * evaluate(term.body, {**known, velocity: at}, NUMPY)
-    is_proportional = bool(np.all(rate / at == rate[0] / at[0]))
+    with np.errstate(all="ignore"):  # not every law has a value at all of them
+        rate = factor * evaluate(term.body, {**known, velocity: at}, NUMPY)
+        is_proportional = bool(np.all(rate / at == rate[0] / at[0]))
     return velocity if is_proportional and rate[0] > 0 else ""
 
 
