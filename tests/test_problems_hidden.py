@@ -361,17 +361,16 @@ def test_the_battery_goes_on_where_it_stopped_and_writes_its_page(
     )  # nothing twice, and the first seeds of all rows first
     text = (tmp_path / "hidden_effects.md").read_text(encoding="utf-8")
     assert "| gap 0.01 | 3 | 100%" in text and "command:" in text
-    assert "commit abc1234: 6 cases" in text
+    assert "| abc1234 | 6 | 0 |" in text
     assert (tmp_path / "hidden_effects.png").exists()
     # New seeds stand beside the first ones and are not counted among them.
     run.main(["gap_0.01"], range(1000, 1002), jobs=1)
     text = (tmp_path / "hidden_effects.md").read_text(encoding="utf-8")
-    assert "| gap 0.01 | 3 | 100%" in text and "commit abc1234: 6 cases" in text
+    assert "| gap 0.01 | 3 | 100%" in text and "| abc1234 | 8 | 2 |" in text
     all_three, both = "100% (44% to 100%)", "100% (34% to 100%)"
     told = f"| 3 | {all_three} | {all_three} | 2 | {both} | {both} |"
     (line,) = [x for x in text.splitlines() if x.startswith("| one effect")]
     assert line == f"| one effect, noise 1 % {told}"
-    assert "Commits: abc1234 (2 cases)" in text
 
 
 def test_rows_are_chosen_by_their_beginning_and_an_unknown_one_is_refused() -> None:
