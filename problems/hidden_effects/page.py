@@ -264,7 +264,7 @@ def _by_commit(found: Tables, new: Tables) -> list[str]:
     everything = pd.concat([*found.values(), *new.values()], ignore_index=True)
     n_new = pd.concat([rows["commit"] for rows in new.values()]).value_counts()
     for commit, count in everything["commit"].value_counts().items():
-        kept = scored(everything[everything["commit"].eq(commit)])
+        kept = scored(everything[everything["commit"].eq(str(commit))])
         records.append(
             {
                 "commit": commit,
