@@ -491,6 +491,8 @@ def test_a_loss_that_predicts_better_is_in_the_class_where_model_error_shows() -
     diagnosis = diagnosed_with("short_run", 511, *laws)
     first, second = diagnosis.ranking
     assert first.name == "coulomb friction on p"
+    assert repr(first) == f"Candidate('coulomb friction on p', lost={first.lost!r})"
+    assert repr(diagnosis.findings) == f"(Finding('{diagnosis.findings[0]}'),)"
     assert second.held_out_rmse < first.held_out_rmse
     (found,) = findings_of(diagnosis)
     assert found == {f"{law} on p" for law in laws}

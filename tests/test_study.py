@@ -84,6 +84,12 @@ def test_a_hidden_friction_is_named_added_and_brings_the_held_out_error_to_the_n
     assert last["held_out_rmse"] < 1.1 * last["noise_floor"]
 
 
+def test_what_stands_in_lists_is_printed_by_its_name(hidden: ph.Study) -> None:
+    friction = "coulomb friction on p"
+    assert repr(hidden.added) == f"(Effect('{friction}'),)"
+    assert repr(hidden.steps) == f"[Step('base model'), Step('{friction}')]"
+
+
 def test_the_coefficient_of_the_friction_lies_within_three_standard_errors(
     hidden: ph.Study,
 ) -> None:

@@ -150,3 +150,12 @@ def test_a_term_cannot_be_changed_and_can_be_pickled() -> None:
     with pytest.raises(TypeError):
         term.inner["k"] = Parameter(2.0)  # type: ignore[index]
     assert pickle.loads(pickle.dumps(term)) == term
+
+
+def test_what_was_not_chosen_is_not_printed() -> None:
+    spring = formula("k*q**2/2", k=Parameter(2.0, lower=0, unit="N/m"))
+    assert repr(Parameter()) == "Parameter()"
+    assert repr(spring) == (
+        "Dictionary(terms=(Term(body='k*q**2/2', "
+        "inner={'k': Parameter(value=2.0, lower=0.0, unit='N/m')}),))"
+    )

@@ -49,9 +49,12 @@ class Candidate:
     lost: str = ""
     unit: str = ""
     was_tried: bool = False
-    fit: Fit | None = field(repr=False, default=None)
-    trained: Comparison | None = field(repr=False, default=None)
-    comparison: Comparison | None = field(repr=False, default=None)
+    fit: Fit | None = None
+    trained: Comparison | None = None
+    comparison: Comparison | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name!r}, lost={self.lost!r})"
 
     @property
     def effects(self) -> tuple[Effect, ...]:

@@ -39,6 +39,9 @@ class Finding:
         """Whether it is one effect, and no class."""
         return len(self.effects) == 1
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
+
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         size = f"{self.coefficient:.4g}"

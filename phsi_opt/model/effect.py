@@ -59,6 +59,9 @@ class Effect:
     def __str__(self) -> str:
         return f"{self.name} on {self.equation}"
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
+
     @property
     def needs_clock(self) -> bool:
         """Whether the time t stands in its terms, or in the rates of its memory."""

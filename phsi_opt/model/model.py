@@ -53,6 +53,8 @@ class Model(BaseModel, Summarised):
         """The equations, and the parameters in a table."""
         return text_of_summary(self._summary())
 
+    __repr__ = __str__
+
     def add(self, effect: Effect | str, equation: str | None = None) -> Self:
         """A new model with the effect's terms in its slot.
 
@@ -169,7 +171,7 @@ class Model(BaseModel, Summarised):
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class PseudoHamiltonian(Model):
     """A model with an energy H.
 
@@ -215,7 +217,7 @@ class PseudoHamiltonian(Model):
             )
 
 
-@dataclass(frozen=True, kw_only=True, init=False)
+@dataclass(frozen=True, kw_only=True, init=False, repr=False)
 class FirstOrder(Model):
     """A model without an energy and its structure (the thesis' BSI).
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.errors import ModelError
+from phsi_opt.presentation.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,9 @@ class Parameter:
             raise ModelError(f"parameter unit={self.unit!r} is not text, such as 'm'.")
         self._check_bounds()
         self._check_choices()
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     def nearest_bound(self, value: float) -> float:
         """The bound at which an estimate ended: a solver stops a hair beside it."""

@@ -16,6 +16,7 @@ from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import FUNCTIONS
 from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Parameter, Scan
+from phsi_opt.presentation.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,9 @@ class Term:
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mappingproxy cannot be pickled
         return Term, (self.body, self.coefficient, dict(self.inner), self.name)
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
     @property
     def is_formula(self) -> bool:

@@ -25,6 +25,9 @@ class Step:
     train: Comparison
     held_out: Comparison | None
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.label!r})"
+
     @property
     def judged(self) -> Comparison:
         """The comparison that judges, on data held out or else the training record."""
