@@ -492,6 +492,7 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
     fit = SimpleNamespace(model=model)
     follows = pd.DataFrame({"equation": ["p"], "variable": ["p"], "share": [0.0]})
     force = SimpleNamespace(
+        wave=None,
         equation="p",
         shares=row,
         cause="",

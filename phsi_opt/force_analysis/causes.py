@@ -18,9 +18,9 @@ from phsi_opt.force_analysis.piecewise_linear import (
     piecewise_linear_basis,
     product_basis,
 )
+from phsi_opt.force_analysis.position_waves import PositionWave
 from phsi_opt.force_analysis.time_basis import leave_out_error_with_time
-from phsi_opt.model.model import Model
-from phsi_opt.model.structure import position_of_momentum, position_rows
+from phsi_opt.model.structure import exchange_partners
 
 # Of two kinds that are alike, the first is named.
 CAUSES = ("constant", "dissipated", "conserved", "inputs", "time")
@@ -38,6 +38,7 @@ class Causes:
         bases: functions (n_intervals, k) by kind, as the estimate would show them;
             'parameters' are the slopes in the model's parameters. Those of the time are
             not among them: their frequency differs from fold to fold.
+        wave: along a position, among what is 'conserved'; None where there is none.
     """
 
     force: ForceRecord
@@ -45,9 +46,12 @@ class Causes:
     validation: CrossValidation
     of_inputs: CrossValidation
     bases: Mapping[str, np.ndarray]
+    wave: PositionWave | None = None
 
     @classmethod
-    def of(cls, force: ForceRecord, equation: str) -> "Causes":
+    def of(
+        cls, force: ForceRecord, equation: str, wave: PositionWave | None = None
+    ) -> "Causes":
         """The kinds that an equation has; inputs and exchange where there are any."""
         model = force.fit.model
         functions = {
@@ -62,11 +66,13 @@ class Causes:
         bases = {}
         for kind, columns in functions.items():
             bases[kind] = force.as_estimated(equation, columns)
+        if wave is not None:
+            bases["conserved"] = np.hstack([bases["conserved"], wave.waves])
         bases["parameters"] = force.by_parameters(equation)
         w = force.force_on(equation)
         validation = CrossValidation.of(w, force.run)
         of_inputs = CrossValidation.of_inputs(w, force.run, force.inputs)
-        return cls(force, equation, validation, of_inputs, bases)
+        return cls(force, equation, validation, of_inputs, bases, wave)
 
     def joint_share(self, kinds: Sequence[str]) -> float:
         """Part of the force's mean square that these kinds predict together.
@@ -130,17 +136,6 @@ def _strongest(shares: Mapping[str, float], least: float) -> str | None:
         if share >= best - TIED_CAUSES / 2:
             return kind
     return None
-
-
-def exchange_partners(model: Model, equation: str) -> tuple[str, ...]:
-    """States that an equation exchanges energy with.
-
-    For a momentum these are all positions, otherwise the states in its row of S.
-    """
-    if equation in position_of_momentum(model):
-        return tuple(model.states[row] for row in position_rows(model))
-    coupling = np.array(model.S)[model.states.index(equation)]
-    return tuple(model.states[column] for column in np.flatnonzero(coupling).tolist())
 
 
 def _joint_basis(force: ForceRecord, names: Sequence[str]) -> np.ndarray:

@@ -14,6 +14,7 @@ under 'parameters'. Size and sign of the force in the tables are those of the
 difference.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -27,6 +28,7 @@ from phsi_opt.force_analysis.piecewise_linear import (
     piecewise_linear_basis,
     product_basis,
 )
+from phsi_opt.force_analysis.position_waves import PositionWave
 from phsi_opt.force_analysis.time_basis import leave_out_error_with_time
 from phsi_opt.presentation.table_making import printed_table
 from phsi_opt.statistics import TINY, mean_ranks
@@ -44,7 +46,7 @@ MOST_RANKED = 2000  # values whose ranks are compared
 LEAST_SINGULAR_VALUE = 1e-6
 
 
-def depends_on(force: ForceRecord) -> "pd.DataFrame":
+def depends_on(force: ForceRecord, waves: Mapping[str, PositionWave]) -> "pd.DataFrame":
     """What every missing force follows, best first.
 
     ``variable`` is a state, an effort that is not a monotone function of a state, an
@@ -58,16 +60,25 @@ def depends_on(force: ForceRecord) -> "pd.DataFrame":
     alone, predict. ``explained`` is the rms of what is predicted, of the mean and the
     parameters as well.
 
+    Args:
+        force: along the record.
+        waves: along positions, by equation, where there are any; they count to the
+            functions of that position.
+
     Returns:
         A row per equation and variable: equation, variable, share, explained.
     """
     import pandas as pd
 
-    tables = [dependence(force, equation) for equation in force.equations]
+    tables = []
+    for equation in force.equations:
+        tables.append(dependence(force, equation, waves.get(equation)))
     return pd.concat(tables, ignore_index=True)
 
 
-def dependence(force: ForceRecord, equation: str) -> "pd.DataFrame":
+def dependence(
+    force: ForceRecord, equation: str, wave: PositionWave | None = None
+) -> "pd.DataFrame":
     """What the missing force of one equation follows (see `depends_on`)."""
     w = force.force_on(equation)
     validation = CrossValidation.of(w, force.run)
@@ -78,7 +89,7 @@ def dependence(force: ForceRecord, equation: str) -> "pd.DataFrame":
     for variable in variables(force, equation):
         is_input = variable in force.fit.model.inputs
         judge = of_inputs if is_input else validation
-        error = _leave_out_error(force, equation, variable, judge, baseline)
+        error = _leave_out_error(force, equation, variable, judge, baseline, wave)
         gain = (baseline.error - error) / max(total, TINY)
         share = explained_share(error, baseline.error)
         rows.append(_Prediction(variable, share, error, gain))
@@ -151,13 +162,17 @@ def _leave_out_error(
     variable: str,
     validation: CrossValidation,
     baseline: _Baseline,
+    wave: PositionWave | None,
 ) -> float:
     """Error left with functions of a variable; at most that of the baseline."""
     if variable == "t":
         error = leave_out_error_with_time(force, validation, baseline.bases)
     else:
         functions = force.as_estimated(equation, _basis(force, variable))
-        error = validation.leave_out_error([*baseline.bases, functions])
+        bases = [*baseline.bases, functions]
+        if wave is not None and wave.position == variable:
+            bases.append(wave.waves)
+        error = validation.leave_out_error(bases)
     return min(error, baseline.error)
 
 
@@ -227,7 +242,12 @@ def _pairs(states: list[str], equation: str) -> list[str]:
     return with_own + others
 
 
-def without_parameters(force: ForceRecord, equation: str, variable: str) -> np.ndarray:
+def without_parameters(
+    force: ForceRecord,
+    equation: str,
+    variable: str,
+    wave: PositionWave | None = None,
+) -> np.ndarray:
     """The force less what other values of the model's parameters explain.
 
     It is what to plot against a variable: of the parameters' slopes only that is taken
@@ -239,6 +259,8 @@ def without_parameters(force: ForceRecord, equation: str, variable: str) -> np.n
     w = force.force_on(equation)
     slopes = force.by_parameters(equation)
     functions = force.as_estimated(equation, _basis(force, variable))
+    if wave is not None and wave.position == variable:
+        functions = np.hstack([functions, wave.waves])
     of_slopes = np.linalg.lstsq(functions, slopes, rcond=LEAST_SINGULAR_VALUE)[0]
     independent = slopes - functions @ of_slopes
     joint = np.hstack([functions, independent])

@@ -3,6 +3,7 @@
 It takes energy out, stores and returns it, follows an input, or depends on time.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ import numpy as np
 from phsi_opt.force_analysis.causes import CAUSES, Causes
 from phsi_opt.force_analysis.energy_wording import energy_sentence
 from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.force_analysis.position_waves import PositionWave
 from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
@@ -38,7 +40,9 @@ class EnergyExchange:
     causes: tuple[str, ...]
 
 
-def energy_exchange(force: ForceRecord) -> EnergyExchange:
+def energy_exchange(
+    force: ForceRecord, waves: Mapping[str, PositionWave]
+) -> EnergyExchange:
     """Whether a force dissipates power w_i dH/dx_i, conserves it, or is driven.
 
     The force w_i is explained by functions of five kinds: a constant; odd functions of
@@ -47,12 +51,16 @@ def energy_exchange(force: ForceRecord) -> EnergyExchange:
     same way); functions of the inputs; functions of the time. The model's own
     parameters move along. The kind that predicts the left-out stretches best comes
     first; others follow while they add a fifth.
+
+    Args:
+        force: along the record.
+        waves: along positions, by equation, where there are any.
     """
     rows = []
     sentences = []
     without_shares = []
     for equation in force.equations:
-        causes = Causes.of(force, equation)
+        causes = Causes.of(force, equation, waves.get(equation))
         shares = [causes.contributions.get(kind, 0.0) for kind in SHARES]
         mean_power = _mean_power(force, equation)
         rows.append((equation, mean_power, *shares, 1 - sum(shares)))

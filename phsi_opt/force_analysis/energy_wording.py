@@ -3,7 +3,7 @@
 Each function gives the end of a sentence that begins with "It" or "The force".
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,15 +15,21 @@ from phsi_opt.criteria import (
     OPPOSING_POWER,
     TIED_CAUSES,
 )
-from phsi_opt.force_analysis.causes import CAUSES, Causes, exchange_partners
+from phsi_opt.force_analysis.causes import CAUSES, Causes
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.piecewise_linear import (
     odd_basis,
     piecewise_linear_basis,
 )
+from phsi_opt.force_analysis.position_waves import PositionWave
 from phsi_opt.force_analysis.time_basis import period_of
+from phsi_opt.force_analysis.units import spaced
+from phsi_opt.model.kinds import TURN, plain_unit
 from phsi_opt.model.model import FirstOrder, Model
-from phsi_opt.model.structure import position_of_momentum
+from phsi_opt.model.structure import (
+    exchange_partners,
+    position_of_momentum,
+)
 from phsi_opt.presentation.durations import time_words
 from phsi_opt.statistics import TINY
 
@@ -112,8 +118,23 @@ def _words(causes: Causes, kind: str) -> str:
 def _exchange_words(causes: Causes) -> str:
     model = causes.force.fit.model
     partners = exchange_partners(model, causes.equation)
+    if causes.wave is not None:
+        partners = (causes.wave.position,)
     followed = listed(partners, exchange_noun(model, causes.equation))
-    return f"stores and returns energy (it follows {followed})"
+    again = ""
+    if causes.wave is not None:
+        again = f" and repeats {every_words(causes.wave, causes.force.units)}"
+    return f"stores and returns energy (it follows {followed}{again})"
+
+
+def every_words(wave: PositionWave, units: Mapping[str, str]) -> str:
+    """How often a wave comes again: "every 1.05 rad, 6 times a turn"."""
+    unit = units.get(wave.position, "")
+    said = f"every {wave.period:.3g}{spaced(unit)}"
+    turn = TURN.get(plain_unit(unit))
+    if turn is None:
+        return said
+    return f"{said}, {turn / wave.period:.3g} times a turn"
 
 
 def exchange_noun(model: Model, equation: str) -> str:

@@ -11,6 +11,7 @@ from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import CONSTANT, variables
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.pace import Pace
+from phsi_opt.force_analysis.position_waves import PositionWave
 from phsi_opt.force_analysis.units import (
     RateScale,
     force_unit,
@@ -105,6 +106,11 @@ class EquationForce:
         energy = self.analysis.energy
         causes = dict(zip(energy.table["equation"], energy.causes, strict=True))
         return causes[self.equation]
+
+    @property
+    def wave(self) -> PositionWave | None:
+        """Along a position, where the force repeats along one."""
+        return self.analysis.waves.get(self.equation)
 
     @property
     def follows(self) -> "pd.DataFrame":

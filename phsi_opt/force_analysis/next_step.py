@@ -10,13 +10,17 @@ from collections.abc import Mapping
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
+from phsi_opt.force_analysis.causes import CAUSES
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.energy_wording import TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
-from phsi_opt.model.structure import kind_of, with_kinds_of_units
+from phsi_opt.model.structure import (
+    exchange_partners,
+    kind_of,
+    with_kinds_of_units,
+)
 from phsi_opt.presentation.report_content import Answer
 
 # A part that moves or stores by itself, as the field calls it.
@@ -175,6 +179,15 @@ def _of_time(force: EquationForce) -> Answer:
 
 
 def _of_states(force: EquationForce) -> Answer:
+    wave = force.wave
+    if wave is not None:
+        return Answer(
+            f"Write a term of your own in d{force.equation}/dt that repeats along "
+            f"{wave.position}.",
+            f"{NO_EFFECT} Cogging, the teeth of a gear or a wheel off centre look so. "
+            f'In Python, study.add(ph.Effect("ripple", "F", "{force.equation}", '
+            f'ph.trigonometric("{wave.position}"))) finds the period with the size.',
+        )
     return Answer(
         f"Write a term of your own in d{force.equation}/dt that depends on "
         f"{' and '.join(_followed(force))}.",

@@ -9,12 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
-from phsi_opt.force_analysis.causes import CAUSES, exchange_partners
+from phsi_opt.force_analysis.causes import CAUSES
 from phsi_opt.force_analysis.energy_wording import (
     NO_PATTERN,
     OTHER_VALUES,
     TOGETHER,
     effort_words,
+    every_words,
     exchange_noun,
     listed,
 )
@@ -23,7 +24,11 @@ from phsi_opt.force_analysis.localization import StrongRange, strong_ranges
 from phsi_opt.force_analysis.state_plots import map_variables
 from phsi_opt.force_analysis.units import force_unit, spaced
 from phsi_opt.model.model import FirstOrder
-from phsi_opt.model.structure import position_of_momentum, position_rows
+from phsi_opt.model.structure import (
+    exchange_partners,
+    position_of_momentum,
+    position_rows,
+)
 from phsi_opt.presentation.report_content import Answer
 
 # What the rate of a momentum or a velocity is called, by its unit.
@@ -115,6 +120,10 @@ def _exchanged(force: EquationForce) -> str:
     """What a force that stores energy depends on, and where that is strong."""
     model = force.record.fit.model
     partners = exchange_partners(model, force.equation)
+    if force.wave is not None:
+        again = every_words(force.wave, force.record.units)
+        followed = listed([force.wave.position], exchange_noun(model, force.equation))
+        return f"It depends on {followed} and repeats {again}"
     place = place_words(force, partners)
     said = f"It depends on {listed(partners, exchange_noun(model, force.equation))}"
     return f"{said}; largest {place}" if place else said

@@ -186,7 +186,7 @@ class Dependence:
     """The missing force beside a variable.
 
     Attributes:
-        z: the variable, (n_intervals,); the time folded where the force is a wave.
+        z: the variable, (n_intervals,); folded where the force is a wave along it.
         w: the force, (n_intervals,), less what other values of the parameters explain.
         label: of the variable, with its unit.
     """
@@ -201,7 +201,11 @@ class Dependence:
         z = force.record.variable(variable)
         label = force.variable_label(variable)
         if variable != "t":
-            w = without_parameters(force.record, force.equation, variable)
+            wave = force.wave
+            w = without_parameters(force.record, force.equation, variable, wave)
+            if wave is not None and wave.position == variable:
+                z = z % wave.period
+                label = f"{label}, folded to the period of {wave.period:.3g}"
             return cls(z, w, label)
         period = _folding_period(force)
         if period is not None:

@@ -57,16 +57,20 @@ class TimeBasis:
         """
         frequency = best_frequency(force, w, is_fitted)
         t = force.t - force.t[0]
-        phase = 2 * np.pi * frequency * t
-        first = (np.sin(phase), np.cos(phase))
-        second = (np.sin(2 * phase), np.cos(2 * phase))
         slow = piecewise_linear_basis(force.t, N_TIME_KNOTS)
-        return cls(frequency, slow, np.column_stack([*first, *second]))
+        return cls(frequency, slow, harmonics(2 * np.pi * frequency * t))
 
     @property
     def columns(self) -> np.ndarray:
         """All functions, (n_intervals, n_knots + 4)."""
         return np.hstack([self.slow, self.waves])
+
+
+def harmonics(phase: np.ndarray) -> np.ndarray:
+    """Sine and cosine of a phase (n,), and of twice the phase, (n, 4)."""
+    twice = 2 * phase
+    waves = [np.sin(phase), np.cos(phase), np.sin(twice), np.cos(twice)]
+    return np.column_stack(waves)
 
 
 def leave_out_error_with_time(
@@ -116,12 +120,12 @@ def best_frequency(force: ForceRecord, w: np.ndarray, is_fitted: np.ndarray) -> 
     varying = np.where(is_fitted, w - w[is_fitted].mean(), 0.0)
     found = spectrum(force.t, force.run, varying, POINTS_PER_FREQUENCY)
     candidates = _highest_peaks(found)
-    refined = _drawn(np.flatnonzero(is_fitted))
+    refined = drawn(np.flatnonzero(is_fitted))
     t = force.t[refined] - force.t[0]
     y = varying[refined]
     for width in SEARCH_WIDTHS:
         tried = _near(candidates, width * _resolved(found.frequencies))
-        best = int(np.argmax(_explained_by_wave(t, y, tried)))
+        best = int(np.argmax(explained_by_wave(t, y, tried)))
         candidates = tried[[best]]
     return float(candidates[0])
 
@@ -132,8 +136,8 @@ def _highest_peaks(found: Spectrum) -> np.ndarray:
     return found.frequencies[np.argsort(-height)[:N_PEAKS]]
 
 
-def _drawn(places: np.ndarray) -> np.ndarray:
-    """All places, or a random choice in their order where there are many."""
+def drawn(places: np.ndarray) -> np.ndarray:
+    """All places (n,), or a random choice in their order where there are many."""
     if len(places) <= MOST_REFINED:
         return places
     rng = np.random.default_rng(0)
@@ -155,7 +159,7 @@ def _near(candidates: np.ndarray, width: float) -> np.ndarray:
     return tried[is_positive] if is_positive.any() else candidates
 
 
-def _explained_by_wave(
+def explained_by_wave(
     t: np.ndarray, y: np.ndarray, frequencies: np.ndarray
 ) -> np.ndarray:
     """Fall of the sum of squares of y (n,) by a wave of each frequency."""

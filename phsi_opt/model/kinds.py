@@ -6,6 +6,7 @@ themselves: the sensors of tanks, speeds and positions give them too.
 """
 
 from collections.abc import Mapping, Sequence
+from math import pi
 from types import MappingProxyType
 from typing import Any
 
@@ -22,6 +23,8 @@ LENGTHS = frozenset(f"{prefix}m" for prefix in PREFIXES)
 # Angles by their unit as radians.
 RADIANS = {"rad": "{q}", "mrad": "{q}/1000", "rev": "2*pi*{q}"}
 RADIANS |= dict.fromkeys(("deg", "°"), "pi*{q}/180")
+# A whole turn in these units.
+TURN = {"rad": 2 * pi, "mrad": 2000 * pi, "rev": 1.0, "deg": 360.0, "°": 360.0}
 VOLTS = frozenset(f"{prefix}V" for prefix in PREFIXES)
 # Units that take a prefix, and those that do not; spaces and signs of products are left
 # out, and powers written m3.

@@ -204,6 +204,17 @@ def forced_rows(model: BaseModel) -> tuple[int, ...]:
     return tuple(rows)
 
 
+def exchange_partners(model: BaseModel, equation: str) -> tuple[str, ...]:
+    """States that an equation exchanges energy with.
+
+    For a momentum these are all positions, otherwise the states in its row of S.
+    """
+    if equation in position_of_momentum(model):
+        return tuple(model.states[row] for row in position_rows(model))
+    coupling = np.array(model.S)[model.states.index(equation)]
+    return tuple(model.states[column] for column in np.flatnonzero(coupling).tolist())
+
+
 def effort_of(model: BaseModel, state: str) -> str:
     """Name of a state's effort in formulas: dH/dx, or the state without an energy."""
     return f"dH_d{state}" if model.has_energy else state
