@@ -515,6 +515,7 @@ def test_a_term_of_ones_own_depends_on_what_predicts_the_force(
         equation="p",
         shares=row | {"conserved": 0.8},
         cause="",
+        wave=None,
         record=SimpleNamespace(fit=SimpleNamespace(model=spring())),
         follows=pd.DataFrame(
             {"equation": ["p"], "variable": [variable], "share": [0.93]}

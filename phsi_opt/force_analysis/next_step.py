@@ -134,7 +134,7 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
         "parameters": _of_parameters,
         "inputs": lambda one: _of_inputs(one, ARRIVES[kind]),
         "time": _of_time,
-        "conserved": _of_states,
+        "conserved": _of_position,
         "dissipated": _of_states,
         "constant": _of_states,
     }
@@ -178,16 +178,21 @@ def _of_time(force: EquationForce) -> Answer:
     )
 
 
-def _of_states(force: EquationForce) -> Answer:
+def _of_position(force: EquationForce) -> Answer:
     wave = force.wave
-    if wave is not None:
-        return Answer(
-            f"Write a term of your own in d{force.equation}/dt that repeats along "
-            f"{wave.position}.",
-            f"{NO_EFFECT} Cogging, the teeth of a gear or a wheel off centre look so. "
-            f'In Python, study.add(ph.Effect("ripple", "F", "{force.equation}", '
-            f'ph.trigonometric("{wave.position}"))) finds the period with the size.',
-        )
+    if wave is None:
+        return _of_states(force)
+    equation = force.equation
+    return Answer(
+        f"Write a term of your own in d{equation}/dt that repeats along "
+        f"{wave.position}.",
+        f"{NO_EFFECT} Cogging, the teeth of a gear or a wheel off centre look so. "
+        f'In Python, study.add(ph.Effect("ripple", "F", "{equation}", '
+        f'ph.trigonometric("{wave.position}"))) finds the period with the size.',
+    )
+
+
+def _of_states(force: EquationForce) -> Answer:
     return Answer(
         f"Write a term of your own in d{force.equation}/dt that depends on "
         f"{' and '.join(_followed(force))}.",
