@@ -118,8 +118,8 @@ class _Search:
         """Frequency of the wave that fits best what the functions leave.
 
         Returns:
-            In cycles per unit of the state; and the share of what the functions leave
-            that the wave explains.
+            In cycles per unit of the state, 0 where that stands still; and the share of
+            what the functions leave that the wave explains.
         """
         w = self.validation.w
         fitted = self.functions[is_fitted]
@@ -127,6 +127,8 @@ class _Search:
         chosen = drawn(np.flatnonzero(is_fitted))
         left = w[chosen] - self.functions[chosen] @ coefficients
         z = self.z[chosen]
+        if not np.ptp(z) > 0:
+            return 0.0, 0.0
         apart = 1 / (TRIED_PER_REPEAT * np.ptp(z))
         number = np.arange(LEAST_REPEATS, MOST_REPEATS, 1 / TRIED_PER_REPEAT)
         tried = number / np.ptp(z)
