@@ -226,4 +226,4 @@ def test_a_run_goes_on_where_it_stopped_and_its_page_counts_what_it_kept(
     none = "0% (0% to 49%)"
     all_false = f"| {none} | {none} | 100% (51% to 100%) | {none} |"
     assert f"| falling bodies | 4 {all_false}" in text
-    assert "Seeds 8000 to 8003; " in text
+    assert "Seeds from 8000 on, of each kind as many as n says; " in text

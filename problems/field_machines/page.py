@@ -67,8 +67,8 @@ def page() -> str:
     if not found:
         return "\n".join(lines)
     everything = pd.concat(found.values(), ignore_index=True)
-    seeds = everything["seed"]
-    lines += [f"Seeds {seeds.min()} to {seeds.max()}; {DEVELOPED_ON}.", ""]
+    begin = f"Seeds from {everything['seed'].min()} on, of each kind as many as n says"
+    lines += [f"{begin}; {DEVELOPED_ON}.", ""]
     lines += ["## What was said", "", markdown.table(summary(found)), ""]
     lines += ["By noise, where something is to be named:", ""]
     lines += [markdown.table(by_noise(everything)), ""]
