@@ -46,8 +46,12 @@ def test_a_case_depends_on_kind_and_seed_alone(name: str) -> None:
     assert first.test.digest == again.test.digest
     assert first.model.values == again.model.values
     assert (first.truths, first.size) == (again.truths, again.size)
-    assert first.train.digest != draw(KINDS[name], 7).train.digest
     assert first.train.n_samples < 1000
+
+
+def test_another_seed_is_another_case() -> None:
+    first, other = draw(KINDS["falling"], 4), draw(KINDS["falling"], 7)
+    assert first.train.digest != other.train.digest
 
 
 @pytest.mark.parametrize(("name", "seed"), list(COMPLETED.items()))
