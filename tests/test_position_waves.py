@@ -135,3 +135,19 @@ def test_the_report_says_what_it_repeats_along() -> None:
     answer = place_answer(force, is_named=False, is_known=False)
     told = "It depends on the position q and repeats every 1.0"
     assert told in answer.lead
+
+
+def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
+    data = turned(cogging, "deg")
+    g = ph.Parameter(40.0, lower=0)
+    c = ph.Parameter(10.0, lower=0)
+    drive = ph.FirstOrder(
+        ["q", "p"],
+        {"q": ph.formula("p"), "p": ph.formula("g*u - c*p", g=g, c=c)},
+        inputs=["u"],
+    )
+    fit = ph.identify(drive, data)
+    analysis = ForceAnalysis.of(ph.compare(fit, data).record)
+    assert analysis.waves["p"].period == pytest.approx(60, rel=0.02)
+    told = step_without_name(analysis, data.units)
+    assert told.lead == "Write a term of your own in dp/dt that repeats along q."

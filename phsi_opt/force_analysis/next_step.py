@@ -144,6 +144,8 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
             "Most of what is missing follows nothing that was measured at the same "
             f"time. If that does not help, record {FURTHER_INPUT[kind]}.",
         )
+    if strongest == "parameters" and force.wave is not None:
+        strongest = "conserved"  # they were bent to imitate what repeats
     told = causes[strongest](force)
     if strongest == "parameters":
         return Answer(told.lead, f"{told.detail} They may make up for {further}.")
