@@ -14,6 +14,7 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import step_without_name
 from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.state_plots import plot_dependence
+from phsi_opt.screening.score_test import ScoreTest
 
 INERTIA = 0.02  # kg m^2
 DAMPING = 0.3  # N m s/rad
@@ -151,3 +152,20 @@ def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
     assert analysis.waves["p"].period == pytest.approx(60, rel=0.02)
     told = step_without_name(analysis, data.units)
     assert told.lead == "Write a term of your own in dp/dt that repeats along q."
+    # The waves that are tried are those along the angle, in rad per degree.
+    study = ph.Study(drive, data)
+    study.add(ph.Effect("ripple", "F", "p", ph.trigonometric("q")))
+    assert study.fit.values["F_p.omega_q"] == pytest.approx(np.pi / 30, rel=2e-3)
+    last = study.history.iloc[-1]
+    assert last["train_rmse"] < 1.1 * last["noise_floor"]
+
+
+def test_a_frequency_that_is_given_is_not_sought() -> None:
+    data = turned(cogging, "rad")
+    fit = ph.identify(motor(), data)
+    comparison = ph.compare(fit, data)
+    test = ScoreTest(comparison.record, comparison.simulated)
+    for given, expected in ((None, "q"), (5.5, None)):
+        wave = ph.trigonometric("q", frequency=given)
+        trial = test.trial(ph.Effect("ripple", "F", "p", wave))
+        assert trial.scanned == expected

@@ -141,7 +141,7 @@ def intervals_at_rest(
         of: the speed, a formula such as ``dH_dp``.
         width: of the corner of dry friction, in units of the speed.
     """
-    speed = _values(model, grid, x, of)
+    speed = values_at(model, grid, x, of)
     at_begin = np.abs(speed[grid.begin])
     at_end = np.abs(speed[grid.begin + 1])
     is_slow = np.maximum(at_begin, at_end) < STILL * width
@@ -158,11 +158,11 @@ def _finite_values(
     model: Model, grid: Grid, x: np.ndarray, expression: str
 ) -> np.ndarray:
     """Values of a formula at the nodes, those that are finite."""
-    values = _values(model, grid, x, expression)
+    values = values_at(model, grid, x, expression)
     return values[np.isfinite(values)]
 
 
-def _values(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
+def values_at(model: Model, grid: Grid, x: np.ndarray, expression: str) -> np.ndarray:
     """Values of a formula at the nodes, (n_nodes,), at the model's present values."""
     function = model.function(expression)
     mapped = function.map("mapped", "serial", grid.n_nodes, [3], [])

@@ -25,7 +25,11 @@ from phsi_opt.criteria import CONFUSABLE_REMAINDER, IMITATED_TRACE, LEAST_TRACE
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.frequency_scan import frequency_grid
-from phsi_opt.initialization.relative_guesses import resolve_guesses, values_to_try
+from phsi_opt.initialization.relative_guesses import (
+    resolve_guesses,
+    values_at,
+    values_to_try,
+)
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Scan, Tried
@@ -33,7 +37,7 @@ from phsi_opt.model.slots import Entry
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.regression import Regression, regression
 from phsi_opt.screening.sensitivities import Change, Sensitivities, Trial
-from phsi_opt.screening.wave_scan import best_frequency
+from phsi_opt.screening.wave_scan import best_frequency, best_of_all
 from phsi_opt.statistics import (
     TINY,
     effective_sample_share,
@@ -201,10 +205,12 @@ class ScoreTest:
         candidate = _Candidate(self, trial)
         points = _combinations(trial.tried)
         n_tried = len(points)
-        if trial.frequency is not None:
-            tried = frequency_grid(self.linearized.grid, self.linearized.grid.t)
+        if trial.frequency is not None and trial.scanned is not None:
+            tried = frequency_grid(self.linearized.grid, self._along(trial.scanned))
             n_tried = len(tried)
-            omega = self._best_frequency(candidate, trial.frequency, tried)
+            omega = self._best_frequency(
+                candidate, trial.frequency, trial.scanned, tried
+            )
             points = [{trial.frequency: omega}]
         ranked = self._ranked(candidate, points)
         if not ranked:
@@ -236,32 +242,44 @@ class ScoreTest:
         states = self.linearized.states
         tried = {}
         frequency = None
+        scanned = None
         for name, entry in new.items():
             guess = entry.parameter.guess
             if isinstance(guess, Tried) and entry.parameter.value is None:
                 tried[name] = values_to_try(model, grid, states, guess)
             if isinstance(guess, Scan) and frequency is None:
                 frequency = name
+                scanned = guess.variable if entry.parameter.value is None else None
         linear = _linear_names(new)
         model = resolve_guesses(model, grid, states)
         if not linear and not tried:
             # A user's formula is linearised in its parameters, at their start.
             linear = [name for name in model.free if name in new]
-        return Trial(effect, model, linear, tried, frequency if linear else None)
+        if not linear:
+            frequency = scanned = None
+        return Trial(effect, model, linear, tried, frequency, scanned)
+
+    def _along(self, variable: str) -> np.ndarray:
+        """What a wave runs along, at the nodes, (n_nodes,)."""
+        grid = self.linearized.grid
+        if variable == "t":
+            return grid.t
+        return values_at(self.model, grid, self.linearized.states, variable)
 
     def _is_measured(self, state: str) -> bool:
         number = self.model.index(state)
         return bool(self.linearized.grid.measured[:, number].any())
 
     def _best_frequency(
-        self, candidate: _Candidate, name: str, tried: np.ndarray
+        self, candidate: _Candidate, name: str, variable: str, tried: np.ndarray
     ) -> float:
         """The one of the frequencies (n_tried,) at which a wave explains most."""
 
         def drop(trace: np.ndarray) -> float:
             return self._regression(candidate.trial, trace).drop
 
-        return best_frequency(candidate.here, name, tried, drop)
+        search = best_frequency if variable == "t" else best_of_all
+        return search(candidate.here, name, tried, drop)
 
     def _regression(self, trial: Trial, trace: np.ndarray) -> Regression:
         return regression(trial, trace, self.linearized.residual)

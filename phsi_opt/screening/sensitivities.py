@@ -31,6 +31,7 @@ class Trial:
         linear: names of its coefficients, in which it is linear.
         tried: values to try, (n_values,) by inner parameter.
         frequency: name of the inner parameter that is a frequency, if there is one.
+        scanned: what its wave runs along, where its value is sought; else None.
     """
 
     effect: Effect
@@ -38,6 +39,7 @@ class Trial:
     linear: list[str]
     tried: dict[str, np.ndarray]
     frequency: str | None
+    scanned: str | None
 
 
 @dataclass(frozen=True, eq=False)

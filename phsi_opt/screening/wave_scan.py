@@ -19,6 +19,7 @@ from phsi_opt.statistics import TINY, local_maxima
 # worked out: with 24 even ones the resonance of a model without damping fell between.
 N_EXACT_SIZES = 30
 N_EXACT_PEAKS = 8  # highest peaks of the estimated gain that are worked out exactly
+N_TOGETHER = 50  # waves whose traces are worked out at once
 Gain = Callable[[np.ndarray], float]  # of a trace (n_values, k): fall of the misfit
 
 
@@ -48,6 +49,21 @@ def best_frequency(
             for top in tops
         ]
     return float(tried[max(gains, key=lambda place: gains[place])])
+
+
+def best_of_all(
+    sensitivities: Sensitivities, name: str, tried: np.ndarray, gain: Gain
+) -> float:
+    """The same, each frequency worked out exactly.
+
+    For waves along a state: a Fourier sum tells little of them, as a slow motion gives
+    every wave along it a slow part.
+    """
+    gains = []
+    for part in np.array_split(tried, 1 + len(tried) // N_TOGETHER):
+        traces = _wave_traces(sensitivities, name, part)
+        gains += [gain(traces[:, i]) for i in range(len(part))]
+    return float(tried[int(np.argmax(gains))])
 
 
 def _beside(place: int, n: int) -> range:
