@@ -54,7 +54,7 @@ def best_frequency(
 def best_of_all(
     sensitivities: Sensitivities, name: str, tried: np.ndarray, gain: Gain
 ) -> float:
-    """The same, each frequency worked out exactly.
+    """The same of frequencies (n_tried,), each worked out exactly.
 
     For waves along a state: a Fourier sum tells little of them, as a slow motion gives
     every wave along it a slow part.
