@@ -169,3 +169,18 @@ def test_a_frequency_that_is_given_is_not_sought() -> None:
         wave = ph.trigonometric("q", frequency=given)
         trial = test.trial(ph.Effect("ripple", "F", "p", wave))
         assert trial.scanned == expected
+
+
+def test_along_what_stands_still_no_wave_is_expected() -> None:
+    data = turned(cogging, "rad")
+    still = [np.ones_like(run.u) for run in data.trajectories]
+    pushed = ph.Measurements.from_arrays(
+        [run.t for run in data.trajectories],
+        [run.x for run in data.trajectories],
+        still,
+        states=["q", "p"],
+        inputs=["u"],
+    )
+    comparison = ph.compare(ph.identify(motor(), pushed), pushed)
+    test = ScoreTest(comparison.record, comparison.simulated)
+    assert test.candidate(ph.Effect("ripple", "F", "p", ph.trigonometric("u"))) is None

@@ -3,7 +3,7 @@
 Each function gives the end of a sentence that begins with "It" or "The force".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,10 +26,7 @@ from phsi_opt.force_analysis.time_basis import period_of
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.kinds import TURN, plain_unit
 from phsi_opt.model.model import FirstOrder, Model
-from phsi_opt.model.structure import (
-    exchange_partners,
-    position_of_momentum,
-)
+from phsi_opt.model.structure import exchange_partners, position_of_momentum
 from phsi_opt.presentation.durations import time_words
 from phsi_opt.statistics import TINY
 
@@ -116,21 +113,22 @@ def _words(causes: Causes, kind: str) -> str:
 
 
 def _exchange_words(causes: Causes) -> str:
-    model = causes.force.fit.model
-    partners = exchange_partners(model, causes.equation)
-    if causes.wave is not None:
-        partners = (causes.wave.position,)
-    followed = listed(partners, exchange_noun(model, causes.equation))
-    again = ""
-    if causes.wave is not None:
-        again = f" and repeats {every_words(causes.wave, causes.force.units)}"
-    return f"stores and returns energy (it follows {followed}{again})"
+    followed = followed_words(causes.force, causes.equation, causes.wave)
+    return f"stores and returns energy (it follows {followed})"
 
 
-def every_words(wave: PositionWave, units: Mapping[str, str]) -> str:
-    """How often a wave comes again: "every 1.05 rad, 6 times a turn"."""
-    unit = units.get(wave.position, "")
-    said = f"every {wave.period:.3g}{spaced(unit)}"
+def followed_words(force: ForceRecord, equation: str, wave: PositionWave | None) -> str:
+    """What a force that stores energy follows, and after what a wave comes again.
+
+    Such as "the position q and repeats every 1.05 rad, 6 times a turn".
+    """
+    model = force.fit.model
+    noun = exchange_noun(model, equation)
+    if wave is None:
+        return listed(exchange_partners(model, equation), noun)
+    unit = force.units.get(wave.position, "")
+    said = f"the {noun} {wave.position} and repeats every {wave.period:.3g}"
+    said += spaced(unit)
     turn = TURN.get(plain_unit(unit))
     if turn is None:
         return said

@@ -15,12 +15,9 @@ from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.energy_wording import TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import Pace
+from phsi_opt.force_analysis.position_waves import PositionWave
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
-from phsi_opt.model.structure import (
-    exchange_partners,
-    kind_of,
-    with_kinds_of_units,
-)
+from phsi_opt.model.structure import exchange_partners, kind_of, with_kinds_of_units
 from phsi_opt.presentation.report_content import Answer
 
 # A part that moves or stores by itself, as the field calls it.
@@ -134,7 +131,7 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
         "parameters": _of_parameters,
         "inputs": lambda one: _of_inputs(one, ARRIVES[kind]),
         "time": _of_time,
-        "conserved": _of_position,
+        "conserved": _of_states,
         "dissipated": _of_states,
         "constant": _of_states,
     }
@@ -144,8 +141,9 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
             "Most of what is missing follows nothing that was measured at the same "
             f"time. If that does not help, record {FURTHER_INPUT[kind]}.",
         )
-    if strongest == "parameters" and force.wave is not None:
-        strongest = "conserved"  # they were bent to imitate what repeats
+    # Parameters are bent to imitate what repeats.
+    if force.wave is not None and strongest in ("conserved", "parameters"):
+        return _of_wave(force.equation, force.wave)
     told = causes[strongest](force)
     if strongest == "parameters":
         return Answer(told.lead, f"{told.detail} They may make up for {further}.")
@@ -180,11 +178,7 @@ def _of_time(force: EquationForce) -> Answer:
     )
 
 
-def _of_position(force: EquationForce) -> Answer:
-    wave = force.wave
-    if wave is None:
-        return _of_states(force)
-    equation = force.equation
+def _of_wave(equation: str, wave: PositionWave) -> Answer:
     return Answer(
         f"Write a term of your own in d{equation}/dt that repeats along "
         f"{wave.position}.",

@@ -15,8 +15,7 @@ from phsi_opt.force_analysis.energy_wording import (
     OTHER_VALUES,
     TOGETHER,
     effort_words,
-    every_words,
-    exchange_noun,
+    followed_words,
     listed,
 )
 from phsi_opt.force_analysis.equation_force import EquationForce
@@ -118,14 +117,12 @@ def _following(force: EquationForce, cause: str) -> str:
 
 def _exchanged(force: EquationForce) -> str:
     """What a force that stores energy depends on, and where that is strong."""
-    model = force.record.fit.model
-    partners = exchange_partners(model, force.equation)
+    followed = followed_words(force.record, force.equation, force.wave)
+    said = f"It depends on {followed}"
     if force.wave is not None:
-        again = every_words(force.wave, force.record.units)
-        followed = listed([force.wave.position], exchange_noun(model, force.equation))
-        return f"It depends on {followed} and repeats {again}"
+        return said
+    partners = exchange_partners(force.record.fit.model, force.equation)
     place = place_words(force, partners)
-    said = f"It depends on {listed(partners, exchange_noun(model, force.equation))}"
     return f"{said}; largest {place}" if place else said
 
 

@@ -7,6 +7,7 @@ time, so that it earns nothing by being sought.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
 from phsi_opt.force_analysis.cross_validation import CrossValidation
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.piecewise_linear import piecewise_linear_basis
-from phsi_opt.force_analysis.time_basis import drawn, explained_by_wave, harmonics
+from phsi_opt.force_analysis.waves import drawn, explained_by_wave, harmonics
 from phsi_opt.model.structure import exchange_partners
 from phsi_opt.statistics import TINY
 
@@ -86,18 +87,20 @@ class _Search:
     @property
     def found(self) -> PositionWave:
         """The wave that fits the whole force best."""
-        everywhere = np.ones(len(self.z), dtype=bool)
-        frequency, _ = self.best_frequency(everywhere)
-        waves = self.waves(frequency)
-        return PositionWave(self.name, 1 / frequency, waves)
+        frequency, _ = self.of_whole_force
+        return PositionWave(self.name, 1 / frequency, self.waves(frequency))
+
+    @cached_property
+    def of_whole_force(self) -> tuple[float, float]:
+        """`best_frequency` where the force is seen everywhere."""
+        return self.best_frequency(np.ones(len(self.z), dtype=bool))
 
     def error_left_out(self) -> float:
         """Sum of squares on the stretches left out; infinite where that is no less.
 
         The wave has to be seen in the whole force first, which costs less.
         """
-        everywhere = np.ones(len(self.z), dtype=bool)
-        _, share = self.best_frequency(everywhere)
+        _, share = self.of_whole_force
         if share < CLEAR_PATTERN:
             return np.inf
         clear = NAMED_CAUSE * self.validation.total

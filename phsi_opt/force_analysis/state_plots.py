@@ -200,22 +200,23 @@ class Dependence:
         """The force of an equation beside one of the variables it was compared with."""
         z = force.record.variable(variable)
         label = force.variable_label(variable)
-        if variable != "t":
-            wave = force.wave
-            w = without_parameters(force.record, force.equation, variable, wave)
-            if wave is not None and wave.position == variable:
-                z = z % wave.period
-                label = f"{label}, folded to the period of {wave.period:.3g}"
-            return cls(z, w, label)
-        period = _folding_period(force)
+        period = _folding_period(force, variable)
         if period is not None:
-            z = (z - force.record.t[0]) % period
+            z = (z - force.record.t[0] if variable == "t" else z) % period
             label = f"{label}, folded to the period of {period:.3g}"
-        return cls(z, force.w, label)
+        if variable == "t":
+            return cls(z, force.w, label)
+        w = without_parameters(force.record, force.equation, variable, force.wave)
+        return cls(z, w, label)
 
 
-def _folding_period(force: EquationForce) -> float | None:
-    """Period of a force that follows the time as a wave."""
+def _folding_period(force: EquationForce, variable: str) -> float | None:
+    """Period of a force that follows a variable as a wave."""
+    if variable != "t":
+        wave = force.wave
+        if wave is None or wave.position != variable:
+            return None
+        return wave.period
     if force.share_of("t") < CLEAR_PATTERN:
         return None
     return period_of(force.record, force.equation)

@@ -13,20 +13,16 @@ from phsi_opt.force_analysis.cross_validation import CrossValidation
 from phsi_opt.force_analysis.force_record import ForceRecord
 from phsi_opt.force_analysis.piecewise_linear import piecewise_linear_basis
 from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
-from phsi_opt.statistics import TINY, local_maxima
+from phsi_opt.force_analysis.waves import drawn, explained_by_wave, harmonics
+from phsi_opt.statistics import local_maxima
 
 N_TIME_KNOTS = 6  # of piecewise linear functions of the time
 N_PEAKS = 3  # peaks of the spectrum, about which the frequency is sought
-# Intervals (drawn at random where there are more) on which a frequency is refined.
-MOST_REFINED = 3000
 # Half the width in which a frequency is sought, in resolved frequencies: about the
 # peaks, then about the best.
 SEARCH_WIDTHS = (1.0, 0.1)
 N_TRIED = 21  # frequencies that are tried in each width
 POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
-# Determinant of sine and cosine over the product of their squares: smaller ones are one
-# function, to rounding.
-LEAST_DETERMINANT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +60,6 @@ class TimeBasis:
     def columns(self) -> np.ndarray:
         """All functions, (n_intervals, n_knots + 4)."""
         return np.hstack([self.slow, self.waves])
-
-
-def harmonics(phase: np.ndarray) -> np.ndarray:
-    """Sine and cosine of a phase (n,), and of twice the phase, (n, 4)."""
-    twice = 2 * phase
-    waves = [np.sin(phase), np.cos(phase), np.sin(twice), np.cos(twice)]
-    return np.column_stack(waves)
 
 
 def leave_out_error_with_time(
@@ -136,14 +125,6 @@ def _highest_peaks(found: Spectrum) -> np.ndarray:
     return found.frequencies[np.argsort(-height)[:N_PEAKS]]
 
 
-def drawn(places: np.ndarray) -> np.ndarray:
-    """All places (n,), or a random choice in their order where there are many."""
-    if len(places) <= MOST_REFINED:
-        return places
-    rng = np.random.default_rng(0)
-    return np.sort(rng.choice(places, MOST_REFINED, replace=False))
-
-
 def _resolved(frequencies: np.ndarray) -> float:
     """Distance of frequencies that a record tells apart."""
     if len(frequencies) < 2:
@@ -157,22 +138,3 @@ def _near(candidates: np.ndarray, width: float) -> np.ndarray:
     tried = np.concatenate([candidate + offsets for candidate in candidates])
     is_positive = tried > 0
     return tried[is_positive] if is_positive.any() else candidates
-
-
-def explained_by_wave(
-    t: np.ndarray, y: np.ndarray, frequencies: np.ndarray
-) -> np.ndarray:
-    """Fall of the sum of squares of y (n,) by a wave of each frequency."""
-    phase = 2 * np.pi * np.outer(frequencies, t)
-    sine = np.sin(phase)
-    cosine = np.cos(phase)
-    ss = np.sum(sine * sine, axis=1)
-    cc = np.sum(cosine * cosine, axis=1)
-    sc = np.sum(sine * cosine, axis=1)
-    sy = sine @ y
-    cy = cosine @ y
-    least = LEAST_DETERMINANT * ss * cc + TINY
-    determinant = np.maximum(ss * cc - sc**2, least)
-    both = 2 * sy * cy * sc
-    fall = sy**2 * cc - both + cy**2 * ss
-    return np.asarray(fall / determinant)

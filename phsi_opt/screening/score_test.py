@@ -206,11 +206,12 @@ class ScoreTest:
         points = _combinations(trial.tried)
         n_tried = len(points)
         if trial.frequency is not None and trial.scanned is not None:
-            tried = frequency_grid(self.linearized.grid, self._along(trial.scanned))
+            along = self._along(trial.scanned)
+            if not np.ptp(along) > 0:
+                return None
+            tried = frequency_grid(self.linearized.grid, along)
             n_tried = len(tried)
-            omega = self._best_frequency(
-                candidate, trial.frequency, trial.scanned, tried
-            )
+            omega = self._best_frequency(candidate, trial.frequency, tried)
             points = [{trial.frequency: omega}]
         ranked = self._ranked(candidate, points)
         if not ranked:
@@ -271,14 +272,15 @@ class ScoreTest:
         return bool(self.linearized.grid.measured[:, number].any())
 
     def _best_frequency(
-        self, candidate: _Candidate, name: str, variable: str, tried: np.ndarray
+        self, candidate: _Candidate, name: str, tried: np.ndarray
     ) -> float:
         """The one of the frequencies (n_tried,) at which a wave explains most."""
 
         def drop(trace: np.ndarray) -> float:
             return self._regression(candidate.trial, trace).drop
 
-        search = best_frequency if variable == "t" else best_of_all
+        is_in_time = candidate.trial.scanned == "t"
+        search = best_frequency if is_in_time else best_of_all
         return search(candidate.here, name, tried, drop)
 
     def _regression(self, trial: Trial, trace: np.ndarray) -> Regression:
