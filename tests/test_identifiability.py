@@ -60,6 +60,26 @@ def test_a_parameter_without_a_trace_is_named_alone() -> None:
     )
 
 
+def test_two_open_directions_are_named_apart_however_their_eigenvectors_are_mixed() -> (
+    None
+):
+    rng = np.random.default_rng(4)
+    sums = np.zeros((6, 2))
+    sums[:3, 0] = [1.0, -2.0, 1.0]
+    sums[3:5, 1] = [1.0, 1.0]
+    orthonormal, _ = np.linalg.qr(sums)
+    root = rng.normal(size=(50, 6)) @ (np.eye(6) - orthonormal @ orthonormal.T)
+    covariance = regularized_inverse(root.T @ root)
+    theta = np.array([1.0, 0.7, 2.0, 3.0, 0.2, 5.0])
+    silent = silent_directions(NAMES[:6], theta, covariance)
+    assert silent.parameters == (0, 1, 2, 3, 4)
+    told = sorted(sentence.partition(":")[0] for sentence in silent.sentences)
+    assert told == [
+        "the data cannot tell c0, c1, c2 apart",
+        "the data cannot tell c3, c4 apart",
+    ]
+
+
 def test_information_that_is_not_finite_is_a_solve_error() -> None:
     information = np.array([[1.0, np.nan], [np.nan, 1.0]])
     with pytest.raises(ph.SolveError, match="beyond all numbers"):

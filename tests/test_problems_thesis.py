@@ -115,7 +115,7 @@ def test_every_method_is_scored_beside_the_solver_whose_errors_are_small() -> No
     assert set(SYSTEMS["henon_heiles"].truth) <= set(truth.index)
 
 
-def test_the_solvers_speed_beside_gradient_descent_and_the_floor(
+def test_the_solvers_speed_beside_gradient_descent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from problems.thesis import solver_speed
@@ -123,8 +123,8 @@ def test_the_solvers_speed_beside_gradient_descent_and_the_floor(
     monkeypatch.setattr(solver_speed, "NAMES", ("henon_heiles",))
     whole, alone = solver_speed.main(quick=True)
     assert whole["solver (s)"].iloc[0] > 0
-    seconds = [alone[f"solver, {said}"].iloc[0] for said in solver_speed.WITHIN]
-    assert seconds == sorted(seconds) and np.isfinite(seconds).all()
+    assert alone["solver (s)"].iloc[0] > 0
+    assert alone["solver, last"].iloc[0] == pytest.approx(0, abs=1e-6)
     # Two epochs of gradient descent are far from the optimum.
     assert alone["descent, last"].iloc[0] > 0.01
 

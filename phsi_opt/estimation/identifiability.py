@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
 
 from phsi_opt.errors import SolveError
 from phsi_opt.transcription.elimination import RIDGE
@@ -26,6 +27,8 @@ RIDGE_SHARE = 0.01
 UNSUSPICIOUS = 100.0
 # Share of a direction's largest member from which a parameter belongs to it.
 MEMBER_SHARE = 0.1
+# Share of the largest entry below which one of a separated direction is rounding.
+ROUNDED_SHARE = 1e-6
 # Standard deviation of a common factor from which it is called open.
 OPEN_FACTOR = 2
 
@@ -70,21 +73,54 @@ def silent_directions(
             "nearer to the truth."
         )
     size = np.abs(theta[moving])
-    variances, directions = np.linalg.eigh(covariance[np.ix_(moving, moving)])
-    best_known = float(np.min(variances, where=variances > 0, initial=np.inf))
     sentences = []
     silent: set[int] = set()
-    for eigenvalue, direction in zip(variances, directions.T, strict=True):
-        # Rounded below zero: nothing but the ridge holds the direction.
-        variance = eigenvalue if eigenvalue > 0 else 1 / RIDGE
+    for variance, direction in _by_variance(covariance[np.ix_(moving, moving)], size):
         spread = np.sqrt(variance) * np.abs(direction)
-        if _is_unknown(variance, best_known) or _is_scaling(spread, size):
-            places = _members(direction, spread, size)
-            members = [moving[i] for i in places]
-            silent.update(members)
-            of_members = [names[i] for i in members]
-            sentences.append(_sentence(of_members, direction[places], theta[members]))
+        places = _members(direction, spread, size)
+        members = [moving[i] for i in places]
+        silent.update(members)
+        of_members = [names[i] for i in members]
+        sentences.append(_sentence(of_members, direction[places], theta[members]))
     return SilentDirections(tuple(sentences), tuple(sorted(silent)))
+
+
+def _by_variance(
+    covariance: np.ndarray, size: np.ndarray
+) -> list[tuple[float, np.ndarray]]:
+    """Variance and direction of what the data are silent about.
+
+    Args:
+        covariance: (n_moving, n_moving) of the scaled parameters.
+        size: (n_moving,) their absolute values.
+    """
+    eigenvalues, directions = np.linalg.eigh(covariance)
+    best_known = float(np.min(eigenvalues, where=eigenvalues > 0, initial=np.inf))
+    # Rounded below zero: nothing but the ridge holds the direction.
+    variances = np.where(eigenvalues > 0, eigenvalues, 1 / RIDGE)
+    is_unknown = np.array([_is_unknown(one, best_known) for one in variances])
+    found = []
+    for k in np.flatnonzero(~is_unknown):
+        if _is_scaling(np.sqrt(variances[k]) * np.abs(directions[:, k]), size):
+            found.append((float(variances[k]), directions[:, k]))
+    if np.any(is_unknown):
+        variance = float(np.max(variances[is_unknown]))
+        separated = _separated(directions[:, is_unknown])
+        found += [(variance, direction) for direction in separated.T]
+    return found
+
+
+def _separated(directions: np.ndarray) -> np.ndarray:
+    """Directions that span the same space, with few members each, (n, n_directions).
+
+    Eigenvectors of one eigenvalue are mixed at will. Each of these has a parameter to
+    itself, in which the others have no part.
+    """
+    _, _, order = qr(directions.T, mode="economic", pivoting=True)
+    own = order[: directions.shape[1]]
+    separated = directions @ np.linalg.inv(directions[own])
+    separated[np.abs(separated) < ROUNDED_SHARE * np.max(np.abs(separated))] = 0.0
+    return np.asarray(separated / np.linalg.norm(separated, axis=0))
 
 
 def _is_unknown(variance: float, best_known: float) -> bool:

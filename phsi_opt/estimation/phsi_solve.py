@@ -19,10 +19,9 @@ from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import solve
-from phsi_opt.optimization.program import Program
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import ParameterSlopes
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import PHSILoss, complete_intervals, mean_square_rate
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -36,14 +35,9 @@ E = TypeVar("E", bound=Estimate)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PHSIEstimate(Estimate):
-    """The minimum of the PHSI loss.
-
-    Attributes:
-        program: the nonlinear program.
-    """
+    """The minimum of the PHSI loss."""
 
     loss: PHSILoss
-    program: Program
 
     @property
     def n_values(self) -> int:
@@ -59,10 +53,7 @@ class PHSIEstimate(Estimate):
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Sandwich covariance: neighbouring defects share a noisy sample."""
         used = self._used
-        dense = self.program.dense
-        assert dense is not None, "the program of a PHSILoss"
-        defects, slopes = dense.unscaled(self.solution.z)
-        found = ParameterSlopes(defects.reshape(-1, self.model.n_states), slopes)
+        known = KnownDefects(self.model, used, self.loss.integrator)
         return uncertainty.of_defects(
             self.model,
             used,
@@ -70,7 +61,7 @@ class PHSIEstimate(Estimate):
             self.theta,
             self.point.theta_scale,
             self.solution.outcome.at_bounds,
-            found,
+            known.at(self.theta),
         )
 
     @property
@@ -115,7 +106,6 @@ class PHSISolver:
             grid=self.grid,
             unknown=Theta.of(model, ("",)),
             point=point,
-            program=program,
             solution=solution,
             l1=l1,
         )

@@ -32,6 +32,9 @@ from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals, mean_square_rate
 
 LEAST_NORM = 1e-12  # of a coefficient's column: below it the scale is that of one
+# Singular value, of columns of norm one, below which rounding errors would set the
+# coefficients (Casimirs of S): they are held near zero there.
+INVISIBLE = 1e-8
 
 
 def starting_values(
@@ -184,16 +187,21 @@ class _ConvexStart:
 def _optimum(
     problem: _LeastSquares, entries: Sequence[Entry], l1: np.ndarray
 ) -> np.ndarray | None:
-    """Scaled coefficients of least loss within their bounds; None: not found."""
-    q, r = np.linalg.qr(problem.A)
+    """Scaled coefficients of least loss within their bounds; None: not found.
+
+    Where the loss does not change along a direction, the smallest ones.
+    """
+    n = len(entries)
+    q, r = np.linalg.qr(np.vstack([problem.A, INVISIBLE * np.eye(n)]))
+    right = q.T @ np.append(problem.b, np.zeros(n))
     if not np.any(l1):
         lower = np.array([e.parameter.lower for e in entries]) / problem.scale
         upper = np.array([e.parameter.upper for e in entries]) / problem.scale
-        return bounded_least_squares(r, q.T @ problem.b, lower, upper)
+        return bounded_least_squares(r, right, lower, upper)
     import cvxpy as cp  # takes longer to load than most fits to solve
 
     z = cp.Variable(len(entries))
-    misfit = cp.sum_squares(r @ z - q.T @ problem.b)
+    misfit = cp.sum_squares(r @ z - right)
     penalty = cp.sum(cp.multiply(l1 * problem.scale, cp.abs(z)))
     constraints = []
     for i, entry in enumerate(entries):

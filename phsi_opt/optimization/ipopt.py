@@ -10,7 +10,7 @@ its linear systems.
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any
 
@@ -22,7 +22,6 @@ from phsi_opt.interrupts import is_noted, solving
 from phsi_opt.later import Later
 from phsi_opt.optimization.endings import Ending, ending_of_ipopt
 from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
-from phsi_opt.optimization.nearby_optimum import nearby_optimum
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
@@ -36,17 +35,6 @@ SETTLING = 8
 LEVEL_DEVIANCE = 0.05
 HOLDING = 1e-5
 VIOLATED = 1e-6  # scaled violation beyond which a failure names the constraint
-# From an optimum with its multipliers: no centring that would lead away from it first.
-CONFIRMING = {
-    "warm_start_init_point": "yes",
-    "mu_strategy": "monotone",
-    "mu_init": 1e-9,
-    "warm_start_bound_push": 1e-12,
-    "warm_start_bound_frac": 1e-12,
-    "warm_start_slack_bound_push": 1e-12,
-    "warm_start_slack_bound_frac": 1e-12,
-    "warm_start_mult_bound_push": 1e-12,
-}
 AT_BOUND = 1e-6  # scaled distance up to which a parameter is at its bound
 
 
@@ -133,17 +121,15 @@ class Solver:
             "f": program.objective,
             "g": program.g,
         }
-        self._problem = problem
         self._listener = _Listener(program)
-        self._options = {
+        options = {
             **_options(program, hessian, self.limits),
             "iteration_callback": self._listener,
         }
-        self._ipopt = ca.nlpsol("program", "ipopt", problem, self._options)
-        if program.dense is None:
-            self._residual = ca.Function(
-                "residual", [program.z, program.settings], [program.residual]
-            )
+        self._ipopt = ca.nlpsol("program", "ipopt", problem, options)
+        self._residual = ca.Function(
+            "residual", [program.z, program.settings], [program.residual]
+        )
 
     def solve(
         self,
@@ -162,57 +148,29 @@ class Solver:
             SolveError: it ended without an optimum, and ``raise_on_failure``.
             KeyboardInterrupt: Ctrl-C was pressed.
         """
-        if start is None and set_to is None:
-            confirmed = self._confirmed()
-            if confirmed is not None:
-                return confirmed
         program = self.program
         set_to = program.set_to if set_to is None else set_to
-        begin = {"x0": program.start if start is None else start, "p": set_to}
-        z, outcome = self._run(self._ipopt, begin)
+        z, outcome = self._run(program.start if start is None else start, set_to)
         if raise_on_failure and not outcome.success:
             raise SolveError(f"The solver failed: {outcome}")
         return self.solution(z, set_to, outcome)
 
-    def _confirmed(self) -> Solution | None:
-        """What IPOPT makes of an optimum that is found fast, where there is one."""
-        program = self.program
-        began = time.perf_counter()
-        near = nearby_optimum(program, self.limits)
-        if near is None:
-            return None
-        of_ipopt = {**self._options["ipopt"], **CONFIRMING}
-        options = {**self._options, "ipopt": of_ipopt}
-        ipopt = ca.nlpsol("confirmed", "ipopt", self._problem, options)
-        begin = {
-            "x0": near.z,
-            "p": program.set_to,
-            "lam_x0": near.of_bounds,
-            "lam_g0": near.of_constraints,
-        }
-        z, outcome = self._run(ipopt, begin)
-        if not outcome.success:
-            return None
-        seconds = time.perf_counter() - began
-        iterations = near.steps + outcome.iterations
-        outcome = replace(outcome, seconds=seconds, iterations=iterations)
-        return self.solution(z, program.set_to, outcome)
-
-    def _run(
-        self, ipopt: ca.Function, begin: dict[str, np.ndarray]
-    ) -> tuple[np.ndarray, Outcome]:
+    def _run(self, start: np.ndarray, set_to: np.ndarray) -> tuple[np.ndarray, Outcome]:
         """Scaled variables where IPOPT ends, and how it ended."""
         program = self.program
         began = time.perf_counter()
         with solving():
-            result = ipopt(
-                **begin,
+            result = self._ipopt(
+                x0=start,
+                p=set_to,
                 lbx=program.lower,
                 ubx=program.upper,
                 lbg=program.g_lower,
                 ubg=program.g_upper,
             )
-        outcome = self._outcome(ipopt.stats(), result, time.perf_counter() - began)
+        outcome = self._outcome(
+            self._ipopt.stats(), result, time.perf_counter() - began
+        )
         return np.array(result["x"]).ravel(), outcome
 
     def solution(self, z: np.ndarray, set_to: np.ndarray, outcome: Outcome) -> Solution:
@@ -224,11 +182,7 @@ class Solver:
             outcome: of the solve that led there.
         """
         values = self.program.values(z)
-        dense = self.program.dense
-        if dense is None:
-            residual = np.array(self._residual(z, set_to)).ravel()
-        else:
-            residual = dense.at(z).residual
+        residual = np.array(self._residual(z, set_to)).ravel()
         kkt = Later(partial(self.kkt, z, set_to))
         return Solution(values, z, residual, outcome, kkt)
 
@@ -343,11 +297,9 @@ def _options(
     program: Program, hessian: ca.Function, settings: SolverSettings
 ) -> dict[str, Any]:
     """The options of CasADi's interface, and in them those of IPOPT."""
-    known: dict[str, Any] = {}
-    if program.dense is not None:
-        known = {"grad_f": program.dense.gradient, "no_nlp_grad": True}
     return {
-        **known,
+        "no_nlp_grad": True,
+        "calc_lam_p": False,
         "hess_lag": hessian,
         "jac_g": program.jacobian,
         "print_time": False,

@@ -6,7 +6,12 @@ it is raised as an error is decided elsewhere.
 
 from dataclasses import dataclass
 
-from phsi_opt.optimization.endings import ITERATION_LIMITS, PATH_STATUSES, TIME_LIMITS
+from phsi_opt.optimization.endings import (
+    DIRECT_STEPS,
+    ITERATION_LIMITS,
+    PATH_STATUSES,
+    TIME_LIMITS,
+)
 from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, GAUSS_NEWTON
 
 
@@ -47,6 +52,15 @@ class Outcome:
         return EXACT if self.success and self.is_exact else GAUSS_NEWTON
 
     @property
+    def solver(self) -> str:
+        """Which method it was that ended there."""
+        if self.status == DIRECT_STEPS:
+            return "Gauss-Newton steps"
+        if self.status in PATH_STATUSES:
+            return "Gauss-Newton steps along solutions"
+        return "IPOPT"
+
+    @property
     def is_out_of_iterations(self) -> bool:
         """Whether a limit of iterations ended the solve."""
         return self.status in ITERATION_LIMITS
@@ -57,8 +71,8 @@ class Outcome:
         return self.status in TIME_LIMITS
 
     def __str__(self) -> str:
-        effort = f"{self.status}, {self.iterations} iterations, {self.seconds:.2f} s"
-        text = f"{self.sentence} ({effort})"
+        effort = f"{self.iterations} iterations, {self.seconds:.2f} s"
+        text = f"{self.sentence} ({self.solver}: {self.status}, {effort})"
         if self.at_bounds:
             text += f"; at a bound: {', '.join(self.at_bounds)}"
         if self.advice:

@@ -22,8 +22,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from phsi_opt.optimization.gauss_newton import DenseLeastSquares
-
 
 @dataclass(frozen=True)
 class Block:
@@ -60,8 +58,6 @@ class Program:
         jacobian: function (z, settings) -> g and its Jacobian.
         hessian: function (z, settings, factor, multipliers) -> upper triangle of the
             Gauss-Newton Hessian times the factor.
-        dense: the residuals with dense slopes, where the program has few variables;
-            None: the solver differentiates the objective.
         exact: makes the same function with the curvature of the constraints; None where
             no loss knows it.
         start: scaled variables to start from, (n_variables,).
@@ -82,7 +78,6 @@ class Program:
     g: ca.MX
     jacobian: ca.Function
     hessian: ca.Function
-    dense: DenseLeastSquares | None
     exact: Callable[[], ca.Function] | None
     start: np.ndarray
     scale: np.ndarray

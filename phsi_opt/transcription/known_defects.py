@@ -1,4 +1,8 @@
-"""Defects of known states in numbers: a function of the parameters alone."""
+"""Defects between known states: functions of the parameters alone.
+
+In symbols for a program (`known_defects`), and in numbers for all else
+(`KnownDefects`).
+"""
 
 from dataclasses import dataclass
 
@@ -7,6 +11,7 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.column_function import ColumnFunction
+from phsi_opt.optimization.column_symbols import in_columns, stacked
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import argument_symbols, interval_arguments
@@ -23,6 +28,43 @@ class ParameterSlopes:
 
     d: np.ndarray
     slopes: np.ndarray
+
+
+def known_defects(
+    model: Model, grid: Grid, scheme: str, weight: float
+) -> tuple[ca.Function, ca.Function]:
+    """Weighted defects between the measurements, as functions of the parameters.
+
+    Args:
+        model: the model.
+        grid: nodes and intervals, every state measured at both ends.
+        scheme: name of the integrator.
+        weight: of all defects.
+
+    Returns:
+        theta (n_free,) -> defects (n_states * n_intervals,), one equation after the
+        other; and theta -> their slopes, (n_states * n_intervals, n_free).
+    """
+    n_free = len(model.free)
+    theta = ca.MX.sym("theta", n_free)
+    arguments = [_columns(one) for one in interval_arguments(grid, grid.y.T)]
+    arguments.append(ca.vertsplit(theta))
+    together = _with_slopes(model, scheme, list(range(n_free)))
+    (d,) = in_columns(defect(model, scheme), arguments)
+    _, slopes = in_columns(together, arguments)
+    by_parameter = []
+    for j in range(n_free):
+        by_parameter.append(stacked(slopes[j::n_free], grid.n_intervals))
+    residual = weight * stacked(d, grid.n_intervals)
+    return (
+        ca.Function("defects", [theta], [residual]),
+        ca.Function("slopes", [theta], [weight * ca.horzcat(*by_parameter)]),
+    )
+
+
+def _columns(rows: np.ndarray) -> list[ca.MX]:
+    """A column of numbers for each row (n_places,), one number if all are alike."""
+    return [ca.MX(ca.DM(row if np.ptp(row) else row[:1])) for row in rows]
 
 
 class KnownDefects:
@@ -46,10 +88,7 @@ class KnownDefects:
         only: list[int] | None = None,
     ) -> None:
         chosen = list(range(len(model.free))) if only is None else only
-        together = model.built(
-            ("with slopes", scheme, tuple(chosen)),
-            lambda: _with_slopes(model, scheme, chosen),
-        )
+        together = _with_slopes(model, scheme, chosen)
         self._n_chosen = len(chosen)
         self._function = ColumnFunction(together, (together.n_in() - 1,))
         states = grid.y if x is None else x
@@ -60,16 +99,15 @@ class KnownDefects:
         d, slopes = self._function(*self._arguments, np.asarray(theta))
         return ParameterSlopes(d.T, slopes.T.reshape(d.size, self._n_chosen))
 
-    def residual_at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Defects (n_defects,) and slopes (n_defects, n_chosen), for a program."""
-        found = self.at(theta)
-        return found.d.ravel(), found.slopes
-
 
 def _with_slopes(model: Model, scheme: str, chosen: list[int]) -> ca.Function:
     """A function of one interval: its defect, and the slopes of each equation."""
-    function = defect(model, scheme)
-    arguments = argument_symbols(function)
-    d = function(*arguments)
-    slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
-    return ca.Function("with_slopes", arguments, [d, ca.vec(slopes)])
+
+    def made() -> ca.Function:
+        function = defect(model, scheme)
+        arguments = argument_symbols(function)
+        d = function(*arguments)
+        slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
+        return ca.Function("with_slopes", arguments, ca.cse([d, ca.vec(slopes)]))
+
+    return model.built(("with slopes", scheme, tuple(chosen)), made)

@@ -29,7 +29,7 @@ from phsi_opt.transcription.defect_constraint import DefectConstraint
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.known_defects import KnownDefects
+from phsi_opt.transcription.known_defects import known_defects
 from phsi_opt.transcription.loss_blocks import (
     ThetaVariable,
     measurement_residual,
@@ -75,9 +75,7 @@ class PHSILoss:
         build = Assembly()
         one_trajectory = Theta.of(model, ("",))
         theta = ThetaVariable.added_to(build, one_trajectory, point)
-        known = KnownDefects(model, used, self.integrator)
-        n_defects = used.n_intervals * model.n_states
-        build.dense_residual(known.residual_at, n_defects, weight, point.theta_scale)
+        build.dense_residual(*known_defects(model, used, self.integrator, weight))
         theta.add_l1(build, l1, 1 / size)
         return build.finish()
 
