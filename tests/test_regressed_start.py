@@ -1,5 +1,7 @@
 """Starts along the missing force, for a model whose fit has lost its way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,15 +14,23 @@ from problems.field_machines.kinds import KINDS
 
 @pytest.fixture(scope="module")
 def lost() -> DiagnosedModel:
-    """A pendulum over the top, its friction missing, that was fitted without gravity."""
+    """A pendulum over the top, its friction missing, at a fit without gravity.
+
+    Which optimum a fit loses its way to depends on rounding, so it is made here.
+    """
     case = draw(KINDS["starts_off"], 300)
-    fit = ph.identify(case.model, case.train)
+    energy = "p**2/(2*0.8651155811320423) - G*cos(q)"
+
+    def model(G: ph.Parameter | float) -> ph.Model:
+        return replace(case.model, H=ph.formula(energy, G=G))
+
+    fit = ph.identify(model(0.0), case.train)
+    fit = replace(fit, model=model(ph.Parameter(0.0, lower=0.0)))
     trained = ph.compare(fit, case.train)
     return DiagnosedModel(trained, trained, ph.MaximumLikelihood(), say=print)
 
 
 def test_gravity_and_friction_are_found_along_the_force(lost: DiagnosedModel) -> None:
-    assert lost.fit.values["G"] < 1e-3
     listed = {str(effect): effect for effect in ph.catalogue(lost.fit.model)}
     begun = regressed(lost, listed["coulomb friction on p"])
     assert begun["G"] == pytest.approx(4.2, rel=0.1)

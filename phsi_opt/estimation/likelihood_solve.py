@@ -176,7 +176,8 @@ class LikelihoodSolver:
     def _direct_steps(self, transcription: Transcription) -> DirectSteps | None:
         """Full steps; None with slack variables, or where they may not be tried."""
         settings = self.task.settings
-        if GAUSS_NEWTON not in settings.ways or transcription.has_slacks:
+        may_step = settings.has_own_steps and GAUSS_NEWTON in settings.ways
+        if not may_step or transcription.has_slacks:
             return None
         return DirectSteps(transcription.values, settings)
 

@@ -124,7 +124,8 @@ class SolverChain:
         """Each way once; the exact Hessian stands in where there is no path."""
         allowed_ways = self._settings.ways
         allowed = [way for way in ways if way in allowed_ways] or list(allowed_ways)
-        if not self._transcription.has_path:
+        has_path = self._settings.has_own_steps and self._transcription.has_path
+        if not has_path:
             allowed = [EXACT if way == FEASIBLE_PATH else way for way in allowed]
         return iter(dict.fromkeys(allowed))
 

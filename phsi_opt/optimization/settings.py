@@ -17,6 +17,11 @@ GAUSS_NEWTON = "gauss-newton"
 EXACT = "exact"
 FEASIBLE_PATH = "Feasible_Path"
 WAYS = (GAUSS_NEWTON, EXACT, FEASIBLE_PATH)
+# Who solves a likelihood: full Gauss-Newton steps where they lead to an optimum and
+# IPOPT where not, or IPOPT alone.
+AUTO = "auto"
+IPOPT = "ipopt"
+SOLVERS = (AUTO, IPOPT)
 
 
 @dataclass(frozen=True)
@@ -32,9 +37,13 @@ class SolverSettings:
         thorough: False: no windows where the whole record fails, and no finer steps
             than those of the start.
         ways: those of `WAYS` that are tried for a likelihood, one where another failed.
+        solver: "auto" takes the faster Gauss-Newton steps for a likelihood where they
+            lead to an optimum; "ipopt" solves the same nonlinear program by IPOPT
+            alone, as a reference. The PHSI loss is IPOPT's in any case.
 
     Raises:
-        ModelError: a limit that is no number above zero, or an unknown way.
+        ModelError: a limit that is no number above zero, or an unknown way or
+            solver.
     """
 
     tolerance: float = 1e-8
@@ -43,6 +52,7 @@ class SolverSettings:
     show: bool = False
     thorough: bool = True
     ways: tuple[str, ...] = WAYS
+    solver: str = AUTO
 
     def __post_init__(self) -> None:
         for name in ("tolerance", "max_iterations", "max_seconds"):
@@ -61,6 +71,15 @@ class SolverSettings:
             raise ModelError(
                 f"SolverSettings: ways={self.ways!r} must be some of {WAYS!r}."
             )
+        if self.solver not in SOLVERS:
+            raise ModelError(
+                f"SolverSettings: solver={self.solver!r} must be one of {SOLVERS!r}."
+            )
+
+    @property
+    def has_own_steps(self) -> bool:
+        """Whether a likelihood may be solved without IPOPT."""
+        return self.solver == AUTO
 
     @property
     def is_timed(self) -> bool:
