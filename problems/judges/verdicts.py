@@ -1,0 +1,248 @@
+"""Two hundred verdicts as they were on one day, and what the present code says.
+
+    python -m problems.judges.verdicts [--check] [--processes=N] [--first=SEED]
+        [--cases=N]
+
+Without --check the references in results/judges/verdicts.json are made; with it the
+present code is compared with them, case by case. Each case is written as it is done,
+and the same command goes on where it was interrupted (a check: on the same commit).
+--cases=N takes the first N alone; other seeds have files of their own, try_<seed>_*,
+which are not committed. One fit and one diagnosis each; a study's further steps belong
+to `battery`.
+
+Right: where the catalogue has the hidden effect, every finding holds a true one ("right
+name": and nothing else; "class": beside others). Where it has not, nothing is found;
+and with nothing hidden in a machine of `problems.hidden_effects` the verdict is
+"nothing missing", with a force of no catalogue "unexplained". (A force of no catalogue
+that an effect imitates counts as wrong here; `battery` leaves it out.)
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import phsi_opt as ph
+from phsi_opt.sweeps.sweep import sweep
+from problems.field_machines.cases import draw as draw_machine
+from problems.field_machines.examination import CLASS, NAME, SILENT, answer
+from problems.field_machines.findings import as_text, findings_of
+from problems.field_machines.kinds import KINDS
+from problems.hidden_effects.cases import draw as draw_hidden
+from problems.hidden_effects.examination import places
+from problems.hidden_effects.rows import ROWS
+from problems.judges.cases import FIRST_VERDICT, HIDDEN, IN_VERDICTS, Task, rounds
+from problems.judges.frozen import Record, keep, kept
+from problems.tools import markdown
+from problems.tools.command_line import flag, option
+from problems.tools.intervals import share
+from problems.tools.provenance import commit
+from problems.tools.workers import workers
+
+FILE = "verdicts.json"
+CHECK = "check_"  # begins the name of the file of a check, which is not committed
+N_CASES = 200
+NO_ANSWER, NOT_DRAWN = "failed", "not drawn"
+# What silence has to say in these rows.
+SILENCE = {
+    "nothing": ph.Verdict.NOTHING_MISSING,
+    "outside": ph.Verdict.UNEXPLAINED,
+}
+MOVED = 0.1  # standard errors by which a size has moved
+
+Records = Mapping[str, Record]
+
+
+@dataclass(frozen=True, eq=False)
+class Posed:
+    """A case without its battery.
+
+    ``names``: the right ones that the catalogue has; ``silence``: the verdict that is
+    right where it has none ("": any without a finding).
+    """
+
+    model: ph.Model
+    train: ph.Measurements
+    test: ph.Measurements
+    names: set[str]
+    hidden: str
+    noise: float
+    silence: str = ""
+
+
+def posed(task: Task) -> Posed:
+    """The case of a task."""
+    case: Any
+    if task.battery == HIDDEN:
+        row = ROWS[task.row]
+        case = draw_hidden(row, task.seed)
+        true = set().union(*(places(truth) for truth in case.truths))
+        hidden = " + ".join(truth.effect for truth in case.truths) or "nothing"
+        silence = str(SILENCE.get(row.kind, ""))
+    else:
+        case = draw_machine(KINDS[task.row], task.seed)
+        true, hidden, silence = case.places, case.hidden, ""
+    names = true & {str(effect) for effect in ph.catalogue(case.model)}
+    return Posed(case.model, case.train, case.test, names, hidden, case.noise, silence)
+
+
+def examined(task: Task) -> Record:
+    """What the diagnosis says of a task."""
+    began = time.process_time()
+    try:
+        case = posed(task)
+    except (ArithmeticError, ValueError) as error:
+        return {"answer": NOT_DRAWN, "verdict": str(error), "commit": commit()}
+    record: Record = {
+        "battery": task.battery,
+        "row": task.row,
+        "hidden": case.hidden,
+        "noise": case.noise,
+        "names": sorted(case.names),
+        "commit": commit(),
+    }
+    drawn = time.process_time()
+    try:
+        fit = ph.identify(case.model, case.train)
+        record |= told(case, ph.diagnose(fit, case.train, held_out=case.test))
+    # Whatever goes wrong is a case without an answer.
+    except Exception as error:
+        said = f"{type(error).__name__}: {str(error)[:200]}"
+        record |= {"verdict": said, "findings": "", "answer": NO_ANSWER, "right": False}
+    seconds = time.process_time() - drawn
+    return record | {"drawing": round(drawn - began, 2), "seconds": round(seconds, 2)}
+
+
+def told(case: Posed, diagnosis: ph.Diagnosis) -> Record:
+    """Verdict, names, sizes, ties, and whether they are right."""
+    found = findings_of(diagnosis)
+    said = answer(case.names, found)
+    sizes = {}
+    for finding in diagnosis.findings:
+        sizes[str(finding.effects[0])] = [finding.coefficient, finding.std_error]
+    table = diagnosis.candidates
+    return {
+        "verdict": str(diagnosis.verdict),
+        "findings": as_text(found),
+        "sizes": sizes,
+        "ties": "" if table.empty else str(table.iloc[0].confusable_with),
+        "answer": said,
+        "right": is_right(case, said, diagnosis.verdict),
+    }
+
+
+def is_right(case: Posed, said: str, verdict: str) -> bool:
+    """Whether an answer is right, by what the catalogue has."""
+    if case.names:
+        return said in (NAME, CLASS)
+    return said == SILENT and case.silence in ("", verdict)
+
+
+def report(old: Records, new: Records) -> str:
+    """What stays, what became right and what wrong, in all and by row."""
+    both = [key for key in old if key in new and old[key]["answer"] != NOT_DRAWN]
+    lines = [markdown.table(_counts(both, old, new)), ""]
+    answers = Counter((old[key]["answer"], new[key]["answer"]) for key in both)
+    changed = {pair: n for pair, n in answers.items() if pair[0] != pair[1]}
+    for (before, after), n in sorted(changed.items()):
+        lines.append(f"- {before} -> {after}: {n}")
+    lines.append(
+        f"- sizes moved by more than {MOVED} standard errors: {_moved(old, new)}"
+    )
+    for key in both:
+        if old[key]["right"] != new[key]["right"]:
+            word = "became right" if new[key]["right"] else "became WRONG"
+            lines.append(
+                f"- {word}: {key} ({old[key]['hidden']}): {_change(old, new, key)}"
+            )
+    return "\n".join(lines)
+
+
+def _counts(keys: list[str], old: Records, new: Records) -> list[Record]:
+    groups = {"all": keys}
+    for key in keys:
+        groups.setdefault(_group(old[key]), []).append(key)
+    rows = []
+    for group, members in groups.items():
+        was = [old[key]["right"] for key in members]
+        now = [new[key]["right"] for key in members]
+        pairs = Counter(zip(was, now, strict=True))
+        stay = sum(_text(old[key]) == _text(new[key]) for key in members)
+        n = len(members)
+        rows.append(
+            {
+                "cases": group,
+                "n": n,
+                "stay": share(stay, n),
+                "right before": share(sum(was), n),
+                "right now": share(sum(now), n),
+                "became right": share(pairs[False, True], n),
+                "became wrong": share(pairs[True, False], n),
+            }
+        )
+    return rows
+
+
+def _group(record: Record) -> str:
+    if record["battery"] != HIDDEN:
+        return "machines of the field" + (
+            "" if record["names"] else ", nothing to name"
+        )
+    kind = ROWS[record["row"]].kind
+    return f"one effect, noise {record['noise']:g}" if kind == "one" else kind
+
+
+def _text(record: Record) -> str:
+    return f"{record['verdict']}: {record.get('findings', '')}"
+
+
+def _change(old: Records, new: Records, key: str) -> str:
+    return f"{_text(old[key])} -> {_text(new[key])}"
+
+
+def _moved(old: Records, new: Records) -> str:
+    n_all = n_moved = 0
+    for key in old.keys() & new.keys():
+        for name, (size, error) in old[key].get("sizes", {}).items():
+            now = new[key].get("sizes", {}).get(name)
+            if now is not None:
+                n_all += 1
+                n_moved += not abs(now[0] - size) <= MOVED * error
+    return f"{n_moved} of {n_all}"
+
+
+def run(name: str, tasks: list[Task], done: dict[str, Record], jobs: int) -> None:
+    """Examine what is not done, and keep each as it comes."""
+    open_tasks = {str(task): task for task in tasks if str(task) not in done}
+    with workers(jobs) as executor:
+        for one in sweep(examined, open_tasks, executor=executor):
+            done[one.key] = one.result
+            keep(name, done)
+            print(f"{len(done)}: {one.key}: {_text(one.result)}", flush=True)
+
+
+def main() -> None:
+    """Freeze the verdicts, or compare with them."""
+    first = int(option("first", str(FIRST_VERDICT)))
+    n_cases = int(option("cases", str(N_CASES)))
+    jobs = int(option("processes", "1"))
+    tasks = rounds(first, IN_VERDICTS, n_cases)
+    file = FILE if first == FIRST_VERDICT else f"try_{first}_{FILE}"
+    if not flag("check"):
+        run(file, tasks, kept(file), jobs)
+        return
+    done = kept(CHECK + file)
+    done = {key: one for key, one in done.items() if one["commit"] == commit()}
+    run(CHECK + file, tasks, done, jobs)
+    wanted = {str(task) for task in tasks}
+    print(report({k: one for k, one in kept(file).items() if k in wanted}, done))
+
+
+if __name__ == "__main__":
+    main()

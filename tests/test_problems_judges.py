@@ -1,0 +1,171 @@
+"""The judges of a change: their cases build, and they tell a change from none."""
+
+import copy
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from problems.field_machines.examination import CLASS, FALSE, NAME, SILENT
+from problems.field_machines.kinds import KINDS
+from problems.hidden_effects.rows import ROWS
+from problems.judges import battery, fits, verdicts
+from problems.judges.cases import (
+    FIELD,
+    FIRST_REPORTED,
+    FIRST_VERDICT,
+    HIDDEN,
+    IN_ROUND,
+    IN_VERDICTS,
+    Task,
+    one_round,
+    rounds,
+)
+from problems.judges.fit_cases import PROBLEMS
+from problems.tools import provenance
+
+DEVELOPED = 10_000  # first seed
+
+
+def test_a_problem_of_each_kind_builds_with_data_of_its_model() -> None:
+    assert len(PROBLEMS) == 40
+    kinds = {getattr(make, "func", make): make for make in PROBLEMS.values()}
+    for kind, make in kinds.items():
+        problem = make()
+        assert set(problem.data.states) <= set(problem.model.states), kind
+        assert problem.model.free, kind
+
+
+@pytest.fixture(scope="module")
+def reference() -> dict[str, Any]:
+    """A fit as it is kept in a file."""
+    found = fits.record(PROBLEMS["Duffing, q alone"])
+    return dict(json.loads(json.dumps(found)))
+
+
+def test_a_fit_agrees_with_itself_and_a_changed_estimate_is_told(
+    reference: dict[str, Any],
+) -> None:
+    same = fits.compared(reference, fits.record(PROBLEMS["Duffing, q alone"]))
+    assert (same["status"], same["objective"]) == (fits.SAME, fits.LIKELY)
+    assert not fits.is_worse(same)
+    moved = copy.deepcopy(reference)
+    moved["estimates"]["k"] *= 1 + 1e-4  # some 0.01 of its standard errors
+    row = fits.compared(reference, moved)
+    assert row["estimates"] == pytest.approx(1e-4, rel=1e-6)
+    assert row["status"] == fits.NEARBY
+    moved["estimates"]["k"] += reference["std_errors"]["k"]
+    moved["objective"] += 0.5
+    row = fits.compared(reference, moved)
+    assert (row["status"], row["objective"]) == (fits.OTHER, fits.LESS)
+    assert fits.is_worse(row)
+
+
+def test_terms_failures_and_moved_predictions_are_told(
+    reference: dict[str, Any],
+) -> None:
+    failed = {"success": False, "ending": "SolveError: no"}
+    assert fits.compared(reference, failed)["status"] == fits.FAILED
+    assert fits.compared(failed, reference)["status"] == fits.SOLVED
+    other = copy.deepcopy(reference)
+    del other["estimates"]["a"]
+    assert fits.compared(reference, other)["status"] == fits.TERMS
+    other = copy.deepcopy(reference)
+    other["predicted"]["q"][3] += reference["noise"]["q"]
+    row = fits.compared(reference, other)
+    assert row["states"] == pytest.approx(1.0)
+    assert row["status"] == fits.OTHER
+
+
+def test_what_the_data_do_not_tell_is_not_compared() -> None:
+    old = fits.record(PROBLEMS["only ratios can be told"])
+    new = copy.deepcopy(old)
+    new["estimates"] = {k: 1.5 * value for k, value in old["estimates"].items()}
+    assert fits.compared(old, new)["status"] == fits.SAME
+
+
+@pytest.mark.parametrize("numbers", [IN_ROUND, IN_VERDICTS])
+def test_a_list_is_balanced_and_the_same_whenever_it_is_made(
+    numbers: dict[str, int],
+) -> None:
+    tasks = one_round(DEVELOPED, numbers)
+    assert tasks == one_round(DEVELOPED, numbers)
+    assert {(task.battery, task.row) for task in tasks} == {
+        *((HIDDEN, name) for name in ROWS),
+        *((FIELD, name) for name in KINDS),
+    }
+    seeds = [task.seed % 3 for task in tasks if task.row == "pendulum"]
+    assert seeds.count(0) == seeds.count(1) == seeds.count(2)
+    several = rounds(DEVELOPED, numbers, 3 * len(tasks))
+    assert several[: len(tasks)] == tasks
+    assert len(set(several)) == len(several)
+
+
+def test_verdicts_are_two_hundred_on_seeds_apart_from_the_reported_ones() -> None:
+    tasks = one_round(FIRST_VERDICT, IN_VERDICTS)
+    assert len(tasks) == verdicts.N_CASES
+    assert max(task.seed for task in tasks) < FIRST_REPORTED
+
+
+def said(findings: str = "gap on p", answer: str = NAME) -> dict[str, Any]:
+    """What is kept of a verdict."""
+    return {
+        "battery": HIDDEN,
+        "row": "gap_0.01",
+        "hidden": "gap",
+        "noise": 0.01,
+        "names": ["gap on p"],
+        "verdict": "missing: named",
+        "findings": findings,
+        "sizes": {findings: [1.0, 0.1]},
+        "answer": answer,
+        "right": answer in (NAME, CLASS),
+    }
+
+
+def test_a_changed_verdict_is_told_with_its_interval() -> None:
+    old = {"a": said(), "b": said("lag on p", FALSE), "c": said(), "d": said()}
+    same = verdicts.report(old, old)
+    assert "| all | 4 | 100% (51% to 100%) | 75% (30% to 95%) |" in same
+    assert "became right:" not in same and "WRONG" not in same
+    new = old | {"a": said("lag on p", FALSE), "b": said()}
+    new["c"] = said() | {"sizes": {"gap on p": [1.2, 0.1]}}
+    text = verdicts.report(old, new)
+    assert "- became WRONG: a (gap): missing: named: gap on p -> " in text
+    assert "- became right: b (gap)" in text
+    assert "| all | 4 | 50% (15% to 85%) |" in text
+    assert f"- {NAME} -> {FALSE}: 1" in text
+    assert "standard errors: 1 of 2" in text
+
+
+def test_right_is_what_holds_a_true_effect_or_silence_where_nothing_has_a_name() -> (
+    None
+):
+    case = verdicts.posed(Task(HIDDEN, "gap_0.01", DEVELOPED))
+    assert case.names == {"gap on p"} or len(case.names) == 1
+    assert verdicts.is_right(case, CLASS, "missing: named")
+    assert not verdicts.is_right(case, SILENT, "missing: unexplained")
+    quiet = replace(case, names=set(), silence="nothing missing")
+    assert verdicts.is_right(quiet, SILENT, "nothing missing")
+    assert not verdicts.is_right(quiet, SILENT, "missing: unexplained")
+    assert not verdicts.is_right(quiet, FALSE, "missing: named")
+
+
+def test_an_interrupted_battery_goes_on_and_tells_its_shares(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(provenance, "RESULTS", tmp_path)
+    tasks = [
+        Task(HIDDEN, "nothing", DEVELOPED),
+        Task(FIELD, "chamber", DEVELOPED),
+    ]
+    battery.run("small", tasks[:1], processes=1)
+    battery.run("small", tasks, processes=1)
+    hidden = battery.table("small", HIDDEN, tasks)
+    field = battery.table("small", FIELD, tasks)
+    assert (len(hidden), len(field)) == (1, 1)  # the first is not examined again
+    text = battery.page(hidden, field, first=DEVELOPED)
+    assert "1 hidden effects and 1 machines of the field on seeds from 10000" in text
+    assert "| nothing | 1 |" in text and "| a leaking chamber" in text
