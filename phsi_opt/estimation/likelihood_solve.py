@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phsi_opt.estimation.continuation import Continuation
 from phsi_opt.estimation.direct_steps import DirectSteps, Optimum
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
@@ -21,6 +22,7 @@ from phsi_opt.estimation.multiple_shooting import (
 )
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.estimation.problem import Task
+from phsi_opt.estimation.residual_scatter import is_at_scatter
 from phsi_opt.estimation.solver_chain import SolverChain, ways_after
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.transcription import Transcription
@@ -59,30 +61,43 @@ class LikelihoodSolver:
         return self.problem.loss
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
-        """The optimum of the whole record, through windows where it needs them."""
+        """The optimum of the whole record, however far off the start is."""
         if self.loss.window is not None:
             return self.solve_through_windows(start)
         start = replace(start, steps=self._steps(start))
         if not self.task.settings.thorough or start.is_optimum:
             return self.solve(start)
-        ways = _ways_of_first_attempt(start)
-        estimate = self.solve(start, ways=ways)
-        if estimate.is_success:
-            return estimate
-        self.task.say("the whole record could not be solved; going through windows")
-        has_tried_all = ways == ways_after(start.way)
-        return self.solve_through_windows(start, estimate if has_tried_all else None)
+        near = self.solve_directly(start)
+        if near is not None and is_at_scatter(near):
+            return near
+        there = self.continued(start)
+        return self.solve(start if there is None else there)
 
-    def solve_through_windows(
-        self, start: StartingPoint, failed: LikelihoodEstimate | None = None
-    ) -> LikelihoodEstimate:
-        """Windows that grow, each from the last result, and then the whole record.
+    def continued(self, start: StartingPoint) -> StartingPoint | None:
+        """A start that nearly solves the model, along a missing force that shrinks.
 
-        Args:
-            start: where the first windows begin.
-            failed: what the whole record gave from there, by every way there is; it is
-                the answer where no window could be solved either.
+        None where it leads nowhere. Outliers count in full on the way, and L1 for
+        nothing.
         """
+        transcription = self._transcribed(start, {}, None)
+        values = transcription.values
+        z = Continuation(values).end(transcription.point.scaled, start.sigma)
+        if z is None:
+            return None
+        unscaled = transcription.point.unscaled(z)
+        x = unscaled["x"].reshape(-1, start.model.n_states)
+        grid = transcription.grid
+        at_samples = x[grid.sample]
+        ends = np.cumsum([run.n_samples for run in self.task.data.trajectories])
+        return replace(
+            start,
+            theta=unscaled["theta"],
+            states=tuple(np.split(at_samples, ends[:-1])),
+            is_optimum=True,
+        )
+
+    def solve_through_windows(self, start: StartingPoint) -> LikelihoodEstimate:
+        """Windows that grow, each from the last result, and then the whole record."""
         start = replace(start, steps=self._steps(start))
         runs = self.task.data.trajectories
         longest = max(float(run.t[-1] - run.t[0]) for run in runs)
@@ -94,8 +109,6 @@ class LikelihoodSolver:
                 start = start.moved_to(estimate)
                 solved = window
             window *= WINDOW_GROWTH
-        if failed is not None and not solved:
-            return failed
         whole = self.solve(start)
         return whole if whole.is_success else replace(whole, solved_window=solved)
 
@@ -277,19 +290,6 @@ def _maximum(
                 return optimum
             direct = None
     return Optimum(solution, sigma)
-
-
-def _ways_of_first_attempt(start: StartingPoint) -> tuple[str, ...]:
-    """The ways to try on the whole record before windows.
-
-    Far from the optimum it is the windows that lead there; along solutions of the model
-    there may be other optima on the way. Where such a path solved a problem like it,
-    that comes first all the same.
-    """
-    ways = ways_after(start.way)
-    if ways[0] == FEASIBLE_PATH:
-        return ways
-    return tuple(way for way in ways if way != FEASIBLE_PATH)
 
 
 def _at_nodes(states: Sequence[np.ndarray], steps: Sequence[np.ndarray]) -> np.ndarray:

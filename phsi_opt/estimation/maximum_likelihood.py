@@ -1,14 +1,11 @@
 """How `MaximumLikelihood` is solved.
 
-0. A simple start and full steps from there: where that leaves no more than the scatter
-   of neighbouring samples, 1 to 3 are not needed.
-1. Start: parameters by the PHSI loss; states from the data, or, where some are missing,
-   from the missing-force program.
-2. Windows, where the whole record cannot be solved or leads far off (or where they are
-   asked for): pieces with free starting states.
-3. The whole record, with the noise re-estimated until it stays. Each solve by
-   Gauss-Newton steps, where that fails with the exact Hessian, at last along solutions
-   of the model.
+1. Start: states from the data and the model's kinematics, parameters as they are given.
+2. Full steps from there: where they leave no more than the scatter of neighbouring
+   samples, 3 is not needed.
+3. A missing force that shrinks leads from the crude start near a solution of the model
+   (`continuation`); from there again full steps, with the noise re-estimated until it
+   stays; where these fail, IPOPT and at last steps along solutions of the model.
 4. More intervals between samples, where the integration error is visible in the
    estimates.
 5. Pruning, where it is asked for.
@@ -23,16 +20,9 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
-from phsi_opt.estimation.likelihood_start import (
-    first_part,
-    from_data,
-    from_first_part,
-    from_fit,
-    needs_first_part,
-    simple_start,
-)
+from phsi_opt.estimation.likelihood_start import crude_start, from_fit
 from phsi_opt.estimation.problem import Task
-from phsi_opt.estimation.residual_scatter import is_at_scatter, scatter_warnings
+from phsi_opt.estimation.residual_scatter import scatter_warnings
 from phsi_opt.estimation.resolution_notes import resolution_notes
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.step_refinement import finer_steps
@@ -56,9 +46,8 @@ def by_likelihood(
     """
     problem = LikelihoodProblem.of(task, loss)
     solver = LikelihoodSolver(problem)
-    estimate = _simple_optimum(solver) if start is None else None
-    if estimate is None:
-        estimate = _careful_optimum(solver, start)
+    first = crude_start(problem) if start is None else from_fit(problem, start)
+    estimate = best_optimum(solver, first)
     if loss.steps is None and task.settings.thorough:
         estimate = _with_fine_steps(solver, estimate)
     if estimate.nearby is not None:
@@ -69,47 +58,6 @@ def by_likelihood(
     if not warnings:
         return estimate  # with all that has been worked out about it
     return replace(estimate, notes=estimate.notes + warnings)
-
-
-def _simple_optimum(solver: LikelihoodSolver) -> LikelihoodEstimate | None:
-    """The optimum next to a simple start, where nothing is left to be explained.
-
-    None where the steps from there lead nowhere, where the residuals are above the
-    scatter of neighbouring samples, where windows or other starts were asked for, and
-    where the loss has slack variables.
-    """
-    loss = solver.loss
-    has_slacks = loss.huber is not None or any(solver.task.l1.values())
-    if loss.window is not None or loss.starts > 1 or has_slacks:
-        return None
-    start = simple_start(solver.problem)
-    if start is None:
-        return None
-    estimate = solver.solve_directly(start)
-    if estimate is None or not is_at_scatter(estimate):
-        return None
-    return replace(estimate, notes=start.notes) if start.notes else estimate
-
-
-def _careful_optimum(solver: LikelihoodSolver, start: Fit | None) -> LikelihoodEstimate:
-    """The best optimum from starting values that were solved for, or from a fit."""
-    first = _starting_point(solver.problem, start)
-    # A fit to start from has been through this before.
-    may_go_through_windows = (
-        start is None and solver.loss.window is None and solver.task.settings.thorough
-    )
-    return best_optimum(solver, first, with_windows=may_go_through_windows)
-
-
-def _starting_point(problem: LikelihoodProblem, start: Fit | None) -> StartingPoint:
-    """At a fit, at the solution of a part of a long record, or found from scratch."""
-    if start is not None:
-        return from_fit(problem, start)
-    if needs_first_part(problem):
-        of_part = replace(problem.loss, starts=1, window=None)
-        first = by_likelihood(first_part(problem.task), of_part, None)
-        return from_first_part(problem, first)
-    return from_data(problem)
 
 
 def _with_fine_steps(

@@ -3,7 +3,7 @@
 How such points are found is the business of `likelihood_start`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,9 +28,7 @@ class StartingPoint:
         way: how a solution like it was found, one of `WAYS`.
         held: parameters that a solve left at their bounds.
         is_optimum: whether it is one of this very model, with other steps or
-            measurements; then windows would not lead further.
-        alternative: makes a second point, for the case that this one leads nowhere;
-            None: there is none.
+            measurements; then its states need not be found anew.
     """
 
     model: Model
@@ -42,7 +40,6 @@ class StartingPoint:
     way: str = GAUSS_NEWTON
     held: tuple[str, ...] = ()
     is_optimum: bool = False
-    alternative: "Callable[[], StartingPoint] | None" = None
 
     @classmethod
     def at(

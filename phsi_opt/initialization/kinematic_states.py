@@ -6,6 +6,7 @@ follows from it. These are rough states to start from: their noise is that of
 differences.
 """
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import casadi as ca
@@ -24,42 +25,83 @@ LEAST_CURVATURE = 1e-6
 SETTLED_STATES = 1e-4  # share of them that the last step moves: they are a start
 
 
-def kinematic_states(model: Model, grid: Grid) -> np.ndarray | None:
-    """States at the nodes, (n_nodes, n_states), for the model's present parameters.
+@dataclass(frozen=True, eq=False)
+class KinematicStates:
+    """Rough states of a record.
 
-    Gaps are interpolated; a trajectory of a channel is never extrapolated beyond its
-    last value.
+    Attributes:
+        x: (n_nodes, n_states) states; zero where nothing tells them.
+        is_complete: whether every state is measured or follows, but for a memory.
+    """
+
+    x: np.ndarray
+    is_complete: bool
+
+
+def kinematic_states(model: Model, grid: Grid) -> KinematicStates:
+    """States at the nodes for the model's present parameters.
+
+    Those that make the rates of measured states follow from these; in turn those that
+    make the rates of them, and so on. Gaps are interpolated; a trajectory of a channel
+    is never extrapolated beyond its last value. A memory stays at zero.
 
     Args:
-        model: the model; its memory does not follow from rates.
+        model: the model.
         grid: one interval between neighbouring samples.
-
-    Returns:
-        None where some state follows from no rate of a measured one.
     """
     grid = invert_sensors(model, grid)
     x = interpolated(grid)
     known = np.flatnonzero(grid.measured.any(axis=0))
-    unknown = np.setdiff1d(np.arange(model.n_states), known)
-    if not len(unknown):
-        return x
-    if model.memory or not len(known):
-        return None
+    no_memory = [k for k, name in enumerate(model.states) if name not in model.memory]
+    unknown = np.setdiff1d(no_memory, known)
+    while len(unknown) and len(known):
+        found = _driving(model, grid, x, known, unknown)
+        if not len(found) or not _follow(model, grid, x, known, found):
+            break
+        known = np.union1d(known, found)
+        unknown = np.setdiff1d(unknown, found)
+    return KinematicStates(x, not len(unknown))
+
+
+def _driving(
+    model: Model, grid: Grid, x: np.ndarray, known: np.ndarray, unknown: np.ndarray
+) -> np.ndarray:
+    """Those of the unknown states that make a rate of a known one."""
+    _, slopes = _rates_and_slopes(model, grid, x)
+    mean_square = np.mean(slopes[:, known][:, :, unknown] ** 2, axis=(0, 1))
+    return unknown[np.isfinite(mean_square) & (mean_square > TINY)]
+
+
+def _follow(
+    model: Model, grid: Grid, x: np.ndarray, known: np.ndarray, unknown: np.ndarray
+) -> bool:
+    """Set the unknown states to what makes the rates of the known ones; if it can."""
     rates = _rates(grid, x[:, known])
     weights = 1 / np.maximum(np.std(rates, axis=0), TINY)
-    together = model.built("rates and slopes", lambda: _with_slopes(model.rhs()))
+    found = x.copy()
     for _ in range(KINEMATIC_STEPS):
-        values, entries = at_nodes(together, grid, x.T, model.theta)
-        shape = (grid.n_nodes, model.n_states, model.n_states)
-        slopes = entries.T.reshape(shape)[:, known][:, :, unknown]
-        missing = (rates - values.T[:, known]) * weights
-        step = _least_squares_steps(slopes * weights[:, None], missing)
+        values, slopes = _rates_and_slopes(model, grid, found)
+        missing = (rates - values[:, known]) * weights
+        of_unknown = slopes[:, known][:, :, unknown] * weights[:, None]
+        step = _least_squares_steps(of_unknown, missing)
         if step is None:
-            return None
-        x[:, unknown] += step
-        if np.max(np.abs(step)) < SETTLED_STATES * np.max(np.abs(x[:, unknown])):
+            return False
+        found[:, unknown] += step
+        largest = np.max(np.abs(found[:, unknown]))
+        if np.max(np.abs(step)) < SETTLED_STATES * largest:
             break
-    return x
+    x[:, unknown] = found[:, unknown]
+    return True
+
+
+def _rates_and_slopes(
+    model: Model, grid: Grid, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates (n_nodes, n_states), and slopes (n_nodes, n_states, n_states) in states."""
+    together = model.built("rates and slopes", lambda: _with_slopes(model.rhs()))
+    values, entries = at_nodes(together, grid, x.T, model.theta)
+    n = model.n_states
+    return values.T, entries.T.reshape(grid.n_nodes, n, n)
 
 
 def _rates(grid: Grid, x: np.ndarray) -> np.ndarray:

@@ -6,11 +6,12 @@ with a step is the business of the callers.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from phsi_opt.optimization.along_time import TimeLayout
-from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.banded import Banded, BandLayout
 from phsi_opt.optimization.bounded_step import SILENT, Room, bounded_step
 from phsi_opt.optimization.chained import Chained
 from phsi_opt.statistics import TINY
@@ -64,8 +65,18 @@ class OptimalitySystem:
         self._own = np.flatnonzero(hessian.columns < self.n_theta)
         self._mixed = np.flatnonzero(~is_state & (hessian.columns >= self.n_theta))
         order = time_order(grid, ("node", n_states), ("interval", n_states))
-        rows, columns = self._entry_places()
-        self._layout = TimeLayout(rows, columns, order, chain_of(grid, n_states))
+        self._order = order
+        self._places = self._entry_places()
+        self._layout = TimeLayout(*self._places, order, chain_of(grid, n_states))
+
+    @cached_property
+    def _soft_layout(self) -> BandLayout:
+        """The same with a diagonal of the multipliers."""
+        every_multiplier = self._n_x + np.arange(self._jacobian.shape[0])
+        rows, columns = self._places
+        rows = np.concatenate([rows, every_multiplier])
+        columns = np.concatenate([columns, every_multiplier])
+        return BandLayout(rows, columns, self._order, is_symmetric=True)
 
     def _entry_places(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of what `_entries` lists."""
@@ -100,6 +111,25 @@ class OptimalitySystem:
             np.linalg.LinAlgError: an entry is no number.
         """
         factors = self._layout.factors(self._entries(hessian, jacobian))
+        of_theta = self._theta_block(hessian)
+        return Factored(factors, of_theta, self._right(hessian, jacobian))
+
+    def softened(
+        self, hessian: np.ndarray, jacobian: np.ndarray, softness: np.ndarray
+    ) -> "Factored":
+        """The system of ``min objective + 1/2 sum(g^2 / softness)``.
+
+        Args:
+            hessian: entries of its upper triangle, (n_entries,).
+            jacobian: entries of the slopes of g, (n_entries,).
+            softness: (n_constraints,), above zero.
+
+        Raises:
+            SolveError: the states do not follow from the parameters and the data.
+            np.linalg.LinAlgError: an entry is no number.
+        """
+        entries = np.concatenate([self._entries(hessian, jacobian), -softness])
+        factors = Banded.of(self._soft_layout, entries)
         of_theta = self._theta_block(hessian)
         return Factored(factors, of_theta, self._right(hessian, jacobian))
 
@@ -197,6 +227,7 @@ class Factored:
         g: np.ndarray,
         room: Room,
         silent_share: float = SILENT,
+        damping: float = 0.0,
     ) -> NewtonStep:
         """The full step.
 
@@ -207,6 +238,7 @@ class Factored:
             room: how far the parameters may move.
             silent_share: of the largest curvature of the parameters, up to which they
                 do not move.
+            damping: share of each parameter's curvature that is added to it.
         """
         right = self._right
         coupling = self.coupling
@@ -221,6 +253,7 @@ class Factored:
         else:
             alone = self._factors.solve(right[:, n_theta])
         left = self._of_theta - coupling.T @ self._per_theta
+        left = left + damping * np.diag(np.abs(np.diag(left)))
         pull = -gradient[:n_theta] - coupling.T @ alone
         best = bounded_step(left, pull, room, silent_share)
         others = alone - self._per_theta @ best.d

@@ -17,7 +17,6 @@ import pandas as pd
 
 import phsi_opt as ph
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.best_optimum import BY_WINDOWS
 from problems.benchmarks.basin_machines import (
     KINDS,
     NOTHING,
@@ -35,7 +34,6 @@ FIRST_SEED = 5000
 # Difference of the deviance up to which a fit is no less likely than its reference:
 # what three parameters more would explain by chance.
 SAME_OPTIMUM = 3.0
-FIRST_WINDOWS = 32  # in the record, where windows come first
 
 
 @dataclass(frozen=True)
@@ -56,18 +54,14 @@ SETTINGS = (
 
 
 def row(kind: str, seed: int, setting: Setting) -> dict[str, object]:
-    """One machine, identified by default and with the windows first."""
+    """One machine, identified."""
     case = draw_case(kind, seed, setting.off, setting.lacks)
-    as_it_is = _identified(case, ph.MaximumLikelihood())
-    t = case.data.trajectories[0].t
-    windows = ph.MaximumLikelihood(window=float(t[-1] - t[0]) / FIRST_WINDOWS)
-    windows_first = _identified(case, windows)
+    as_it_is = _identified(case)
     if setting.lacks == NOTHING:
         reference = _misfit(case, case.data.trajectories[0].x - case.noise)
     else:
         near = replace(case, model=case.model.with_values(case.truth))
-        from_truth = _identified(near, ph.MaximumLikelihood())
-        reference = min(found.misfit for found in (from_truth, as_it_is, windows_first))
+        reference = min(_identified(near).misfit, as_it_is.misfit)
     return {
         "off": setting.off,
         "lacks": setting.lacks,
@@ -78,10 +72,7 @@ def row(kind: str, seed: int, setting: Setting) -> dict[str, object]:
         "input": case.is_driven,
         "measured": " ".join(case.data.measured),
         "right": as_it_is.misfit - reference < SAME_OPTIMUM,
-        "through_windows": as_it_is.is_through_windows,
         "seconds": as_it_is.seconds,
-        "right_windows_first": windows_first.misfit - reference < SAME_OPTIMUM,
-        "seconds_windows_first": windows_first.seconds,
         "excess": as_it_is.misfit - reference,
         "frequency_error": as_it_is.frequency_error,
     }
@@ -95,28 +86,25 @@ class Found:
         misfit: deviance but for a constant of the record.
         frequency_error: of the parameters that set the frequencies, the largest
             relative error.
-        is_through_windows: whether the windows found it.
         seconds: of processor time.
     """
 
     misfit: float
     frequency_error: float
-    is_through_windows: bool
     seconds: float
 
 
-def _identified(case: BasinCase, loss: ph.MaximumLikelihood) -> Found:
+def _identified(case: BasinCase) -> Found:
     began = time.process_time()
     try:
-        fit = ph.identify(case.model, case.data, loss)
+        fit = ph.identify(case.model, case.data)
     except SolveError:
-        return Found(np.inf, np.inf, False, time.process_time() - began)
+        return Found(np.inf, np.inf, time.process_time() - began)
     seconds = time.process_time() - began
     errors = []
     for name in case.frequency_parameters:
         errors.append(abs(fit.values[name] / case.truth[name] - 1))
-    by_windows = BY_WINDOWS in fit.warnings
-    return Found(_misfit(case, fit.states[0]), max(errors), by_windows, seconds)
+    return Found(_misfit(case, fit.states[0]), max(errors), seconds)
 
 
 def _misfit(case: BasinCase, states: np.ndarray) -> float:
@@ -150,14 +138,10 @@ def summary(frame: pd.DataFrame) -> pd.DataFrame:
 
 def _shares(frame: pd.DataFrame) -> dict[str, object]:
     """What was right, and at what cost."""
-    at_once = frame["right"] & ~frame["through_windows"]
     return {
         "n": len(frame),
         "right": int(frame["right"].sum()),
-        "without windows": int(at_once.sum()),
         "CPU s": round(float(frame["seconds"].sum()), 1),
-        "windows first: right": int(frame["right_windows_first"].sum()),
-        "windows first: CPU s": round(float(frame["seconds_windows_first"].sum()), 1),
     }
 
 
@@ -181,11 +165,9 @@ def _what(first: int, last: int) -> str:
         which were not looked at while the method was developed. Parameters that set the
         frequencies start too small or too large by the share that is given, all others
         by up to half. Right is a fit that is no less likely than the true motion; where
-        the model lacks a force (2 to 20 % of the springs'), than the likeliest of the
-        fits that begin at the true values, at the start, and with windows. "Without
-        windows": right without the windows that follow a poor fit. "Windows first":
-        `window=` of a thirty-second of the record. A pendulum that turns over has
-        what drives it halved, because it would be chaotic.
+        the model lacks a force (2 to 20 % of the springs'), than the likelier of the
+        fits that begin at the true values and at the start. A pendulum that turns over
+        has what drives it halved, because it would be chaotic.
         """)
 
 
@@ -193,10 +175,8 @@ def _reading(frame: pd.DataFrame) -> str:
     """What the table says, in a sentence."""
     asked = frame[(frame["off"] == SETTINGS[0].off) & (frame["lacks"] == NOTHING)]
     found = share(int(asked["right"].sum()), len(asked))
-    ratio = frame["seconds_windows_first"].sum() / frame["seconds"].sum()
     return markdown.paragraph(f"""
-        From starts half off, {found} of {len(asked)} are right. Windows first take
-        {ratio:.2f} times the processor time of windows where they are needed.
+        From starts half off, {found} of {len(asked)} are right.
         """)
 
 
