@@ -30,7 +30,7 @@ def text_field(
     field = ui.input(label, value=value, on_change=lambda e: changed(e.value or ""))
     field.props(f"dense outlined {DEBOUNCE}").style(f"width: {width}; max-width: 100%")
     if hint:
-        field.props(f'placeholder="{hint}"')
+        field.props["placeholder"] = hint
     return field
 
 
