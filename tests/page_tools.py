@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -22,6 +23,7 @@ STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
 SEED = 11
 RUNS = ("run 1", "run 2", "run 3")
 LONG_TABLES = 3  # with eight runs each
+_PIDS: dict[str, int] = {}  # of the servers, by their addresses
 
 
 def thinned_table(text: str) -> bytes:
@@ -107,6 +109,7 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
         text=True,
     )
     address = f"http://127.0.0.1:{port}"
+    _PIDS[address] = server.pid
     try:
         _wait_until_up(server, address)
         yield address
@@ -119,6 +122,21 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
             server.wait(10)
         assert server.stdout is not None
         server.stdout.close()
+
+
+@contextmanager
+def workers_at_rest(address: str) -> Iterator[None]:
+    """The workers of a server do nothing meanwhile, so that no solve ends."""
+    command = ["pgrep", "-P", str(_PIDS[address]), "-f", "spawn_main"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    pids = [int(pid) for pid in found.stdout.split()]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
 
 
 def _free_port() -> int:
