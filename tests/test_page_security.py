@@ -16,6 +16,7 @@ import pytest
 import phsi_opt as ph
 import phsi_opt.page
 from phsi_opt.page.limits import MOST_FILES, MOST_SESSIONS
+from phsi_opt.page.own_requests import is_own_origin
 from phsi_opt.page.session import Session
 from phsi_opt.page.sessions import Sessions
 from tests.page_tools import (
@@ -114,6 +115,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(folder: Path) -> Iterator[str]:
+    pytest.importorskip("nicegui", reason="needs the extra 'app'")
     with served(folder) as found:
         yield found
 
@@ -158,6 +160,12 @@ def test_the_page_reads_no_pickle() -> None:
     for path in Path(room).glob("*.py"):
         imported = r"^ *(import|from) (pickle|marshal|shelve|joblib)\b"
         assert not re.search(imported, path.read_text(), re.MULTILINE), path
+
+
+def test_names_are_set_as_attributes_and_not_parsed_with_them() -> None:
+    (room,) = phsi_opt.page.__path__
+    for path in Path(room).glob("*.py"):
+        assert not re.search(r"\.props\(\s*r?f", path.read_text()), path
 
 
 @pytest.mark.parametrize("name", STRANGE_NAMES, ids=repr)
@@ -286,6 +294,29 @@ def test_a_page_of_a_server_that_ended_is_told_to_load_itself_anew(
     assert visitor.ask("POST", f"{path}&sid={sid}", b"40").status == 200
     answer = visitor.ask("GET", f"{path}&sid={sid}")
     assert "Implicit handshake failed" in answer.body
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "is_own"),
+    [
+        ("http://lab:8080", "LAB:8080", True),
+        ("https://lab.example", "lab.example", True),  # behind a server with TLS
+        ("http://192.168.0.7:8080", "192.168.0.7:8080", True),
+        ("http://[fe80::1]:8080", "[fe80::1]:8080", True),
+        ("http://lab:8081", "lab:8080", False),
+        ("http://lab", "lab:8080", False),
+        ("http://lab.evil.example", "lab", False),
+        ("http://lab@evil.example", "lab", False),
+        ("file://lab", "lab", False),
+        ("http://[lab", "lab", False),
+        ("null", "null", False),
+        ("http://", "", False),
+    ],
+)
+def test_on_a_network_a_page_is_known_by_the_host_it_was_loaded_from(
+    origin: str, host: str, is_own: bool
+) -> None:
+    assert is_own_origin(origin, host) == is_own
 
 
 def test_another_name_for_this_machine_is_refused(visitor: Visitor) -> None:

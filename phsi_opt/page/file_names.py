@@ -8,7 +8,7 @@ import re
 import unicodedata
 from pathlib import PurePosixPath
 
-from phsi_opt.page.limits import LONGEST_NAME, TABLE_KINDS
+from phsi_opt.page.limits import MOST_NAME_BYTES, TABLE_KINDS
 
 # Names that mean a device in Windows, whatever they end in.
 DEVICE = re.compile(
@@ -35,10 +35,10 @@ def name_refusal(name: str) -> str:
         return f"{shown(name)} is no name of a file; expected one such as bench.csv."
     if any(unicodedata.category(sign) in UNPRINTED for sign in name):
         return f"the name {shown(name)} has control characters; expected letters."
-    if len(name.encode()) > LONGEST_NAME:
+    if len(name.encode()) > MOST_NAME_BYTES:
         return (
             f"the name {shown(name)} has {len(name.encode())} bytes; expected at most "
-            f"{LONGEST_NAME}."
+            f"{MOST_NAME_BYTES}."
         )
     if DEVICE.match(name):
         return f"{shown(name)} means a device in Windows; expected another name."

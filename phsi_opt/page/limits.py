@@ -5,7 +5,7 @@ MOST_UPLOADED = 20_000_000
 # What the name of an uploaded table may end in; the ending tells how it is read.
 TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
 # Bytes of the name of a file, in UTF-8: what file systems take.
-LONGEST_NAME = 255
+MOST_NAME_BYTES = 255
 # Bytes of a request beside the file: names, boundaries.
 UPLOAD_OVERHEAD = 100_000
 # Files of one study; each is a run.

@@ -78,7 +78,8 @@ class ModelView:
     def _tile(self, base: BaseModel) -> None:
         is_chosen = base.title == self._draft.title
         tile = ui.element("button").classes("tile").props('type="button"')
-        tile.props(f'aria-pressed="{str(is_chosen).lower()}" id="{_tile_id(base)}"')
+        tile.props["aria-pressed"] = str(is_chosen).lower()
+        tile.props["id"] = _tile_id(base)
         if is_chosen:
             tile.classes("chosen")
         with tile:

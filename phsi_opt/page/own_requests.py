@@ -105,7 +105,8 @@ def is_own_origin(origin: str, host: str) -> bool:
         parts = urlsplit(origin.lower())
     except ValueError:
         return False
-    return parts.scheme in ("http", "https") and parts.netloc == host.lower()
+    is_of_web = parts.scheme in ("http", "https") and bool(parts.netloc)
+    return is_of_web and parts.netloc == host.lower()
 
 
 def _changes(scope: Message) -> bool:
