@@ -390,6 +390,8 @@ def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence() -> 
     assert begun.is_closed, "the empty session made room"
     assert not begun.upload("a.csv", TABLE)
     assert "load the page again" in begun.upload_error
+    begun.diagnose()
+    assert begun.job is None, "nothing begins in what has ended"
     sessions.close()
 
 

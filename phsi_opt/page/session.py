@@ -430,7 +430,7 @@ class Session:
     def _order(
         self, label: str, order: Order, done: str = "", n_diagnoses: int = 1
     ) -> None:
-        if self.job is not None:
+        if self.job is not None or self.is_closed:
             return
         self.message = ""
         self.failure = ""
