@@ -2,12 +2,13 @@
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,10 +18,12 @@ import pytest
 from problems.examples.friction_spring import CSV, STARTS, table
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+SOLVED_WITHIN = 60.0  # s; a busy machine takes several times the usual five
 STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
 SEED = 11
 RUNS = ("run 1", "run 2", "run 3")
 LONG_TABLES = 3  # with eight runs each
+_PIDS: dict[str, int] = {}  # of the servers, by their addresses
 
 
 def thinned_table(text: str) -> bytes:
@@ -62,6 +65,23 @@ def bad_table() -> bytes:
     return "\n".join([*lines[:7], "run 1,abc,0.5", *lines[7:]]).encode()
 
 
+# The header of a table that is a pickle at once: it runs a command where it is read.
+LOADED_PICKLE = "Va,\"x\ncos\nsystem\n(S'touch {}'\ntR.\""
+
+
+def loaded_table(marker: Path) -> bytes:
+    """A table whose header makes a file where somebody unpickles it."""
+    return f"{LOADED_PICKLE.format(marker)}\n0,1\n1,2\n2,3\n3,5\n".encode()
+
+
+def wait_for(is_done: Callable[[], bool], seconds: float = SOLVED_WITHIN) -> None:
+    """Look until something is so; it fails after the seconds of a slow machine."""
+    end = time.monotonic() + seconds
+    while not is_done():
+        assert time.monotonic() < end, "it takes too long"
+        time.sleep(0.02)
+
+
 def browser_path() -> str:
     """An installed Chromium; skips where there is none, and fails in CI."""
     for name in BROWSERS:
@@ -79,7 +99,7 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
     """The page in a process of its own, on a free port; its address."""
     port = _free_port()
     command = [sys.executable, "-m", "phsi_opt.command_line", "page", *arguments]
-    environment = _environment()
+    environment = {**_environment(), "TMPDIR": str(folder)}
     server = subprocess.Popen(
         [*command, "--no-show", "--port", str(port)],
         cwd=folder,
@@ -89,6 +109,7 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
         text=True,
     )
     address = f"http://127.0.0.1:{port}"
+    _PIDS[address] = server.pid
     try:
         _wait_until_up(server, address)
         yield address
@@ -101,6 +122,21 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
             server.wait(10)
         assert server.stdout is not None
         server.stdout.close()
+
+
+@contextmanager
+def workers_at_rest(address: str) -> Iterator[None]:
+    """The workers of a server do nothing meanwhile, so that no solve ends."""
+    command = ["pgrep", "-P", str(_PIDS[address]), "-f", "spawn_main"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True)
+    pids = [int(pid) for pid in found.stdout.split()]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
 
 
 def _free_port() -> int:

@@ -12,10 +12,12 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from tests.page_tools import (
     bad_table,
     browser_path,
+    loaded_table,
     long_spring_table,
     plain_spring_table,
     served,
     spring_table,
+    workers_at_rest,
 )
 
 pytestmark = pytest.mark.slow
@@ -26,6 +28,9 @@ CANCELLED_WITHIN = 2.0  # s
 CLICKED = re.compile("^At t = ")
 CALLED = "Coulomb friction on p"
 NAMED = f"{CALLED} is missing."
+UPLOADS = re.compile("/_nicegui/client/[^/]+/upload/[0-9]+")
+# What Chromium writes where the page breaks its own policy.
+POLICY = "Content Security Policy"
 # The framework asks plotly to resize charts of a part that is not shown, in vain.
 HARMLESS = "Resize must be passed a displayed plot div element."
 expect.set_options(timeout=SHOWN_WITHIN)
@@ -55,12 +60,16 @@ def page(browser: Browser, address: str) -> Iterator[Page]:
     context = browser.new_context()
     found = context.new_page()
     found.set_default_timeout(SHOWN_WITHIN)
+    found.set_default_navigation_timeout(SOLVED_WITHIN)
     errors: list[str] = []
+    told: list[str] = []
     found.on("pageerror", lambda error: errors.append(str(error)))
+    found.on("console", lambda message: told.append(message.text))
     found.goto(address)
     yield found
     context.close()
     assert [one for one in errors if one != HARMLESS] == []
+    assert [one for one in told if POLICY in one] == []
 
 
 def drop(page: Page, name: str, content: bytes) -> None:
@@ -138,8 +147,11 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     expect(page.get_by_text("Tried, none needed")).to_be_visible()
     assert unlabelled_fields(page) == []
 
-    with page.expect_download() as download:
+    # The report is worked out like a solve, and is there when the page says so.
+    with page.expect_download(timeout=SOLVED_WITHIN) as download:
         page.get_by_role("button", name="Report").click()
+        handed = page.get_by_text("report.html was handed to the browser")
+        expect(handed).to_be_visible(timeout=SOLVED_WITHIN)
     report = tmp_path / download.value.suggested_filename
     download.value.save_as(report)
     assert report.suffix == ".html"
@@ -208,11 +220,14 @@ def test_a_solve_is_cancelled_and_what_was_found_is_kept(page: Page) -> None:
     nothing_is_solved(page)
 
 
-def test_a_reload_in_the_middle_of_a_study_loses_nothing(page: Page) -> None:
-    prepare(page, long_spring_table())
-    press_fit(page)
-    page.reload()
-    expect(page.get_by_role("button", name="Cancel")).to_be_visible()
+def test_a_reload_in_the_middle_of_a_study_loses_nothing(
+    page: Page, address: str
+) -> None:
+    prepare(page, spring_table())
+    with workers_at_rest(address):  # however long the reload takes, the study goes on
+        press_fit(page)
+        page.reload()
+        expect(page.get_by_role("button", name="Cancel")).to_be_visible()
     assert NAMED in facts(page)
     nothing_is_solved(page)
     page.reload()
@@ -220,7 +235,7 @@ def test_a_reload_in_the_middle_of_a_study_loses_nothing(page: Page) -> None:
     page.get_by_role("tab", name="2 Model").click()
     expect(page.get_by_label("known value of m")).to_have_value("2.5")
     page.get_by_role("tab", name="1 Data").click()
-    expect(page.get_by_text("spring.csv: 4824 samples, 24 runs")).to_be_visible()
+    expect(page.get_by_text("spring.csv: 302 samples, 3 runs")).to_be_visible()
 
 
 def test_two_browsers_do_not_disturb_each_other(
@@ -238,3 +253,52 @@ def test_two_browsers_do_not_disturb_each_other(
     assert "Nothing is missing." in facts(other)
     assert NAMED in facts(page)
     context.close()
+
+
+def test_what_a_program_uploads_beside_the_browser_is_not_run(
+    page: Page, address: str, tmp_path: Path
+) -> None:
+    marker = tmp_path / "ran"
+    found = UPLOADS.search(page.request.get(address).text())
+    assert found is not None
+    for name in ("study.checkpoint", "innocent.csv"):
+        content = loaded_table(marker)
+        file = {"name": name, "mimeType": "text/csv", "buffer": content}
+        answer = page.request.post(address + found[0], multipart={"f": file})  # type: ignore[dict-item]
+        assert answer.ok
+    expect(page.get_by_role("button", name="Remove innocent.csv")).to_be_visible()
+    prepare(page, spring_table())
+    press_fit(page)
+    assert NAMED in facts(page)
+    assert not marker.exists()
+
+
+def test_a_link_of_another_site_leads_to_the_session_that_is_there(
+    page: Page, address: str
+) -> None:
+    drop(page, "spring.csv", spring_table())
+    table = page.get_by_text("spring.csv: 302 samples, 3 runs")
+    expect(table).to_be_visible()
+    page.goto(f"data:text/html,<a href='{address}'>phsi_opt</a>")
+    page.get_by_role("link", name="phsi_opt").click()
+    page.get_by_role("tab", name="1 Data").click()
+    expect(table).to_be_visible()
+
+
+def test_a_study_that_is_forgotten_is_gone_in_every_window(
+    page: Page, address: str
+) -> None:
+    drop(page, "spring.csv", spring_table())
+    other = page.context.new_page()
+    other.goto(address, timeout=SOLVED_WITHIN)
+    other.get_by_role("tab", name="1 Data").click()
+    table = other.get_by_text("spring.csv: 302 samples, 3 runs")
+    expect(table).to_be_visible()
+    page.get_by_role("button", name="Menu").click()
+    page.get_by_text("Begin again: forget this study").click()
+    page.get_by_role("button", name="Forget it").click()
+    for window in (page, other):
+        expect(
+            window.get_by_text("Begin with the measurements: part 1.")
+        ).to_be_visible()
+    expect(table).to_have_count(0)

@@ -32,6 +32,37 @@ WHY_NOT_OPENED: dict[type[OSError], str] = {
 
 
 @dataclass(frozen=True)
+class NamedFile(os.PathLike[str]):
+    """A file that messages and trajectories call otherwise than the disk does.
+
+    Attributes:
+        place: Where it lies.
+        name: What its owner calls it, such as "bench.csv"; no path leads there.
+    """
+
+    place: Path
+    name: str
+
+    def __fspath__(self) -> str:
+        return str(self.place)
+
+    def __str__(self) -> str:
+        return self.name
+
+    @property
+    def suffix(self) -> str:
+        """What its name ends in, such as ".csv"."""
+        return Path(self.name).suffix
+
+    def is_file(self) -> bool:
+        """Whether it is there."""
+        return self.place.is_file()
+
+
+DataFile = Path | NamedFile
+
+
+@dataclass(frozen=True)
 class TextFile:
     """The text of one file.
 

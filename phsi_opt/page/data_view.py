@@ -20,7 +20,7 @@ from phsi_opt.page.drafts import (
     ColumnDraft,
     DataDraft,
 )
-from phsi_opt.page.limits import MOST_FILES, MOST_UPLOADED, in_megabytes
+from phsi_opt.page.limits import MOST_FILES, MOST_UPLOADED, TABLE_KINDS, in_megabytes
 from phsi_opt.page.parts import (
     alert,
     button,
@@ -40,7 +40,6 @@ ABOUT = (
 # What the server is told of files that the browser does not even send.
 TELL_REJECTED = """(rejected) => emit(
   rejected.map(one => ({name: one.file.name, size: one.file.size})))"""
-TABLE_KINDS = (".csv", ".txt", ".tsv", ".dat", ".xlsx")
 DATA_KEYS = ("data", "held_out")
 
 
@@ -83,7 +82,7 @@ class DataView:
                 on_upload=self._upload,
             )
             upload.on("rejected", self._rejected, js_handler=TELL_REJECTED)
-            upload.props(f'accept="{",".join(TABLE_KINDS)}"')
+            upload.props["accept"] = ",".join(TABLE_KINDS)
             ui.label("Drop tables here, or").classes("said q-mb-sm")
             button("Choose files", lambda: upload.run_method("pickFiles"))
 

@@ -67,8 +67,7 @@ class DataDraft:
     """The files and their columns.
 
     Attributes:
-        folder: in which the files are.
-        files: relative to the folder, or absolute.
+        places: where each file lies, by the name that its owner gave it.
         columns: of the table.
         n_samples: lines of numbers, of all files.
         runs: names that the column of runs holds, or those of the files.
@@ -81,8 +80,7 @@ class DataDraft:
         further_of_time: keys of its time that the page does not show.
     """
 
-    folder: Path
-    files: list[str] = field(default_factory=list)
+    places: dict[str, Path]
     columns: list[ColumnDraft] = field(default_factory=list)
     n_samples: int = 0
     runs: list[str] = field(default_factory=list)
@@ -93,6 +91,11 @@ class DataDraft:
     averaged: str = ""
     further: dict[str, Any] = field(default_factory=dict)
     further_of_time: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def files(self) -> list[str]:
+        """The names of the files, as their owner gave them."""
+        return list(self.places)
 
     def with_role(self, role: str) -> list[ColumnDraft]:
         """The columns of a role."""

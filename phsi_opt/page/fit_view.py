@@ -154,7 +154,7 @@ class FitView:
         )
         label = f"Chart: {channel.name} of {run.title}, measured and model"
         plot = ui.plotly(figure).classes("w-full").style(CHART_HEIGHT)
-        plot.props(f'role="img" aria-label="{_plain(label)}"')
+        plot.props('role="img"').props["aria-label"] = label
         plot.on("plotly_click", self._click)
         self._at_the_mark(snapshot, run)
 
@@ -177,8 +177,3 @@ class FitView:
 def _labelled(text: str, unit: str) -> str:
     """A label with the unit of the times."""
     return f"{text} ({unit})" if unit else text
-
-
-def _plain(text: str) -> str:
-    """A text that may stand in an attribute."""
-    return text.replace('"', "'")

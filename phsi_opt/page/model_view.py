@@ -78,7 +78,8 @@ class ModelView:
     def _tile(self, base: BaseModel) -> None:
         is_chosen = base.title == self._draft.title
         tile = ui.element("button").classes("tile").props('type="button"')
-        tile.props(f'aria-pressed="{str(is_chosen).lower()}" id="{_tile_id(base)}"')
+        tile.props["aria-pressed"] = str(is_chosen).lower()
+        tile.props["id"] = _tile_id(base)
         if is_chosen:
             tile.classes("chosen")
         with tile:
@@ -185,7 +186,7 @@ class ModelView:
             await self._checked()
 
         field = text_field(label, formulas.get(name, ""), changed, width="15em")
-        field.props(f'placeholder="{hint}"').classes("formula")
+        field.classes("formula").props["placeholder"] = hint
 
     def _column(self, role: str, name: str) -> None:
         """Which column of the table shows a state or an input."""
@@ -226,7 +227,7 @@ class ModelView:
             known = ui.checkbox("known", value=one.is_known)
             known.on_value_change(lambda e: self._set_known(one, bool(e.value)))
             remove = ui.button("Remove", on_click=lambda: self._remove(one))
-            remove.props(f'flat aria-label="Remove {name}"')
+            remove.props("flat").props["aria-label"] = f"Remove {name}"
             if one.is_assumed:
                 text = f"{name} = {one.value} {one.unit}".rstrip()
                 said = f"{text} is an assumption: give yours."

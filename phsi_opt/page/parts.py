@@ -28,9 +28,10 @@ def text_field(
 ) -> ui.input:
     """A text, told while it is typed."""
     field = ui.input(label, value=value, on_change=lambda e: changed(e.value or ""))
-    field.props(f"dense outlined {DEBOUNCE}").style(f"width: {width}; max-width: 100%")
+    field.props("dense outlined").props(DEBOUNCE)
+    field.style(f"width: {width}; max-width: 100%")
     if hint:
-        field.props(f'placeholder="{hint}"')
+        field.props["placeholder"] = hint
     return field
 
 

@@ -12,6 +12,7 @@ TIDY_EVERY = 60.0  # s between looks for sessions that nobody uses
 # s for which a page that lost its connection keeps its fields: a phone that slept, a
 # machine that is busy. After it the page is loaded again; the session stays anyway.
 RECONNECT_WITHIN = 30.0
+UNAVAILABLE = 503
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 
 
@@ -40,30 +41,42 @@ def serve(
     if study_file is not None:
         StudyFile.read(study_file)
     try:
-        from nicegui import app, ui
+        from nicegui import Client, app, ui
     except ImportError as error:
         raise DataError(
             "the page needs NiceGUI, which is not installed: "
             "pip install 'phsi_opt[app]'."
         ) from error
     from starlette.middleware.trustedhost import TrustedHostMiddleware
+    from starlette.responses import PlainTextResponse
 
+    from phsi_opt.page.own_requests import OwnRequests
+    from phsi_opt.page.safe_answers import SafeAnswers
     from phsi_opt.page.shell import Shell
     from phsi_opt.page.upload_limit import UploadLimit
 
     sessions = Sessions(study_file)
+    # Cookies go to all ports of a machine: each server has a name for its own.
+    cookie = f"phsi_opt_{port}"
+
+    def owner_of(client_id: str) -> str | None:
+        client = Client.instances.get(client_id)
+        return None if client is None else client.request.session.get("id")
+
     app.add_middleware(UploadLimit)
+    app.add_middleware(OwnRequests, owner_of=owner_of, cookie=cookie)
     if is_loopback(host):  # no other site may reach it through the browser
         app.add_middleware(TrustedHostMiddleware, allowed_hosts=list(LOOPBACK_NAMES))
+    app.add_middleware(SafeAnswers)
 
-    def page() -> None:
+    def page() -> PlainTextResponse | None:
         key = app.storage.browser["id"]
-
-        def begin_again() -> None:
-            sessions.begin_again(key)
-            ui.navigate.reload()
-
-        Shell(sessions.of(key), begin_again).build()
+        try:
+            session = sessions.of(key)
+        except DataError as error:
+            return PlainTextResponse(str(error), status_code=UNAVAILABLE)
+        Shell(session, lambda: sessions.begin_again(key)).build()
+        return None
 
     ui.page("/", title="phsi_opt")(page)
     app.on_startup(lambda: app.timer(TIDY_EVERY, sessions.tidy))
@@ -76,6 +89,7 @@ def serve(
         title="phsi_opt",
         reconnect_timeout=RECONNECT_WITHIN,
         storage_secret=secrets.token_hex(32),
+        session_middleware_kwargs={"session_cookie": cookie, "same_site": "strict"},
     )
 
 

@@ -2,6 +2,9 @@
 
 It outlives the page that shows it: a page that is loaded again shows the same session.
 Everything that a view may do is a method here; the views only draw what it holds.
+
+Its files lie in two folders: what it writes itself, and what was uploaded. The names on
+the disk are its own; a user's name for a file is shown, and is no path.
 """
 
 import os
@@ -10,19 +13,20 @@ import threading
 import time
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
 from phsi_opt.page.draft_reading import draft_of, told_columns
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
+from phsi_opt.page.file_names import name_refusal, suffix_of, without_path
 from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
 from phsi_opt.page.matching import left_over, match_states
 from phsi_opt.page.snapshot import Snapshot
-from phsi_opt.page.study_draft import StudyDraft
-from phsi_opt.page.table_look import look_at, without_folder
+from phsi_opt.page.study_draft import Drafted, StudyDraft
+from phsi_opt.page.table_look import look_at
 from phsi_opt.page.worker import (
     ADD,
     AUTO,
@@ -45,7 +49,6 @@ from phsi_opt.writing import write_whole
 WORKING_FILE = "working_study.toml"
 FITTING_FILE = "fitting_study.toml"
 FITTED_FILE = "fitted_study.toml"
-CHECKPOINT = "study.checkpoint"
 REPORT_FILE = "report.html"
 LOOKING = "looking for what is missing"
 NO_TABLE = Complaint("data.files", "", "there is no table yet; drop a file.")
@@ -114,7 +117,7 @@ class Session:
     """The study of one browser.
 
     Args:
-        folder: for its files; it is removed by ``close``.
+        folder: for its files, of nobody else; it is removed by ``close``.
         study_file: a study file to begin with, which has been read without complaint.
 
     Attributes:
@@ -127,15 +130,23 @@ class Session:
         failure: why the last job could not be done; "" where it could.
         snapshot: the study as it stands; None before the first fit.
         look: what its charts show.
-        fitted: the draft's study file as it was fitted last; "" before.
+        fitted: the draft as it was fitted last; None before.
         report_path: the report that was written last.
         shape: counts changes after which the fields of the drafts are drawn anew.
         version: counts changes of all else.
         seen: when a page last asked, by ``time.monotonic``.
+        is_shown: whether a page has ever asked; a program that loads it does not.
+        is_closed: whether it has ended; a page that shows it still is loaded again.
     """
 
     def __init__(self, folder: Path, study_file: Path | None = None) -> None:
         self.folder = folder
+        self._state = folder / "state"
+        self._uploads = folder / "uploads"
+        for part in (self._state, self._uploads):
+            part.mkdir(parents=True)
+        self._n_uploads = 0
+        self._study: bytes | None = None  # as the worker sent it, for the next one
         self.draft = StudyDraft()
         self.complaints: tuple[Complaint, ...] = ()
         self.upload_error = ""
@@ -144,28 +155,33 @@ class Session:
         self.failure = ""
         self.snapshot: Snapshot | None = None
         self.look = Look()
-        self.fitted = ""
+        self.fitted: Drafted | None = None
         self.report_path: Path | None = None
         self.shape = 0
         self.version = 0
         self.seen = time.monotonic()
+        self.is_shown = False
+        self.is_closed = False
         self._worker: WorkerHandle | None = None
         self._idle_since = time.monotonic()
-        self._fitting = ""
+        self._fitting: Drafted | None = None
         self._checking = threading.Lock()
+        self._taking = threading.Lock()
         if study_file is not None:
             self._open(study_file)
         else:
             self.complaints = self._checked()
+        self._begun = self.draft.as_it_is()
 
     # ---- drafts ----------------------------------------------------------------------
 
     def _open(self, path: Path) -> None:
         content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-        measured = StudyFile.read(path).measurements()
         files = content["data"]["files"]
-        listed = [files] if isinstance(files, str) else list(files)
-        data = DataDraft(path.parent, listed, n_samples=measured.n_samples)
+        listed = [files] if isinstance(files, str) else files
+        places = {file: path.parent.absolute() / file for file in listed}
+        measured = StudyFile.read(path, places).measurements()
+        data = DataDraft(places, n_samples=measured.n_samples)
         data.runs = [run.name for run in measured.trajectories]
         data.columns = _columns_of(data, told_columns(content["data"]))
         self.draft = draft_of(content, data)
@@ -174,59 +190,97 @@ class Session:
     def upload(self, name: str, content: bytes) -> bool:
         """Take a table; whether it could be used.
 
-        A further table with the same columns is a further run; ``upload_error`` says
-        why one was refused, and the files before it stay.
+        A further table with the same columns is a further run; one of the same name
+        takes its place. ``upload_error`` says why one was refused, and the files before
+        it stay.
         """
-        file = Path(name).name or "table.csv"
-        known = [] if self.draft.data is None else list(self.draft.data.files)
-        path = self.folder / file
-        before = path.read_bytes() if path.exists() else None
-        refusal = _refusal(file, content, len(known))
-        if refusal:
-            self.upload_error = refusal
-            self.shape += 1
-            return False
-        try:
-            path.write_bytes(content)
-            files = [one for one in known if one != file] + [file]
-            self._take_files(self.folder, files)
-        except DataError as error:
-            self.upload_error = str(error)
-            _restore(path, before)
-        else:
-            self.upload_error = ""
-            self._ready_worker()
-        self.shape += 1  # at last: a page may look at any time
-        return not self.upload_error
+        with self._taking:  # a browser sends several at once
+            self.upload_error = self._take(without_path(name), content)
+            if not self.upload_error:
+                self._ready_worker()
+            self.shape += 1  # at last: a page may look at any time
+            return not self.upload_error
 
-    def _take_files(self, folder: Path, files: list[str]) -> None:
+    def _take(self, name: str, content: bytes) -> str:
+        """Store a table under a name of the page's own; why not, or ""."""
+        refusal = self._refusal(name, content)
+        if refusal:
+            return refusal
+        self._n_uploads += 1
+        place = self._uploads / f"table_{self._n_uploads}{suffix_of(name)}"
+        place.write_bytes(content)
+        try:
+            self._take_file(name, place)
+        except DataError as error:
+            place.unlink()
+            return str(error)
+        self._remove_unused()
+        return ""
+
+    def _refusal(self, name: str, content: bytes) -> str:
+        """Why a file is not even looked at; "" where it is."""
+        if self.is_closed:
+            return "this study has ended; load the page again."
+        refusal = name_refusal(name)
+        if refusal:
+            return refusal
+        if len(content) > MOST_UPLOADED:
+            return (
+                f"{name} has {in_megabytes(len(content))}; at most "
+                f"{in_megabytes(MOST_UPLOADED)} are taken. Keep every tenth sample, or "
+                "work on the file from Python."
+            )
+        n_known = len(self.draft.places)
+        if n_known >= MOST_FILES:
+            return f"there are {n_known} files already, at most {MOST_FILES}."
+        return ""
+
+    def _take_file(self, name: str, place: Path) -> None:
         """Look at all files; columns that are known keep what was said of them."""
         known = self.draft.data
-        data = look_at(folder, files[-1:])
+        data = look_at({name: place})
         self.message = ""
         if known is not None:
             headers = [column.column for column in data.columns]
             is_alike = headers == [column.column for column in known.columns]
-            if known.folder == folder and is_alike:
-                data = look_at(folder, files)
+            if is_alike and self._are_uploaded(known):
+                kept = {one: at for one, at in known.places.items() if one != name}
+                data = look_at({**kept, name: place})
                 data.columns = known.columns
                 data.held_out = known.held_out
                 data.unmeasured = known.unmeasured
             else:
                 why = "is a table of its own" if is_alike else "has other columns"
                 self.message = (
-                    f"{files[-1]} {why}: it takes the place of "
-                    f"{', '.join(known.files)}."
+                    f"{name} {why}: it takes the place of {', '.join(known.files)}."
                 )
         self.draft.data = data
         self.check()
 
+    def _are_uploaded(self, data: DataDraft) -> bool:
+        """Whether no table is a study file's own."""
+        return all(place.parent == self._uploads for place in data.places.values())
+
+    def _remove_unused(self) -> None:
+        """Remove uploads that neither the draft nor a fit names any more."""
+        used = set(self.draft.places.values())
+        for drafted in (self.fitted, self._fitting):
+            if drafted is not None:
+                used.update(drafted.places.values())
+        for place in self._uploads.iterdir():
+            if place not in used:
+                place.unlink()
+
     def remove_file(self, name: str) -> None:
         """Take a table away; with the last one its columns go."""
+        with self._taking:
+            self._remove(name)
+
+    def _remove(self, name: str) -> None:
         data = self.draft.data
-        if data is None or name not in data.files:
+        if data is None or name not in data.places:
             return
-        left = [one for one in data.files if one != name]
+        left = {one: place for one, place in data.places.items() if one != name}
         self.upload_error = ""
         self.message = ""
         if not left:
@@ -236,14 +290,14 @@ class Session:
         self.check()
         self.shape += 1
 
-    def _keep_files(self, data: DataDraft, files: list[str]) -> None:
+    def _keep_files(self, data: DataDraft, places: dict[str, Path]) -> None:
         """Fewer files; their columns stay as they are."""
         try:
-            found = look_at(data.folder, files)
+            found = look_at(places)
         except DataError as error:  # it has changed, or is gone
             self.upload_error = str(error)
             return
-        data.files = files
+        data.places = places
         data.runs = found.runs
         data.n_samples = found.n_samples
         held_out = [run for run in data.held_out.runs if run in found.runs]
@@ -281,10 +335,12 @@ class Session:
     def _checked(self) -> tuple[Complaint, ...]:
         if self.draft.data is None:
             return (NO_TABLE,)
+        now = self.draft.as_it_is()
+        path = write_whole(self._state / WORKING_FILE, now.text)
         try:
-            StudyFile.read(self._working_file()).check_formulas()
+            StudyFile.read(path, now.places).check_formulas()
         except StudyFileError as error:
-            return _named(error.complaints, self.draft.data)
+            return error.complaints
         except PhsiOptError as error:
             return (Complaint("model", "", str(error)),)
         return ()
@@ -301,11 +357,19 @@ class Session:
     @property
     def is_stale(self) -> bool:
         """Whether the draft has changed since it was fitted."""
-        return bool(self.fitted) and self.fitted != self.draft.text()
+        return self.fitted is not None and self.fitted != self.draft.as_it_is()
 
-    def _working_file(self) -> Path:
-        path = self.folder / WORKING_FILE
-        return write_whole(path, self.draft.text(absolute=True))
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing would be lost with it: nobody filled in or began anything."""
+        if self.job is not None or self.snapshot is not None:
+            return False
+        return self.draft.as_it_is() == self._begun
+
+    def show_up(self) -> None:
+        """Note that a page shows it."""
+        self.seen = time.monotonic()
+        self.is_shown = True
 
     # ---- work ------------------------------------------------------------------------
 
@@ -314,10 +378,10 @@ class Session:
         if self.check():
             self.message = "The draft cannot be fitted yet; see what is to correct."
             return
-        self._fitting = self.draft.text()
-        path = self.folder / FITTING_FILE
-        write_whole(path, self.draft.text(absolute=True))
-        self._order("Fitting the base model", Order(FIT, (str(path),)), "Fitted")
+        self._fitting = self.draft.as_it_is()
+        path = write_whole(self._state / FITTING_FILE, self._fitting.text)
+        order = Order(FIT, (str(path),), self._fitting.places)
+        self._order("Fitting the base model", order, "Fitted")
 
     def average(self, n: int) -> None:
         """Let the mean of so many samples stand for them, and fit that."""
@@ -348,7 +412,7 @@ class Session:
     def report(self) -> None:
         """Write the report; ``report_path`` is set when it is there."""
         self.report_path = None
-        path = self.folder / REPORT_FILE
+        path = self._state / REPORT_FILE
         self._order("Writing the report", Order(REPORT, (str(path),)), n_diagnoses=0)
 
     def cancel(self) -> None:
@@ -366,7 +430,7 @@ class Session:
     def _order(
         self, label: str, order: Order, done: str = "", n_diagnoses: int = 1
     ) -> None:
-        if self.job is not None:
+        if self.job is not None or self.is_closed:
             return
         self.message = ""
         self.failure = ""
@@ -379,7 +443,7 @@ class Session:
     def _ready_worker(self) -> WorkerHandle:
         """The worker; a new one goes on from the study that the last one kept."""
         if self._worker is None or not self._worker.is_alive:
-            self._worker = WorkerHandle(self.folder / CHECKPOINT, self._receive)
+            self._worker = WorkerHandle(self._study, self._receive)
         self._idle_since = time.monotonic()
         return self._worker
 
@@ -387,7 +451,7 @@ class Session:
         worker = self._worker
         self._worker = None  # what it still says is not listened to
         self.job = None
-        self._fitting = ""
+        self._fitting = None
         if worker is not None:
             worker.end()
 
@@ -410,6 +474,7 @@ class Session:
         if isinstance(message, Said):
             self._note(message.line)
         elif isinstance(message, Shown):
+            self._study = message.study
             # Whoever sees the model and cancels is told that it is there.
             if self.job is not None:
                 self.job.show()
@@ -423,7 +488,7 @@ class Session:
             self.complaints = message.complaints or self.complaints
         elif isinstance(message, Done):
             self.job = None
-            self._fitting = ""
+            self._fitting = None
             self._idle_since = time.monotonic()
         elif message is None:
             self._lose_worker()
@@ -443,10 +508,10 @@ class Session:
 
     def _keep_fitted(self) -> None:
         """Remember the draft that the first result of a fit belongs to."""
-        if self._fitting:
+        if self._fitting is not None:
             self.fitted = self._fitting
-            self._fitting = ""
-            os.replace(self.folder / FITTING_FILE, self.folder / FITTED_FILE)
+            self._fitting = None
+            os.replace(self._state / FITTING_FILE, self._state / FITTED_FILE)
 
     def _note(self, line: str) -> None:
         if self.job is not None:
@@ -462,7 +527,7 @@ class Session:
             )
         self._worker = None
         self.job = None
-        self._fitting = ""
+        self._fitting = None
 
     # ---- files to take away ----------------------------------------------------------
 
@@ -473,13 +538,11 @@ class Session:
             DataError: nothing was fitted yet.
             StudyFileError: a data file has changed since.
         """
-        if self.snapshot is None or self.draft.data is None:
+        if self.snapshot is None or self.fitted is None:
             raise DataError("nothing has been fitted yet; press Fit first.")
-        file = StudyFile.read(self.folder / FITTED_FILE)
+        file = StudyFile.read(self._state / FITTED_FILE, self.fitted.places)
         further = [one for one in self.snapshot.added if one not in file.steps.added]
-        # Files are named as the user named them, not as they lie on this machine.
-        data = replace(file.data, files=tuple(self.draft.data.files))
-        return replace(file.with_added(*further), data=data)
+        return file.with_added(*further)
 
     def study_text(self) -> str:
         """The study file, with comments.
@@ -499,6 +562,7 @@ class Session:
 
     def close(self) -> None:
         """End the worker and remove the files."""
+        self.is_closed = True
         self._end_worker()
         shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -506,7 +570,7 @@ class Session:
 def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:
     """The columns of a study file's tables; those that it names where no look helps."""
     try:
-        columns = look_at(data.folder, data.files).columns
+        columns = look_at(data.places).columns
     except DataError:  # no header, or MATLAB's variables
         columns = []
     known = [column.column for column in columns]
@@ -519,34 +583,3 @@ def _columns_of(data: DataDraft, told: list[str | int]) -> list[ColumnDraft]:
 def below(key: str) -> tuple[str, str]:
     """How the keys below a key of a study file begin."""
     return f"{key}.", f"{key}["
-
-
-def _refusal(file: str, content: bytes, n_known: int) -> str:
-    """Why a file is not even looked at; "" where it is."""
-    if len(content) > MOST_UPLOADED:
-        return (
-            f"{file} has {in_megabytes(len(content))}; at most "
-            f"{in_megabytes(MOST_UPLOADED)} are taken. Keep every tenth sample, or "
-            "work on the file from Python."
-        )
-    if n_known >= MOST_FILES:
-        return f"there are {n_known} files already, at most {MOST_FILES}."
-    return ""
-
-
-def _restore(path: Path, before: bytes | None) -> None:
-    """The file as it was before one that could not be used."""
-    if before is None:
-        path.unlink(missing_ok=True)
-    else:
-        path.write_bytes(before)
-
-
-def _named(complaints: Sequence[Complaint], data: DataDraft) -> tuple[Complaint, ...]:
-    """The complaints with the files' names alone."""
-    named = []
-    for one in complaints:
-        said = without_folder(one.said, data.folder)
-        value = without_folder(one.value, data.folder)
-        named.append(Complaint(one.key, value, said))
-    return tuple(named)

@@ -4,6 +4,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from phsi_opt.errors import DataError
 from phsi_opt.page.limits import FORGOTTEN_SESSION, IDLE_WORKER, MOST_SESSIONS
 from phsi_opt.page.session import Session
 
@@ -23,7 +24,11 @@ class Sessions:
         return len(self._by_key)
 
     def of(self, key: str) -> Session:
-        """The session of a browser; a new one where it has none."""
+        """The session of a browser; a new one where it has none.
+
+        Raises:
+            DataError: there are ``MOST_SESSIONS`` already, all with somebody's work.
+        """
         if key not in self._by_key:
             self._make_room()
             folder = Path(tempfile.mkdtemp(prefix="phsi_opt_page_"))
@@ -53,8 +58,21 @@ class Sessions:
         self._by_key.clear()
 
     def _make_room(self) -> None:
-        """Forget the session that was seen longest ago, where there are too many."""
+        """End an empty session where there are too many.
+
+        First goes what no page ever showed, then what was seen longest ago. A session
+        that holds somebody's work stays.
+        """
         if len(self._by_key) < MOST_SESSIONS:
             return
-        oldest = min(self._by_key, key=lambda key: self._by_key[key].seen)
-        self._by_key.pop(oldest).close()
+        empty = [key for key, one in self._by_key.items() if one.is_empty]
+        if not empty:
+            raise DataError(
+                f"this page holds {MOST_SESSIONS} studies, and no more at once. Try "
+                "again when somebody has ended one: Menu, Begin again."
+            )
+        self._by_key.pop(min(empty, key=self._usage)).close()
+
+    def _usage(self, key: str) -> tuple[bool, float]:
+        session = self._by_key[key]
+        return session.is_shown, session.seen

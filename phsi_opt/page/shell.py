@@ -49,10 +49,10 @@ class Shell:
 
     Args:
         session: of the browser.
-        begin_again: forgets the session.
+        begin_again: ends the session; all pages that show it are loaded again then.
     """
 
-    def __init__(self, session: Session, begin_again: Callable[[], None]) -> None:
+    def __init__(self, session: Session, begin_again: Callable[[], object]) -> None:
         self._session = session
         self._begin_again = begin_again
         self._data = DataView(session, self._checked, lambda: self._go(MODEL_PART))
@@ -81,7 +81,7 @@ class Shell:
                 self._study.build()
         with ui.footer().classes("q-pa-none") as self._footer:
             self._build_status()
-        ui.timer(ASK_EVERY, self._keep_up)
+        self._asking = ui.timer(ASK_EVERY, self._keep_up)
 
     def _header(self) -> None:
         with ui.header().classes("items-center justify-between q-py-xs"):
@@ -162,6 +162,11 @@ class Shell:
     def _keep_up(self) -> None:
         """Draw anew what has changed since the last look."""
         session = self._session
+        session.show_up()
+        if session.is_closed:
+            self._asking.deactivate()
+            ui.navigate.reload()
+            return
         if session.shape != self._shape:
             self._shape = session.shape
             self._data.error.refresh()

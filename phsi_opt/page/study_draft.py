@@ -6,6 +6,7 @@
 import re
 import tomllib
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from phsi_opt.page.drafts import (
@@ -27,6 +28,19 @@ from phsi_opt.study_file.study_text import section
 Content = dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Drafted:
+    """A draft as it was at one time, such as that of a fit.
+
+    Attributes:
+        text: the study file.
+        places: where its data files lie, by name. No two uploads have one place.
+    """
+
+    text: str
+    places: dict[str, Path]
+
+
 @dataclass
 class StudyDraft:
     """All that a user has filled in.
@@ -43,13 +57,18 @@ class StudyDraft:
     added: list[str] = field(default_factory=list)
     kept: Content = field(default_factory=dict)
 
-    def text(self, absolute: bool = False) -> str:
-        """The study file.
+    def as_it_is(self) -> Drafted:
+        """What is filled in now."""
+        return Drafted(self.text(), self.places)
 
-        Args:
-            absolute: whether the files are named with their folders.
-        """
-        content = self.content(absolute)
+    @property
+    def places(self) -> dict[str, Path]:
+        """Where each file of the data lies, by its name."""
+        return {} if self.data is None else dict(self.data.places)
+
+    def text(self) -> str:
+        """The study file; it calls its data files as their owner does."""
+        content = self.content()
         parts = []
         for name in ("data", "held_out", "model", "parameters", "study", "loss"):
             parts.append(section(name, content.get(name, {})))
@@ -57,11 +76,11 @@ class StudyDraft:
             parts.append(section("[effects]", effect))
         return "\n".join(filter(None, parts))
 
-    def content(self, absolute: bool = False) -> Content:
+    def content(self) -> Content:
         """The tables of the study file."""
         content: Content = dict(self.kept)
         if self.data is not None:
-            content["data"] = _data(self.data, self.model, absolute)
+            content["data"] = _data(self.data, self.model)
             content["held_out"] = _held_out(self.data)
         content["model"] = _model(self.model)
         parameters = {}
@@ -74,11 +93,8 @@ class StudyDraft:
         return content
 
 
-def _data(draft: DataDraft, model: ModelDraft, absolute: bool) -> Content:
-    files = []
-    for file in draft.files:
-        files.append(str(draft.folder.absolute() / file) if absolute else file)
-    content: Content = {"files": files, **draft.further}
+def _data(draft: DataDraft, model: ModelDraft) -> Content:
+    content: Content = {"files": draft.files, **draft.further}
     for column in draft.with_role(RUN):
         content["trajectory"] = column.column
     inputs = _channels(draft, INPUT)

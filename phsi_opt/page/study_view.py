@@ -236,8 +236,8 @@ class StudyView:
                 f"{step.label} {step.judged:.3g}" for step in snapshot.steps
             )
             plot = ui.plotly(figure).classes("w-full").style(STAIRCASE_HEIGHT)
-            told = f"Chart: error after each step: {errors}".replace('"', "'")
-            plot.props(f'role="img" aria-label="{told}"')
+            told = f"Chart: error after each step: {errors}"
+            plot.props('role="img"').props["aria-label"] = told
             with ui.row():
                 if len(snapshot.steps) > 1:
                     self._begins("Undo the last step", self._session.undo, True)
@@ -288,7 +288,7 @@ class StudyView:
         label = "Add anyway" if is_against else "Add"
         add = self._add_button(label, row.effects, quiet=True)
         named = proper_names(row.label)
-        add.props(f'dense aria-label="{label} {named}, of the ranking"')
+        add.props("dense").props["aria-label"] = f"{label} {named}, of the ranking"
         if is_against:
             add.props("flat").props(remove="outline")
 

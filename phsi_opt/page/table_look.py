@@ -5,8 +5,10 @@ refused with its line, since it is a mistake and not a name. What each column ma
 guessed as for a first study file.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 
+from phsi_opt.data.file_opening import NamedFile
 from phsi_opt.data.tables import Table, numbers_in
 from phsi_opt.data.text_cells import MISSING_CELLS, NUMBER
 from phsi_opt.errors import DataError
@@ -19,39 +21,29 @@ N_EXAMPLES = 3  # cells shown of each column
 MOSTLY = 0.5  # share of numbers above which a column is meant to be numeric
 
 
-def look_at(folder: Path, files: list[str]) -> DataDraft:
+def look_at(places: Mapping[str, Path]) -> DataDraft:
     """The columns of the files, with a guess of what each is.
 
     Args:
-        folder: in which they are.
-        files: tables with the same columns, a run each.
+        places: tables with the same columns, a run each; where they lie, by name.
 
     Raises:
         DataError: a file cannot be read, or has other columns than the first.
     """
-    draft = DataDraft(folder, files)
-    try:
-        for file in files:
-            _take_file(draft, file)
-    except DataError as error:
-        raise DataError(without_folder(str(error), folder)) from error
+    draft = DataDraft(dict(places))
+    for name, place in places.items():
+        _take_file(draft, NamedFile(place, name))
     draft.runs = list(dict.fromkeys(draft.runs))
     return draft
 
 
-def without_folder(said: str, folder: Path) -> str:
-    """A message in which files have their names alone."""
-    return said.replace(f"{folder}/", "")
-
-
-def _take_file(draft: DataDraft, file: str) -> None:
-    path = draft.folder / file
-    table = table_at(path, ())
+def _take_file(draft: DataDraft, file: NamedFile) -> None:
+    table = table_at(file, ())
     _check_header(table)
     for name in table.frame.columns:
         _check_numbers(table, str(name))
     columns = []
-    surveyed = survey.survey(path)
+    surveyed = survey.survey(file)
     for seen in surveyed.columns:
         columns.append(_column(table, seen))
     if surveyed.step is not None:

@@ -3,15 +3,9 @@
 The browser's own check is a courtesy; this one holds for every client.
 """
 
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
-
+from phsi_opt.page.asgi import Application, Message, Receive, Send, answer, header
 from phsi_opt.page.limits import MOST_UPLOADED, UPLOAD_OVERHEAD, in_megabytes
 
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-Application = Callable[[Message, Receive, Send], Awaitable[None]]
 TOO_LARGE = 413
 
 
@@ -35,7 +29,8 @@ class UploadLimit:
             await self._application(scope, receive, send)
             return
         if _told_length(scope) > self._most:
-            await _refuse(send)
+            refusal = f"A file may have at most {in_megabytes(MOST_UPLOADED)}."
+            await answer(send, TOO_LARGE, refusal)
             return
         n_received = 0
 
@@ -51,14 +46,5 @@ class UploadLimit:
 
 
 def _told_length(scope: Message) -> int:
-    for name, value in scope["headers"]:
-        if name == b"content-length" and value.isdigit():
-            return int(value)
-    return 0
-
-
-async def _refuse(send: Send) -> None:
-    text = f"A file may have at most {in_megabytes(MOST_UPLOADED)}.".encode()
-    headers = [(b"content-type", b"text/plain; charset=utf-8")]
-    await send({"type": "http.response.start", "status": TOO_LARGE, "headers": headers})
-    await send({"type": "http.response.body", "body": text})
+    told = header(scope, b"content-length")
+    return int(told) if told.isascii() and told.isdigit() else 0

@@ -1,20 +1,18 @@
 """The process that solves: it holds one study and does what it is told, one by one.
 
 It is spawned, so that nothing of the server is in it, and ends with the server: its
-pipe breaks then. After every result the study is written to a file, from which the next
-process goes on where one was cancelled. That file is the server's own; it is read by
-nobody else.
+pipe breaks then. With every result the study goes to the server, which keeps it as it
+came and hands it to the next process, to go on where one was cancelled. It goes through
+the pipe alone: what lies on the disk is never unpickled.
 """
 
-import copyreg
-import io
 import os
-import pickle
 import signal
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from queue import SimpleQueue
 from types import MappingProxyType
@@ -28,7 +26,6 @@ from phsi_opt.page.snapshot_making import snapshot_of
 from phsi_opt.study import Study
 from phsi_opt.study_file.keys import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.writing import write_whole
 
 FIT = "fit"
 DIAGNOSE = "diagnose"
@@ -45,10 +42,12 @@ class Order:
     Attributes:
         verb: such as ``ADD``.
         what: a path for ``FIT`` and ``REPORT``; for ``ADD`` names of effects.
+        places: for ``FIT``: where the data files lie, by their names.
     """
 
     verb: str
     what: tuple[str, ...] = ()
+    places: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,9 +59,15 @@ class Said:
 
 @dataclass(frozen=True)
 class Shown:
-    """The study as it stands now."""
+    """The study as it stands now.
+
+    Attributes:
+        snapshot: what the page shows of it.
+        study: the study itself as bytes, for the next worker alone.
+    """
 
     snapshot: Snapshot
+    study: bytes
 
 
 @dataclass(frozen=True)
@@ -97,27 +102,28 @@ def tell(line: str) -> None:
         _Pipe.connection.send(Said(line))
 
 
-def work(connection: Connection, checkpoint: str) -> None:
+def work(connection: Connection) -> None:
     """Carry out orders until the pipe breaks.
 
     Args:
-        connection: orders come in, messages go out.
-        checkpoint: the file in which the study is kept.
+        connection: the study to go on from, or None, comes in first, then orders;
+            messages go out.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the server's
     _Pipe.connection = connection
-    orders: SimpleQueue[Order] = SimpleQueue()
+    ForkingPickler.register(MappingProxyType, _reduced)
+    orders: SimpleQueue[Any] = SimpleQueue()
     listener = threading.Thread(target=_listen, args=(connection, orders), daemon=True)
     listener.start()
-    bench = Bench(Path(checkpoint))
+    bench = Bench(orders.get())
     while True:
         order = orders.get()
         connection.send(_answer(bench, order, connection))
         connection.send(Done())
 
 
-def _listen(connection: Connection, orders: "SimpleQueue[Order]") -> None:
-    """Take orders; end this process at once where the server is gone."""
+def _listen(connection: Connection, orders: "SimpleQueue[Any]") -> None:
+    """Take what comes in; end this process at once where the server is gone."""
     while True:
         try:
             orders.put(connection.recv())
@@ -138,17 +144,14 @@ def _answer(bench: "Bench", order: Order, connection: Connection) -> Any:
 
 
 class Bench:
-    """A study in work, with its file.
+    """A study in work.
 
     Args:
-        checkpoint: from which a study is taken where the file is there.
+        study: to go on from; None: there is none yet.
     """
 
-    def __init__(self, checkpoint: Path) -> None:
-        self.checkpoint = checkpoint
-        self.study: Study | None = None
-        if checkpoint.exists():
-            self.study = pickle.loads(checkpoint.read_bytes())
+    def __init__(self, study: Study | None) -> None:
+        self.study = study
 
     def carry_out(self, order: Order, connection: Connection) -> Any:
         """Do it, sending snapshots on the way; return the last message.
@@ -159,7 +162,7 @@ class Bench:
             SolveError: a model could not be fitted.
         """
         if order.verb == FIT:
-            self.study = StudyFile.read(order.what[0]).study(tell)
+            self.study = StudyFile.read(order.what[0], order.places).study(tell)
         study = self.study
         if study is None:
             return Refused("Nothing has been fitted yet; press Fit first.")
@@ -172,8 +175,8 @@ class Bench:
             study.undo()
         elif order.verb == AUTO:
             self._add_all(study, connection)
-        connection.send(Shown(self._kept(study, None)))
-        return Shown(self._kept(study, study.diagnose()))
+        connection.send(_shown(study, None))
+        return _shown(study, study.diagnose())
 
     def _add_all(self, study: Study, connection: Connection) -> None:
         """What ``Study.auto`` does, shown after each step."""
@@ -182,12 +185,12 @@ class Bench:
             study.auto(max_steps=1)
             if len(study.steps) == n_steps:
                 return
-            connection.send(Shown(self._kept(study, None)))
+            connection.send(_shown(study, None))
 
-    def _kept(self, study: Study, diagnosis: Diagnosis | None) -> Snapshot:
-        """The snapshot; the study is written to its file first."""
-        write_whole(self.checkpoint, pickled(study))
-        return snapshot_of(study, diagnosis)
+
+def _shown(study: Study, diagnosis: Diagnosis | None) -> Shown:
+    """What is shown of a study, with the study itself."""
+    return Shown(snapshot_of(study, diagnosis), bytes(ForkingPickler.dumps(study)))
 
 
 def _effect_named(study: Study, name: str) -> Effect:
@@ -211,19 +214,8 @@ def effect_meant(study: Study, name: str) -> Effect:
     return effect_named(study.model, before, equation, study.train.units)
 
 
-def pickled(study: Study) -> bytes:
-    """A study as bytes; its read-only mappings, which pickle cannot, as mappings."""
-    buffer = io.BytesIO()
-    pickler = pickle.Pickler(buffer, protocol=pickle.HIGHEST_PROTOCOL)
-    pickler.dispatch_table = {
-        **copyreg.dispatch_table,
-        MappingProxyType: _reduced,
-    }
-    pickler.dump(study)
-    return buffer.getvalue()
-
-
 def _reduced(proxy: Mapping[Any, Any]) -> tuple[Any, ...]:
+    """How a read-only mapping goes through the pipe."""
     return read_only, (dict(proxy),)
 
 

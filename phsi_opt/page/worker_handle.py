@@ -3,7 +3,7 @@
 import multiprocessing
 import threading
 from collections.abc import Callable
-from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from phsi_opt.page.limits import CANCEL_GRACE
@@ -13,26 +13,26 @@ Receiver = Callable[["WorkerHandle", Any], None]
 
 
 class WorkerHandle:
-    """One spawned process and the thread that listens to it.
+    """One spawned process, the thread that listens to it and the one that tells it.
 
     Args:
-        checkpoint: the file in which the worker keeps its study.
+        study: the study to go on from, as the worker before sent it; None: there is
+            none.
         on_message: called from the listening thread with every message, and with None
             when the process has ended.
     """
 
-    def __init__(self, checkpoint: Path, on_message: Receiver) -> None:
+    def __init__(self, study: bytes | None, on_message: Receiver) -> None:
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         self._connection = ours
         self._on_message = on_message
-        self._process = context.Process(
-            target=work, args=(theirs, str(checkpoint)), daemon=True
-        )
+        self._orders: SimpleQueue[Order | None] = SimpleQueue()
+        self._process = context.Process(target=work, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()  # else the pipe would not break when the worker ends
-        listener = threading.Thread(target=self._listen, daemon=True)
-        listener.start()
+        threading.Thread(target=self._listen, daemon=True).start()
+        threading.Thread(target=self._write, args=(study,), daemon=True).start()
 
     @property
     def pid(self) -> int:
@@ -46,7 +46,7 @@ class WorkerHandle:
 
     def tell(self, order: Order) -> None:
         """Send an order; the worker takes it when the one before is done."""
-        self._connection.send(order)
+        self._orders.put(order)
 
     def end(self) -> None:
         """End the process: politely, and after ``CANCEL_GRACE`` seconds in any case."""
@@ -61,6 +61,19 @@ class WorkerHandle:
             try:
                 message = self._connection.recv()
             except (EOFError, OSError):
+                self._orders.put(None)
                 self._on_message(self, None)
                 return
             self._on_message(self, message)
+
+    def _write(self, study: bytes | None) -> None:
+        """Send the study, which a worker that starts takes late, then the orders."""
+        try:
+            if study is None:
+                self._connection.send(None)
+            else:
+                self._connection.send_bytes(study)
+            while (order := self._orders.get()) is not None:
+                self._connection.send(order)
+        except OSError:  # the process has ended; the other thread tells
+            return

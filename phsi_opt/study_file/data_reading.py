@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.checks import HOLDS, checked_names
+from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.tables import Table, numbers_in
 from phsi_opt.data.times import Times, times_in
@@ -182,7 +183,7 @@ def _numbered(section: DataSection) -> list[str]:
 
 
 def _check_file(
-    section: DataSection, path: Path, name: str, key: str, complaints: Complaints
+    section: DataSection, path: DataFile, name: str, key: str, complaints: Complaints
 ) -> None:
     """Look at each column by itself, for the first wrong cell of each."""
     wanted = _wanted(section)

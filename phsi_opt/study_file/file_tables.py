@@ -4,11 +4,10 @@ For looking at columns one by one; `Measurements` has the readers of whole files
 """
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
-from phsi_opt.data.file_opening import binary_files, text_files
+from phsi_opt.data.file_opening import DataFile, binary_files, text_files
 from phsi_opt.data.matlab_tables import (
     Variable,
     further_variables,
@@ -21,7 +20,7 @@ from phsi_opt.study_file.sections import READERS, DataSection
 
 
 def table_at(
-    path: Path,
+    path: DataFile,
     wanted: Iterable[Any],
     section: DataSection | None = None,
     sheet: str | None = None,
@@ -55,7 +54,7 @@ def table_at(
     return table_of_csv(text, wanted, TextFormat(columns, separator, decimal))
 
 
-def further_in(path: Path) -> tuple[Variable, ...]:
+def further_in(path: DataFile) -> tuple[Variable, ...]:
     """What a file holds beside its table: MATLAB's other variables.
 
     Raises:
@@ -67,7 +66,7 @@ def further_in(path: Path) -> tuple[Variable, ...]:
     return further_variables(file)
 
 
-def sheets_in(path: Path) -> list[str]:
+def sheets_in(path: DataFile) -> list[str]:
     """The sheets of a workbook that have content; none of another file.
 
     Raises:

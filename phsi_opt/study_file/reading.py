@@ -7,7 +7,8 @@ looked at, so that one mistake is told once.
 
 import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +59,12 @@ class Contents:
     measurements: Measurements
 
 
-def read_contents(path: Path) -> Contents:
+def read_contents(path: Path, places: Mapping[str, Path] | None = None) -> Contents:
     """Everything that a study file says.
+
+    Args:
+        path: of the study file.
+        places: where data files lie that are not where it says, by their names in it.
 
     Raises:
         StudyFileError: something in it, or in its data files, cannot be used; with all
@@ -69,7 +74,7 @@ def read_contents(path: Path) -> Contents:
     file = Part("", tables_of(path), found)
     file.check_known("")
     names = read_names(file)
-    data = read_data(file)
+    data = replace(read_data(file), places=places or {})
     held_out = read_held_out(file)
     own_effects = read_own_effects(file, names)
     model = read_model(file, names)

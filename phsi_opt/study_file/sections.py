@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from phsi_opt.data.file_opening import DataFile, NamedFile
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
@@ -62,6 +63,7 @@ class DataSection:
         decimal: the sign before decimals.
         between: first and last time that are used, of every run; None: all.
         thinned: how many neighbouring samples become their mean; None: none do.
+        places: where files lie that are not where their names say.
     """
 
     files: tuple[str, ...]
@@ -79,6 +81,7 @@ class DataSection:
     decimal: str | None = None
     between: tuple[float, float] | None = None
     thinned: int | None = None
+    places: Mapping[str, Path] = field(default_factory=dict)
 
     @property
     def units(self) -> dict[str, str]:
@@ -109,15 +112,19 @@ class DataSection:
         """The column of each input."""
         return {name: channel.column for name, channel in self.inputs.items()}
 
-    def paths(self, folder: Path) -> list[Path]:
+    def paths(self, folder: Path) -> list[DataFile]:
         """The files, from the folder of the study file."""
-        return [folder / file for file in self.files]
+        found: list[DataFile] = []
+        for file in self.files:
+            place = self.places.get(file)
+            found.append(folder / file if place is None else NamedFile(place, file))
+        return found
 
     def moved(self, old: Path, new: Path) -> "DataSection":
         """The same files, as they are called from another folder."""
         files = []
         for file in self.files:
-            if not Path(file).is_absolute():
+            if file not in self.places and not Path(file).is_absolute():
                 file = Path(os.path.relpath(old / file, new)).as_posix()
             files.append(file)
         return replace(self, files=tuple(files))

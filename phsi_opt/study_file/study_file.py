@@ -4,7 +4,7 @@ A study file is TOML; docs/command_line.md lists its keys. Reading one never run
 formulas go through the parser of the package.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -55,14 +55,19 @@ class StudyFile:
     unwritten: Measurements | None = None
 
     @classmethod
-    def read(cls, path: str | Path) -> Self:
+    def read(cls, path: str | Path, places: Mapping[str, Path] | None = None) -> Self:
         """Read a study file and its data, and check everything in them.
+
+        Args:
+            path: of the study file.
+            places: where data files lie that are not where the study file says, by
+                their names in it; messages and runs keep these names.
 
         Raises:
             StudyFileError: something cannot be used; with all that is wrong.
         """
         path = Path(path)
-        contents = read_contents(path)
+        contents = read_contents(path, places)
         file = cls(
             base=contents.model,
             data=contents.data,

@@ -6,11 +6,11 @@ seen here can be read later.
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from phsi_opt.data.checks import checked_names
+from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.matlab_tables import Variable
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
@@ -91,7 +91,7 @@ class TableSurvey:
             means keep what the states do; 1 where not.
     """
 
-    path: Path
+    path: DataFile
     columns: tuple[ColumnSurvey, ...]
     n_lines: int
     said: str
@@ -114,7 +114,7 @@ class TableSurvey:
         return [column for column in self.columns if column.part == part]
 
 
-def survey(path: Path) -> TableSurvey:
+def survey(path: DataFile) -> TableSurvey:
     """Look at a table.
 
     Raises:

@@ -1,0 +1,436 @@
+"""Who may change a session of the page, and what files of strangers can do: nothing."""
+
+import http.client
+import json
+import pickle
+import re
+import secrets
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlencode, urlsplit
+
+import pytest
+
+import phsi_opt as ph
+import phsi_opt.page
+from phsi_opt.page.limits import MOST_FILES, MOST_SESSIONS
+from phsi_opt.page.own_requests import is_own_origin
+from phsi_opt.page.session import Session
+from phsi_opt.page.sessions import Sessions
+from tests.page_tools import (
+    loaded_table,
+    served,
+    spring_table,
+    wait_for,
+)
+
+FORBIDDEN = 403
+SWITCHED = 101  # to a websocket
+TABLE = b"t,q\n0,1\n1,3\n2,2\n"
+STRANGE_NAMES = [
+    *("", ".", "..", "\0.csv", "a\nb.csv", "\udcff.csv"),
+    *("con.csv", "NUL.txt", "com1 .csv", "lpt9.data.csv", "CONOUT$.csv"),
+    *("x" * 300 + ".csv", "\u00fc" * 150 + ".csv"),
+    *("study.checkpoint", "study.toml", "table", ".csv.exe"),
+]
+
+
+@dataclass
+class Answer:
+    """What a server answers.
+
+    Attributes:
+        status: such as 200.
+        headers: in lower case.
+        body: as text.
+    """
+
+    status: int
+    headers: dict[str, str]
+    body: str
+
+
+class Visitor:
+    """A plain HTTP client that has loaded the page."""
+
+    def __init__(self, address: str) -> None:
+        self.place = urlsplit(address)
+        self.origin = address
+        self.loaded = self.ask("GET", "/")
+        self.cookie = self.loaded.headers["set-cookie"].partition(";")[0]
+        found = re.search("/_nicegui/client/([^/]+)/upload/[0-9]+", self.loaded.body)
+        assert found is not None
+        self.upload_path = found[0]
+        self.client = found[1]
+
+    def ask(
+        self, method: str, path: str, body: bytes | None = None, /, **headers: str
+    ) -> Answer:
+        port = self.place.port
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+        told = {name.replace("_", "-"): value for name, value in headers.items()}
+        connection.request(method, path, body, told)
+        answer = connection.getresponse()
+        switched = answer.status == SWITCHED
+        text = "" if switched else answer.read().decode()
+        found = {name.lower(): value for name, value in answer.getheaders()}
+        connection.close()
+        return Answer(answer.status, found, text)
+
+    def upload(self, name: str, content: bytes, **headers: str) -> Answer:
+        """Post a file as a form does."""
+        sign = secrets.token_hex(8)
+        head = (
+            f'--{sign}\r\nContent-Disposition: form-data; name="f"; '
+            f'filename="{name}"\r\nContent-Type: text/csv\r\n\r\n'
+        )
+        body = head.encode() + content + f"\r\n--{sign}--\r\n".encode()
+        kind = f"multipart/form-data; boundary={sign}"
+        return self.ask("POST", self.upload_path, body, Content_Type=kind, **headers)
+
+    def socket_path(self, transport: str, client: str = "") -> str:
+        query = {
+            "EIO": "4",
+            "transport": transport,
+            "client_id": client or self.client,
+            "next_message_id": "0",
+            "implicit_handshake": "true",
+        }
+        return f"/_nicegui_ws/socket.io/?{urlencode(query)}"
+
+    def open_socket(self, client: str = "", **headers: str) -> Answer:
+        """Ask for a websocket, as the page does when it is loaded."""
+        key = {"Sec_WebSocket_Key": "dGhlIHNhbXBsZSBub25jZQ=="}
+        told = {"Connection": "Upgrade", "Upgrade": "websocket", **key, **headers}
+        told["Sec_WebSocket_Version"] = "13"
+        return self.ask("GET", self.socket_path("websocket", client), **told)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("server")
+
+
+@pytest.fixture(scope="module")
+def address(folder: Path) -> Iterator[str]:
+    pytest.importorskip("nicegui", reason="needs the extra 'app'")
+    with served(folder) as found:
+        yield found
+
+
+@pytest.fixture
+def visitor(address: str) -> Visitor:
+    return Visitor(address)
+
+
+def uploaded(folder: Path) -> list[Path]:
+    return list(folder.glob("phsi_opt_page_*/uploads/*"))
+
+
+# ---- files ---------------------------------------------------------------------------
+
+
+def test_nothing_that_is_uploaded_is_run(tmp_path: Path) -> None:
+    marker = tmp_path / "ran"
+    session = Session(tmp_path / "own")
+    content = loaded_table(marker)
+    state = ("working_study.toml", "fitted_study.toml", "report.html")
+    for name in ("study.checkpoint", "innocent.csv", *state):
+        session.upload(name, content)
+        session.undo()  # answered once the worker is there, and has taken its study
+        wait_for(lambda: session.job is None)
+        assert session.message.startswith("Nothing has been fitted yet")
+        session.rest()
+    session.close()
+    assert not marker.exists()
+
+
+def test_the_loaded_table_of_these_tests_does_run_where_it_is_unpickled(
+    tmp_path: Path,
+) -> None:
+    marker = tmp_path / "ran"
+    pickle.loads(loaded_table(marker))
+    assert marker.exists()
+
+
+def test_the_page_reads_no_pickle() -> None:
+    (room,) = phsi_opt.page.__path__
+    for path in Path(room).glob("*.py"):
+        imported = r"^ *(import|from) (pickle|marshal|shelve|joblib)\b"
+        assert not re.search(imported, path.read_text(), re.MULTILINE), path
+
+
+def test_names_are_set_as_attributes_and_not_parsed_with_them() -> None:
+    (room,) = phsi_opt.page.__path__
+    for path in Path(room).glob("*.py"):
+        assert not re.search(r"\.props\(\s*r?f", path.read_text()), path
+
+
+@pytest.mark.parametrize("name", STRANGE_NAMES, ids=repr)
+def test_a_name_that_no_table_has_is_refused_in_a_sentence(
+    name: str, tmp_path: Path
+) -> None:
+    session = Session(tmp_path)
+    assert not session.upload(name, TABLE)
+    session.close()
+    assert re.search(r"; expected .+\.$", session.upload_error)
+    assert session.draft.data is None
+    assert session.upload_error.isprintable()
+    assert len(session.upload_error) < 300
+
+
+@pytest.mark.parametrize(
+    "name", ["spring.csv", "Meßreihe 3 (neu).CSV", "a:b*?.txt", "a" * 251 + ".csv"]
+)
+def test_a_users_name_is_shown_and_stands_in_no_path(name: str, tmp_path: Path) -> None:
+    session = Session(tmp_path / "own")
+    assert session.upload(name, TABLE), session.upload_error
+    assert session.draft.data is not None
+    assert session.draft.data.files == [name]
+    assert session.draft.data.runs == [Path(name).stem]
+    stored = [path.name for path in session.folder.rglob("*")]
+    assert sorted(stored) == [
+        "state",
+        "table_1" + Path(name).suffix.lower(),
+        "uploads",
+        "working_study.toml",
+    ]
+    session.upload(name, b"t,q\n0,1\n1,x\n2,2\n3,4\n")
+    session.close()
+    assert f"file {name!r}, column 'q', line 3" in session.upload_error
+
+
+def test_uploads_and_state_lie_apart_and_replaced_tables_are_removed(
+    tmp_path: Path,
+) -> None:
+    session = Session(tmp_path)
+    for _ in range(3):
+        assert session.upload("a.csv", TABLE), session.upload_error
+    assert len(list((tmp_path / "uploads").iterdir())) == 1
+    session.upload("b.csv", b"no table")
+    assert {path.name for path in tmp_path.iterdir()} == {"uploads", "state"}
+    assert len(list((tmp_path / "uploads").iterdir())) == 1
+    session.close()
+
+
+def test_tables_that_come_at_once_are_all_taken(tmp_path: Path) -> None:
+    session = Session(tmp_path)
+    names = [f"{number}.csv" for number in range(8)]
+    assert len(names) < MOST_FILES
+    with ThreadPoolExecutor(4) as pool:
+        taken = list(pool.map(lambda name: session.upload(name, TABLE), names))
+    session.close()
+    assert all(taken)
+    assert session.draft.data is not None
+    assert sorted(session.draft.data.files) == names
+
+
+# ---- requests ------------------------------------------------------------------------
+
+
+def test_an_upload_without_the_cookie_of_its_session_is_refused(
+    visitor: Visitor, address: str, folder: Path
+) -> None:
+    known = uploaded(folder)
+    assert visitor.upload("a.csv", TABLE).status == FORBIDDEN
+    stranger = Visitor(address)
+    assert visitor.upload("a.csv", TABLE, Cookie=stranger.cookie).status == FORBIDDEN
+    forged = visitor.cookie[:-1] + ("A" if visitor.cookie[-1] != "A" else "B")
+    assert visitor.upload("a.csv", TABLE, Cookie=forged).status == FORBIDDEN
+    assert uploaded(folder) == known
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "https://localhost"]
+)
+def test_another_site_may_neither_upload_nor_connect_nor_read(
+    visitor: Visitor, origin: str, folder: Path
+) -> None:
+    known = uploaded(folder)
+    from_there = {"Origin": origin, "Cookie": visitor.cookie}
+    polling = visitor.socket_path("polling")
+    for answer in (
+        visitor.upload("a.csv", TABLE, **from_there),
+        visitor.open_socket(**from_there),
+        visitor.ask("GET", polling, **from_there),
+        visitor.ask("POST", polling, b"1", **from_there),
+        visitor.ask("GET", "/", **from_there),
+        visitor.ask("OPTIONS", visitor.upload_path, **from_there),
+    ):
+        assert answer.status == FORBIDDEN
+        assert "access-control-allow-origin" not in answer.headers
+    assert uploaded(folder) == known
+
+
+def test_the_page_itself_connects_and_uploads(visitor: Visitor, folder: Path) -> None:
+    known = uploaded(folder)
+    own = {"Cookie": visitor.cookie, "Origin": visitor.origin}
+    assert visitor.open_socket(**own).status == SWITCHED
+    answer = visitor.ask("GET", visitor.socket_path("polling"), **own)
+    assert answer.status == 200
+    assert answer.headers["access-control-allow-origin"] == visitor.origin
+    assert visitor.upload("a.csv", TABLE, **own).status == 200
+    wait_for(lambda: len(uploaded(folder)) == len(known) + 1)
+
+
+def test_a_socket_needs_the_cookie_of_its_page(visitor: Visitor, address: str) -> None:
+    stranger = Visitor(address)
+    for cookie in ("a=b", stranger.cookie):
+        assert visitor.open_socket(Cookie=cookie).status == FORBIDDEN
+        polling = visitor.socket_path("polling")
+        assert visitor.ask("GET", polling, Cookie=cookie).status == FORBIDDEN
+    bare = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
+    assert visitor.ask("GET", bare, Cookie=visitor.cookie).status == FORBIDDEN
+
+
+def test_a_page_of_a_server_that_ended_is_told_to_load_itself_anew(
+    visitor: Visitor,
+) -> None:
+    path = visitor.socket_path("polling", client="unknown")
+    opened = visitor.ask("GET", path)
+    sid = json.loads(opened.body[1:])["sid"]
+    assert visitor.ask("POST", f"{path}&sid={sid}", b"40").status == 200
+    answer = visitor.ask("GET", f"{path}&sid={sid}")
+    assert "Implicit handshake failed" in answer.body
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "is_own"),
+    [
+        ("http://lab:8080", "LAB:8080", True),
+        ("https://lab.example", "lab.example", True),  # behind a server with TLS
+        ("http://192.168.0.7:8080", "192.168.0.7:8080", True),
+        ("http://[fe80::1]:8080", "[fe80::1]:8080", True),
+        ("http://lab:8081", "lab:8080", False),
+        ("http://lab", "lab:8080", False),
+        ("http://lab.evil.example", "lab", False),
+        ("http://lab@evil.example", "lab", False),
+        ("file://lab", "lab", False),
+        ("http://[lab", "lab", False),
+        ("null", "null", False),
+        ("http://", "", False),
+    ],
+)
+def test_on_a_network_a_page_is_known_by_the_host_it_was_loaded_from(
+    origin: str, host: str, is_own: bool
+) -> None:
+    assert is_own_origin(origin, host) == is_own
+
+
+def test_another_name_for_this_machine_is_refused(visitor: Visitor) -> None:
+    assert visitor.ask("GET", "/", Host="evil.example").status == 400
+
+
+def test_the_cookie_stays_on_this_site_and_is_of_this_port(visitor: Visitor) -> None:
+    told = visitor.loaded.headers["set-cookie"].lower()
+    assert told.startswith(f"phsi_opt_{visitor.place.port}=")
+    assert "samesite=strict" in told
+    assert "httponly" in told
+
+
+def test_a_link_of_another_site_begins_no_session_in_place_of_the_known(
+    visitor: Visitor,
+) -> None:
+    followed = visitor.ask("GET", "/", Sec_Fetch_Site="cross-site")
+    assert "set-cookie" not in followed.headers
+    assert 'http-equiv="refresh"' in followed.body
+    assert "/_nicegui/client/" not in followed.body
+    again = visitor.ask("GET", "/", Cookie=visitor.cookie, Sec_Fetch_Site="same-origin")
+    assert "/_nicegui/client/" in again.body
+
+
+def test_answers_say_what_a_browser_may_do_with_them(visitor: Visitor) -> None:
+    static = re.search(r"/_nicegui/[^\"]+/nicegui\.js", visitor.loaded.body)
+    assert static is not None
+    refused = visitor.upload("a.csv", TABLE)
+    for answer in (visitor.loaded, visitor.ask("GET", static[0]), refused):
+        policy = answer.headers["content-security-policy"]
+        assert "default-src 'self'" in policy
+        assert "frame-ancestors 'none'" in policy
+        assert "base-uri 'none'" in policy
+        (scripts,) = [one for one in policy.split("; ") if one.startswith("script-src")]
+        assert "unsafe-inline" not in scripts
+        assert answer.headers["x-frame-options"] == "DENY"
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["referrer-policy"] == "same-origin"
+        assert answer.headers["cross-origin-resource-policy"] == "same-origin"
+        assert answer.headers["cross-origin-opener-policy"] == "same-origin"
+
+
+# ---- sessions ------------------------------------------------------------------------
+
+
+def test_loads_without_a_cookie_push_nobody_out(visitor: Visitor, folder: Path) -> None:
+    own = {"Cookie": visitor.cookie, "Origin": visitor.origin}
+    visitor.upload("a.csv", TABLE, **own)
+    wait_for(lambda: bool(uploaded(folder)))
+    before = set(uploaded(folder))
+    for _ in range(3 * MOST_SESSIONS):
+        assert visitor.ask("GET", "/").status == 200
+    assert before <= set(uploaded(folder))
+    assert "Remove a.csv" in visitor.ask("GET", "/", **own).body
+
+
+def test_a_session_with_work_is_kept_and_the_next_is_refused_in_a_sentence() -> None:
+    sessions = Sessions()
+    for number in range(MOST_SESSIONS):
+        made = sessions.of(str(number))
+        if number == 0:
+            made.draft.model.states = "q, p"  # typed, no table yet
+        else:
+            assert made.upload("a.csv", TABLE)
+            made.rest()
+    with pytest.raises(ph.DataError, match=f"holds {MOST_SESSIONS} studies"):
+        sessions.of("one too many")
+    begun = sessions.begin_again("3")
+    assert begun.is_empty
+    sessions.of("another")
+    assert begun.is_closed, "the empty session made room"
+    assert not begun.upload("a.csv", TABLE)
+    assert "load the page again" in begun.upload_error
+    begun.diagnose()
+    assert begun.job is None, "nothing begins in what has ended"
+    sessions.close()
+
+
+def test_of_the_empty_sessions_those_that_no_page_shows_go_first() -> None:
+    sessions = Sessions()
+    shown = sessions.of("shown")
+    shown.show_up()
+    for number in range(3 * MOST_SESSIONS):
+        sessions.of(str(number))
+    assert sessions.of("shown") is shown
+    assert not shown.is_closed
+    sessions.close()
+
+
+def test_a_study_file_that_was_given_is_no_work_of_a_user(tmp_path: Path) -> None:
+    (tmp_path / "spring.csv").write_bytes(spring_table())
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY)
+    sessions = Sessions(path)
+    session = sessions.of("a")
+    assert session.is_empty
+    session.draft.model.parameters[0].value = "3"
+    assert not session.is_empty
+    sessions.close()
+
+
+STUDY = """
+[data]
+files = ["spring.csv"]
+trajectory = "run"
+time = { column = "t_s", unit = "s" }
+[data.states]
+q = { column = "position_m", unit = "m" }
+p = { measured = false, unit = "kg m/s" }
+[model]
+states = ["q", "p"]
+pairs = [["q", "p"]]
+H = "k*q**2/2 + p**2/(2*m)"
+[parameters]
+m = 2.5
+k = { start = 10.0 }
+"""
