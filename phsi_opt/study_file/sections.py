@@ -55,7 +55,8 @@ class DataSection:
         hold: what inputs do between samples, "linear", "zero" or "cubic".
         step: the time between neighbouring lines, where no column has the times.
         start: where times are dates, the moment at which t is 0.
-        date_format: dates written otherwise than 2021-11-22 09:15:00, see strptime.
+        date_format: dates written otherwise than 2021-11-22 09:15:00, see strptime;
+            "": the times are numbers, even where these look like dates.
         sheet: of an Excel workbook.
         columns: the names of the columns of a table without a header.
         separator: the sign between the cells of a text.
