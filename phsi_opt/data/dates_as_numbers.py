@@ -13,17 +13,17 @@ from typing import Any
 import numpy as np
 
 # The signs of strptime after the year, with the numbers that each may stand for.
-PARTS = (
+DATE_PARTS = (
     ("%m", 1, 12),
     ("%d", 1, 31),
     ("%H", 0, 23),
     ("%M", 0, 59),
     ("%S", 0, 59),
 )
-FEWEST_PARTS = 2  # after the year: month and day
+FEWEST_DATE_PARTS = 2  # after the year: month and day
 FIRST_YEAR = 1900
 LAST_YEAR = 2100
-DIGITS = re.compile(r"(\d+)(\.0*)?")
+WHOLE_NUMBER = re.compile(r"(\d+)(\.0*)?")
 
 
 def format_of_dates(values: np.ndarray) -> str:
@@ -38,10 +38,10 @@ def format_of_dates(values: np.ndarray) -> str:
     whole = np.floor(known)
     is_whole = bool(np.all(known == whole))
     # Only seconds have decimals.
-    fewest = FEWEST_PARTS if is_whole else len(PARTS)
-    for n_parts in range(fewest, len(PARTS) + 1):
+    fewest = FEWEST_DATE_PARTS if is_whole else len(DATE_PARTS)
+    for n_parts in range(fewest, len(DATE_PARTS) + 1):
         if _are_dates(whole, n_parts):
-            signs = "".join(sign for sign, _, _ in PARTS[:n_parts])
+            signs = "".join(sign for sign, _, _ in DATE_PARTS[:n_parts])
             return f"%Y{signs}" if is_whole else f"%Y{signs}.%f"
     return ""
 
@@ -49,7 +49,7 @@ def format_of_dates(values: np.ndarray) -> str:
 def _are_dates(values: np.ndarray, n_parts: int) -> bool:
     """Whether all values are a year and so many parts of two digits each."""
     rest = values
-    for _, low, high in reversed(PARTS[:n_parts]):
+    for _, low, high in reversed(DATE_PARTS[:n_parts]):
         rest, part = np.divmod(rest, 100)
         if np.any((part < low) | (part > high)):
             return False
@@ -64,7 +64,7 @@ def moment_in(cell: Any, form: str) -> dt.datetime | None:
         form: in the signs of strptime.
     """
     text = str(cell).strip()
-    whole = DIGITS.fullmatch(text)
+    whole = WHOLE_NUMBER.fullmatch(text)
     if whole is not None and not form.endswith("%f"):
         text = whole[1]
     elif whole is not None and not whole[2]:

@@ -31,7 +31,7 @@ from phsi_opt.transcription.augmented_states import (
     padded,
     with_memory,
 )
-from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.transcription.parameter_vector import Theta
 
@@ -243,7 +243,7 @@ def first_part(task: Task) -> Task:
     n_samples = sum(run.n_samples for run in runs)
     task.say(f"starting values from the first {n_samples} samples")
     data = replace(task.data, trajectories=tuple(runs))
-    return replace(task, aligned=AlignedData.of(task.model, data), pruning=None)
+    return replace(task, aligned=AlignedData(data, grid_of(data)), pruning=None)
 
 
 def from_first_part(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
@@ -191,8 +192,14 @@ class HeldOut:
         """Training data and data held out.
 
         Raises:
-            DataError: there is no such run, or one of the parts would be empty.
+            DataError: there is no such run, one of the parts would be empty, or a run
+                held out is a copy of one that is fitted.
         """
+        train, held_out = self._parts(data)
+        check_can_judge(train, held_out)
+        return train, held_out
+
+    def _parts(self, data: Measurements) -> tuple[Measurements, Measurements]:
         if self.runs is not None:
             return _by_runs(data, self.runs)
         if self.after is not None:
