@@ -122,13 +122,20 @@ def _listed(source: Any, open_file: str) -> list[Any]:
 
 def _check_files_once(sources: list[Any]) -> None:
     paths = [one for one in sources if isinstance(one, str | os.PathLike)]
-    places = [os.path.realpath(path) for path in paths]
+    places = [_place(path) for path in paths]
     for number, place in enumerate(places):
         if place in places[:number]:
             raise DataError(
                 f"the file {place!r} is listed {places.count(place)} times; its runs "
                 "are one measurement. List it once."
             )
+
+
+def _place(path: str | os.PathLike[str]) -> str:
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # no path; told when the file is opened
+        return str(path)
 
 
 def _path(source: Any) -> str | None:
