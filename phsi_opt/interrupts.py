@@ -89,6 +89,7 @@ def interruptible(call: Callable[P, Result]) -> Callable[P, Result]:
 def solving() -> Iterator[None]:
     """Note Ctrl-C while a solver works inside, and raise it before and after.
 
+    So is it while a process is started: in the middle, nobody would know of it.
     What solvers do in other threads is not in the way of the main one, which hears it.
 
     Raises:

@@ -65,9 +65,9 @@ def process_and_threads(number: int) -> tuple[int, str]:
     return os.getpid(), os.environ.get("OMP_NUM_THREADS", "")
 
 
-def sleeps(path: str) -> None:
-    """Says which process sleeps, and sleeps for longer than any test."""
-    Path(path).write_text(str(os.getpid()), encoding="utf-8")
+def sleeps(folder: str) -> None:
+    """Leaves a file named by its process, and sleeps for longer than any test."""
+    Path(folder, str(os.getpid())).touch()
     time.sleep(600)
 
 

@@ -49,7 +49,7 @@ from problems.tools.data_paths import folder
 ROOT = Path(ph.__file__).parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
 COMMAND = [sys.executable, "-m", "phsi_opt.command_line"]
-SOON = 2.0  # s within which Ctrl-C ends a command
+PATIENCE = 60.0  # s for what takes a second or two where nothing else computes
 runner = CliRunner()
 
 
@@ -106,14 +106,8 @@ def test_the_version_is_that_of_the_package() -> None:
     assert result.out == f"phsi_opt {metadata.version('phsi_opt')}\n"
 
 
-def test_help_comes_at_once_and_needs_no_solver(tmp_path: Path) -> None:
-    seconds = []
-    for _ in range(3):
-        began = time.perf_counter()
-        result = run("--help", at=tmp_path)
-        seconds.append(time.perf_counter() - began)
-        assert result.returncode == 0
-    assert min(seconds) < 1.0
+def test_help_loads_nothing_that_takes_long(tmp_path: Path) -> None:
+    assert run("--help", at=tmp_path).returncode == 0
     code = "import sys, phsi_opt.command_line.app; print(*sys.modules)"
     imported = subprocess.run(
         [sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True
@@ -243,6 +237,9 @@ def test_a_study_that_is_not_filled_in_says_what_it_needs(tmp_path: Path) -> Non
         ("t,q\n0,1\n1,2\n", ['in seconds? add unit = "s"']),
         ("when,q\n22.11.2021 09:15,1\n22.11.2021 09:30,2\n", ['date_format = "%d.%m.%Y %H:%M" }']),
         ("when,q\n1/2/2021,1\n1/13/2021,2\n1/14/2021,2\n", ['date_format = "%m/%d/%Y" }']),
+        ("t,q\n1612051200,1\n1612051260,2\n", ['seconds since 1970? add unit = "s"']),
+        ("t,q\n44227,1\n44228,2\n", ['days, as spreadsheets count them? add unit = "d"']),
+        ("when,q\n20210131,1\n20210201,2\n20210202,1\n", ['column = "when", unit = "s", date_format = "%Y%m%d" }', "numbers such as 20210131 look like dates"]),
         ("run,t,q\na,0,1\na,1,2\na,2,1\nb,0,2\nb,1,1\n,2,2\n", ['trajectory = "run"  # 2 runs', "line 7 names no run"]),
         ("t,q\ns,m\n0,1\n1,2\n2,1\n", ['line 2 holds "m", no finite number; if that line has units']),
         ("t,u\n0,1\n1,2\n", ['u = { column = "u" }  # 1 to 2; perhaps an input']),
@@ -711,16 +708,16 @@ def test_a_solver_that_fails_ends_with_its_own_code() -> None:
 class Stopped(NamedTuple):
     """A command that was stopped."""
 
-    seconds: float  # from Ctrl-C to its end
     code: int
     out: str
     err: str
 
 
 def stopped(at: Path, after: str, arguments: list[str], number: int) -> Stopped:
-    """A command that gets a signal some time after it said something.
+    """A command that gets a signal when it has said something.
 
-    The signal goes to all processes of the terminal, as Ctrl-C does.
+    The signal goes to all processes of the terminal, as Ctrl-C does. One that does not
+    hear it ends with another code, or not in time.
     """
     process = subprocess.Popen(
         [*COMMAND, *arguments],
@@ -735,22 +732,20 @@ def stopped(at: Path, after: str, arguments: list[str], number: int) -> Stopped:
     for line in process.stderr:
         if after in line:
             break
-    time.sleep(0.5)
-    began = time.perf_counter()
     os.killpg(process.pid, number)
-    out, err = process.communicate(timeout=20)
-    seconds = time.perf_counter() - began
+    out, err = process.communicate(timeout=PATIENCE)
     assert is_gone(process.pid), "something of it goes on"
-    return Stopped(seconds, process.returncode, out, err)
+    return Stopped(process.returncode, out, err)
 
 
 def is_gone(group: int) -> bool:
-    """Whether all processes of a group end within a second."""
-    for _ in range(20):
-        if not any(_living(group)):
-            return True
+    """Whether all processes of a group end."""
+    until = time.monotonic() + PATIENCE
+    while any(_living(group)):
+        if time.monotonic() > until:
+            return False
         time.sleep(0.05)
-    return False
+    return True
 
 
 def _living(group: int) -> Iterator[int]:
@@ -764,10 +759,9 @@ def _living(group: int) -> Iterator[int]:
             yield int(entry.parent.name)
 
 
-def test_ctrl_c_ends_a_study_soon_and_keeps_the_finished_steps(demo: Path) -> None:
+def test_ctrl_c_ends_a_study_and_keeps_the_finished_steps(demo: Path) -> None:
     arguments = ["study", "--auto", "--save", "fit.json", "--report", "report.html"]
     ended = stopped(demo.parent, "screening", [*arguments, "--json"], signal.SIGINT)
-    assert ended.seconds < SOON
     assert ended.code == ExitCode.INTERRUPTED
     content = json.loads(ended.out)
     assert content["interrupted"]
@@ -781,7 +775,7 @@ def test_ctrl_c_ends_a_study_soon_and_keeps_the_finished_steps(demo: Path) -> No
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_in_the_first_long_solve_ends_soon_and_says_that_nothing_is_kept(
+def test_ctrl_c_in_the_first_long_solve_ends_it_and_says_that_nothing_is_kept(
     tmp_path: Path, number: int
 ) -> None:
     times = [0.01 * k for k in range(40_000)]
@@ -805,7 +799,6 @@ c = { start = 0.1, lower = 0 }
     )
     arguments = ["fit", "--save", "fit.json"]
     ended = stopped(tmp_path, "fitting the base model", arguments, number)
-    assert ended.seconds < SOON
     assert ended.code == ExitCode.INTERRUPTED
     assert "No step was finished; nothing was written." in ended.err
     assert not (tmp_path / "fit.json").exists()
@@ -827,7 +820,7 @@ def test_a_working_process_that_dies_is_told(demo: Path) -> None:
             break
     (working,) = working_processes(process.pid)
     os.kill(working, signal.SIGKILL)
-    _, err = process.communicate(timeout=20)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == ExitCode.FAILED
     assert "ended without an answer" in err
     assert ph.Fit.load(demo.with_name("fit.json")).names == ("k", "c")

@@ -87,7 +87,9 @@ def test_a_name_that_would_stand_for_two_parameters_is_refused() -> None:
     t, y = decaying()
     own = Dictionary((Term("1", ph.Parameter(per_trajectory=True)),))
     model = ph.FirstOrder(["x"], {"x": own + ph.polynomials(["x"], 2)})
-    data = ph.Measurements.from_arrays([t, t], [y, y], states=["x"], names=["x", "b"])
+    data = ph.Measurements.from_arrays(
+        [t, t], [y, 1.01 * y], states=["x"], names=["x", "b"]
+    )
     with pytest.raises(
         ModelError, match=r"the name 'F_x\[x\]' stands for two parameters"
     ):

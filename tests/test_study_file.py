@@ -183,6 +183,24 @@ def test_times_may_be_cut_counted_or_dates(spring: Path) -> None:
     assert "line 6" in str(complaints(dates))
 
 
+def test_numbers_that_look_like_dates_are_told_with_what_to_do(spring: Path) -> None:
+    table = spring.with_name("spring.csv")
+    table.write_text(
+        "run,t_s,position_m\na,20210131,1\na,20210201,2\nb,20210201,2\nb,20210202,3\n"
+    )
+    said = complaints(spring)["data.time.column"]
+    assert "column 't_s', line 2: 20210131 looks like 2021-01-31" in said
+    assert 'date_format = "%Y%m%d"' in said
+    for form, t in (("%Y%m%d", [0, 86400]), ("", [20210131, 20210201])):
+        told = f'column = "t_s", date_format = "{form}"'
+        file = ph.StudyFile.read(changed(spring, ('column = "t_s"', told)))
+        assert file.measurements().trajectories[0].t.tolist() == t
+        again = ph.StudyFile.read(file.write(spring.with_name("again.toml")))
+        assert again.data == replace(file.data, files=again.data.files)
+        changed(spring, (told, 'column = "t_s"'))
+        spring.with_name("again.toml").unlink()
+
+
 @pytest.mark.parametrize("suffix", ["txt", "xlsx", "mat"])
 def test_tables_of_other_kinds_are_read_and_their_script_reads_them_too(
     tmp_path: Path, suffix: str

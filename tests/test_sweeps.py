@@ -1,11 +1,13 @@
 """Sweeps: the same numbers wherever they are computed, and nothing lost on the way."""
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -30,8 +32,7 @@ from problems.tools.kept_tables import append_rows
 from tests import sweep_tasks
 
 N_WORKERS = 2
-ENDS_WITHIN = 2.0  # s: the promise of Ctrl-C
-STARTS_WITHIN = 60.0  # s: a busy machine imports slowly
+PATIENCE = 60.0  # s for what takes far less, on a busy machine too
 
 
 def draws(n: int) -> dict[str, np.random.SeedSequence]:
@@ -231,54 +232,73 @@ def test_a_worker_that_dies_is_told_with_its_case() -> None:
         list(sweep(sweep_tasks.dies, {"a": 1}, executor=workers))
 
 
-INTERRUPTED = """
+COMPUTING = """
 import sys
 from phsi_opt.sweeps.local_workers import local_workers
 from phsi_opt.sweeps.sweep import sweep
-from problems.tools.kept_tables import append_rows
 from tests import sweep_tasks
 
 if __name__ == "__main__":
+    cases = {"one": sys.argv[1], "two": sys.argv[1]}
     with local_workers(2) as workers:
-        cases = {name: name for name in sys.argv[1:]}
         for done in sweep(sweep_tasks.sleeps, cases, executor=workers):
             pass
 """
+# A worker imports the script before anything else, and does not come further here.
+STARTING = f"""
+import os, pathlib, sys, time
+if __name__ != "__main__":
+    pathlib.Path(sys.argv[1], str(os.getpid())).touch()
+    time.sleep(600)
+{COMPUTING}
+"""
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    ("script", "sent", "is_for_all"),
+    [
+        (COMPUTING, signal.SIGKILL, False),
+        (COMPUTING, signal.SIGINT, False),
+        (STARTING, signal.SIGINT, False),
+        (STARTING, signal.SIGINT, True),  # as a terminal sends it
+    ],
+)
 def test_workers_end_with_their_parent_and_at_ctrl_c(
-    tmp_path: Path, sent: signal.Signals
+    tmp_path: Path, script: str, sent: signal.Signals, is_for_all: bool
 ) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(INTERRUPTED)
-    paths = [tmp_path / "one", tmp_path / "two"]
+    """A worker that nobody ends sleeps for ten times the patience of this test."""
+    path = tmp_path / "script.py"
+    path.write_text(script)
+    folder = tmp_path / "pids"
+    folder.mkdir()
     root = Path(__file__).resolve().parents[1]
     process = subprocess.Popen(
-        [sys.executable, str(script), *map(str, paths)],
+        [sys.executable, str(path), str(folder)],
         env={**os.environ, "PYTHONPATH": str(root)},
         stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     try:
-        pids = [_pid_in(path) for path in paths]
-        process.send_signal(sent)
-        began = time.monotonic()
-        process.wait(STARTS_WITHIN)
-        while any(map(_is_alive, pids)):
-            assert time.monotonic() - began < STARTS_WITHIN
-            time.sleep(0.02)
-        assert time.monotonic() - began < ENDS_WITHIN
+        _wait_for(lambda: len(list(folder.iterdir())) == 2)
+        pids = [int(one.name) for one in folder.iterdir()]
+        os.kill(-process.pid if is_for_all else process.pid, sent)
+        process.wait(PATIENCE)
+        _wait_for(lambda: not any(map(_is_alive, pids)))
     finally:
-        process.kill()
-        process.communicate()
+        with contextlib.suppress(ProcessLookupError):  # all have ended
+            os.killpg(process.pid, signal.SIGKILL)
+        _, said = process.communicate()
+    if sent == signal.SIGINT:
+        assert said.count("Traceback") == 1
+        assert said.rstrip().endswith("KeyboardInterrupt")
 
 
-def _pid_in(path: Path) -> int:
-    began = time.monotonic()
-    while not (path.exists() and path.read_text()):
-        assert time.monotonic() - began < STARTS_WITHIN
+def _wait_for(is_reached: Callable[[], bool]) -> None:
+    until = time.monotonic() + PATIENCE
+    while not is_reached():
+        assert time.monotonic() < until
         time.sleep(0.02)
-    return int(path.read_text())
 
 
 def _is_alive(pid: int) -> bool:

@@ -160,6 +160,65 @@ def test_dates_are_seconds_since_the_first_sample(
     assert data.units["t"] == "s"
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "form", "apart"),
+    [
+        ("20210131", "20210201", "%Y%m%d", 86400),
+        ("20210131.0", "20210201.0", "%Y%m%d", 86400),  # as pandas writes it
+        ("2021013123", "2021020100", "%Y%m%d%H", 3600),
+        ("202101312359", "202102010000", "%Y%m%d%H%M", 60),
+        ("20210131235959", "20210201000000", "%Y%m%d%H%M%S", 1),
+        ("20210131235959.25", "20210201000000", "%Y%m%d%H%M%S.%f", 0.75),
+    ],
+)
+def test_numbers_that_look_like_dates_are_refused_until_told_what_they_are(
+    first: str, second: str, form: str, apart: float
+) -> None:
+    text = f"day,q\n{first},1\n{second},2\n"
+    frame = pd.read_csv(io.StringIO(text))
+    options: dict[str, Any] = {"time": "day", "states": ["q"]}
+    number = float(first)
+    said = f"column 'day', .*{first} looks like 2021-01-31 .* expected.*{form}"
+    for units in (None, {"t": "s"}):
+        with pytest.raises(DataError, match=said):
+            read(text, units=units, **options)
+    with pytest.raises(DataError, match=r"column 'day'.*looks like 2021-01-31"):
+        Measurements.from_dataframe(frame, **options)
+    for kind, t in ((form, [0, apart]), ("", [number, float(second)])):
+        table = read(text, date_format=kind, **options)
+        np.testing.assert_array_equal(table.trajectories[0].t, t)
+        table = Measurements.from_dataframe(frame, date_format=kind, **options)
+        np.testing.assert_array_equal(table.trajectories[0].t, t)
+
+
+def test_a_matlab_file_may_have_dates_as_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "data.mat"
+    savemat(path, {"day": [20210131, 20210201], "q": [1.0, 2.0]})
+    options: dict[str, Any] = {"time": "day", "states": ["q"]}
+    with pytest.raises(DataError, match=r"20210131 looks like 2021-01-31"):
+        Measurements.from_mat(path, **options)
+    data = Measurements.from_mat(path, date_format="%Y%m%d", **options)
+    np.testing.assert_array_equal(data.trajectories[0].t, [0, 86400])
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        (20210131, 20210132),  # seconds: there is no 32nd of January
+        (20210131, 20210131.5),
+        (1612051200, 1612051260),  # seconds since 1970
+        (1612051200000, 1612051260000),  # milliseconds
+        (44227, 44228),  # days, as Excel counts them
+        (99991231, 99991232),
+        (0, 1),
+    ],
+)
+def test_other_numbers_are_times(times: tuple[float, float]) -> None:
+    text = f"t,q\n{times[0]},1\n{times[1]},2\n"
+    data = read(text, time="t", states=["q"])
+    np.testing.assert_array_equal(data.trajectories[0].t, times)
+
+
 def test_each_run_has_its_own_clock_unless_a_start_is_given() -> None:
     text = "run,t,q\na,2021-01-01,1\na,2021-01-02,2\nb,2021-01-03,3\nb,2021-01-04,4\n"
     options: dict[str, Any] = {"time": "t", "states": ["q"], "trajectory": "run"}

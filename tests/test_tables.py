@@ -305,9 +305,7 @@ def test_a_source_of_the_wrong_type_is_refused(source: Any, message: str) -> Non
 def test_the_same_file_twice_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,q\n0,1\n1,2\n", encoding="utf-8")
-    with pytest.raises(
-        DataError, match=r"the trajectory name '.*a\.csv' is used 2 times"
-    ):
+    with pytest.raises(DataError, match=r"the file '.*a\.csv' is listed 2 times"):
         Measurements.from_csv([path, path], time="t", states=["q"])
 
 

@@ -31,7 +31,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.slots import place_of
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.optimization.torch_threads import one_thread
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete_intervals
 
@@ -78,7 +78,7 @@ def gradient_descent(
         raise ModelError(
             "the model has no free parameter, so there is nothing to identify."
         )
-    record = aligned(model, data)
+    record = aligned_once(model, data)
     grid = complete_intervals(model, grid_of(record))
     with one_thread():
         run = _Run(model, grid, settings, seed, force)

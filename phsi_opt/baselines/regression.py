@@ -17,7 +17,7 @@ from phsi_opt.model.model import FirstOrder, Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import Entry, place_of
 from phsi_opt.model.terms import Dictionary
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import aligned_once
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ def regressions_of(
         ModelError: for a model that is not a linear regression.
         DataError: for incomplete states, or too few of them.
     """
-    record = aligned(model, data)
+    record = aligned_once(model, data)
     _check_complete(record)
     theta = ca.SX.sym("th", len(model.free))
     x = ca.SX.sym("x", model.n_states)

@@ -9,6 +9,7 @@ from phsi_opt.errors import Complaint, ModelError, StudyFileError
 from phsi_opt.model.catalogue import catalogue
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.unfilled import unfilled
+from phsi_opt.transcription.alignment import AlignedData
 
 EMPTY = "Also empty; fill in what applies:"
 
@@ -45,6 +46,7 @@ def _summary(path: Path, file: StudyFile) -> Answer:
     """What a study file that can be used holds."""
     train, held_out = file.split()
     model = file.model()
+    notes = AlignedData.of(model, train).notes
     n_effects = len(catalogue(model, file.data.units))
     free = ", ".join(model.free) or "none, all values are known"
     judged = "nothing is held out: the training data judge"
@@ -60,6 +62,7 @@ def _summary(path: Path, file: StudyFile) -> Answer:
         f"unknown parameters: {free}",
         f"effects added: {', '.join(file.steps.added) or 'none'}; "
         f"{n_effects} more in the catalogue",
+        *notes,
     ]
     content = {
         "states": list(model.states),
@@ -70,5 +73,6 @@ def _summary(path: Path, file: StudyFile) -> Answer:
         "n_runs": file.measurements().n_trajectories,
         "n_samples": file.measurements().n_samples,
         "n_held_out": 0 if held_out is None else held_out.n_samples,
+        "warnings": list(notes),
     }
     return Answer("\n".join(text), content)

@@ -128,6 +128,7 @@ def _titled(source: Any, open_file: str) -> list[tuple[Any, str, str]]:
     """Each source, its title and the name of its run."""
     sources = _listed(source, open_file)
     paths = [_path(one) for one in sources]
+    _check_files_once(sources)
     runs = _run_names(paths)
     titled = []
     for one, path, run in zip(sources, paths, runs, strict=True):
@@ -148,6 +149,24 @@ def _listed(source: Any, open_file: str) -> list[Any]:
     if not sources:
         raise DataError("source is an empty list; expected at least one path.")
     return sources
+
+
+def _check_files_once(sources: list[Any]) -> None:
+    paths = [one for one in sources if isinstance(one, str | os.PathLike)]
+    places = [_place(path) for path in paths]
+    for number, place in enumerate(places):
+        if place in places[:number]:
+            raise DataError(
+                f"the file {place!r} is listed {places.count(place)} times; its runs "
+                "are one measurement. List it once."
+            )
+
+
+def _place(path: str | os.PathLike[str]) -> str:
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # no path; told when the file is opened
+        return str(path)
 
 
 def _path(source: Any) -> str | None:

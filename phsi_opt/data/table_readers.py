@@ -76,7 +76,8 @@ class TableReaders:
                 "2021-11-22"; None: the first sample of each trajectory. Dates are
                 read in seconds.
             date_format: Dates written otherwise, in the signs of strptime, such as
-                "%d.%m.%Y %H:%M".
+                "%d.%m.%Y %H:%M", or "%Y%m%d" for 20210131. "": the times are numbers,
+                even where these look like such dates.
             columns: The names of the columns of a table without a header; None: "0",
                 "1", ...
             separator: The sign between cells, " " for any number of blanks.
@@ -153,6 +154,8 @@ class TableReaders:
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
         step: float | None = None,
+        start: Any = None,
+        date_format: str | None = None,
     ) -> Self:
         """Read MATLAB files of version 4 to 7.
 
@@ -170,12 +173,15 @@ class TableReaders:
             trajectory: A column whose value names each sample's trajectory.
             hold, units, noise: As the attributes of `Measurements`.
             step: The time between samples, where no column tells it.
+            start, date_format: As in `from_csv`, for numbers such as 20210131.
 
         Raises:
             DataError: Something cannot be used; with file, column and row, and with
                 what the file holds where a column is not found.
         """
-        layout = table_layout(time, states, inputs, trajectory, step)
+        layout = table_layout(
+            time, states, inputs, trajectory, step, start, date_format
+        )
         wanted = layout.columns()
         tables = [table_of_mat(file, wanted) for file in binary_files(source)]
         return cls._from_tables(tables, layout, units, hold, noise)

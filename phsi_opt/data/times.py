@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.checks import LARGEST_EXACT, from_first
+from phsi_opt.data.dates_as_numbers import format_of_dates, moment_in
 from phsi_opt.data.tables import Table, holds_real_numbers, numbers_in
 from phsi_opt.data.text_cells import DECIMAL_COMMA, MISSING_CELLS, NUMBER
 from phsi_opt.errors import DataError
@@ -36,7 +37,8 @@ class Times:
         step: The time between neighbouring rows, where they are counted.
         start: The moment at which t is 0, where they are dates; None: the first sample
             of each trajectory.
-        date_format: How dates are written, in the signs of strptime; None: as ISO 8601.
+        date_format: How dates are written, in the signs of strptime; None: as ISO 8601;
+            "": the times are numbers, even where these look like dates.
 
     Raises:
         DataError: These do not go together.
@@ -94,6 +96,8 @@ def times_in(table: Table, times: Times, runs: Iterable[np.ndarray]) -> np.ndarr
             f"{table.title} holds numbers; leave start out."
         )
     t = _from_first(table, times.column)
+    if times.date_format is None:
+        _check_no_dates(table, times.column, t)
     for rows in runs:
         _check_increasing(table, times.column, t, rows)
     return t
@@ -118,6 +122,21 @@ def origin_in(table: Table, times: Times, rows: np.ndarray) -> dt.datetime | Non
     return origin if isinstance(origin, dt.datetime) else None
 
 
+def _check_no_dates(table: Table, column: Any, t: np.ndarray) -> None:
+    """Refuse numbers such as 20210131: their differences are no times."""
+    form = format_of_dates(t)
+    if not form:
+        return
+    first = table.frame[column].iloc[0]
+    moment = moment_in(first, form) or "a date"  # of a 31st of February
+    raise DataError(
+        f"{table.place(column, 0)} {first} looks like {moment} "
+        "written as one number, and so do all others; expected times as numbers of one "
+        f'unit, or dates. Say date_format = "{form}" where they are dates, and '
+        'date_format = "" where they are numbers.'
+    )
+
+
 def _from_first(table: Table, column: Any) -> np.ndarray:
     """Times that are numbers, (n_rows,); see `checks.from_first`."""
     t = numbers_in(table, column, may_be_missing=False)
@@ -139,7 +158,7 @@ def are_dates(table: Table, times: Times) -> bool:
     if times.column is None:
         return False
     if times.date_format is not None:
-        return True
+        return times.date_format != ""
     cells = table.frame[times.column]
     if holds_real_numbers(cells):
         return False
@@ -212,18 +231,18 @@ def _moment(cell: Any, date_format: str | None) -> Moment | None:
         return cell
     if isinstance(cell, dt.time) and cell.tzinfo is None:
         return dt.datetime.combine(dt.date.min, cell) - dt.datetime.min
+    if date_format is not None:
+        return moment_in(cell, date_format)
     if not isinstance(cell, str):
         return None
     text = cell.strip()
     clock = TIME_OF_DAY.fullmatch(text)
-    if clock is not None and date_format is None:
+    if clock is not None:
         hours, minutes, seconds = clock.groups()
         whole = dt.timedelta(hours=int(hours), minutes=int(minutes))
         return whole + float(seconds.replace(",", ".")) * SECOND
     try:
-        if date_format is None:
-            return dt.datetime.fromisoformat(text)
-        return dt.datetime.strptime(text, date_format)
+        return dt.datetime.fromisoformat(text)
     except ValueError:
         return None
 

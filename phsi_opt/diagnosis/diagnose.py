@@ -16,6 +16,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from phsi_opt.comparison.compare import Comparison, compare, compare_record
+from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.better_base import from_missing_force
 from phsi_opt.diagnosis.conclusion import conclusion
@@ -38,6 +39,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.screening.prospects import Prospects
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.sweeps.sweep import check_executor
+from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 Progress = Callable[[str], None]
@@ -79,8 +81,8 @@ def diagnose(
         Where the model fails, the candidates in order, and the verdict.
 
     Raises:
-        DataError: a state or input of the model is not in the measurements, or the
-            executor cannot compute.
+        DataError: a state or input of the model is not in the measurements, a run that
+            is held out is fitted too, or the executor cannot compute.
         ModelError: one of the ``effects`` or of those to leave out is unknown, does not
             fit the model, or has no free number; or a model with free parameters was
             given instead of a fit.
@@ -92,7 +94,10 @@ def diagnose(
     fit = fit_of(fit, data, "diagnose")
     choice = EffectChoice(effects, without).checked(fit.model, data.units)
     trained = compare(fit, data)
-    judged = None if held_out is None else compare(fit, held_out)
+    judged = None
+    if held_out is not None:
+        check_can_judge(trained.data, aligned_once(fit.model, held_out))
+        judged = compare(fit, held_out)
     candidates = choice.candidates(fit.model, data.units)
     return diagnose_comparison(
         trained,

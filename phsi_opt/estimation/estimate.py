@@ -156,6 +156,7 @@ class Estimate(ABC):
         return FitUncertainty(
             covariance=self.uncertainty.covariance,
             warnings=(
+                *self.task.aligned.notes,
                 *self.notes,
                 *self._selection_warnings(),
                 *self._bound_warnings(),

@@ -7,7 +7,7 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.estimation.fit_record import FitRecord
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import aligned_once
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ def states_picture(
     """
     from phsi_opt.presentation.pictures import draw_state, plot_states
 
-    data = aligned(fit.model, data)
+    data = aligned_once(fit.model, data)
     _check(fit, data)
     number = data.trajectory_number(trajectory)
     run = data.trajectories[number]

@@ -34,7 +34,7 @@ from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
 from phsi_opt.learning.hybrid_training import Schedule, train, untrained
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.transcription.losses import PHSILoss
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
@@ -84,7 +84,7 @@ def hybrid(
         SolveError: if the solver fails.
     """
     began = time.perf_counter()
-    record = aligned(model, data)
+    record = aligned_once(model, data)
     problem = HybridProblem.of(model, record, force, integrator)
     estimate = _Estimate(model, problem.no_force())
     turns = []

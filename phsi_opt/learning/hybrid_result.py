@@ -23,7 +23,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate_forced
-from phsi_opt.transcription.alignment import aligned
+from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.writing import write_whole
 
 FORMAT = "phsi_opt hybrid 1"
@@ -117,7 +117,7 @@ class Hybrid(Identified):
                 "Give NeuralForce(variables=...) one name."
             )
         column = self.force.columns[0]
-        runs = aligned(self.model, data).trajectories
+        runs = aligned_once(self.model, data).trajectories
         known = [np.column_stack([run.x, run.u, run.t]) for run in runs]
         visited = np.concatenate(known)
         visited = visited[np.isfinite(visited).all(axis=1)]

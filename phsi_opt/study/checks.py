@@ -91,6 +91,9 @@ def _of_fit(study: StudyRecord) -> list[Check]:
         checks.append(Check("bounds", LOOK, f"at a bound: {names}"))
     for warning in fit.warnings:
         checks.append(Check("fit", LOOK, warning))
+    if study.last.held_out is not None:
+        for note in study.last.held_out.record.aligned.notes:
+            checks.append(Check("data held out", LOOK, note))
     if study.held_out is None:
         said = "nothing was held out; errors are those of the training data"
         checks.append(Check("data held out", LOOK, said))

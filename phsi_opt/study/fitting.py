@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from phsi_opt.comparison.compare import Comparison, compare_record
 from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of_change
 from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
+from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.refit_effort import ADDED
@@ -49,10 +50,21 @@ class StudyFitting:
         """The measurements in the model's order.
 
         Raises:
-            DataError: a state or input of the model is not in the measurements.
+            DataError: a state or input of the model is not in the measurements, or a
+                run is in both.
         """
-        aligned = None if held_out is None else AlignedData.of(base, held_out)
-        return cls(base, AlignedData.of(base, train), aligned, loss)
+        fitted = AlignedData.of(base, train)
+        if held_out is None:
+            return cls(base, fitted, None, loss)
+        judging = AlignedData.of(base, held_out)
+        check_can_judge(fitted.data, judging.data)
+        return cls(base, fitted, judging, loss)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of the measurements."""
+        held_out = () if self.held_out is None else self.held_out.notes
+        return self.train.notes + tuple(f"held out: {note}" for note in held_out)
 
     def of_base(self) -> Fit:
         """The base model, fitted."""

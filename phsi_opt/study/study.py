@@ -63,7 +63,8 @@ class Study(Summarised):
         stopped: why `auto` stopped last.
 
     Raises:
-        DataError: a state or input of the model is not in the measurements.
+        DataError: a state or input of the model is not in the measurements, or a run
+            that is held out is fitted too.
         ModelError: one of the ``effects``, or of those to leave out, is unknown.
         SolveError: the base model could not be fitted.
     """
@@ -88,6 +89,8 @@ class Study(Summarised):
         self._say = progress or _silent
         self._diagnoses: dict[int, Diagnosis] = {}
         self._considered: dict[int, EffectChoice] = {}
+        for note in self._fitting.notes:
+            self._say(note)
         self._say("fitting the base model")
         first = self._fitting.step("base model", (), self._fitting.of_base())
         self.steps: list[Step] = [first]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from phsi_opt.data.dates_as_numbers import format_of_dates
 from phsi_opt.data.tables import Table
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.data.wording import number_of
@@ -108,6 +109,11 @@ def _looked_at(one: Seen, n_of_this_name: int) -> Seen:
         return _of_text(one)
     one.values = np.where(is_number, numbers, np.nan)
     one.wrong = _wrong_cells(one, np.flatnonzero(~is_number & ~is_missing))
+    one.date_format = "" if one.wrong else format_of_dates(one.values)
+    if one.date_format:
+        one.values = None
+        one.is_dates = True
+        return one.left_out(DATES)
     low = np.nanmin(one.values)
     high = np.nanmax(one.values)
     if low == high and not one.wrong:

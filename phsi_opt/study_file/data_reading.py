@@ -77,6 +77,7 @@ def _between(data: Part) -> tuple[float, float] | None:
 def _time(data: Part) -> dict[str, Any]:
     """What the section says of the times: a column, dates, or a step."""
     part = data.part("time")
+    given = part.content
     step = part.number("step")
     if step is not None and not 0 < step < float("inf"):
         part.complain("step", "expected the time between lines, a number above zero.")
@@ -93,7 +94,7 @@ def _time(data: Part) -> dict[str, Any]:
         "time": Channel(column, part.text("unit")),
         "step": step,
         "start": part.text("start") or None,
-        "date_format": part.text("date_format") or None,
+        "date_format": part.text("date_format") if "date_format" in given else None,
     }
 
 

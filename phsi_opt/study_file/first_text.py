@@ -18,6 +18,7 @@ from phsi_opt.study_file.survey import (
     ColumnSurvey,
     TableSurvey,
 )
+from phsi_opt.study_file.time_look import unit_asked
 from phsi_opt.study_file.toml_text import key_text, text_value, toml_value
 
 HELD_OUT_SHARE = 0.3  # of the runs, or of the time of a single one: the usual
@@ -139,7 +140,7 @@ def _of_column(time: ColumnSurvey, table: TableSurvey) -> list[str]:
     if unit:
         content["unit"] = unit
     else:
-        said += '; in seconds? add unit = "s"'
+        said += f"; {unit_asked(table.span)}"
     if table.date_format:
         content["date_format"] = table.date_format
     return [f"time = {toml_value(content)}  # {said}", *_to_correct(time)]

@@ -82,7 +82,7 @@ KEYS: tuple[Key, ...] = (
         ("unit", "text", 'such as "s"; dates are read in seconds'),
         ("step", "number", "in place of a column: the time between lines"),
         ("start", "text", "of dates: when t is 0; default: each run's first sample"),
-        ("date_format", "text", 'of other dates, such as "%d.%m.%Y %H:%M"'),
+        ("date_format", "text", 'of other dates: "%d.%m.%Y %H:%M"; "": no dates'),
     ),
     *_keys(
         "data.states",

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.file_opening import DataFile, NamedFile
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory, part_of
@@ -56,7 +57,8 @@ class DataSection:
         hold: what inputs do between samples, "linear", "zero" or "cubic".
         step: the time between neighbouring lines, where no column has the times.
         start: where times are dates, the moment at which t is 0.
-        date_format: dates written otherwise than 2021-11-22 09:15:00, see strptime.
+        date_format: dates written otherwise than 2021-11-22 09:15:00, see strptime;
+            "": the times are numbers, even where these look like dates.
         sheet: of an Excel workbook.
         columns: the names of the columns of a table without a header.
         separator: the sign between the cells of a text.
@@ -197,8 +199,14 @@ class HeldOut:
         """Training data and data held out.
 
         Raises:
-            DataError: there is no such run, or one of the parts would be empty.
+            DataError: there is no such run, one of the parts would be empty, or a run
+                held out is a copy of one that is fitted.
         """
+        train, held_out = self._parts(data)
+        check_can_judge(train, held_out)
+        return train, held_out
+
+    def _parts(self, data: Measurements) -> tuple[Measurements, Measurements]:
         if self.runs is not None:
             return _by_runs(data, self.runs)
         if self.after is not None:

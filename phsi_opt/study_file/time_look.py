@@ -5,11 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from phsi_opt.data.text_cells import NUMBER
 from phsi_opt.data.wording import number_of
 from phsi_opt.study_file.column_look import Seen
 from phsi_opt.study_file.headers import TIMES, is_step_word, is_time_word
 
 EVEN_STEPS = 0.01  # share of the median step by which steps of a regular record differ
+# From 2000 to 2050 as clocks count it: the unit, with its first and last number.
+CLOCKS = {
+    "days, as spreadsheets count them": ("d", 36526, 54789),
+    "seconds since 1970": ("s", 946684800, 2524608000),
+    "milliseconds since 1970": ("ms", 946684800e3, 2524608000e3),
+    "microseconds since 1970": ("us", 946684800e6, 2524608000e6),
+}
 GAP_STEPS = 1.5  # median steps from which a step is a gap
 
 
@@ -110,7 +118,10 @@ def said_of_times(time: Seen | None, run: Seen | None) -> str:
     if time is None:
         return "no column increases from line to line: which one is the time?"
     if time.values is None:
-        return "the times are dates"
+        first = time.cells.iloc[0]
+        is_number = NUMBER.fullmatch(first) is not None
+        what = f"numbers such as {first} look like" if is_number else "the times are"
+        return f"{what} dates"
     if time.wrong:
         return time.said
     all_steps = []
@@ -126,6 +137,14 @@ def said_of_times(time: Seen | None, run: Seen | None) -> str:
         gaps = "1 gap of" if n_gaps == 1 else f"{n_gaps} gaps, the longest"
         return f"{said}, {gaps} {steps.max():.4g}"
     return f"{said}, from {steps.min():.4g} to {steps.max():.4g}"
+
+
+def unit_asked(span: Span | None) -> str:
+    """A question for the unit of times that tell none, with what they look like."""
+    for what, (unit, first, last) in CLOCKS.items():
+        if span is not None and first <= span.begin < span.end <= last:
+            return f'are they {what}? add unit = "{unit}", or the right one'
+    return 'in seconds? add unit = "s"'
 
 
 def span_of(time: Seen | None, step: float | None, n_lines: int) -> Span | None:

@@ -1,7 +1,8 @@
 """Processes on this machine that compute side by side, one BLAS thread each.
 
-They end when they are no longer wanted: when the work is done, at Ctrl-C, and with the
-process that started them, even if that one is killed. All three close a pipe on which a
+They end when they are no longer wanted. When the work is done they leave by themselves;
+at Ctrl-C or an error the process that started them kills them, whatever they do, even
+if they are still importing. If that process is killed itself, a pipe closes on which a
 thread of every worker waits.
 """
 
@@ -11,9 +12,11 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
+
+from phsi_opt.interrupts import solving
 
 # What the libraries behind NumPy and SciPy read when they are loaded.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -35,15 +38,37 @@ class InThisProcess(Executor):
         return future
 
 
-class _Processes(ProcessPoolExecutor):
-    """A pool whose processes, begun by `submit`, have one BLAS thread each."""
+class _Worker(SpawnProcess):
+    """A process with one BLAS thread, which never hears Ctrl-C."""
 
-    def submit(
-        self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any
-    ) -> Future[Any]:
-        """The future of a call."""
-        with _one_blas_thread():
-            return super().submit(fn, *args, **kwargs)
+    def start(self) -> None:
+        """Start it; Ctrl-C is raised before or after, when the process is known."""
+        with solving(), _one_blas_thread(), _interrupts_blocked():
+            super().start()
+
+
+class _Workers(SpawnContext):
+    """Makes the processes of a pool and keeps them, so that they can be ended.
+
+    They are spawned: a fork would copy locks that threads hold.
+    """
+
+    def __init__(self) -> None:
+        self._made: list[_Worker] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> _Worker:  # type: ignore[override]  # noqa: N802
+        """A new process, as `ProcessPoolExecutor` asks for it."""
+        made = _Worker(*args, **kwargs)
+        self._made.append(made)
+        return made
+
+    def end(self) -> None:
+        """End the processes that have not ended yet, whatever they do."""
+        started = [one for one in self._made if one.pid is not None]
+        for one in started:
+            one.kill()
+        for one in started:
+            one.join()
 
 
 @contextmanager
@@ -58,17 +83,19 @@ def local_workers(n_workers: int | None = None) -> Iterator[Executor]:
     if n == 1:
         yield InThisProcess()
         return
-    context = get_context("spawn")  # a fork would copy locks that threads hold
+    context = _Workers()
     wanted, release = context.Pipe(duplex=False)
-    pool = _Processes(
+    pool = ProcessPoolExecutor(
         n, mp_context=context, initializer=begin_worker, initargs=(wanted,)
     )
     try:
         yield pool
         pool.shutdown()
     finally:
+        # First nothing more is begun: the pool starts no other process then.
+        pool.shutdown(wait=False, cancel_futures=True)
+        context.end()
         release.close()
-        pool.shutdown(cancel_futures=True)
         wanted.close()
 
 
@@ -92,6 +119,19 @@ def begin_worker(wanted: Connection) -> None:
 def _end_with(wanted: Connection) -> None:
     wait([wanted])  # nothing is ever sent: the pipe is ready when it is closed
     os._exit(GONE)
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Processes begun inside never hear Ctrl-C, where the system can say so."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

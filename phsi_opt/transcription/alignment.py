@@ -1,7 +1,8 @@
 """Measurements in the model's order: the same states and inputs, in the same places.
 
 From here on a column is addressed by its number, which means the same in the model and
-in the data. Units and noise stay with their names; values are never changed.
+in the data. Units and noise stay with their names; values are never changed. A run that
+is an exact copy of another is left out here: in all that follows it counts once.
 """
 
 from collections.abc import Sequence
@@ -9,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from phsi_opt.data.copies import copies_in, counted_once, sentence_about
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.model import Model
@@ -25,10 +27,12 @@ class AlignedData:
     Attributes:
         data: the measurements.
         grid: the same laid out with one interval between neighbouring samples.
+        notes: what a user should know of them: runs that are copies of others.
     """
 
     data: Measurements
     grid: Grid
+    notes: tuple[str, ...] = ()
     _larger: dict[tuple[str, ...], "AlignedData"] = field(
         default_factory=dict, repr=False
     )
@@ -52,8 +56,11 @@ class AlignedData:
                 f"data={data!r} are no Measurements; make them with "
                 "Measurements.from_arrays or from_csv."
             )
-        data = aligned(model, data)
-        return cls(data, grid_of(data))
+        ordered = aligned(model, data)
+        copies = copies_in(ordered)
+        once = counted_once(ordered, copies)
+        notes = (sentence_about(copies),) if copies else ()
+        return cls(once, grid_of(once), notes)
 
     def for_model(self, model: Model) -> "AlignedData":
         """The same for a model that has states more; itself where it has none."""
@@ -61,7 +68,8 @@ class AlignedData:
             return self
         states = tuple(model.states)
         if states not in self._larger:
-            self._larger[states] = AlignedData.of(model, self.data)
+            data = aligned(model, self.data)
+            self._larger[states] = AlignedData(data, grid_of(data), self.notes)
         return self._larger[states]
 
     def without_states(self, names: Sequence[str]) -> "AlignedData":
@@ -72,7 +80,7 @@ class AlignedData:
         known = {"t", *states, *self.data.inputs}
         units = {name: unit for name, unit in self.data.units.items() if name in known}
         data = replace(self.data, trajectories=runs, states=states, units=units)
-        return AlignedData(data, grid_of(data))
+        return AlignedData(data, grid_of(data), self.notes)
 
     def grid_with(self, steps: Sequence[np.ndarray]) -> Grid:
         """The layout with further nodes between samples.
@@ -84,6 +92,16 @@ class AlignedData:
         if all(np.all(n == 1) for n in steps):
             return self.grid
         return grid_of(self.data, steps)
+
+
+def aligned_once(model: Model, data: Measurements) -> Measurements:
+    """`aligned`, without runs that are exact copies of others.
+
+    Raises:
+        DataError: as `aligned`.
+    """
+    ordered = aligned(model, data)
+    return counted_once(ordered, copies_in(ordered))
 
 
 def aligned(model: Model, data: Measurements) -> Measurements:

@@ -1,0 +1,150 @@
+"""Runs that are exact copies of one another: one measurement, however often given.
+
+Noise differs from run to run, so equal runs were copied. Counted twice they would make
+standard errors smaller, and held out they would judge what was fitted to them. Names do
+not matter here, and neither does the time at which a run begins.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.trajectory import Trajectory
+from phsi_opt.errors import DataError
+
+# Different measured values that a run must have: at rest, or in two or three samples of
+# a coarse sensor, independent runs are equal by chance.
+TELLING_VALUES = 5
+SAME_TIME = 1e-9  # share of a run's length
+CLOCK_ROUNDING = (
+    4 * np.finfo(float).eps
+)  # share of the times, which lose it when shifted
+NAMED_COPIES = 3
+
+AnyMeasurements = TypeVar("AnyMeasurements", bound=Measurements)
+
+
+def copies_in(data: Measurements) -> dict[str, str]:
+    """The run of which each copy is one, by the copy's name; the first is no copy."""
+    if data.n_trajectories == 1:
+        return {}
+    seen = _Seen()
+    copies = {}
+    for run in data.trajectories:
+        original = seen.equal_to(run)
+        if original is None:
+            seen.add(run)
+        else:
+            copies[run.name] = original
+    return copies
+
+
+def counted_once(data: AnyMeasurements, copies: Mapping[str, str]) -> AnyMeasurements:
+    """The measurements without copies; themselves where there are none."""
+    if not copies:
+        return data
+    runs = [run for run in data.trajectories if run.name not in copies]
+    return replace(data, trajectories=tuple(runs))
+
+
+def sentence_about(copies: Mapping[str, str]) -> str:
+    """What a user should know of copies; "" where there are none."""
+    if not copies:
+        return ""
+    return (
+        f"{_told(copies)}: counted once, because equal runs are no independent "
+        "measurements; leave the copies out, or give the runs that were meant"
+    )
+
+
+def check_can_judge(train: Measurements, held_out: Measurements) -> None:
+    """Refuse runs held out that are fitted too.
+
+    Args:
+        train: measurements that are fitted.
+        held_out: those that judge, with the same channels.
+
+    Raises:
+        DataError: there are such runs.
+    """
+    seen = _Seen()
+    for run in train.trajectories:
+        seen.add(run)
+    copies = {}
+    for run in held_out.trajectories:
+        fitted = seen.equal_to(run)
+        if fitted is not None:
+            copies[run.name] = fitted
+    if copies:
+        raise DataError(
+            f"held out: {_told(copies)} of the training data, and cannot judge what is "
+            "fitted to it; expected runs that are not fitted. Leave them out of one of "
+            "the two."
+        )
+
+
+class _Seen:
+    """Runs by a fingerprint of what was measured."""
+
+    def __init__(self) -> None:
+        self._runs: dict[bytes, list[Trajectory]] = {}
+
+    def add(self, run: Trajectory) -> None:
+        self._runs.setdefault(_fingerprint(run), []).append(run)
+
+    def equal_to(self, run: Trajectory) -> str | None:
+        """The name of the run of which this one is a copy; None where it is none."""
+        for other in self._runs.get(_fingerprint(run), []):
+            if _has_same_times(run, other) and _is_telling(run):
+                return other.name
+        return None
+
+
+def _fingerprint(run: Trajectory) -> bytes:
+    """Of states and inputs, not of the times."""
+    digest = hashlib.sha256(repr((run.x.shape, run.u.shape)).encode())
+    x = np.where(np.isnan(run.x), np.nan, run.x)  # one kind of NaN
+    for values in (x, run.u):
+        digest.update((values + 0.0).tobytes())  # no negative zeros
+    return digest.digest()
+
+
+def _has_same_times(run: Trajectory, other: Trajectory) -> bool:
+    """Whether two runs have their samples at the same times since they began."""
+    since_begin = run.t - run.t[0]
+    apart = np.abs(since_begin - (other.t - other.t[0]))
+    largest = max(np.abs(run.t).max(), np.abs(other.t).max())
+    allowed = SAME_TIME * since_begin[-1] + CLOCK_ROUNDING * largest
+    return bool(np.all(apart <= allowed))
+
+
+def _is_telling(run: Trajectory) -> bool:
+    """Whether chance cannot have made another run equal to this one."""
+    measured = run.x[np.isfinite(run.x)]
+    return len(np.unique(measured)) >= TELLING_VALUES
+
+
+def _told(copies: Mapping[str, str]) -> str:
+    """Which runs are copies of which, with the first few names."""
+    names: dict[str, list[str]] = {}
+    for name, original in copies.items():
+        names.setdefault(original, []).append(name)
+    told = []
+    for original, group in names.items():
+        verb = "is an exact copy" if len(group) == 1 else "are exact copies"
+        told.append(f"{_listed(group)} {verb} of {original!r}")
+    if len(told) > NAMED_COPIES:
+        told[NAMED_COPIES:] = [f"{len(told) - NAMED_COPIES} more runs have copies too"]
+    return ", ".join(told)
+
+
+def _listed(names: list[str]) -> str:
+    """Names with "and" before the last; of many the first few, and how many more."""
+    shown = [repr(name) for name in names[:NAMED_COPIES]]
+    if len(names) > NAMED_COPIES:
+        shown.append(f"{len(names) - NAMED_COPIES} more")
+    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))

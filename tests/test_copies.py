@@ -1,0 +1,181 @@
+"""Runs that are exact copies of one another count once, and that is told."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.command_line.checking import checked
+from phsi_opt.comparison.bootstrap import bootstrap
+from phsi_opt.data.copies import check_can_judge, copies_in, sentence_about
+from phsi_opt.sweeps.local_workers import InThisProcess
+
+T = np.linspace(0, 5, 51)
+SPRING = ph.PseudoHamiltonian(
+    states=["q", "p"],
+    S=ph.canonical(1),
+    H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(1.0)),
+    R=ph.damping("p"),
+)
+
+
+def swing(seed: int, *hidden: int) -> np.ndarray:
+    """A noisy swing of the spring, (n_samples, 2), NaN where a state is hidden."""
+    truth = SPRING.with_values({"k": 1.4, "R_p": 0.1})
+    x = ph.simulate(truth, T, [1.0, 0.0])
+    noisy = x + 0.01 * np.random.default_rng(seed).normal(size=x.shape)
+    noisy[:, list(hidden)] = np.nan
+    return noisy
+
+
+def runs(
+    *x: np.ndarray, starts: tuple[float, ...] = (), names: list[str] | None = None
+) -> ph.Measurements:
+    starts = starts or (0.0,) * len(x)
+    t = [T + start for start in starts]
+    return ph.Measurements.from_arrays(t, list(x), states=["q", "p"], names=names)
+
+
+@pytest.mark.parametrize("loss", [ph.MaximumLikelihood(), ph.PHSILoss()])
+def test_copies_of_a_run_leave_the_fit_of_that_run(
+    loss: ph.MaximumLikelihood | ph.PHSILoss,
+) -> None:
+    one = ph.identify(SPRING, runs(swing(1)), loss)
+    data = runs(*[swing(1)] * 200)
+    fit = ph.identify(SPRING, data, loss)
+    assert fit.std_errors == one.std_errors
+    assert fit.values == one.values
+    (warning,) = [said for said in fit.warnings if "copies" in said]
+    assert warning.startswith(
+        "'run 2', 'run 3', 'run 4' and 196 more are exact copies of 'run 1': counted "
+        "once"
+    )
+    assert data.n_trajectories == 200
+
+
+def test_what_follows_a_fit_counts_copies_once_too() -> None:
+    alone = runs(swing(1, 1), swing(2, 1))
+    copied = runs(swing(1, 1), swing(2, 1), swing(1, 1))
+    one, fit = ph.identify(SPRING, alone), ph.identify(SPRING, copied)
+    assert fit.std_errors == one.std_errors
+    compared = ph.compare(fit, copied)
+    assert compared.rmse == ph.compare(one, alone).rmse
+    assert compared.record.is_of_training
+    fit.plot_states(copied)
+    limits = [ph.profile(*made, "k").ci_lower for made in ((fit, copied), (one, alone))]
+    assert limits[0] == limits[1]
+    drawn = [
+        bootstrap(*made, 2, executor=InThisProcess()).estimates
+        for made in ((fit, copied), (one, alone))
+    ]
+    assert drawn[0].equals(drawn[1])
+
+
+def test_a_copy_is_told_by_what_was_measured_whatever_its_name_and_clock() -> None:
+    data = runs(
+        *[swing(1, 1), swing(2, 1), swing(1, 1), swing(1), swing(1, 1)],
+        starts=(0, 0, 1000.1, 0, 0),
+        names=["a", "b", "later", "with p", "again"],
+    )
+    assert copies_in(data) == {"later": "a", "again": "a"}
+    assert sentence_about(copies_in(data)).startswith(
+        "'later' and 'again' are exact copies of 'a': counted once"
+    )
+
+
+def test_runs_that_differ_in_times_or_inputs_are_no_copies() -> None:
+    x = swing(1)
+    slower = ph.Measurements.from_arrays([T, 1.001 * T], [x, x], states=["q", "p"])
+    assert not copies_in(slower)
+    u = np.ones(len(T))
+    driven = ph.Measurements.from_arrays(
+        [T, T], [x, x], [u, 2 * u], states=["q", "p"], inputs=["u"]
+    )
+    assert not copies_in(driven)
+    assert not copies_in(runs(x, x + 1e-15))
+
+
+def test_runs_that_chance_makes_equal_are_no_copies() -> None:
+    at_rest = np.zeros((len(T), 2))
+    assert not copies_in(runs(at_rest, at_rest))
+    pairs = ph.Measurements.from_pairs(
+        [[0.1], [0.2], [0.1]], [[0.2], [0.1], [0.2]], [0, 5, 9], [1, 6, 10]
+    )
+    assert pairs.n_trajectories == 3
+    assert not copies_in(pairs)
+
+
+def test_a_study_tells_copies_and_refuses_a_judge_that_was_fitted() -> None:
+    said: list[str] = []
+    train = runs(swing(1), swing(2), swing(1))
+    study = ph.Study(
+        SPRING, train, runs(swing(3), swing(3)), effects=[], progress=said.append
+    )
+    assert any(line.startswith("'run 3' is an exact copy of 'run 1'") for line in said)
+    assert any(line.startswith("held out: 'run 2' is an exact") for line in said)
+    assert study.train.n_trajectories == 2
+    assert study.held_out is not None and study.held_out.n_trajectories == 1
+    held_out = runs(swing(3), swing(2), names=["new", "old"])
+    message = "held out: 'old' is an exact copy of 'run 2' of the training data"
+    with pytest.raises(ph.DataError, match=message):
+        ph.Study(SPRING, train, held_out)
+    with pytest.raises(ph.DataError, match=message):
+        ph.diagnose(study.fit, train, held_out)
+    check_can_judge(train, held_out[:1])
+
+
+STUDY = """
+[data]
+files = ["one.csv"]
+trajectory = "run"
+time = { column = "t", unit = "s" }
+
+[data.states]
+q = { column = "q" }
+p = { column = "p" }
+
+[held_out]
+runs = ["c"]
+
+[model]
+states = ["q", "p"]
+pairs = [["q", "p"]]
+H = "k*q**2/2 + p**2/2"
+
+[parameters]
+k = { start = 1.0 }
+"""
+
+
+def study_file(folder: Path, *x: np.ndarray, text: str = STUDY) -> Path:
+    named = runs(*x, names=["a", "b", "c"][: len(x)])
+    table = named.to_dataframe().rename(columns={"trajectory": "run"})
+    table.to_csv(folder / "one.csv", index=False)
+    path = folder / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_study_file_tells_copies(tmp_path: Path) -> None:
+    answer = checked(study_file(tmp_path, swing(1), swing(1), swing(2)))
+    assert "'b' is an exact copy of 'a': counted once" in answer.text
+    with pytest.raises(ph.StudyFileError, match=r"held out: 'c' is an exact copy of"):
+        ph.StudyFile.read(study_file(tmp_path, swing(1), swing(2), swing(1)))
+
+
+@pytest.mark.parametrize("second", ["one.csv", "./one.csv", "link.csv"])
+def test_a_file_that_is_listed_twice_is_refused(tmp_path: Path, second: str) -> None:
+    (tmp_path / "link.csv").symlink_to(tmp_path / "one.csv")
+    text = STUDY.replace('["one.csv"]', f'["one.csv", "{second}"]')
+    path = study_file(tmp_path, swing(1), swing(2), swing(3), text=text)
+    with pytest.raises(ph.StudyFileError, match=r"one.csv' is listed 2 times; .* once"):
+        ph.StudyFile.read(path)
+
+
+def test_names_may_be_the_same_in_training_and_held_out_data() -> None:
+    train = runs(swing(1))
+    check_can_judge(train, runs(swing(2), swing(2)))
+    with pytest.raises(ph.DataError, match="'run 1' is an exact copy of 'run 1'"):
+        check_can_judge(train, replace(train, noise=None))
