@@ -1,7 +1,6 @@
 """Parameters that every trajectory has of its own, from the fit to the report."""
 
-import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,8 @@ from scipy.integrate import solve_ivp
 import phsi_opt as ph
 
 T = np.arange(0, 8, 0.05)
-STARTS = ([1.2, 0.0], [-0.9, 0.4], [0.7, -1.0])
+STARTS = ([1.2, 0.0], [-0.9, 0.4], [0.7, -1.0], [-1.0, 0.2])
+NOISE = 0.01  # m
 EFFECTS = {"coulomb friction", "quadratic stiffness"}
 
 
@@ -25,11 +25,19 @@ def dry(x: np.ndarray) -> float:
     return -0.4 * np.tanh(x[1] / 0.02)
 
 
-def recorded(force: Callable[[np.ndarray], float]) -> ph.Measurements:
-    """Positions of a mass on a spring of 4 N/m with a force more."""
+def recorded(
+    force: Callable[[np.ndarray], float],
+    offsets: Sequence[float] = (0.0, 0.0, 0.0),
+) -> ph.Measurements:
+    """Positions of a mass on a spring of 4 N/m with a force more.
+
+    Args:
+        force: by the state.
+        offsets: of the sensor in each run, m; their number is that of the runs.
+    """
     rng = np.random.default_rng(3)
     runs = []
-    for x0 in STARTS:
+    for x0, offset in zip(STARTS, offsets, strict=False):
         motion = solve_ivp(
             lambda t, x: [x[1], -4 * x[0] + force(x)],
             (0, T[-1]),
@@ -38,10 +46,13 @@ def recorded(force: Callable[[np.ndarray], float]) -> ph.Measurements:
             rtol=1e-9,
             atol=1e-10,
         )
-        position = motion.y[0] + rng.normal(0, 0.01, T.size)
+        position = motion.y[0] + offset + rng.normal(0, NOISE, T.size)
         runs.append(np.column_stack([position, np.full(T.size, np.nan)]))
     return ph.Measurements.from_arrays(
-        [T] * len(runs), runs, states=["q", "p"], units={"t": "s", "q": "m"}
+        [T] * len(runs),
+        runs,
+        states=["q", "p"],
+        units={"t": "s", "q": "m"},
     )
 
 
@@ -76,3 +87,52 @@ def test_a_candidate_drives_parameters_of_trajectories_to_their_bounds(
     assert driven & set(study.fit.outcome.at_bounds)
     study.report(tmp_path / "report.html")
     assert "at its bound" in (tmp_path / "report.html").read_text("utf-8")
+
+
+# ---- runs held out -------------------------------------------------------------------
+
+OFFSETS = (0.1, -0.2, 0.05, 0.4)  # m; the last run is held out
+
+
+def with_offset_by_run() -> ph.PseudoHamiltonian:
+    zero = ph.Parameter(0.0, per_trajectory=True)
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ENERGY,
+        R=ph.damping("p"),
+        sensor={"q": ph.formula("b", b=zero)},
+    )
+
+
+def test_a_candidate_is_judged_with_the_offset_of_the_run_held_out() -> None:
+    data = recorded(dry, OFFSETS)
+    study = ph.Study(with_offset_by_run(), data[:3], held_out=data[3:])
+    listed = [one for one in ph.catalogue(study.model) if one.name in EFFECTS]
+    found = ph.diagnose(study.fit, data[:3], data[3:], effects=listed)
+    assert found.verdict == ph.Verdict.NAMED
+    first = found.candidates.iloc[0]
+    assert first["effect"] == "coulomb friction"
+    assert first["coefficient"] == pytest.approx(0.4, abs=3 * first["std_error"])
+    # With the mean of the offsets it would be off by 0.4 m.
+    assert first["held_out_rmse"] < 1.1 * NOISE
+
+
+@pytest.mark.parametrize("name", ["run 1", "run 4"])
+def test_the_offset_of_a_run_held_out_is_its_own_whatever_its_name(name: str) -> None:
+    model = with_offset_by_run().add("coulomb friction", "p")
+    data = recorded(dry, OFFSETS)
+    fit = ph.identify(model, data[:3])
+    last = data.trajectories[3]
+    held_out = ph.Measurements.from_arrays(
+        [last.t], [last.x], states=["q", "p"], names=[name], units=data.units
+    )
+    there = ph.compare(fit, held_out)
+    assert there.values[name]["b"] == pytest.approx(OFFSETS[3], abs=0.005)
+    assert there.values[name]["k"] == fit.values["k"]
+    assert there.rmse < 1.1 * NOISE
+    assert there.bands is not None
+    # Half the noise over the root of the samples at the least, all of it at the most.
+    assert 0.5 * NOISE / np.sqrt(T.size) < there.bands[0][-1, 0] < NOISE
+    here = ph.compare(fit, data[:3])
+    assert here.values["run 1"]["b"] == fit.by_trajectory["run 1"]["b"]
