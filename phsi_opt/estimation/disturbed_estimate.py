@@ -130,6 +130,7 @@ class DisturbedEstimate(Estimate):
             self.point.theta_scale,
             self.spreads[source].covariance,
             self.solution.outcome.at_bounds,
+            self.plain.uncertainty.silent,
         )
 
     @property

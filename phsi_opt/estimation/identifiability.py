@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
 
 from phsi_opt.errors import SolveError
 from phsi_opt.transcription.elimination import RIDGE
@@ -35,12 +36,18 @@ class SilentDirections:
     """What the data do not say.
 
     Attributes:
-        sentences: One per direction.
+        sentences: One per set of parameters.
         parameters: Places of the parameters in these directions, increasing.
+        pinned: Places of as few of them as must be held at their values, so that the
+            data tell all others.
     """
 
     sentences: tuple[str, ...] = ()
     parameters: tuple[int, ...] = ()
+    pinned: tuple[int, ...] = ()
+
+
+NOTHING_SILENT = SilentDirections()
 
 
 def silent_directions(
@@ -62,7 +69,7 @@ def silent_directions(
     """
     moving = [i for i in range(len(covariance)) if i not in held]
     if not moving:
-        return SilentDirections()
+        return NOTHING_SILENT
     if not np.all(np.isfinite(covariance)):
         raise SolveError(
             "the covariance of the estimates is beyond all numbers: the model's slopes "
@@ -74,17 +81,33 @@ def silent_directions(
     best_known = float(np.min(variances, where=variances > 0, initial=np.inf))
     sentences = []
     silent: set[int] = set()
+    unknown: list[np.ndarray] = []
     for eigenvalue, direction in zip(variances, directions.T, strict=True):
         # Rounded below zero: nothing but the ridge holds the direction.
         variance = eigenvalue if eigenvalue > 0 else 1 / RIDGE
         spread = np.sqrt(variance) * np.abs(direction)
-        if _is_unknown(variance, best_known) or _is_scaling(spread, size):
+        is_unknown = _is_unknown(variance, best_known)
+        if is_unknown:
+            unknown.append(direction)
+        if is_unknown or _is_scaling(spread, size):
             places = _members(direction, spread, size)
             members = [moving[i] for i in places]
             silent.update(members)
             of_members = [names[i] for i in members]
             sentences.append(_sentence(of_members, direction[places], theta[members]))
-    return SilentDirections(tuple(sentences), tuple(sorted(silent)))
+    return SilentDirections(
+        sentences=tuple(dict.fromkeys(sentences)),
+        parameters=tuple(sorted(silent)),
+        pinned=tuple(moving[i] for i in _pinned(unknown)),
+    )
+
+
+def _pinned(directions: Sequence[np.ndarray]) -> list[int]:
+    """Places whose changes tell how far one goes along each direction."""
+    if not directions:
+        return []
+    pivots = qr(np.array(directions), mode="r", pivoting=True)[1]
+    return sorted(pivots[: len(directions)].tolist())
 
 
 def _is_unknown(variance: float, best_known: float) -> bool:
