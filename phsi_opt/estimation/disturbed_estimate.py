@@ -255,6 +255,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             plain.loss.integrator,
             search.problem,
             disturbances,
+            search.moving,
             smoothed,
         )
         solution = _solution(program, task.settings)

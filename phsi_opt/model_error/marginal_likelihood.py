@@ -25,8 +25,6 @@ from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.chained import Chained
 from phsi_opt.transcription.elimination import RIDGE, chain_of
 
-# Share of a direction of one parameter that others must leave of it, to be one more.
-SAME_DIRECTION = 1e-6
 LOST = (
     "the information about the parameters is lost to rounding: noise and model error "
     "are too far apart in size."
@@ -310,21 +308,12 @@ class MarginalLikelihood:
         self.border_in_shown = in_shown
 
     def _own_directions(self) -> np.ndarray:
-        """What the model's own parameters do, as directions of the forces.
-
-        (n_unknowns, n_directions), orthonormal, zero but for the forces. They are fewer
-        than the parameters where one acts in no forced equation, as the offset of a
-        sensor, or acts as others do.
-        """
-        problem = self.problem
-        own = problem.dynamics_in_theta[:, self.moving]
-        directions = np.zeros((self.n_unknowns, len(self.moving)))
-        first = problem.dynamics_in_states.shape[1]
-        for equation in self.structure.forces:
-            of_force = problem.dynamics_of_force(equation).T @ own
-            directions[first : first + len(of_force)] = of_force
-            first += len(of_force)
-        return _orthonormal(directions)
+        """Directions that forces may not take, (n_unknowns, n_directions)."""
+        found = self.problem.own_directions(self.structure.forces, self.moving)
+        directions = np.zeros((self.n_unknowns, found.shape[1]))
+        first = self.problem.dynamics_in_states.shape[1]
+        directions[first : first + len(found)] = found
+        return directions
 
     def log_room(self, disturbances: Disturbances) -> float:
         """Half the log determinant of the prior covariance of the own directions."""
@@ -640,14 +629,6 @@ def whitener_of_sensor(problem: Linearization, sensor: Process) -> Whitener:
     nodes = problem.node[problem.values_of(sensor.place)]
     grid = problem.grid
     return Whitener.of(grid.t[nodes], grid.trajectory[nodes], sensor.time)
-
-
-def _orthonormal(columns: np.ndarray) -> np.ndarray:
-    """Of what columns span, as columns; whatever their sizes."""
-    sizes = np.linalg.norm(columns, axis=0)
-    scaled = columns[:, sizes > 0] / sizes[sizes > 0]
-    basis, values, _ = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(basis[:, values > SAME_DIRECTION])
 
 
 def solve_border(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
