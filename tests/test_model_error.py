@@ -964,11 +964,11 @@ def spring(
     **values: Parameter,
 ) -> PseudoHamiltonian:
     """A damped spring with a known mass, a sensor's formula or a force more."""
-    known = {"k": Parameter(40.0, lower=0), "m": 2.5, **values}
+    known: dict[str, Parameter | float] = {"k": Parameter(40.0, lower=0), "m": 2.5}
     return PseudoHamiltonian(
         states=["q", "p"],
         S=canonical(1),
-        H=formula(energy, **known),
+        H=formula(energy, **(known | values)),
         R=damping("p"),
         F={} if F is None else {"p": F},
         sensor={} if sensor is None else {"q": sensor},

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ STIFFNESS = ph.Parameter(4.0, lower=0)
 OWN = ph.Parameter(0.3, lower=0.1, per_trajectory=True)
 OWN_OFFSET = ph.Parameter(0.3, lower=0.02, per_trajectory=True)
 ENERGY = ph.formula("k*q**2/2 + p**2/2", k=STIFFNESS)
-WITH_OWN = {
+WITH_OWN: dict[str, dict[str, Any]] = {
     "H": {"H": ph.formula("k*q**2/2 + p**2/2 - a*q", k=STIFFNESS, a=OWN)},
     "R": {"R": {"p": ph.formula("a", a=OWN)}},
     "F": {"F": {"p": ph.formula("a", a=OWN)}},
@@ -73,7 +74,7 @@ WITH_OWN = {
 def test_a_candidate_drives_parameters_of_trajectories_to_their_bounds(
     slot: str, tmp_path: Path
 ) -> None:
-    slots = {"H": ENERGY, "R": ph.damping("p"), **WITH_OWN[slot]}
+    slots: dict[str, Any] = {"H": ENERGY, "R": ph.damping("p"), **WITH_OWN[slot]}
     model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), **slots)
     data = recorded(dry if slot == "R" else softening)
     study = ph.Study(model, data)
