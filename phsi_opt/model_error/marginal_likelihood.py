@@ -25,7 +25,7 @@ from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.chained import Chained
 from phsi_opt.transcription.elimination import RIDGE, chain_of
 
-LOST = (
+LOST_TO_ROUNDING = (
     "the information about the parameters is lost to rounding: noise and model error "
     "are too far apart in size."
 )
@@ -154,7 +154,7 @@ class Border:
         sign, log_det = np.linalg.slogdet(information)
         n_multipliers = len(found) - self.n_theta - len(self.owner)
         if sign != (-1.0) ** n_multipliers:
-            raise SolveError(LOST)
+            raise SolveError(LOST_TO_ROUNDING)
         log_prior = -np.sum(np.log(sizes[self.owner]))
         covariance = solve_border(information, np.eye(len(information)))
         n = self.n_theta
@@ -632,7 +632,11 @@ def whitener_of_sensor(problem: Linearization, sensor: Process) -> Whitener:
 
 
 def solve_border(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The solution of a system in parameters and coefficients.
+    """The solution of a system in parameters and coefficients, as ``right``.
+
+    Args:
+        matrix: (n, n).
+        right: (n,) or (n, k).
 
     Raises:
         SolveError: rounding has made it singular.
@@ -640,4 +644,4 @@ def solve_border(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     try:
         return np.linalg.solve(matrix, right)
     except np.linalg.LinAlgError as error:
-        raise SolveError(LOST) from error
+        raise SolveError(LOST_TO_ROUNDING) from error
