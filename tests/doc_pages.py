@@ -1,4 +1,4 @@
-"""The pages in docs/ as programs: their Python blocks and commands, run in order.
+"""README and pages in docs/ as programs: Python blocks and commands, run in order.
 
 A fence of Python is run in the page's namespace, a ``console`` fence runs its lines
 that begin with ``$ phsi-opt``, a ``toml`` fence that begins with ``# NAME.toml`` is

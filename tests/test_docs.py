@@ -1,4 +1,4 @@
-"""Every example of docs/ runs and prints what its page shows."""
+"""Every example of docs/ and of the README runs, and prints what its page shows."""
 
 import re
 import shutil
@@ -36,6 +36,19 @@ def test_the_examples_of_a_page_run_and_print_what_it_shows(
     for block, printed in shown:
         where = f"{name_of(page)}.md, line {block.line}"
         assert not first_difference(block.text, printed), f"{where}\n{printed}"
+
+
+def test_the_examples_of_the_readme_run_one_after_the_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = "problems/examples/data/friction_spring.csv"
+    (tmp_path / data).parent.mkdir(parents=True)
+    shutil.copy(ROOT / data, tmp_path / data)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    run_page(ROOT / "README.md")
+    assert (tmp_path / "report.html").exists()
+    assert (tmp_path / "model.json").exists()
 
 
 def test_every_page_for_users_has_examples() -> None:

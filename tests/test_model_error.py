@@ -31,7 +31,7 @@ from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
-from phsi_opt.model.terms import formula
+from phsi_opt.model.terms import Dictionary, damping, formula
 from phsi_opt.model_error import marginal_likelihood, score_test
 from phsi_opt.model_error.ascent import slopes
 from phsi_opt.model_error.clusters import Clusters
@@ -948,11 +948,35 @@ def test_noise_that_lasts_from_sample_to_sample_is_not_called_unexplained(
     assert found.base.rmse < 1.1 * found.base.noise_floor
 
 
-def test_parameters_that_cannot_be_told_apart_are_a_note_and_no_error() -> None:
+def spring_data() -> Measurements:
+    """The spring of the documentation: three runs, its dry friction not in the model."""
     shipped = Path(__file__).parents[1] / "docs" / "data" / "spring.csv"
-    data = Measurements.from_csv(
+    return Measurements.from_csv(
         shipped, time="t_s", trajectory="run", states={"q": "position_m", "p": None}
     )
+
+
+def spring(
+    energy: str = "k*q**2/2 + p**2/(2*m)",
+    *,
+    sensor: Dictionary | None = None,
+    F: Dictionary | None = None,
+    **values: Parameter,
+) -> PseudoHamiltonian:
+    """A damped spring with a known mass, a sensor's formula or a force more."""
+    known: dict[str, Parameter | float] = {"k": Parameter(40.0, lower=0), "m": 2.5}
+    return PseudoHamiltonian(
+        states=["q", "p"],
+        S=canonical(1),
+        H=formula(energy, **(known | values)),
+        R=damping("p"),
+        F={} if F is None else {"p": F},
+        sensor={} if sensor is None else {"q": sensor},
+    )
+
+
+def test_parameters_that_cannot_be_told_apart_are_a_note_and_no_error() -> None:
+    data = spring_data()
     energy = formula("k*q**2/2 + p**2/(2*m)", k=Parameter(10.0), m=Parameter(2.0))
     model = PseudoHamiltonian(
         states=["q", "p"],
@@ -963,6 +987,67 @@ def test_parameters_that_cannot_be_told_apart_are_a_note_and_no_error() -> None:
     fit = identify(model, data)
     assert any("cannot tell" in note for note in fit.warnings)
     assert all(np.isnan(error) for error in fit.std_errors.values())
+
+
+ENERGY = "k*q**2/2 + p**2/(2*m)"
+OWN = Parameter(0.0, per_trajectory=True)
+# What is silent in a model, by the name of an estimate: nothing of the first.
+SILENT: dict[str, tuple[PseudoHamiltonian, set[str]]] = {
+    "an offset": (spring(sensor=formula("b", b=Parameter(0.0))), set()),
+    "two springs in one": (
+        spring(
+            "k*q**2/2 + k2*q**2/2 + p**2/(2*m)",
+            k=Parameter(20.0, lower=0),
+            k2=Parameter(25.0, lower=0),
+        ),
+        {"k", "k2"},
+    ),
+    "offset and force": (
+        spring(sensor=formula("b", b=Parameter(0.0)), F=formula("g", g=Parameter(0.0))),
+        {"b", "g"},
+    ),
+    "offset and place of rest": (
+        spring(
+            "k*(q - q0)**2/2 + p**2/(2*m)",
+            sensor=formula("b", b=Parameter(0.0)),
+            q0=Parameter(0.0),
+        ),
+        {"b", "q0"},
+    ),
+    "those of every run": (
+        spring(sensor=formula("b", b=OWN), F=formula("g", g=OWN)),
+        {f"{name}[run {run}]" for name in "bg" for run in (1, 2, 3)},
+    ),
+    "no trace at all": (spring(f"{ENERGY} + z*(q - q)", z=Parameter(1.0)), {"z"}),
+}
+
+
+@pytest.mark.parametrize("name", SILENT)
+@pytest.mark.parametrize("model_error", [False, True])
+def test_what_the_data_cannot_tell_is_named_and_the_rest_gets_standard_errors(
+    name: str, model_error: bool
+) -> None:
+    model, silent = SILENT[name]
+    fit = identify(model, spring_data(), MaximumLikelihood(model_error=model_error))
+    assert {n for n in fit.names if np.isnan(fit.std_errors[n])} == silent
+    told = " ".join(fit.warnings)
+    assert all(n in told for n in silent)
+    assert fit.std_error_source == Source.DISTURBANCES
+
+
+@pytest.mark.parametrize("model_error", [False, True])
+def test_the_rest_is_known_as_well_as_in_a_model_without_what_is_silent(
+    model_error: bool,
+) -> None:
+    loss = MaximumLikelihood(model_error=model_error)
+    data = spring_data()
+    alone = identify(SILENT["an offset"][0], data, loss)
+    for name in ("offset and force", "offset and place of rest"):
+        fit = identify(SILENT[name][0], data, loss)
+        for told in ("k", "R_p"):  # to the tolerance of the solvers
+            assert fit.values[told] == pytest.approx(alone.values[told], rel=1e-4)
+            error = alone.std_errors[told]
+            assert fit.std_errors[told] == pytest.approx(error, rel=1e-4)
 
 
 def test_the_first_step_of_a_search_promises_what_is_there_and_nothing_else() -> None:

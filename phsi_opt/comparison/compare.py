@@ -340,10 +340,10 @@ def compare(fit: Fit | Model, data: Measurements) -> Comparison:
     A model without free parameters needs no fit: noise and starting states are
     estimated from the measurements.
 
-    Starting states are estimated from the whole record of each trajectory; on the
-    measurements of the fit they are its own. Parameters that every trajectory has of
-    its own are those of the fit for trajectories of the same name, and estimated from
-    the record for others.
+    Starting states, and parameters that every trajectory has of its own
+    (``per_trajectory``), are estimated from the whole record of each trajectory by
+    maximum likelihood, whatever its name; on the measurements of the fit they are its
+    own. Parameters that trajectories share are always those of the fit.
 
     Args:
         fit: a fit by maximum likelihood or by the PHSI loss, or a model whose

@@ -55,7 +55,10 @@ def prediction_bands(
     run = _linearized(record, nodes, values)
     scale = run.point.theta_scale
     information = run.reduced.information
-    covariance = _parameter_covariance(fit, run.unknown, scale, information)
+    entries = run.unknown.entries
+    own_names = record.estimated_here(record.model)
+    is_own = np.array([entry.name in own_names for entry in entries], dtype=bool)
+    covariance = _parameter_covariance(fit, run.unknown, is_own, scale, information)
     response = _response_of_sensors(record, nodes, run)
     by_theta = response.by_theta
     from_parameters = np.einsum("aij,jk,aik->ai", by_theta, covariance, by_theta)
@@ -142,22 +145,26 @@ def _response_of_sensors(
 
 
 def _parameter_covariance(
-    fit: Fit, unknown: Theta, scale: np.ndarray, information: np.ndarray
+    fit: Fit,
+    unknown: Theta,
+    is_own: np.ndarray,
+    scale: np.ndarray,
+    information: np.ndarray,
 ) -> np.ndarray:
     """Covariance of the scaled parameters along a record, (n_theta, n_theta).
 
-    That of the fit; what a trajectory has of its own follows its record, given the
-    parameters that it shares with others.
+    That of the fit; what is estimated from the record (``is_own``) follows it, given
+    the other parameters.
     """
     is_known = np.isfinite(np.diag(fit.covariance))
     fitted = np.where(np.outer(is_known, is_known), fit.covariance, 0.0)
-    shared = [i for i, name in enumerate(unknown.names) if name in fit.names]
-    own = [i for i, name in enumerate(unknown.names) if name not in fit.names]
+    shared = np.flatnonzero(~is_own)
+    own = np.flatnonzero(is_own)
     place = [fit.names.index(unknown.names[i]) for i in shared]
     of_shared = fitted[np.ix_(place, place)] / np.outer(scale[shared], scale[shared])
     covariance = np.zeros((len(unknown), len(unknown)))
     covariance[np.ix_(shared, shared)] = of_shared
-    if own:
+    if len(own):
         conditional = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
         following = -conditional @ information[np.ix_(own, shared)]
         crossed = following @ of_shared

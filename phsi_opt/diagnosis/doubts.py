@@ -110,7 +110,7 @@ def _driven_to_bounds(old: Fit, new: Fit, effects: Sequence[Effect]) -> list[str
     for name in new.outcome.at_bounds:
         if name not in old.names or name in old.outcome.at_bounds:
             continue
-        if new.model.entries[name].slot not in slots:
+        if new.entry(name).slot not in slots:
             driven.append(name)
     return driven
 

@@ -130,6 +130,7 @@ class DisturbedEstimate(Estimate):
             self.point.theta_scale,
             self.spreads[source].covariance,
             self.solution.outcome.at_bounds,
+            self.plain.uncertainty.silent,
         )
 
     @property
@@ -254,6 +255,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             plain.loss.integrator,
             search.problem,
             disturbances,
+            search.moving,
             smoothed,
         )
         solution = _solution(program, task.settings)

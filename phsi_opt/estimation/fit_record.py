@@ -332,6 +332,21 @@ class FitRecord(Identified):
                 rows.append(self._row(name, entry, value))
         return printed_table(rows, columns=PARAMETER_COLUMNS)
 
+    def entry(self, name: str) -> Entry:
+        """The model's entry of an estimate, such as that of m for ``m[run 1]``.
+
+        Args:
+            name: One of ``names``, or of any parameter of the model.
+        """
+        return self._entries[name]
+
+    @cached_property
+    def _entries(self) -> dict[str, Entry]:
+        found = dict(self.model.entries)
+        for entry in self.model.entries.values():
+            found.update(dict.fromkeys(self._values_of(entry), entry))
+        return found
+
     def _values_of(self, entry: Entry) -> dict[str, float]:
         """Values of one parameter of the model: one, or one per trajectory."""
         if not (entry.parameter.per_trajectory and self.by_trajectory):

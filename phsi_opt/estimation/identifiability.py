@@ -38,12 +38,18 @@ class SilentDirections:
     """What the data do not say.
 
     Attributes:
-        sentences: One per direction.
+        sentences: One per set of parameters.
         parameters: Places of the parameters in these directions, increasing.
+        pinned: Places of as few of them as must be held at their values, so that the
+            data tell all others.
     """
 
     sentences: tuple[str, ...] = ()
     parameters: tuple[int, ...] = ()
+    pinned: tuple[int, ...] = ()
+
+
+NOTHING_SILENT = SilentDirections()
 
 
 def silent_directions(
@@ -65,7 +71,7 @@ def silent_directions(
     """
     moving = [i for i in range(len(covariance)) if i not in held]
     if not moving:
-        return SilentDirections()
+        return NOTHING_SILENT
     if not np.all(np.isfinite(covariance)):
         raise SolveError(
             "the covariance of the estimates is beyond all numbers: the model's slopes "
@@ -75,20 +81,41 @@ def silent_directions(
     size = np.abs(theta[moving])
     sentences = []
     silent: set[int] = set()
-    for variance, direction in _by_variance(covariance[np.ix_(moving, moving)], size):
-        spread = np.sqrt(variance) * np.abs(direction)
-        places = _members(direction, spread, size)
+    pinned = []
+    for one in _open_directions(covariance[np.ix_(moving, moving)], size):
+        spread = np.sqrt(one.variance) * np.abs(one.direction)
+        places = _members(one.direction, spread, size)
         members = [moving[i] for i in places]
         silent.update(members)
         of_members = [names[i] for i in members]
-        sentences.append(_sentence(of_members, direction[places], theta[members]))
-    return SilentDirections(tuple(sentences), tuple(sorted(silent)))
+        sentences.append(_sentence(of_members, one.direction[places], theta[members]))
+        if one.own is not None:
+            pinned.append(moving[one.own])
+    return SilentDirections(
+        sentences=tuple(dict.fromkeys(sentences)),
+        parameters=tuple(sorted(silent)),
+        pinned=tuple(sorted(pinned)),
+    )
 
 
-def _by_variance(
-    covariance: np.ndarray, size: np.ndarray
-) -> list[tuple[float, np.ndarray]]:
-    """Variance and direction of what the data are silent about.
+@dataclass(frozen=True, eq=False)
+class _Open:
+    """A direction that the data leave open.
+
+    Attributes:
+        variance: of a step along it.
+        direction: (n_moving,) of length one.
+        own: place of a parameter that changes along it and along no other unknown one;
+            None: the data know the direction, but for a factor.
+    """
+
+    variance: float
+    direction: np.ndarray
+    own: int | None = None
+
+
+def _open_directions(covariance: np.ndarray, size: np.ndarray) -> list[_Open]:
+    """Those about which the data are silent.
 
     Args:
         covariance: (n_moving, n_moving) of the scaled parameters.
@@ -102,16 +129,15 @@ def _by_variance(
     found = []
     for k in np.flatnonzero(~is_unknown):
         if _is_scaling(np.sqrt(variances[k]) * np.abs(directions[:, k]), size):
-            found.append((float(variances[k]), directions[:, k]))
+            found.append(_Open(float(variances[k]), directions[:, k]))
     if np.any(is_unknown):
         variance = float(np.max(variances[is_unknown]))
-        separated = _separated(directions[:, is_unknown])
-        found += [(variance, direction) for direction in separated.T]
+        found += _separated(directions[:, is_unknown], variance)
     return found
 
 
-def _separated(directions: np.ndarray) -> np.ndarray:
-    """Directions that span the same space, with few members each, (n, n_directions).
+def _separated(directions: np.ndarray, variance: float) -> list[_Open]:
+    """Directions that span the same space (n, n_directions), with few members each.
 
     Eigenvectors of one eigenvalue are mixed at will. Each of these has a parameter to
     itself, in which the others have no part.
@@ -120,7 +146,9 @@ def _separated(directions: np.ndarray) -> np.ndarray:
     own = order[: directions.shape[1]]
     separated = directions @ np.linalg.inv(directions[own])
     separated[np.abs(separated) < ROUNDED_SHARE * np.max(np.abs(separated))] = 0.0
-    return np.asarray(separated / np.linalg.norm(separated, axis=0))
+    separated = separated / np.linalg.norm(separated, axis=0)
+    pairs = zip(separated.T, own.tolist(), strict=True)
+    return [_Open(variance, direction, place) for direction, place in pairs]
 
 
 def _is_unknown(variance: float, best_known: float) -> bool:

@@ -220,6 +220,7 @@ class LikelihoodEstimate(Estimate):
             solution=self.solution,
             sigma=self.sigma,
             is_known=self.is_known,
+            silent=self.uncertainty.silent,
         )
 
     @property

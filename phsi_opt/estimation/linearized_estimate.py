@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import csc_matrix, csr_matrix, diags
 
 from phsi_opt.data.noise_by_run import scatter_by_run
+from phsi_opt.estimation.identifiability import SilentDirections
 from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
@@ -39,6 +40,7 @@ class SolvedLikelihood:
         solution: of the program, whose variables begin with theta and the states.
         sigma: (n_states,) noise.
         is_known: (n_states,) whether it was declared.
+        silent: directions of the parameters about which the data say nothing.
     """
 
     task: Task
@@ -51,6 +53,7 @@ class SolvedLikelihood:
     solution: Solution
     sigma: np.ndarray
     is_known: np.ndarray
+    silent: SilentDirections
 
     @property
     def held(self) -> list[int]:
@@ -136,14 +139,19 @@ class SolvedLikelihood:
         )
 
     def search(self, problem: Linearization) -> DisturbanceSearch:
-        """The search for what acts beside the model, from the noise of the solution."""
+        """The search for what acts beside the model, from the noise of the solution.
+
+        Parameters at a bound stay there, and so do as many as the data cannot tell from
+        others: a likelihood that is flat along a direction has no finite marginal.
+        """
         shape = (problem.n_trajectories, len(self.sigma))
         measured = self.grid.measured.any(axis=0)
         channels = np.flatnonzero(measured & ~self.is_known).tolist()
         scatter = scatter_by_run(self.task.data)
         scatter = np.where(self.is_known, self.sigma, scatter)
         n_theta = len(self.unknown)
-        moving = [i for i in range(n_theta) if i not in self.held]
+        stays = {*self.held, *self.silent.pinned}
+        moving = [i for i in range(n_theta) if i not in stays]
         return DisturbanceSearch(
             problem=problem,
             moving=np.array(moving, dtype=int),

@@ -34,7 +34,8 @@ class Record:
         fit: the fit.
         aligned: the measurements in the model's order, laid out.
         parameters: values of the free parameters by trajectory and name; for a
-            trajectory that the fit has not seen, the means of the fit.
+            trajectory that the fit has not seen, the means of the fit. Where they are
+            `estimated_here` that is where the search for them begins.
         estimate: states, noise and missing force along the measurements. Of a candidate
             (see `refitted`) it is that of the base model: noise and starting states
             are then judged alike for all candidates.
@@ -156,6 +157,25 @@ class Record:
 
     @property
     def is_of_training(self) -> bool:
-        """Whether these are the very measurements that the fit was made from."""
-        fitted_to = self.fit.provenance.get("data_sha256")
-        return bool(self.fit.states) and fitted_to == self.data.digest
+        """Whether the fit was made from these measurements, and knows their states."""
+        return bool(self.fit.states) and self._was_fitted
+
+    @property
+    def _was_fitted(self) -> bool:
+        """Whether the fit was made from these very measurements."""
+        return self.fit.provenance.get("data_sha256") == self.data.digest
+
+    def estimated_here(self, model: Model) -> set[str]:
+        """Names of the parameters whose values these measurements give, not the fit.
+
+        As starting states are: what every trajectory has of its own, where the fit was
+        not made from these measurements.
+
+        Args:
+            model: the fitted one, or a larger one.
+        """
+        if self._was_fitted:
+            return set()
+        return {
+            name for name in model.free if model.entries[name].parameter.per_trajectory
+        }

@@ -1,11 +1,12 @@
 """The states with which a fitted model explains a record best.
 
 The dynamics hold exactly (zero defects) and the shared parameters stay as they are;
-starting states, and parameters of a trajectory that the fit has not seen, follow from
-the record by maximum likelihood. A free run begins at the first of these states.
+starting states follow from the record by maximum likelihood, and with them what every
+trajectory has of its own, where the fit was not made from that record. A free run
+begins at the first of these states.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,8 +74,8 @@ def _most_likely_states(
     aligned = record.aligned
     data = record.data
     steps = steps_on(fit, data)
-    entries = fit.model.entries.values()
-    if not any(entry.parameter.per_trajectory for entry in entries):
+    own_names = record.estimated_here(fit.model)
+    if not own_names and not fit.by_trajectory:
         state = _accurate(fit, fit.model.frozen(), aligned, sigma, guess, steps)
         if state is None:
             return None
@@ -83,7 +84,7 @@ def _most_likely_states(
     parameters: dict[str, Mapping[str, float]] = {}
     for number, run in enumerate(data.trajectories):
         known = record.parameters[run.name]
-        model = _with_own_parameters_free(fit, run.name, known)
+        model = _with_own_parameters_free(fit.model.with_values(known), own_names)
         state = _accurate(
             fit,
             model,
@@ -100,18 +101,9 @@ def _most_likely_states(
     return SmoothedStates(tuple(states), parameters)
 
 
-def _with_own_parameters_free(
-    fit: Fit, trajectory: str, values: Mapping[str, float]
-) -> Model:
+def _with_own_parameters_free(model: Model, own: Collection[str]) -> Model:
     """The model of one trajectory: free is only what it has of its own, if unknown."""
-    model = fit.model.with_values(values)
-    unknown: set[str] = set()
-    if trajectory not in fit.by_trajectory:
-        for name, entry in fit.model.entries.items():
-            if entry.parameter.per_trajectory:
-                unknown.add(name)
-    known = {name: v for name, v in model.values.items() if name not in unknown}
-    return model.with_fixed(known)
+    return model.with_fixed({n: v for n, v in model.values.items() if n not in own})
 
 
 def _accurate(

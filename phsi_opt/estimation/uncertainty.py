@@ -7,12 +7,16 @@ not trusted.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
 
-from phsi_opt.estimation.identifiability import silent_directions
+from phsi_opt.estimation.identifiability import (
+    NOTHING_SILENT,
+    SilentDirections,
+    silent_directions,
+)
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.transcription.defect_derivatives import defect_slopes
@@ -30,10 +34,12 @@ class Uncertainty:
         covariance: (n_theta, n_theta); NaN where it is not known.
         warnings: A sentence per direction that cannot be identified, or why nothing is
             known.
+        silent: The directions that cannot be identified.
     """
 
     covariance: np.ndarray
     warnings: tuple[str, ...] = ()
+    silent: SilentDirections = NOTHING_SILENT
 
     @property
     def std_errors(self) -> np.ndarray:
@@ -42,7 +48,7 @@ class Uncertainty:
 
     def widened(self, factor: float) -> "Uncertainty":
         """The covariance times a factor."""
-        return Uncertainty(self.covariance * factor, self.warnings)
+        return replace(self, covariance=self.covariance * factor)
 
 
 def unknown(n_theta: int, reason: str) -> Uncertainty:
@@ -95,6 +101,7 @@ def of_covariance(
     scale: np.ndarray,
     scaled: np.ndarray,
     at_bounds: tuple[str, ...],
+    known: SilentDirections = NOTHING_SILENT,
 ) -> Uncertainty:
     """A covariance of scaled parameters, without those of which nothing is known.
 
@@ -104,12 +111,18 @@ def of_covariance(
         scale: (n_theta,) size of each.
         scaled: (n_theta, n_theta) covariance of theta over scale.
         at_bounds: Names of the parameters that ended at a bound.
+        known: Directions that are known to be silent, besides those of the covariance.
     """
-    held = _places(names, at_bounds)
-    silent = silent_directions(names, theta / scale, scaled, held)
+    held = [*_places(names, at_bounds), *known.parameters]
+    found = silent_directions(names, theta / scale, scaled, held)
+    silent = SilentDirections(
+        sentences=(*known.sentences, *found.sentences),
+        parameters=tuple(sorted({*known.parameters, *found.parameters})),
+        pinned=tuple(sorted({*known.pinned, *found.pinned})),
+    )
     covariance = scaled * np.outer(scale, scale)
     not_known = [*held, *silent.parameters]
-    return Uncertainty(_without(covariance, not_known), silent.sentences)
+    return Uncertainty(_without(covariance, not_known), silent.sentences, silent)
 
 
 def of_defects(

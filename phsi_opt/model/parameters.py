@@ -84,7 +84,8 @@ class Parameter:
         fixed: whether the value is known and not estimated.
         guess: how the start is found in the data.
         per_trajectory: whether every trajectory has a value of its own, such as a load
-            that changes between runs; other parameters are shared by all.
+            that changes between runs; other parameters are shared by all. On runs that
+            were not fitted it is estimated as starting states are (see ``compare``).
 
     Raises:
         ModelError: a value that is not finite or outside the bounds, crossed bounds, or

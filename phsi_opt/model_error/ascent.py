@@ -14,7 +14,11 @@ import numpy as np
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.marginal_likelihood import Eliminated, MarginalLikelihood
+from phsi_opt.model_error.marginal_likelihood import (
+    Eliminated,
+    MarginalLikelihood,
+    solve_border,
+)
 from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.model_error.signs import random_signs
 from phsi_opt.statistics import TINY
@@ -320,7 +324,7 @@ class _Derivatives:
         k = changes.inner.shape[1]
         alone = self.parts.factors.solve(inner)
         open_border = border - self.parts.right[:, :-1].T @ alone
-        of_border = np.linalg.solve(self.information, open_border)
+        of_border = solve_border(self.information, open_border)
         information = self._information(
             changes, alone[:, :k], open_border[:, :k], of_border[:, :k]
         )
@@ -478,7 +482,7 @@ class _Derivatives:
         return in_room
 
     def _in_functions(self) -> np.ndarray:
-        covariance = np.linalg.inv(self.information)
+        covariance = solve_border(self.information, np.eye(len(self.information)))
         slopes = []
         for number, size in enumerate(self.sizes):
             places = self.n_theta + np.flatnonzero(self.owner == number)

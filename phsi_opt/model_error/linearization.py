@@ -10,6 +10,7 @@ not know. States and parameters are in the scale of the program that was solved,
 in the unit of a rate of their state.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -20,6 +21,9 @@ from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
 
 from phsi_opt.model_error.state_functions import smooth_functions
 from phsi_opt.transcription.grid import Grid
+
+# Share of a direction of one parameter that others must leave of it, to be one more.
+SAME_DIRECTION = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +116,28 @@ class Linearization:
     def _forces(self) -> dict[int, csc_matrix]:
         """Those of the equations asked for: a search asks hundreds of times."""
         return {}
+
+    def own_directions(
+        self, equations: Sequence[int], moving: np.ndarray
+    ) -> np.ndarray:
+        """What the model's own parameters do, as directions of forces.
+
+        Args:
+            equations: of the forces.
+            moving: (n_moving,) places of the parameters.
+
+        Returns:
+            (n_forces * n_intervals, n_directions), orthonormal. They are fewer than the
+            parameters where one acts in no forced equation, as the offset of a sensor,
+            or acts as others do.
+        """
+        own = self.dynamics_in_theta[:, moving]
+        parts = [self.dynamics_of_force(equation).T @ own for equation in equations]
+        columns = np.concatenate(parts)
+        sizes = np.linalg.norm(columns, axis=0)
+        scaled = columns[:, sizes > 0] / sizes[sizes > 0]
+        basis, values, _ = np.linalg.svd(scaled, full_matrices=False)
+        return np.asarray(basis[:, values > SAME_DIRECTION])
 
     def values_of(self, channel: int) -> np.ndarray:
         """Places of the measured values of one state."""

@@ -25,6 +25,11 @@ from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.chained import Chained
 from phsi_opt.transcription.elimination import RIDGE, chain_of
 
+LOST_TO_ROUNDING = (
+    "the information about the parameters is lost to rounding: noise and model error "
+    "are too far apart in size."
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
@@ -128,7 +133,7 @@ class Border:
         precision[self.n_theta :] = 1 / sizes[self.owner[is_other]] ** 2
         inner = self.information[np.ix_(others, others)] + np.diag(precision)
         mixed = self.information[np.ix_(others, own)]
-        through = np.linalg.solve(inner, mixed)
+        through = solve_border(inner, mixed)
         left = self.information[np.ix_(own, own)] - mixed.T @ through
         gradient = self.gradient[own] - through.T @ self.gradient[others]
         values, vectors = np.linalg.eigh(left)
@@ -144,17 +149,14 @@ class Border:
             SolveError: rounding has made the information indefinite.
         """
         information = self.with_priors(sizes)
-        found = np.linalg.solve(information, self.gradient)
+        found = solve_border(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         sign, log_det = np.linalg.slogdet(information)
         n_multipliers = len(found) - self.n_theta - len(self.owner)
         if sign != (-1.0) ** n_multipliers:
-            raise SolveError(
-                "the information about the parameters is lost to rounding: noise and "
-                "model error are too far apart in size."
-            )
+            raise SolveError(LOST_TO_ROUNDING)
         log_prior = -np.sum(np.log(sizes[self.owner]))
-        covariance = np.linalg.inv(information)
+        covariance = solve_border(information, np.eye(len(information)))
         n = self.n_theta
         return Marginal(
             log_evidence=float(self.log_evidence - (misfit + log_det) / 2 + log_prior),
@@ -295,8 +297,10 @@ class MarginalLikelihood:
         in_unknowns = np.zeros((self.n_unknowns, 0))
         if self.structure.is_orthogonal:
             in_unknowns = self._own_directions()
-            no_dynamics = np.zeros((len(self.border_in_dynamics), len(self.moving)))
+            n_dynamics = len(self.border_in_dynamics)
+            no_dynamics = np.zeros((n_dynamics, in_unknowns.shape[1]))
             self.border_in_dynamics = np.hstack([self.border_in_dynamics, no_dynamics])
+        self._directions = in_unknowns
         before = np.zeros((self.n_unknowns, n_columns))
         self._border_in_unknowns = np.hstack([before, in_unknowns])
         in_shown = np.zeros((problem.n_values, self.border_in_dynamics.shape[1]))
@@ -304,18 +308,11 @@ class MarginalLikelihood:
         self.border_in_shown = in_shown
 
     def _own_directions(self) -> np.ndarray:
-        """What the model's own parameters do, as directions of the forces.
-
-        (n_unknowns, n_moving), zero but for the forces.
-        """
-        problem = self.problem
-        own = problem.dynamics_in_theta[:, self.moving]
-        directions = np.zeros((self.n_unknowns, len(self.moving)))
-        first = problem.dynamics_in_states.shape[1]
-        for equation in self.structure.forces:
-            of_force = problem.dynamics_of_force(equation).T @ own
-            directions[first : first + len(of_force)] = of_force
-            first += len(of_force)
+        """Directions that forces may not take, (n_unknowns, n_directions)."""
+        found = self.problem.own_directions(self.structure.forces, self.moving)
+        directions = np.zeros((self.n_unknowns, found.shape[1]))
+        first = self.problem.dynamics_in_states.shape[1]
+        directions[first : first + len(found)] = found
         return directions
 
     def log_room(self, disturbances: Disturbances) -> float:
@@ -323,14 +320,11 @@ class MarginalLikelihood:
         if not self.structure.is_orthogonal:
             return 0.0
         whiteners = self.whiteners(disturbances)
-        covariance = np.zeros((len(self.moving), len(self.moving)))
+        covariance = np.zeros((self._directions.shape[1],) * 2)
         first = self.problem.dynamics_in_states.shape[1]
         for force, whitener in zip(disturbances.forces, whiteners, strict=False):
             n = len(whitener.diagonal)
-            directions = self._border_in_unknowns[
-                first : first + n, -len(self.moving) :
-            ]
-            factor = whitener.factor_of(directions)
+            factor = whitener.factor_of(self._directions[first : first + n])
             covariance += force.size**2 * (factor.T @ factor)
             first += n
         ridge = RIDGE * np.eye(len(covariance)) * np.trace(covariance)
@@ -482,7 +476,8 @@ class MarginalLikelihood:
         eliminated = self.eliminated(disturbances)
         border = self.border_of(eliminated)
         sizes = np.array([function.size for function in disturbances.functions])
-        inverse = _inverse(border.with_priors(sizes))[: border.n_theta]
+        information = border.with_priors(sizes)
+        inverse = solve_border(information, np.eye(len(information)))[: border.n_theta]
         answers = eliminated.solved[:, :-1]
         shown = self.border_in_shown - self.shown @ answers[: self.n_unknowns]
         of_dynamics = answers[self.n_unknowns :]
@@ -636,9 +631,17 @@ def whitener_of_sensor(problem: Linearization, sensor: Process) -> Whitener:
     return Whitener.of(grid.t[nodes], grid.trajectory[nodes], sensor.time)
 
 
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric matrix; where a parameter does nothing it does not answer."""
+def solve_border(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The solution of a system in parameters and coefficients, as ``right``.
+
+    Args:
+        matrix: (n, n).
+        right: (n,) or (n, k).
+
+    Raises:
+        SolveError: rounding has made it singular.
+    """
     try:
-        return np.linalg.inv(matrix)
-    except np.linalg.LinAlgError:
-        return np.linalg.pinv(matrix, hermitian=True)
+        return np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError as error:
+        raise SolveError(LOST_TO_ROUNDING) from error

@@ -44,6 +44,7 @@ def disturbed_program(
     integrator: str,
     problem: Linearization,
     disturbances: Disturbances,
+    moving: np.ndarray,
     start: Smoothed,
 ) -> Program:
     """The program in theta, x and the disturbances.
@@ -57,6 +58,8 @@ def disturbed_program(
             states.
         disturbances: with their sizes and times; one over the noise of every value is
             a setting of the program.
+        moving: (n_moving,) places of the parameters along whose directions no force may
+            act, where the disturbances are orthogonal.
         start: where the disturbances begin.
     """
     grid = problem.grid
@@ -79,9 +82,11 @@ def disturbed_program(
         jacobian=jacobian,
     )
     if disturbances.is_orthogonal:
-        own = csc_matrix(problem.dynamics_in_theta.T)
-        in_own_directions = ca.mtimes(ca.DM(own), blocks.force_in_dynamics)
-        build.constrain("orthogonal", ca.MX(in_own_directions))
+        equations = [force.place for force in disturbances.forces]
+        own = problem.own_directions(equations, moving)
+        if own.shape[1]:
+            forces = ca.vertcat(*blocks.forces)
+            build.constrain("orthogonal", ca.mtimes(ca.DM(own.T), forces))
     shown = outputs(model, grid, x, theta.by_trajectory) if model.sensor else x
     measured = np.flatnonzero(grid.measured.ravel()).tolist()
     y = ca.DM(grid.y.ravel()[measured])
@@ -100,7 +105,7 @@ class _Blocks:
 
     Attributes:
         in_dynamics: (n_intervals * n_states,) symbols, added to the dynamics.
-        force_in_dynamics: the part of it that is due to processes.
+        forces: values of every force over the largest size of one.
         in_shown: (n_values,) symbols, added to what is shown.
         innovations: whitened values of every block.
         slopes: of ``in_dynamics`` in the scaled variables, sparse and constant.
@@ -119,14 +124,16 @@ class _Blocks:
         self.in_dynamics: Any = ca.DM.zeros(n_dynamics)
         self.in_shown: Any = ca.DM.zeros(problem.n_values)
         self.innovations: list[ca.MX] = []
+        self.forces: list[ca.MX] = []
         n_forces = len(disturbances.forces)
+        largest = max((force.size for force in disturbances.forces), default=1.0)
         for number, force in enumerate(disturbances.forces):
             first = start.processes[number]
             matrix = problem.dynamics_of_force(force.place)
             values = self._added(f"force_{number}", matrix, force.size, first)
+            self.forces.append(values / largest)
             whitener = _matrix(whitener_of_force(problem, force)) / force.size
             self.innovations.append(ca.mtimes(ca.DM(whitener), values))
-        self.force_in_dynamics = self.in_dynamics
         for number, function in enumerate(disturbances.functions):
             columns = problem.dynamics_of_function(function.equation, function.state)
             matrix = csc_matrix(-columns)

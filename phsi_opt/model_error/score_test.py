@@ -19,6 +19,7 @@ from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
+    solve_border,
     whitener_of_force,
     whitener_of_sensor,
 )
@@ -236,7 +237,7 @@ class WhiteRecord:
         in_theta = self._in_shown.T @ (weights * shifts.values)
         # The matrix is symmetric: what was solved for the parameters serves again.
         in_theta -= self._right.T @ answer
-        theta = np.linalg.solve(self._information, in_theta)
+        theta = solve_border(self._information, in_theta)
         answer -= self._solved @ theta
         shown = likelihood.shown @ answer[:n] + self._in_shown @ theta
         return _Shifts(weights * (shifts.values - shown), answer[n:])

@@ -127,7 +127,7 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
                 found = best.disturbances
             gain = plain.search.gain(best)
     except (SolveError, np.linalg.LinAlgError):
-        gain = 0.0  # such as a model whose parameters cannot be told apart
+        gain = 0.0  # beyond what numbers hold: slopes of 1e300, noise of 1e-14
     clusters = _clusters(plain)
     if clusters is not None:
         of_clusters = clusters.spread(plain.moving, len(plain.covariance))

@@ -13,7 +13,7 @@ following, is their trace. Linearising at the base model's own trajectory instea
 compare phases that have run apart.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -81,6 +81,7 @@ class LinearizedRecord:
         covariance: of scaled theta.
         step: of scaled theta and of the states, to those that obey the model.
         residual: weighted residuals after that step, (n_nodes * n_states,).
+        is_held: (n_theta,) whether a parameter is known and does not move.
     """
 
     record: Record
@@ -94,6 +95,7 @@ class LinearizedRecord:
     covariance: np.ndarray = field(repr=False)
     step: Step = field(repr=False)
     residual: np.ndarray = field(repr=False)
+    is_held: np.ndarray = field(repr=False)
 
     @classmethod
     def of(cls, record: Record, states: np.ndarray | None = None) -> "LinearizedRecord":
@@ -116,7 +118,7 @@ class LinearizedRecord:
         states: np.ndarray,
         parameters: np.ndarray,
         grid: Grid | None = None,
-        is_held: bool = False,
+        held: Collection[str] = (),
         linearization: RecordLinearization | None = None,
     ) -> "LinearizedRecord":
         """Linearise the likelihood of a model along a record of a smaller one.
@@ -127,7 +129,7 @@ class LinearizedRecord:
             states: where, (n_nodes, n_states).
             parameters: of the model's free parameters, (n_free, n_trajectories).
             grid: in the order of the model; default: that of the record.
-            is_held: whether parameters are known, and only states follow.
+            held: names of the model's parameters that are known and do not move.
             linearization: of the model, where it was made before.
         """
         grid = grid or record.estimate.grid
@@ -138,8 +140,10 @@ class LinearizedRecord:
         theta = np.zeros(n_theta)
         theta[unknown.table] = parameters
         point = linearization.at(states, theta)
-        held = range(n_theta) if is_held else ()
-        covariance = regularized_inverse(point.reduced.information, held)
+        is_held = np.array([entry.name in held for entry in unknown.entries], bool)
+        covariance = regularized_inverse(
+            point.reduced.information, np.flatnonzero(is_held).tolist()
+        )
         gradient = point.outputs.gradient(point.outputs.residual)
         step = point.reduced.solve(
             gradient.x, -point.defects, covariance, gradient.theta
@@ -157,6 +161,7 @@ class LinearizedRecord:
             covariance=covariance,
             step=step,
             residual=residual,
+            is_held=is_held,
         )
 
     @property
@@ -206,11 +211,15 @@ class LinearizedRecord:
         if np.all(free >= lower) and np.all(free <= upper):
             return BoundedStep(self.step, self.residual)
         reduced = self.point.reduced
-        information = reduced.information + RIDGE * np.eye(len(free))
-        values, vectors = np.linalg.eigh(information)
+        moves = ~self.is_held
+        information = reduced.information[np.ix_(moves, moves)]
+        values, vectors = np.linalg.eigh(information + RIDGE * np.eye(len(information)))
         root = np.sqrt(np.maximum(values, RIDGE))[:, None] * vectors.T
         upper = np.maximum(upper, lower + TINY)
-        bounded = bounded_least_squares(root, root @ free, lower, upper)
+        bounded = free.copy()
+        bounded[moves] = bounded_least_squares(
+            root, root @ free[moves], lower[moves], upper[moves]
+        )
         moved = bounded - free
         by_theta = (reduced.following @ moved).ravel()
         change = self.point.outputs.change(Step(moved, by_theta))

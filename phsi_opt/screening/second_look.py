@@ -106,8 +106,8 @@ def second_look(
         record: of the base model.
         effects: added to it; none: the base model itself.
         values: of parameters, from which to start; others as in the record.
-        is_held: whether parameters stay at these values: what the model leaves on data
-            that it was not fitted to.
+        is_held: whether parameters stay at these values, but for those that are
+            `estimated_here`: what the model leaves on data that it was not fitted to.
 
     Returns:
         None where the model cannot be linearised, or the steps do not settle.
@@ -136,11 +136,10 @@ def _settled(
     grid = record.aligned.for_model(model).grid
     states = with_memory(model, grid, estimate.x, parameters)
     linearization = linearization_of(record, model, grid)
+    held = set(model.free) - record.estimated_here(model) if is_held else set()
 
     def linearized(x: np.ndarray, theta: np.ndarray) -> LinearizedRecord:
-        return LinearizedRecord.at(
-            record, model, x, theta, grid, is_held, linearization
-        )
+        return LinearizedRecord.at(record, model, x, theta, grid, held, linearization)
 
     at = linearized(states, parameters)
     misfit = at.within_bounds.misfit

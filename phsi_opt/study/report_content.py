@@ -143,7 +143,7 @@ def _model(heading: str, fit: Fit) -> Equations:
         if name in intervals.index:
             lower = float(intervals["ci_lower"][name])
             upper = float(intervals["ci_upper"][name])
-            parameter = fit.model.entries[name].parameter
+            parameter = fit.entry(name).parameter
             interval = interval_within(parameter, lower, upper)
             if lower < parameter.lower or upper > parameter.upper:
                 remark = remark or "cut at its bound"
@@ -151,7 +151,7 @@ def _model(heading: str, fit: Fit) -> Equations:
             remark = "no standard error"
         value = with_error(float(row["value"]), float(row["std_error"]))
         if remark == ENDED_AT_BOUND:
-            parameter = fit.model.entries[name].parameter
+            parameter = fit.entry(name).parameter
             value = number(parameter.nearest_bound(float(row["value"])))
         known = ", ".join(one for one in (interval, remark) if one)
         rows.append(ParameterRow(name, value, known, str(row["unit"])))

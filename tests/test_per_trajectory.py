@@ -1,0 +1,139 @@
+"""Parameters that every trajectory has of its own, from the fit to the report."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+
+T = np.arange(0, 8, 0.05)
+STARTS = ([1.2, 0.0], [-0.9, 0.4], [0.7, -1.0], [-1.0, 0.2])
+NOISE = 0.01  # m
+EFFECTS = {"coulomb friction", "quadratic stiffness"}
+
+
+def softening(x: np.ndarray) -> float:
+    """A spring that is stiffer on one side, and viscous damping."""
+    return 0.8 * x[0] ** 2 - 0.1 * x[1]
+
+
+def dry(x: np.ndarray) -> float:
+    """Dry friction."""
+    return -0.4 * np.tanh(x[1] / 0.02)
+
+
+def recorded(
+    force: Callable[[np.ndarray], float],
+    offsets: Sequence[float] = (0.0, 0.0, 0.0),
+) -> ph.Measurements:
+    """Positions of a mass on a spring of 4 N/m with a force more.
+
+    Args:
+        force: by the state.
+        offsets: of the sensor in each run, m; their number is that of the runs.
+    """
+    rng = np.random.default_rng(3)
+    runs = []
+    for x0, offset in zip(STARTS, offsets, strict=False):
+        motion = solve_ivp(
+            lambda t, x: [x[1], -4 * x[0] + force(x)],
+            (0, T[-1]),
+            x0,
+            t_eval=T,
+            rtol=1e-9,
+            atol=1e-10,
+        )
+        position = motion.y[0] + offset + rng.normal(0, NOISE, T.size)
+        runs.append(np.column_stack([position, np.full(T.size, np.nan)]))
+    return ph.Measurements.from_arrays(
+        [T] * len(runs),
+        runs,
+        states=["q", "p"],
+        units={"t": "s", "q": "m"},
+    )
+
+
+# The bounds are above zero, the truth: beside what is missing they are reached.
+STIFFNESS = ph.Parameter(4.0, lower=0)
+OWN = ph.Parameter(0.3, lower=0.1, per_trajectory=True)
+OWN_OFFSET = ph.Parameter(0.3, lower=0.02, per_trajectory=True)
+ENERGY = ph.formula("k*q**2/2 + p**2/2", k=STIFFNESS)
+WITH_OWN: dict[str, dict[str, Any]] = {
+    "H": {"H": ph.formula("k*q**2/2 + p**2/2 - a*q", k=STIFFNESS, a=OWN)},
+    "R": {"R": {"p": ph.formula("a", a=OWN)}},
+    "F": {"F": {"p": ph.formula("a", a=OWN)}},
+    "sensor": {"sensor": {"q": ph.formula("a", a=OWN_OFFSET)}},
+}
+
+
+@pytest.mark.parametrize("slot", WITH_OWN)
+def test_a_candidate_drives_parameters_of_trajectories_to_their_bounds(
+    slot: str, tmp_path: Path
+) -> None:
+    slots: dict[str, Any] = {"H": ENERGY, "R": ph.damping("p"), **WITH_OWN[slot]}
+    model = ph.PseudoHamiltonian(states=["q", "p"], S=ph.canonical(1), **slots)
+    data = recorded(dry if slot == "R" else softening)
+    study = ph.Study(model, data)
+    assert not study.fit.outcome.at_bounds
+    effects = [one for one in ph.catalogue(model) if one.name in EFFECTS]
+    missing = next(e for e in effects if (e.slot == "R") == (slot == "R"))
+    found = ph.diagnose(study.fit, data, effects=effects)
+    assert str(found.candidates["effect"][0]).startswith(missing.name)
+    study.add(missing)
+    driven = {f"a[run {number}]" for number in (1, 2, 3)}
+    assert driven & set(study.fit.outcome.at_bounds)
+    study.report(tmp_path / "report.html")
+    assert "at its bound" in (tmp_path / "report.html").read_text("utf-8")
+
+
+# ---- runs held out -------------------------------------------------------------------
+
+OFFSETS = (0.1, -0.2, 0.05, 0.4)  # m; the last run is held out
+
+
+def with_offset_by_run() -> ph.PseudoHamiltonian:
+    zero = ph.Parameter(0.0, per_trajectory=True)
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ENERGY,
+        R=ph.damping("p"),
+        sensor={"q": ph.formula("b", b=zero)},
+    )
+
+
+def test_a_candidate_is_judged_with_the_offset_of_the_run_held_out() -> None:
+    data = recorded(dry, OFFSETS)
+    study = ph.Study(with_offset_by_run(), data[:3], held_out=data[3:])
+    listed = [one for one in ph.catalogue(study.model) if one.name in EFFECTS]
+    found = ph.diagnose(study.fit, data[:3], data[3:], effects=listed)
+    assert found.verdict == ph.Verdict.NAMED
+    first = found.candidates.iloc[0]
+    assert first["effect"] == "coulomb friction"
+    assert first["coefficient"] == pytest.approx(0.4, abs=3 * first["std_error"])
+    # With the mean of the offsets it would be off by 0.4 m.
+    assert first["held_out_rmse"] < 1.1 * NOISE
+
+
+@pytest.mark.parametrize("name", ["run 1", "run 4"])
+def test_the_offset_of_a_run_held_out_is_its_own_whatever_its_name(name: str) -> None:
+    model = with_offset_by_run().add("coulomb friction", "p")
+    data = recorded(dry, OFFSETS)
+    fit = ph.identify(model, data[:3])
+    last = data.trajectories[3]
+    held_out = ph.Measurements.from_arrays(
+        [last.t], [last.x], states=["q", "p"], names=[name], units=data.units
+    )
+    there = ph.compare(fit, held_out)
+    assert there.values[name]["b"] == pytest.approx(OFFSETS[3], abs=0.005)
+    assert there.values[name]["k"] == fit.values["k"]
+    assert there.rmse < 1.1 * NOISE
+    assert there.bands is not None
+    # Half the noise over the root of the samples at the least, all of it at the most.
+    assert 0.5 * NOISE / np.sqrt(T.size) < there.bands[0][-1, 0] < NOISE
+    here = ph.compare(fit, data[:3])
+    assert here.values["run 1"]["b"] == fit.by_trajectory["run 1"]["b"]
