@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, TextIO
 
+from phsi_opt import reading
 from phsi_opt.errors import DataError
 
 Source = str | os.PathLike[str] | TextIO
@@ -23,12 +24,6 @@ OTHER_READERS = {  # the files that are no text, by their suffix
 KINDS_READ = "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat)"
 GUESSED = "its text is not UTF-8 and was read as Windows-1252"
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # signs that no text table has
-WHY_NOT_OPENED: dict[type[OSError], str] = {
-    FileNotFoundError: "there is no such file; check the path",
-    IsADirectoryError: "it is a folder; give the path of a file",
-    NotADirectoryError: "a part of its path is no folder; check the path",
-    PermissionError: "access is not permitted; check the permissions",
-}
 
 
 @dataclass(frozen=True)
@@ -153,14 +148,14 @@ def _check_is_text(source: Any, title: str) -> None:
 def _text(source: Any, title: str) -> str:
     """The text of an open file."""
     try:
-        text = source.read()
+        text = reading.read_at_most(source, reading.MOST_BYTES)
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
         raise DataError(
-            f"{title} is not UTF-8 text: byte {error.start} is {byte:#04x}. Give its "
+            f"{title} is not UTF-8 text: it has the byte {byte:#04x}. Give its "
             "path, or open it with its encoding: open(path, encoding='latin-1')."
         ) from error
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: it is closed
         raise _unreadable(title, error) from error
     if not isinstance(text, str):
         raise DataError(
@@ -193,9 +188,17 @@ def _decoded(content: bytes, title: str, run: str) -> TextFile:
 
 
 def _bytes(source: Any, title: str) -> bytes:
+    is_open = hasattr(source, "read")
+    if not is_open and not isinstance(source, str | os.PathLike):
+        raise DataError(
+            f"source holds a {type(source).__name__}; expected paths or open files."
+        )
     try:
-        content = source.read() if hasattr(source, "read") else _read(source)
-    except OSError as error:
+        if is_open:
+            content = reading.read_at_most(source, reading.MOST_BYTES)
+        else:
+            content = reading.file_bytes(source)
+    except (OSError, ValueError) as error:  # ValueError: it is closed
         raise _unreadable(title, error) from error
     if not isinstance(content, bytes):
         raise DataError(
@@ -205,23 +208,6 @@ def _bytes(source: Any, title: str) -> bytes:
     return content
 
 
-def _unreadable(title: str, error: OSError) -> DataError:
-    return DataError(f"{title} cannot be read: {why_not_opened(error)}.")
-
-
-def why_not_opened(error: OSError) -> str:
-    """Why a file cannot be read or written, in words."""
-    for kind, said in WHY_NOT_OPENED.items():
-        if isinstance(error, kind):
-            return said
-    return error.strerror or str(error)
-
-
-def _read(source: Any) -> bytes:
-    if isinstance(source, str) and "\0" in source:
-        raise DataError(f"file {source!r} cannot be read: a path has no NUL.")
-    if not isinstance(source, str | os.PathLike):
-        raise DataError(
-            f"source holds a {type(source).__name__}; expected paths or open files."
-        )
-    return Path(source).read_bytes()
+def _unreadable(title: str, error: OSError | ValueError) -> DataError:
+    why = reading.why_not_read(error) if isinstance(error, OSError) else str(error)
+    return DataError(f"{title} cannot be read: {why}.")

@@ -6,7 +6,6 @@ texts, tables and structs in structs are not read, but are named where something
 found.
 """
 
-import io
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,15 +14,17 @@ from typing import Any
 import numpy as np
 
 from phsi_opt.data.file_opening import BinaryFile
+from phsi_opt.data.matlab_format import (
+    FormatError,
+    Value,
+    Version73Error,
+    variables_in,
+)
 from phsi_opt.data.tables import Table
 from phsi_opt.errors import DataError, did_you_mean
 
 INDEXED = re.compile(r"(?P<name>[\w.]+)\((?P<row>:|\d+),\s*(?P<column>:|\d+)\)")
 MOST_VECTORS = 20  # columns that a matrix has, at most, where it is taken for a table
-REAL_OR_COMPLEX = "biufc"  # the kinds of NumPy's types that hold numbers
-
-# What `scipy.io.loadmat` raises for bytes that are no MATLAB file, by its version.
-UNREADABLE = (ValueError, TypeError, LookupError, OSError, EOFError)
 
 
 def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
@@ -138,24 +139,20 @@ def _commonest_length(vectors: Mapping[str, np.ndarray]) -> int:
     return max(lengths, key=lambda length: (lengths.count(length), length), default=0)
 
 
-def _loaded(file: BinaryFile) -> Mapping[str, Any]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
+def _loaded(file: BinaryFile) -> Mapping[str, Value]:
     try:
-        loaded: Mapping[str, Any] = loadmat(io.BytesIO(file.content))
-        return loaded
-    except NotImplementedError as error:
+        return variables_in(file.content)
+    except Version73Error:
         raise DataError(
             f"{file.title} is a MATLAB file of version 7.3 (HDF5), which is not read. "
             "Save it in MATLAB by save(name, '-v7'), or write the table as CSV by "
             "writetable or writematrix."
-        ) from error
-    except (*UNREADABLE, MatReadError) as error:
+        ) from None
+    except FormatError as error:
         raise DataError(
-            f"{file.title} is no MATLAB file that can be read ({error}). "
+            f"{file.title} is no MATLAB file that can be read: {error}. "
             "Save it in MATLAB by save(name, '-v7')."
-        ) from error
+        ) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,25 +170,22 @@ class _Content:
     others: Mapping[str, str]
 
     @classmethod
-    def of(cls, loaded: Mapping[str, Any], title: str) -> "_Content":
+    def of(cls, loaded: Mapping[str, Value], title: str) -> "_Content":
         content = cls(title, {}, {})
         for name, value in loaded.items():
-            if name.startswith("__"):
-                continue
-            if not _is_struct(value):
+            if isinstance(value, dict):
+                for field, inner in value.items():
+                    content.take(f"{name}.{field}", inner)
+            else:
                 content.take(name, value)
-                continue
-            for field in value.dtype.names:
-                content.take(f"{name}.{field}", value[field].item())
         return content
 
-    def take(self, name: str, value: Any) -> None:
+    def take(self, name: str, value: Value) -> None:
         """Sort a value among the matrices or the others."""
-        said = _why_not_read(value)
-        if said is None:
+        if isinstance(value, np.ndarray) and value.ndim == 2 and value.size:
             self.matrices[name] = value  # type: ignore[index]
         else:
-            self.others[name] = said  # type: ignore[index]
+            self.others[name] = _why_not_read(value)  # type: ignore[index]
 
     def column(self, name: Any) -> np.ndarray:
         if not isinstance(name, str):
@@ -261,24 +255,13 @@ class _Content:
         return ", ".join(listed) or "nothing"
 
 
-def _is_struct(value: Any) -> bool:
-    is_array = isinstance(value, np.ndarray)
-    return is_array and value.dtype.names is not None and value.size == 1
-
-
-def _why_not_read(value: Any) -> str | None:
-    """What a value is, where it is no matrix of numbers; None for such."""
+def _why_not_read(value: Value) -> str:
+    """What a value is, where it is no matrix of numbers."""
     if not isinstance(value, np.ndarray):
-        return f"a {type(value).__name__}, which is not read"
-    if value.dtype.names is not None:
-        return "a list of structs or a struct in a struct, which is not read"
-    if value.dtype.kind in "US":
-        return "text"
-    if value.dtype.kind not in REAL_OR_COMPLEX:
-        return "cells, a table or an object, which is not read; see writetable"
+        return str(value)
     if value.ndim != 2:
         return f"an array with {value.ndim} axes, which is not read"
-    return None if value.size else "empty"
+    return "empty"
 
 
 def _size(matrix: np.ndarray) -> str:

@@ -6,16 +6,15 @@ looked at, so that one mistake is told once.
 """
 
 import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from phsi_opt.data.file_opening import why_not_opened
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.reading import file_text, why_not_read
 from phsi_opt.study_file.data_reading import (
     check_held_out,
     check_measurements,
@@ -30,8 +29,9 @@ from phsi_opt.study_file.effect_reading import (
 )
 from phsi_opt.study_file.loss_reading import read_loss
 from phsi_opt.study_file.model_reading import check_channels, read_model, read_names
-from phsi_opt.study_file.part import Complaints, Part
+from phsi_opt.study_file.part import Complaints, Part, TooManyComplaints
 from phsi_opt.study_file.sections import DataSection, HeldOut
+from phsi_opt.study_file.toml_tables import MOST_BYTES, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
@@ -67,6 +67,16 @@ def read_contents(path: Path) -> Contents:
     """
     found = Complaints()
     file = Part("", tables_of(path), found)
+    try:
+        return _contents(file, path)
+    except TooManyComplaints:
+        more = Complaint("", "", "So much is wrong that the rest was not looked at.")
+        listed = [*_in_order(found.listed, list(file.content)), more]
+        raise StudyFileError(path, listed) from None
+
+
+def _contents(file: Part, path: Path) -> Contents:
+    found = file.complaints
     file.check_known("")
     names = read_names(file)
     data = read_data(file)
@@ -103,17 +113,15 @@ def tables_of(path: Path) -> dict[str, Any]:
         StudyFileError: it cannot be read, or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return toml_tables(file_text(path, MOST_BYTES))
     except FileNotFoundError:
         said = "there is no such file; phsi-opt init DATA.csv writes one."
-    except tomllib.TOMLDecodeError as error:
-        said = f"this is not TOML: {error}. Texts stand in quotes, tables as [name]."
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
         line = error.object[: error.start].count(b"\n") + 1
         said = f"line {line} is not UTF-8 text (byte {byte:#04x}); save it as UTF-8."
+    except ValueError as error:
+        said = f"this is not TOML: {error}. Texts stand in quotes, tables as [name]."
     except OSError as error:
-        said = f"it cannot be read: {why_not_opened(error)}."
-    except RecursionError:
-        said = "it cannot be read: lists or tables lie too deep in each other."
+        said = f"it cannot be read: {why_not_read(error)}."
     raise StudyFileError(path, [Complaint("", "", said)])
