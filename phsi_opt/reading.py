@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 # Bytes; a text table of that size is some 50 million numbers.
-MOST_BYTES = 500_000_000
-CHUNK = 1_000_000
+LARGEST_FILE = 500_000_000
+BYTES_AT_ONCE = 1_000_000
 OTHER_KINDS = {
     stat.S_IFIFO: "a pipe",
     stat.S_IFSOCK: "a socket",
@@ -30,14 +30,14 @@ def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
 
     Args:
         path: Of the file.
-        most: Bytes that it may have; None: `MOST_BYTES`.
+        most: Bytes that it may have; None: `LARGEST_FILE`.
 
     Raises:
         OSError: It cannot be read, is no regular file or is too large; `why_not_read`
             says why.
         TypeError: This is no path.
     """
-    allowed = MOST_BYTES if most is None else most
+    allowed = LARGEST_FILE if most is None else most
     try:
         status = os.stat(Path(path))
     except ValueError:  # what Python says of a NUL
@@ -77,7 +77,7 @@ def read_at_most(file: Any, most: int) -> Any:
     parts = []
     size = 0
     while True:
-        part = file.read(CHUNK)
+        part = file.read(BYTES_AT_ONCE)
         if not isinstance(part, bytes | str):
             return part
         parts.append(part)

@@ -8,7 +8,7 @@ from typing import Any
 from phsi_opt.data.file_opening import BinaryFile
 from phsi_opt.data.tables import Table, labels_of, names_by_position
 from phsi_opt.data.text_cells import TextFormat, decimal_of, is_header
-from phsi_opt.data.workbook_checks import MOST_ROWS, check_workbook
+from phsi_opt.data.workbook_checks import EXCEL_ROWS, check_workbook
 from phsi_opt.errors import DataError, did_you_mean
 
 MOST_CELLS = 50_000_000  # of a sheet, with the empty ones between; 20 GB of memory
@@ -87,7 +87,9 @@ def _sheets(file: BinaryFile) -> dict[str, Rows]:
         for sheet in book.worksheets:
             sheet.reset_dimensions()  # what a file states of them may be wrong
             rows = sheet.iter_rows(values_only=True)
-            sheets[sheet.title] = _filled_rows(rows, f"{file.title}, sheet {sheet.title!r}")
+            sheets[sheet.title] = _filled_rows(
+                rows, f"{file.title}, sheet {sheet.title!r}"
+            )
         book.close()
     except DataError:
         raise
@@ -110,9 +112,9 @@ def _filled_rows(rows: Iterable[Sequence[Any]], title: str) -> Rows:
         if width:
             filled[number] = list(cells[:width])
             widest = max(widest, width)
-        if number > MOST_ROWS or widest * len(filled) > MOST_CELLS:
+        if number > EXCEL_ROWS or widest * len(filled) > MOST_CELLS:
             raise DataError(
-                f"{title} has more than {MOST_ROWS} rows, which Excel does not have, "
+                f"{title} has more than {EXCEL_ROWS} rows, which Excel does not have, "
                 f"or more than {MOST_CELLS} cells. Save its table as CSV."
             )
     return filled

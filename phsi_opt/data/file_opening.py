@@ -6,6 +6,7 @@ What the content means is the business of `tables`, `excel_tables` and `matlab_t
 import codecs
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,8 +129,9 @@ def _run_names(paths: list[str | None]) -> list[str]:
     for number, path in enumerate(paths, start=1):
         stems.append(f"run {number}" if path is None else Path(path).stem)
     names = []
+    n_files = Counter(stems)
     for path, stem in zip(paths, stems, strict=True):
-        is_shared = stems.count(stem) > 1
+        is_shared = n_files[stem] > 1
         names.append(path if path is not None and is_shared else stem)
     return names
 
@@ -148,7 +150,7 @@ def _check_is_text(source: Any, title: str) -> None:
 def _text(source: Any, title: str) -> str:
     """The text of an open file."""
     try:
-        text = reading.read_at_most(source, reading.MOST_BYTES)
+        text = reading.read_at_most(source, reading.LARGEST_FILE)
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
         raise DataError(
@@ -195,7 +197,7 @@ def _bytes(source: Any, title: str) -> bytes:
         )
     try:
         if is_open:
-            content = reading.read_at_most(source, reading.MOST_BYTES)
+            content = reading.read_at_most(source, reading.LARGEST_FILE)
         else:
             content = reading.file_bytes(source)
     except (OSError, ValueError) as error:  # ValueError: it is closed

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.reading import MOST_BYTES
+from phsi_opt.reading import LARGEST_FILE
 
 HEADER_BYTES = 128
 HDF5_MARK = b"\x89HDF"
@@ -27,14 +27,14 @@ MOST_AXES = 64  # as NumPy has
 COMPRESSED = 15
 MATRIX = 14
 # The types of stored numbers, by the numbers of the format.
-STORED = {
+STORED_TYPES = {
     **{1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"},
     **{7: "f4", 9: "f8", 12: "i8", 13: "u8"},
 }
-STRUCT = 2
+STRUCT_CLASS = 2
 OPAQUE = 17  # tables, texts in double quotes, objects of new classes
-NUMBERS = range(6, 16)  # classes of matrices of numbers, double to uint64
-OTHERS = {
+NUMBER_CLASSES = range(6, 16)  # classes of matrices of numbers, double to uint64
+OTHER_CLASSES = {
     1: "cells, which are not read; see writetable",
     3: "an object, which is not read; see writetable",
     4: "text",
@@ -45,7 +45,7 @@ OTHERS = {
 IN_STRUCT = "a list of structs or a struct in a struct, which is not read"
 TWICE = "there twice, which is not read; rename one of the two"
 STORED_V4 = ("f8", "f4", "i4", "i2", "u2", "u1")
-KINDS_V4 = {1: OTHERS[4], 2: OTHERS[5]}  # 0 is a matrix of numbers
+KINDS_V4 = {1: OTHER_CLASSES[4], 2: OTHER_CLASSES[5]}  # 0 is a matrix of numbers
 
 # What a variable is: its numbers, its fields, or what it is in words.
 Value = np.ndarray | dict[str, Any] | str
@@ -155,9 +155,9 @@ class _Bytes:
     def values(self) -> np.ndarray:
         """The next element as numbers, (n,)."""
         kind, stored = self.element()
-        if kind not in STORED:
+        if kind not in STORED_TYPES:
             raise FormatError(f"{self.what} has numbers of an unknown type {kind}")
-        return self.decoded(STORED[kind], stored)
+        return self.decoded(STORED_TYPES[kind], stored)
 
     def whole_numbers(self) -> list[int]:
         """The first of the next element's numbers, which must be whole."""
@@ -179,7 +179,7 @@ def _variables_v5(content: bytes) -> Iterator[tuple[str, Value]]:
     while file.is_left:
         kind, stored = file.element()
         if kind == COMPRESSED:
-            opened = file.of(_decompressed(stored, MOST_BYTES - n_bytes), "it")
+            opened = file.of(_decompressed(stored, LARGEST_FILE - n_bytes), "it")
             n_bytes += len(opened.content)
             kind, stored = opened.element()
         if kind != MATRIX:
@@ -212,7 +212,9 @@ def _decompressed(stored: memoryview, most: int) -> memoryview:
     except zlib.error as error:
         raise FormatError(f"a compressed variable is damaged: {error}") from None
     if len(content) > most:
-        raise FormatError(f"it has more than {MOST_BYTES / 1e6:g} MB when decompressed")
+        raise FormatError(
+            f"it has more than {LARGEST_FILE / 1e6:g} MB when decompressed"
+        )
     if not reader.eof:
         raise FormatError("a compressed variable is cut")
     return memoryview(content)
@@ -225,16 +227,16 @@ def _variable(part: _Bytes, is_field: bool = False) -> tuple[str, Value]:
         raise FormatError("a variable has no flags")
     kind = flags[0] & 0xFF
     if kind == OPAQUE:
-        return part.text(), OTHERS[OPAQUE]
+        return part.text(), OTHER_CLASSES[OPAQUE]
     shape = _shape(part)
     name = part.text()
     part.what = f"the variable {name!r}"
-    if kind in NUMBERS:
+    if kind in NUMBER_CLASSES:
         return name, _matrix(part, shape, is_complex=bool(flags[0] & 0x800))
-    if kind != STRUCT:
-        if kind not in OTHERS:
+    if kind != STRUCT_CLASS:
+        if kind not in OTHER_CLASSES:
             raise FormatError(f"{part.what} is of an unknown class {kind}")
-        return name, OTHERS[kind]
+        return name, OTHER_CLASSES[kind]
     if is_field or shape != (1, 1):
         return name, IN_STRUCT
     return name, _fields(part)

@@ -1,7 +1,7 @@
 """Excel workbooks before they are read: whole, of a bounded size, nothing that grows.
 
-An .xlsx file is a zip archive of XML. A small archive can grow to fill the memory; so can
-XML that defines entities, which workbooks never do. openpyxl passes in silence over
+An .xlsx file is a zip archive of XML. A small archive can grow to fill the memory; so
+can XML that defines entities, which workbooks never do. openpyxl passes in silence over
 rows and cells that do not stand in order; they are looked for here.
 """
 
@@ -14,15 +14,26 @@ from phsi_opt import reading
 from phsi_opt.data.file_opening import BinaryFile
 from phsi_opt.errors import DataError
 
-MOST_ROWS = 1_048_576  # of a sheet, as Excel has
-MOST_COLUMNS_WRITTEN = 3  # letters of the last column, XFD
+EXCEL_ROWS = 1_048_576  # of a sheet, as Excel has
+COLUMN_LETTERS = 3  # of a column: the last is XFD
+NO_COLUMN = (0, b"")
 USUAL_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-SHEET = re.compile(r"xl/worksheets/[^/]+\.xml")
+SHEET_PART = re.compile(r"xl/worksheets/[^/]+\.xml")
 DEFINITIONS = re.compile(rb"<!(?:DOCTYPE|ENTITY)")
 # Rows and cells with their places: <row r="3">, <c r="B3">.
-PLACE = re.compile(rb"<(?:\w+:)?(?:row|c)\s[^>]*?\br=[\"']([A-Z]*)(\d+)[\"']")
+PLACE = re.compile(
+    rb"<(?:\w+:)?(row|c)\b(?:[^>]*?\sr=[\"'](?P<column>[A-Z]*)(?P<row>\d+)[\"'])?"
+)
 # What `zipfile` raises for a damaged archive, or one with a password.
-DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, OSError, LookupError, ValueError)
+ZIP_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    OSError,
+    LookupError,
+    ValueError,
+    RuntimeError,
+)
 
 
 def check_workbook(file: BinaryFile) -> None:
@@ -37,9 +48,9 @@ def check_workbook(file: BinaryFile) -> None:
             _check_size(archive, file.title)
             for part in archive.infolist():
                 _check_part(part.filename, archive.read(part), file.title)
-    except (*DAMAGE, NotImplementedError, RuntimeError) as error:
-        if isinstance(error, DataError):
-            raise
+    except DataError:
+        raise
+    except ZIP_DAMAGE as error:
         raise DataError(
             f"{file.title} is no Excel workbook of the kind .xlsx, or is damaged "
             f"({error}). Save it as .xlsx, without a password, or as CSV."
@@ -49,10 +60,10 @@ def check_workbook(file: BinaryFile) -> None:
 def _check_size(archive: zipfile.ZipFile, title: str) -> None:
     parts = archive.infolist()
     size = sum(part.file_size for part in parts)
-    if size > reading.MOST_BYTES:
+    if size > reading.LARGEST_FILE:
         raise DataError(
             f"{title} has {size / 1e6:.1f} MB when decompressed; at most "
-            f"{reading.MOST_BYTES / 1e6:g} MB are read. Save its table as CSV."
+            f"{reading.LARGEST_FILE / 1e6:g} MB are read. Save its table as CSV."
         )
     for part in parts:  # others are read without a bound
         if part.compress_type not in USUAL_COMPRESSION:
@@ -72,23 +83,25 @@ def _check_part(name: str, content: bytes, title: str) -> None:
             f"{title} is no usual Excel workbook: its part {name!r} defines XML "
             "entities, which can grow without end. Save it as CSV."
         )
-    if SHEET.fullmatch(name):
+    if SHEET_PART.fullmatch(name):
         _check_order(content, f"{title}, {name!r}")
 
 
 def _check_order(sheet: bytes, title: str) -> None:
     """Refuse rows and cells that do not stand in order."""
     row = 0
-    last = (0, b"")
-    for letters, number in PLACE.findall(sheet):
-        column = (len(letters), letters)  # orders A, Z, AA, XFD
-        if letters:
-            is_next = column > last
+    last = NO_COLUMN
+    for tag, letters, number in PLACE.findall(sheet):
+        if tag == b"row":
+            following = int(number) if number else row + 1
+            is_next = following > row
+            row = following
+            last = NO_COLUMN
         else:
-            is_next = int(number) > row
-            row = int(number)
-        last = column
-        if not is_next or len(letters) > MOST_COLUMNS_WRITTEN:
+            column = (len(letters), letters)  # orders A, Z, AA, XFD
+            is_next = not letters or column > last
+            last = max(last, column)
+        if not is_next or len(letters) > COLUMN_LETTERS:
             place = (letters + number).decode()
             raise DataError(
                 f"{title} has the row or cell {place} in the wrong place, and rows "

@@ -15,7 +15,14 @@ from phsi_opt.reading import file_text, why_not_read
 Result = TypeVar("Result")
 
 # What a damaged content can raise while an object is made of it.
-DAMAGE = (LookupError, TypeError, ValueError, AttributeError, OverflowError)
+DAMAGE = (
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 
 
 def read_json(

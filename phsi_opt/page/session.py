@@ -8,7 +8,6 @@ import os
 import shutil
 import threading
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -39,6 +38,7 @@ from phsi_opt.page.worker import (
 )
 from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.presentation.forecast import Forecast
+from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.writing import write_whole
 
@@ -161,8 +161,8 @@ class Session:
     # ---- drafts ----------------------------------------------------------------------
 
     def _open(self, path: Path) -> None:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
         measured = StudyFile.read(path).measurements()
+        content = tables_of(path)
         files = content["data"]["files"]
         listed = [files] if isinstance(files, str) else list(files)
         data = DataDraft(path.parent, listed, n_samples=measured.n_samples)

@@ -17,7 +17,7 @@ OWN_NAMES = "*"
 MOST_TOLD = 100  # complaints; a person corrects fewer before the next look
 
 
-class TooManyComplaints(Exception):
+class TooManyComplaintsError(Exception):
     """So much is wrong that the rest of a file is not looked at."""
 
 
@@ -42,14 +42,14 @@ class Complaints:
         """Note that the value of a key cannot be used.
 
         Raises:
-            TooManyComplaints: this is the last one that is told.
+            TooManyComplaintsError: this is the last one that is told.
         """
         written = "" if value is None else shown(value)
         complaint = Complaint(key, written, said)
         if complaint not in self.listed:
             self.listed.append(complaint)
         if len(self.listed) >= MOST_TOLD:
-            raise TooManyComplaints
+            raise TooManyComplaintsError
 
     def about(self, *keys: str) -> bool:
         """Whether something is wrong at these keys, or below them."""

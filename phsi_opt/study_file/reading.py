@@ -29,9 +29,9 @@ from phsi_opt.study_file.effect_reading import (
 )
 from phsi_opt.study_file.loss_reading import read_loss
 from phsi_opt.study_file.model_reading import check_channels, read_model, read_names
-from phsi_opt.study_file.part import Complaints, Part, TooManyComplaints
+from phsi_opt.study_file.part import Complaints, Part, TooManyComplaintsError
 from phsi_opt.study_file.sections import DataSection, HeldOut
-from phsi_opt.study_file.toml_tables import MOST_BYTES, toml_tables
+from phsi_opt.study_file.toml_tables import LARGEST_STUDY, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
@@ -69,7 +69,7 @@ def read_contents(path: Path) -> Contents:
     file = Part("", tables_of(path), found)
     try:
         return _contents(file, path)
-    except TooManyComplaints:
+    except TooManyComplaintsError:
         more = Complaint("", "", "So much is wrong that the rest was not looked at.")
         listed = [*_in_order(found.listed, list(file.content)), more]
         raise StudyFileError(path, listed) from None
@@ -113,7 +113,7 @@ def tables_of(path: Path) -> dict[str, Any]:
         StudyFileError: it cannot be read, or is no TOML.
     """
     try:
-        return toml_tables(file_text(path, MOST_BYTES))
+        return toml_tables(file_text(path, LARGEST_STUDY))
     except FileNotFoundError:
         said = "there is no such file; phsi-opt init DATA.csv writes one."
     except UnicodeDecodeError as error:
