@@ -406,3 +406,17 @@ def test_a_kept_result_that_is_a_pipe_counts_as_none(
     kept = KeptResults(tmp_path)
     held_pipe(kept.path_of("a"))
     assert list(kept.found(["a"])) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_study_whose_table_is_a_pipe_says_so(
+    tmp_path: Path, held_pipe: Callable[[Path], None]
+) -> None:
+    held_pipe(tmp_path / "bench.csv")
+    path = tmp_path / "study.toml"
+    path.write_text(
+        '[data]\nfiles = "bench.csv"\ntime = { column = "t" }\n'
+        'states = { q = { column = "q" } }\n'
+    )
+    with pytest.raises(ph.StudyFileError, match=r"data\.files.* it is a pipe"):
+        StudyFile.read(path)
