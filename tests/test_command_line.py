@@ -506,7 +506,7 @@ def test_init_says_that_an_encoding_was_guessed(tmp_path: Path) -> None:
         ("gone.mat", "gone.mat' cannot be read: there is no such file"),
         ("folder", "folder' cannot be read: it is a folder"),
         ("a.npz", "it holds binary data and no text. Tables are read from text"),
-        ("log.mat", "is no MATLAB file that can be read"),
+        ("log.mat", "is no MATLAB file, or a damaged one"),
     ],
 )
 def test_files_that_are_no_tables_are_refused_in_words(

@@ -395,7 +395,7 @@ def test_a_file_of_another_kind_is_refused_with_the_reader_it_needs(
             Measurements.from_csv(path, time="t", states=["q"])
     with pytest.raises(DataError, match="is no Excel workbook of the kind"):
         Measurements.from_excel(path, time="t", states=["q"])
-    with pytest.raises(DataError, match="is no MATLAB file that can be read"):
+    with pytest.raises(DataError, match="it is no MATLAB file, or a damaged one"):
         Measurements.from_mat(path, time="t", states=["q"])
     with pytest.raises(DataError, match="gives str; expected bytes"):
         Measurements.from_excel(io.StringIO("t"), time="t", states=["q"])

@@ -11,6 +11,7 @@ import pytest
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.parameters import Parameter, Scan, with_value
+from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import (
     Dictionary,
     Term,
@@ -19,6 +20,7 @@ from phsi_opt.model.terms import (
     polynomials,
     trigonometric,
 )
+from phsi_opt.transcription.losses import MaximumLikelihood
 
 
 def test_a_parameter_starts_at_its_value_or_where_its_bounds_are_nearest_to_zero() -> (
@@ -127,6 +129,21 @@ def test_setting_a_value_keeps_the_bounds() -> None:
         (lambda: polynomials(["q q"], 2), "variable 'q q' is not a usable name"),
         (lambda: polynomials(["q"], 0), "degree=0 of polynomials"),
         (lambda: polynomials(["q"], 1.5), "degree=1.5 of polynomials"),  # type: ignore[arg-type]
+        (lambda: polynomials(["q"], 10**9), "degree=1000000000 .* is beyond 64"),
+        (lambda: polynomials(["q"], 10**5000), "degree=a number beyond 10.* beyond 64"),
+        (
+            lambda: polynomials([f"x{i}" for i in range(20)], 5),
+            "degree=5 in 20 variables would have 53130 terms; at most 5000",
+        ),
+        (lambda: polynomials(["q"], True), "degree=True of polynomials"),
+        (
+            lambda: trigonometric(["t", "q"], n=10**9),
+            "n=1000000000 for 2 variables would have 4000000000 terms",
+        ),
+        (lambda: trigonometric("t", n=10**5000), "n=a number beyond 10"),
+        (lambda: Dictionary(5001 * tuple(formula("q"))), "would have 5001 terms"),
+        (lambda: canonical(10**9), r"canonical\(1000000000\): .* from 1 to 1000"),
+        (lambda: MaximumLikelihood(steps=10**9), "steps=1000000000 .* at most 1000"),
         (lambda: damping("q", ["q", "p"]), "each only once"),
         (lambda: trigonometric("t", n=0), "n=0 of trigonometric"),
         (

@@ -4,6 +4,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from phsi_opt.errors import DataError
+from phsi_opt.reading import file_bytes
 
 NAMES = ("friction_spring.csv", "study.toml")
 
@@ -20,7 +21,7 @@ def written_demonstration(folder: Path) -> Path:
         for name in NAMES:
             text = (shipped / name).read_bytes()
             place = folder / name
-            if place.exists() and place.read_bytes() != text:
+            if place.exists() and file_bytes(place) != text:
                 raise DataError(
                     f"{place} is there already and was changed; it stays as it is. "
                     "Give another folder: phsi-opt demo FOLDER."

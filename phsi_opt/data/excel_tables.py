@@ -2,15 +2,16 @@
 
 import datetime as dt
 import io
-import zipfile
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from phsi_opt.data.file_opening import BinaryFile
 from phsi_opt.data.tables import Table, labels_of, names_by_position
 from phsi_opt.data.text_cells import TextFormat, decimal_of, is_header
+from phsi_opt.data.workbook_checks import EXCEL_ROWS, check_workbook
 from phsi_opt.errors import DataError, did_you_mean
 
+MOST_CELLS = 50_000_000  # of a sheet, with the empty ones between; 20 GB of memory
 Rows = dict[int, list[Any]]  # the cells of each row that is not empty, by its number
 
 
@@ -76,32 +77,46 @@ def filled_sheets(file: BinaryFile) -> list[str]:
 def _sheets(file: BinaryFile) -> dict[str, Rows]:
     """The filled rows of all sheets, by the sheets' names."""
     import openpyxl
-    from openpyxl.utils.exceptions import InvalidFileException
 
+    check_workbook(file)
     try:
         book = openpyxl.load_workbook(
             io.BytesIO(file.content), read_only=True, data_only=True
         )
-    except (InvalidFileException, zipfile.BadZipFile, KeyError, ValueError) as error:
+        sheets = {}
+        for sheet in book.worksheets:
+            sheet.reset_dimensions()  # what a file states of them may be wrong
+            rows = sheet.iter_rows(values_only=True)
+            sheets[sheet.title] = _filled_rows(
+                rows, f"{file.title}, sheet {sheet.title!r}"
+            )
+        book.close()
+    except DataError:
+        raise
+    except Exception as error:  # openpyxl promises no classes of its errors
         raise DataError(
-            f"{file.title} is no Excel workbook of the kind .xlsx ({error}). "
-            "Save it as .xlsx, without a password, or as CSV."
+            f"{file.title} is no Excel workbook that can be read "
+            f"({type(error).__name__}: {error}). Open it in a spreadsheet program and "
+            "save it again as .xlsx, without a password, or as CSV."
         ) from error
-    sheets = {}
-    for sheet in book.worksheets:
-        sheets[sheet.title] = _filled_rows(sheet.iter_rows(values_only=True))
-    book.close()
     return sheets
 
 
-def _filled_rows(rows: Iterable[Sequence[Any]]) -> Rows:
+def _filled_rows(rows: Iterable[Sequence[Any]], title: str) -> Rows:
     filled = {}
+    widest = 0
     for number, cells in enumerate(rows, start=1):
         width = len(cells)
         while width and _is_empty(cells[width - 1]):
             width -= 1
         if width:
             filled[number] = list(cells[:width])
+            widest = max(widest, width)
+        if number > EXCEL_ROWS or widest * len(filled) > MOST_CELLS:
+            raise DataError(
+                f"{title} has more than {EXCEL_ROWS} rows, which Excel does not have, "
+                f"or more than {MOST_CELLS} cells. Save its table as CSV."
+            )
     return filled
 
 

@@ -6,11 +6,13 @@ What the content means is the business of `tables`, `excel_tables` and `matlab_t
 import codecs
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, TextIO
 
+from phsi_opt import reading
 from phsi_opt.errors import DataError
 
 Source = str | os.PathLike[str] | TextIO
@@ -23,12 +25,6 @@ OTHER_READERS = {  # the files that are no text, by their suffix
 KINDS_READ = "text (.csv, .txt, .dat), Excel (.xlsx) and MATLAB (.mat)"
 GUESSED = "its text is not UTF-8 and was read as Windows-1252"
 NO_TEXT = re.compile(r"[\x00-\x08\x0e-\x1f]")  # signs that no text table has
-WHY_NOT_OPENED: dict[type[OSError], str] = {
-    FileNotFoundError: "there is no such file; check the path",
-    IsADirectoryError: "it is a folder; give the path of a file",
-    NotADirectoryError: "a part of its path is no folder; check the path",
-    PermissionError: "access is not permitted; check the permissions",
-}
 
 
 @dataclass(frozen=True)
@@ -54,9 +50,9 @@ class NamedFile(os.PathLike[str]):
         """What its name ends in, such as ".csv"."""
         return Path(self.name).suffix
 
-    def is_file(self) -> bool:
+    def exists(self) -> bool:
         """Whether it is there."""
-        return self.place.is_file()
+        return self.place.exists()
 
 
 DataFile = Path | NamedFile
@@ -183,8 +179,9 @@ def _run_names(paths: list[str | None]) -> list[str]:
     for number, path in enumerate(paths, start=1):
         stems.append(f"run {number}" if path is None else Path(path).stem)
     names = []
+    n_files = Counter(stems)
     for path, stem in zip(paths, stems, strict=True):
-        is_shared = stems.count(stem) > 1
+        is_shared = n_files[stem] > 1
         names.append(path if path is not None and is_shared else stem)
     return names
 
@@ -203,14 +200,14 @@ def _check_is_text(source: Any, title: str) -> None:
 def _text(source: Any, title: str) -> str:
     """The text of an open file."""
     try:
-        text = source.read()
+        text = reading.read_at_most(source, reading.LARGEST_FILE)
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
         raise DataError(
-            f"{title} is not UTF-8 text: byte {error.start} is {byte:#04x}. Give its "
+            f"{title} is not UTF-8 text: it has the byte {byte:#04x}. Give its "
             "path, or open it with its encoding: open(path, encoding='latin-1')."
         ) from error
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: it is closed
         raise _unreadable(title, error) from error
     if not isinstance(text, str):
         raise DataError(
@@ -243,9 +240,17 @@ def _decoded(content: bytes, title: str, run: str) -> TextFile:
 
 
 def _bytes(source: Any, title: str) -> bytes:
+    is_open = hasattr(source, "read")
+    if not is_open and not isinstance(source, str | os.PathLike):
+        raise DataError(
+            f"source holds a {type(source).__name__}; expected paths or open files."
+        )
     try:
-        content = source.read() if hasattr(source, "read") else _read(source)
-    except OSError as error:
+        if is_open:
+            content = reading.read_at_most(source, reading.LARGEST_FILE)
+        else:
+            content = reading.file_bytes(source)
+    except (OSError, ValueError) as error:  # ValueError: it is closed
         raise _unreadable(title, error) from error
     if not isinstance(content, bytes):
         raise DataError(
@@ -255,23 +260,6 @@ def _bytes(source: Any, title: str) -> bytes:
     return content
 
 
-def _unreadable(title: str, error: OSError) -> DataError:
-    return DataError(f"{title} cannot be read: {why_not_opened(error)}.")
-
-
-def why_not_opened(error: OSError) -> str:
-    """Why a file cannot be read or written, in words."""
-    for kind, said in WHY_NOT_OPENED.items():
-        if isinstance(error, kind):
-            return said
-    return error.strerror or str(error)
-
-
-def _read(source: Any) -> bytes:
-    if isinstance(source, str) and "\0" in source:
-        raise DataError(f"file {source!r} cannot be read: a path has no NUL.")
-    if not isinstance(source, str | os.PathLike):
-        raise DataError(
-            f"source holds a {type(source).__name__}; expected paths or open files."
-        )
-    return Path(source).read_bytes()
+def _unreadable(title: str, error: OSError | ValueError) -> DataError:
+    why = reading.why_not_read(error) if isinstance(error, OSError) else str(error)
+    return DataError(f"{title} cannot be read: {why}.")

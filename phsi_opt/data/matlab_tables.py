@@ -6,24 +6,20 @@ texts, tables and structs in structs are not read, but are named where something
 found.
 """
 
-import io
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.data.file_opening import BinaryFile
-from phsi_opt.data.tables import Table
+from phsi_opt.data.matlab_process import mat_variables
+from phsi_opt.data.tables import Table, Variable
 from phsi_opt.errors import DataError, did_you_mean
 
 INDEXED = re.compile(r"(?P<name>[\w.]+)\((?P<row>:|\d+),\s*(?P<column>:|\d+)\)")
 MOST_VECTORS = 20  # columns that a matrix has, at most, where it is taken for a table
-REAL_OR_COMPLEX = "biufc"  # the kinds of NumPy's types that hold numbers
-
-# What `scipy.io.loadmat` raises for bytes that are no MATLAB file, by its version.
-UNREADABLE = (ValueError, TypeError, LookupError, OSError, EOFError)
 
 
 def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
@@ -39,7 +35,7 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
     """
     import pandas as pd
 
-    content = _Content.of(_loaded(file), file.title)
+    content = _Content.of(file)
     columns = {}
     for name in wanted:
         columns[name] = content.column(name)
@@ -53,21 +49,6 @@ def table_of_mat(file: BinaryFile, wanted: Iterable[Any]) -> Table:
     frame = pd.DataFrame(columns)
     frame.index = pd.RangeIndex(1, len(frame) + 1)  # as MATLAB counts
     return Table(file.title, "row", frame, file.run)
-
-
-@dataclass(frozen=True)
-class Variable:
-    """Something in a file that is no column of its table.
-
-    Attributes:
-        name: As in MATLAB; a field as "struct.field".
-        said: What it is: "the number 9.81", "3 x 4 numbers", "text".
-        value: Of a single real number; None for all others.
-    """
-
-    name: str
-    said: str
-    value: float | None = None
 
 
 def table_of_vectors(file: BinaryFile) -> Table:
@@ -84,7 +65,7 @@ def table_of_vectors(file: BinaryFile) -> Table:
     """
     import pandas as pd
 
-    content = _Content.of(_loaded(file), file.title)
+    content = _Content.of(file)
     vectors = content.vectors()
     n_rows = _commonest_length(vectors)
     if n_rows < 2:
@@ -94,30 +75,20 @@ def table_of_vectors(file: BinaryFile) -> Table:
         )
     frame = pd.DataFrame({name: v for name, v in vectors.items() if len(v) == n_rows})
     frame.index = pd.RangeIndex(1, n_rows + 1)
-    return Table(file.title, "row", frame, file.run)
+    further = tuple(_further(content, n_rows))
+    return Table(file.title, "row", frame, file.run, further=further)
 
 
-def further_variables(file: BinaryFile) -> tuple[Variable, ...]:
-    """What `table_of_vectors` leaves out.
-
-    Args:
-        file: A MATLAB file of version 4 to 7.
-
-    Raises:
-        DataError: This is no such file.
-    """
-    content = _Content.of(_loaded(file), file.title)
-    n_rows = _commonest_length(content.vectors())
-    further = []
+def _further(content: "_Content", n_rows: int) -> Iterator[Variable]:
+    """What is no column of so many rows."""
     for name, matrix in content.matrices.items():
         if n_rows not in [len(vector) for vector in _vectors_of(name, matrix).values()]:
             is_number = matrix.size == 1 and not np.iscomplexobj(matrix)
             value = float(matrix.item()) if is_number else None
             said = _size(matrix) if value is None else f"the number {value:g}"
-            further.append(Variable(name, said, value))
+            yield Variable(name, said, value)
     for name, said in content.others.items():
-        further.append(Variable(name, said))
-    return tuple(further)
+        yield Variable(name, said)
 
 
 def _vectors_of(name: str, matrix: np.ndarray) -> dict[str, np.ndarray]:
@@ -138,26 +109,6 @@ def _commonest_length(vectors: Mapping[str, np.ndarray]) -> int:
     return max(lengths, key=lambda length: (lengths.count(length), length), default=0)
 
 
-def _loaded(file: BinaryFile) -> Mapping[str, Any]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        loaded: Mapping[str, Any] = loadmat(io.BytesIO(file.content))
-        return loaded
-    except NotImplementedError as error:
-        raise DataError(
-            f"{file.title} is a MATLAB file of version 7.3 (HDF5), which is not read. "
-            "Save it in MATLAB by save(name, '-v7'), or write the table as CSV by "
-            "writetable or writematrix."
-        ) from error
-    except (*UNREADABLE, MatReadError) as error:
-        raise DataError(
-            f"{file.title} is no MATLAB file that can be read ({error}). "
-            "Save it in MATLAB by save(name, '-v7')."
-        ) from error
-
-
 @dataclass(frozen=True, eq=False)
 class _Content:
     """What a file holds.
@@ -173,25 +124,16 @@ class _Content:
     others: Mapping[str, str]
 
     @classmethod
-    def of(cls, loaded: Mapping[str, Any], title: str) -> "_Content":
-        content = cls(title, {}, {})
-        for name, value in loaded.items():
-            if name.startswith("__"):
-                continue
-            if not _is_struct(value):
-                content.take(name, value)
-                continue
-            for field in value.dtype.names:
-                content.take(f"{name}.{field}", value[field].item())
-        return content
-
-    def take(self, name: str, value: Any) -> None:
-        """Sort a value among the matrices or the others."""
-        said = _why_not_read(value)
-        if said is None:
-            self.matrices[name] = value  # type: ignore[index]
-        else:
-            self.others[name] = said  # type: ignore[index]
+    def of(cls, file: BinaryFile) -> "_Content":
+        matrices = {}
+        others = {}
+        for name, value in mat_variables(file).items():
+            said = _why_not_read(value)
+            if said:
+                others[name] = said
+            else:
+                matrices[name] = value
+        return cls(file.title, matrices, others)
 
     def column(self, name: Any) -> np.ndarray:
         if not isinstance(name, str):
@@ -261,24 +203,13 @@ class _Content:
         return ", ".join(listed) or "nothing"
 
 
-def _is_struct(value: Any) -> bool:
-    is_array = isinstance(value, np.ndarray)
-    return is_array and value.dtype.names is not None and value.size == 1
-
-
-def _why_not_read(value: Any) -> str | None:
-    """What a value is, where it is no matrix of numbers; None for such."""
-    if not isinstance(value, np.ndarray):
-        return f"a {type(value).__name__}, which is not read"
-    if value.dtype.names is not None:
-        return "a list of structs or a struct in a struct, which is not read"
-    if value.dtype.kind in "US":
-        return "text"
-    if value.dtype.kind not in REAL_OR_COMPLEX:
-        return "cells, a table or an object, which is not read; see writetable"
+def _why_not_read(value: np.ndarray) -> str:
+    """What a value is, where it is no matrix of numbers; "" for such."""
+    if value.dtype.kind == "U":
+        return str(value)
     if value.ndim != 2:
         return f"an array with {value.ndim} axes, which is not read"
-    return None if value.size else "empty"
+    return "" if value.size else "empty"
 
 
 def _size(matrix: np.ndarray) -> str:

@@ -35,6 +35,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+@dataclass(frozen=True)
+class Variable:
+    """Something in a file that is no column of its table.
+
+    Attributes:
+        name: As in MATLAB; a field as "struct.field".
+        said: What it is: "the number 9.81", "3 x 4 numbers", "text".
+        value: Of a single real number; None for all others.
+    """
+
+    name: str
+    said: str
+    value: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """Columns as they were found, with the words that messages use for them.
@@ -46,6 +61,8 @@ class Table:
         run: The name of the trajectory where no column tells it.
         decimal: The sign before decimals in cells of text; None where they show two.
         remark: What was guessed of the file's encoding; "" where nothing was.
+        further: What a MATLAB file holds beside the table, where nobody said which
+            columns are looked for.
     """
 
     title: str
@@ -54,6 +71,7 @@ class Table:
     run: str
     decimal: str | None = "."
     remark: str = ""
+    further: tuple[Variable, ...] = ()
 
     def place(self, column: Any, i: int) -> str:
         """The words for the i-th cell of a column."""

@@ -10,11 +10,19 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from phsi_opt.errors import DataError, PhsiOptError
+from phsi_opt.reading import file_text, why_not_read
 
 Result = TypeVar("Result")
 
 # What a damaged content can raise while an object is made of it.
-DAMAGE = (LookupError, TypeError, ValueError, AttributeError, OverflowError)
+DAMAGE = (
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 
 
 def read_json(
@@ -53,6 +61,11 @@ def read_json(
 
 def _content(path: str | Path, what: str) -> Any:
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, TypeError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} cannot be read as {what}: {error}.") from None
+        return json.loads(file_text(path))
+    except OSError as error:
+        said = why_not_read(error)
+    except RecursionError:
+        said = "its lists or mappings lie too deep in each other"
+    except (TypeError, ValueError) as error:
+        said = str(error)
+    raise DataError(f"{path} cannot be read as {what}: {said}.")

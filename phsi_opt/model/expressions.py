@@ -34,6 +34,9 @@ MAX_EXPONENT = 64
 # Operations and functions inside one another; the walks below are recursive, with two
 # calls for each, and Python allows a thousand calls.
 MAX_DEPTH = 200
+# Of the whole numbers in a formula after it is multiplied out: SymPy keeps all digits,
+# and Python prints no more than 4300 of them.
+MAX_BITS = 14_000
 SHOWN_CHARACTERS = 60  # of a formula, in a message
 
 
@@ -59,16 +62,20 @@ def parse(text: str) -> ast.expr:
     try:
         tree = ast.parse(text.strip(), mode="eval").body
         _check(tree, text)
+        _check_whole_numbers(tree, text)
     except SyntaxError as error:
         hint = " Write a power as **." if "^" in text else ""
         raise ModelError(
-            f"formula {text!r} cannot be read: "
+            f"formula {_shortened(text)!r} cannot be read: "
             f"{error.msg} at column {error.offset}.{hint}"
+        ) from None
+    except UnicodeError:
+        raise ModelError(
+            f"formula {_shortened(text)!r} holds a sign that is no character of a text."
         ) from None
     except (RecursionError, MemoryError):
         raise ModelError(
-            f"formula {_shortened(text)!r}... is nested too deeply; "
-            "split it into terms."
+            f"formula {_shortened(text)!r} is nested too deeply; split it into terms."
         ) from None
     return tree
 
@@ -93,8 +100,8 @@ def _check(node: ast.AST, text: str, depth: int = 0) -> None:
             pass
         case _:
             raise ModelError(
-                f"{_source(node, text)!r} in formula {text!r} is not allowed; "
-                "a formula holds numbers, names, + - * / **, brackets "
+                f"{_source(node, text)!r} in formula {_shortened(text)!r} is not "
+                "allowed; a formula holds numbers, names, + - * / **, brackets "
                 f"and the functions {', '.join(FUNCTIONS)}."
             )
 
@@ -102,7 +109,7 @@ def _check(node: ast.AST, text: str, depth: int = 0) -> None:
 def _check_constant(node: ast.Constant, text: str) -> None:
     if not _is_finite(node.value):
         raise ModelError(
-            f"{_shortened(_source(node, text))!r} in formula {_shortened(text)!r} "
+            f"{_source(node, text)!r} in formula {_shortened(text)!r} "
             "is not a finite number."
         )
 
@@ -120,7 +127,7 @@ def _check_operator(node: ast.BinOp, text: str) -> None:
     if type(node.op) not in OPERATORS:
         hint = " Write a power as **." if isinstance(node.op, ast.BitXor) else ""
         raise ModelError(
-            f"the operator in {_source(node, text)!r} of formula {text!r} "
+            f"the operator in {_source(node, text)!r} of formula {_shortened(text)!r} "
             f"is not allowed.{hint}"
         )
     if isinstance(node.op, ast.Pow):
@@ -143,9 +150,29 @@ def _number(node: ast.expr, text: str) -> float | None:
         value = _Evaluation({}, NUMPY, text).value(node)
     if isinstance(value, complex) or not math.isfinite(value):
         raise ModelError(
-            f"{_source(node, text)!r} in formula {text!r} has no finite value."
+            f"{_source(node, text)!r} in formula {_shortened(text)!r} has no finite "
+            "value."
         )
     return float(value)
+
+
+def _check_whole_numbers(tree: ast.expr, text: str) -> None:
+    if _n_bits(tree) > MAX_BITS:
+        raise ModelError(
+            f"the whole numbers of formula {_shortened(text)!r} have too many digits "
+            "when its powers are multiplied out; write decimals, or lower powers."
+        )
+
+
+def _n_bits(node: ast.AST) -> int:
+    """The bits of the numbers and powers of a part, at most, when it is exact."""
+    match node:
+        case ast.Constant(value=int() as number):
+            return number.bit_length()
+        case ast.BinOp(op=ast.Pow(), left=left, right=right):
+            power = abs(_number(right, "") or 1.0)
+            return math.ceil(_n_bits(left) * max(power, 1.0)) + _n_bits(right)
+    return sum(map(_n_bits, ast.iter_child_nodes(node)))
 
 
 def _check_call(node: ast.Call, text: str) -> None:
@@ -153,23 +180,24 @@ def _check_call(node: ast.Call, text: str) -> None:
         called = _source(node.func, text)
         hint = did_you_mean(called, FUNCTIONS)
         raise ModelError(
-            f"function {called!r} in formula {text!r} is not known; "
+            f"function {called!r} in formula {_shortened(text)!r} is not known; "
             f"expected one of {', '.join(FUNCTIONS)}.{hint}"
         )
     expected = 2 if node.func.id in TWO_ARGUMENTS else 1
     if node.keywords or len(node.args) != expected:
         raise ModelError(
-            f"{_source(node, text)!r} in formula {text!r}: "
+            f"{_source(node, text)!r} in formula {_shortened(text)!r}: "
             f"{node.func.id} takes {expected} argument(s)."
         )
 
 
 def _source(node: ast.AST, text: str) -> str:
-    return ast.get_source_segment(text.strip(), node) or type(node).__name__
+    return _shortened(ast.get_source_segment(text.strip(), node) or type(node).__name__)
 
 
 def _shortened(text: str) -> str:
-    return text[:SHOWN_CHARACTERS]
+    is_long = len(text) > SHOWN_CHARACTERS
+    return f"{text[:SHOWN_CHARACTERS]}..." if is_long else text
 
 
 # ---- names ---------------------------------------------------------------------------
@@ -249,7 +277,7 @@ class _Evaluation:
             return OPERATORS[type(node.op)](left, right)
         except (ZeroDivisionError, OverflowError) as error:
             raise ModelError(
-                f"formula {self.text!r} has no finite value: {error}."
+                f"formula {_shortened(self.text)!r} has no finite value: {error}."
             ) from None
 
     def _value_of_name(self, name: str) -> Any:
@@ -261,6 +289,6 @@ class _Evaluation:
         if not hint:
             hint = f" Give it a value: formula({self.text!r}, {name}=Parameter(...))."
         raise ModelError(
-            f"name {name!r} in formula {self.text!r} is unknown; "
+            f"name {name!r} in formula {_shortened(self.text)!r} is unknown; "
             f"known are {', '.join(sorted(self.names))}.{hint}"
         )

@@ -31,8 +31,10 @@ from phsi_opt.model.kinds import (
     kind_of_unit,
     plain_unit,
 )
+from phsi_opt.presentation.short_repr import short_number
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
+MOST_POSITIONS = 1000  # a structure matrix of 4 million numbers
 # Velocities at which an equation is asked whether it is a known multiple of them; in
 # floats the multiples of powers of two are exact.
 PROBED = (1.0, -2.0, 0.25)
@@ -48,12 +50,12 @@ def canonical(n: int) -> np.ndarray:
         The skew-symmetric matrix, (2 n, 2 n).
 
     Raises:
-        ModelError: n is not a whole number of at least 1.
+        ModelError: n is not a whole number from 1 to 1000.
     """
-    if not isinstance(n, int) or n < 1:
+    if not isinstance(n, int) or not 1 <= n <= MOST_POSITIONS:
         raise ModelError(
-            f"canonical({n!r}): n is the number of positions, "
-            "a whole number of at least 1."
+            f"canonical({short_number(n)}): n is the number of positions, "
+            f"a whole number from 1 to {MOST_POSITIONS}."
         )
     zero = np.zeros((n, n))
     one = np.eye(n)

@@ -9,14 +9,17 @@ the model's business.
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
+from math import comb
 from types import MappingProxyType
 from typing import Any
 
 from phsi_opt.errors import ModelError
 from phsi_opt.model.backends import FUNCTIONS
-from phsi_opt.model.expressions import names_of
+from phsi_opt.model.expressions import MAX_EXPONENT, names_of
 from phsi_opt.model.parameters import Parameter, Scan
-from phsi_opt.presentation.short_repr import short_repr
+from phsi_opt.presentation.short_repr import short_number, short_repr
+
+LARGEST_DICTIONARY = 5_000  # terms; a program with more does not end in hours
 
 
 @dataclass(frozen=True)
@@ -95,12 +98,14 @@ class Dictionary:
     """A sum of terms; ``+`` joins dictionaries.
 
     Raises:
-        ModelError: a term with a coefficient stands in it twice.
+        ModelError: a term with a coefficient stands in it twice, or there are more than
+            5000 terms.
     """
 
     terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
+        _check_number_of_terms(len(self.terms))
         known: set[tuple[str, str]] = set()
         for term in self.terms:
             key = (term.body, term.name)
@@ -161,13 +166,20 @@ def polynomials(
         constant: whether 1 is a term too.
 
     Raises:
-        ModelError: names that cannot be used, or a degree below 1.
+        ModelError: names that cannot be used, a degree below 1 or beyond 64, or more
+            than 5000 terms.
     """
     names = _variables(variables)
-    if not isinstance(degree, int) or degree < 1:
+    _check_count("degree", degree, "polynomials")
+    if degree > MAX_EXPONENT:
         raise ModelError(
-            f"degree={degree!r} of polynomials is not a whole number of at least 1."
+            f"degree={short_number(degree)} of polynomials is beyond {MAX_EXPONENT}; "
+            "rescale the variables and take a lower degree."
         )
+    n_terms = comb(len(names) + degree, degree)
+    _check_number_of_terms(
+        n_terms, f"polynomials of degree={degree} in {len(names)} variables"
+    )
     bodies = ["1"] if constant else []
     for total in range(1, degree + 1):
         bodies.extend(map(_monomial, combinations_with_replacement(names, total)))
@@ -198,19 +210,36 @@ def trigonometric(
             comes from a scan over the data.
 
     Raises:
-        ModelError: names that cannot be used, or n below 1.
+        ModelError: names that cannot be used, n below 1, or more than 5000 terms.
     """
     names = _variables(variables)
-    if not isinstance(n, int) or n < 1:
-        raise ModelError(
-            f"n={n!r} of trigonometric is not a whole number of at least 1."
-        )
+    _check_count("n", n, "trigonometric")
+    n_terms = 2 * n * len(names)
+    _check_number_of_terms(
+        n_terms, f"trigonometric of n={short_number(n)} for {len(names)} variables"
+    )
     terms: list[Term] = []
     for name in names:
         for number in range(1, n + 1):
             omega = f"omega_{name}" if n == 1 else f"omega_{name}{number}"
             terms.extend(_wave(name, omega, frequency))
     return Dictionary(tuple(terms))
+
+
+def _check_count(name: str, value: Any, what: str) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        raise ModelError(
+            f"{name}={short_number(value)} of {what} is not a whole number "
+            "of at least 1."
+        )
+
+
+def _check_number_of_terms(n_terms: int, what: str = "a dictionary") -> None:
+    if n_terms > LARGEST_DICTIONARY:
+        raise ModelError(
+            f"{what} would have {short_number(n_terms)} terms; "
+            f"at most {LARGEST_DICTIONARY} are possible. Take fewer."
+        )
 
 
 def _wave(variable: str, omega: str, frequency: float | None) -> tuple[Term, Term]:

@@ -11,7 +11,6 @@ import os
 import shutil
 import threading
 import time
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +42,7 @@ from phsi_opt.page.worker import (
 )
 from phsi_opt.page.worker_handle import WorkerHandle
 from phsi_opt.presentation.forecast import Forecast
+from phsi_opt.study_file.reading import tables_of
 from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.writing import write_whole
 
@@ -176,7 +176,7 @@ class Session:
     # ---- drafts ----------------------------------------------------------------------
 
     def _open(self, path: Path) -> None:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        content = tables_of(path)
         files = content["data"]["files"]
         listed = [files] if isinstance(files, str) else files
         places = {file: path.parent.absolute() / file for file in listed}

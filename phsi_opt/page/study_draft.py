@@ -4,7 +4,6 @@
 """
 
 import re
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from phsi_opt.page.drafts import (
     ParameterDraft,
 )
 from phsi_opt.study_file.study_text import section
+from phsi_opt.study_file.toml_tables import toml_tables
 
 Content = dict[str, Any]
 
@@ -197,8 +197,8 @@ def terms_in(text: str) -> Any:
     if not stripped.startswith(("{", "[")):
         return stripped
     try:
-        return tomllib.loads(f"terms = {stripped}")["terms"]
-    except tomllib.TOMLDecodeError:
+        return toml_tables(f"terms = {stripped}")["terms"]
+    except ValueError:
         return stripped
 
 

@@ -1,8 +1,10 @@
-"""A dataclass as Python would write it, without what nobody chose."""
+"""Values as Python would write them, without what nobody chose or reads."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
+
+LONGEST = 10**12  # whole numbers beyond it are not written out
 
 
 def short_repr(record: Any) -> str:
@@ -17,3 +19,9 @@ def short_repr(record: Any) -> str:
             shown = dict(value) if isinstance(value, Mapping) else value
             parts.append(f"{one.name}={shown!r}")
     return f"{type(record).__name__}({', '.join(parts)})"
+
+
+def short_number(value: Any) -> str:
+    """A value as Python writes it, but for whole numbers of very many digits."""
+    is_long = isinstance(value, int) and abs(value) > LONGEST
+    return "a number beyond 10**12" if is_long else repr(value)

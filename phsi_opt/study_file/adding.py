@@ -6,12 +6,13 @@ kept beside it.
 """
 
 import re
-import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from phsi_opt.errors import DataError
+from phsi_opt.reading import file_bytes
+from phsi_opt.study_file.toml_tables import toml_tables
 from phsi_opt.study_file.toml_text import toml_value
 from phsi_opt.writing import write_whole
 
@@ -51,7 +52,7 @@ def add_effects(path: Path, names: Iterable[str]) -> Addition:
             nothing is written.
     """
     path = path.resolve()  # where the name is a link, the file that it leads to
-    bytes_before = path.read_bytes()
+    bytes_before = file_bytes(path)
     text = bytes_before.decode("utf-8-sig")
     changed = text_with_added(text, list(names), str(path))
     backup = _backup_path(path)
@@ -81,7 +82,7 @@ def text_with_added(text: str, names: list[str], title: str = "the file") -> str
     Raises:
         DataError: the text is written in a way that cannot be changed safely.
     """
-    expected = tomllib.loads(text)
+    expected = toml_tables(text)
     study = dict(expected.get("study", {}))
     study["added"] = [*study.get("added", []), *names]
     expected["study"] = study
@@ -97,8 +98,8 @@ def text_with_added(text: str, names: list[str], title: str = "the file") -> str
 
 def _parsed(text: str) -> object:
     try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
+        return toml_tables(text)
+    except ValueError:
         return None
 
 

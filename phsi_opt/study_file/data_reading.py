@@ -188,7 +188,7 @@ def _check_file(
 ) -> None:
     """Look at each column by itself, for the first wrong cell of each."""
     wanted = _wanted(section)
-    if not path.is_file():
+    if not path.exists():
         said = "there is no such file; paths are relative to the study file."
         complaints.add(key, said, name)
         return

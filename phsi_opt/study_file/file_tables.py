@@ -8,12 +8,7 @@ from typing import Any
 
 from phsi_opt.data.excel_tables import filled_sheets, table_of_excel
 from phsi_opt.data.file_opening import DataFile, binary_files, text_files
-from phsi_opt.data.matlab_tables import (
-    Variable,
-    further_variables,
-    table_of_mat,
-    table_of_vectors,
-)
+from phsi_opt.data.matlab_tables import table_of_mat, table_of_vectors
 from phsi_opt.data.tables import Table, table_of_csv
 from phsi_opt.data.text_cells import TextFormat
 from phsi_opt.study_file.sections import READERS, DataSection
@@ -52,18 +47,6 @@ def table_at(
         return table_of_excel(file, wanted, sheet, TextFormat(columns, None, decimal))
     (text,) = text_files(path)
     return table_of_csv(text, wanted, TextFormat(columns, separator, decimal))
-
-
-def further_in(path: DataFile) -> tuple[Variable, ...]:
-    """What a file holds beside its table: MATLAB's other variables.
-
-    Raises:
-        DataError: it cannot be read.
-    """
-    if READERS.get(path.suffix.lower()) != "from_mat":
-        return ()
-    (file,) = binary_files(path)
-    return further_variables(file)
 
 
 def sheets_in(path: DataFile) -> list[str]:

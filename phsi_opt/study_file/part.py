@@ -14,6 +14,11 @@ from phsi_opt.study_file.toml_text import key_text, toml_value
 
 SHOWN_CHARACTERS = 60  # of a value, in a message
 OWN_NAMES = "*"
+MOST_TOLD = 100  # complaints; a person corrects fewer before the next look
+
+
+class TooManyComplaintsError(Exception):
+    """So much is wrong that the rest of a file is not looked at."""
 
 
 def shown(value: Any) -> str:
@@ -34,11 +39,17 @@ class Complaints:
     listed: list[Complaint] = field(default_factory=list)
 
     def add(self, key: str, said: str, value: Any = None) -> None:
-        """Note that the value of a key cannot be used."""
+        """Note that the value of a key cannot be used.
+
+        Raises:
+            TooManyComplaintsError: this is the last one that is told.
+        """
         written = "" if value is None else shown(value)
         complaint = Complaint(key, written, said)
         if complaint not in self.listed:
             self.listed.append(complaint)
+        if len(self.listed) >= MOST_TOLD:
+            raise TooManyComplaintsError
 
     def about(self, *keys: str) -> bool:
         """Whether something is wrong at these keys, or below them."""

@@ -6,17 +6,16 @@ looked at, so that one mistake is told once.
 """
 
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from phsi_opt.data.file_opening import why_not_opened
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import Complaint, StudyFileError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.reading import file_text, why_not_read
 from phsi_opt.study_file.data_reading import (
     check_held_out,
     check_measurements,
@@ -31,8 +30,9 @@ from phsi_opt.study_file.effect_reading import (
 )
 from phsi_opt.study_file.loss_reading import read_loss
 from phsi_opt.study_file.model_reading import check_channels, read_model, read_names
-from phsi_opt.study_file.part import Complaints, Part
+from phsi_opt.study_file.part import Complaints, Part, TooManyComplaintsError
 from phsi_opt.study_file.sections import DataSection, HeldOut
+from phsi_opt.study_file.toml_tables import LARGEST_STUDY, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
@@ -72,9 +72,19 @@ def read_contents(path: Path, places: Mapping[str, Path] | None = None) -> Conte
     """
     found = Complaints()
     file = Part("", tables_of(path), found)
+    try:
+        return _contents(file, path, places or {})
+    except TooManyComplaintsError:
+        more = Complaint("", "", "So much is wrong that the rest was not looked at.")
+        listed = [*_in_order(found.listed, list(file.content)), more]
+        raise StudyFileError(path, listed) from None
+
+
+def _contents(file: Part, path: Path, places: Mapping[str, Path]) -> Contents:
+    found = file.complaints
     file.check_known("")
     names = read_names(file)
-    data = replace(read_data(file), places=places or {})
+    data = replace(read_data(file), places=places)
     held_out = read_held_out(file)
     own_effects = read_own_effects(file, names)
     model = read_model(file, names)
@@ -108,17 +118,15 @@ def tables_of(path: Path) -> dict[str, Any]:
         StudyFileError: it cannot be read, or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return toml_tables(file_text(path, LARGEST_STUDY))
     except FileNotFoundError:
         said = "there is no such file; phsi-opt init DATA.csv writes one."
-    except tomllib.TOMLDecodeError as error:
-        said = f"this is not TOML: {error}. Texts stand in quotes, tables as [name]."
     except UnicodeDecodeError as error:
         byte = error.object[error.start]
         line = error.object[: error.start].count(b"\n") + 1
         said = f"line {line} is not UTF-8 text (byte {byte:#04x}); save it as UTF-8."
+    except ValueError as error:
+        said = f"this is not TOML: {error}. Texts stand in quotes, tables as [name]."
     except OSError as error:
-        said = f"it cannot be read: {why_not_opened(error)}."
-    except RecursionError:
-        said = "it cannot be read: lists or tables lie too deep in each other."
+        said = f"it cannot be read: {why_not_read(error)}."
     raise StudyFileError(path, [Complaint("", "", said)])

@@ -11,11 +11,11 @@ import numpy as np
 
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.file_opening import DataFile
-from phsi_opt.data.matlab_tables import Variable
+from phsi_opt.data.tables import Variable
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
 from phsi_opt.study_file.column_look import Seen, columns_of
-from phsi_opt.study_file.file_tables import further_in, sheets_in, table_at
+from phsi_opt.study_file.file_tables import sheets_in, table_at
 from phsi_opt.study_file.headers import (
     TIMES,
     is_input_word,
@@ -131,12 +131,11 @@ def survey(path: DataFile) -> TableSurvey:
             "needs many more."
         )
     seen = columns_of(table)
-    further = further_in(path)
     run = _run_column(seen)
     others = [one for one in seen if one is not run]
     time = named_time_column(others, run)
     of_step = step_column(others) if time is None else None
-    step = _step(of_step, further) if time is None else None
+    step = _step(of_step, table.further) if time is None else None
     if time is None and step is None:
         time = increasing_column(others, run)
     n_runs = 1 if run is None else run.cells.nunique()
@@ -154,7 +153,7 @@ def survey(path: DataFile) -> TableSurvey:
         step=step,
         n_runs=n_runs,
         span=span_of(time, step, n_lines),
-        further=further,
+        further=table.further,
         encoding=table.remark,
         date_format="" if time is None else time.date_format,
         sheets=tuple(sheets),

@@ -37,13 +37,18 @@ class TermReader:
             slot: where they act; it decides which names they may have.
         """
         content = part.content[name]
-        terms = Dictionary()
-        for one in content if isinstance(content, list) else [content]:
+        listed = content if isinstance(content, list) else [content]
+        terms: list[Term] = []
+        for one in listed:
             try:
-                terms = terms + self._one(part, name, slot, one)
+                terms += self._one(part, name, slot, one)
             except ModelError as error:
                 part.complaints.add(part.path(name), str(error), one)
-        return terms
+        try:
+            return Dictionary(tuple(terms))
+        except ModelError as error:
+            part.complaints.add(part.path(name), str(error), content)
+            return Dictionary()
 
     def _one(self, part: Part, name: str, slot: str, content: Any) -> Dictionary:
         if isinstance(content, str):

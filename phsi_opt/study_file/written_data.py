@@ -7,6 +7,7 @@ import numpy as np
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory
 from phsi_opt.errors import DataError
+from phsi_opt.reading import file_text
 from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
 from phsi_opt.writing import write_whole
 
@@ -45,12 +46,19 @@ def write_table(data: Measurements, path: Path) -> None:
         DataError: another file is there.
     """
     text = table_text(data)
-    if path.exists() and path.read_text(encoding="utf-8") != text:
+    if path.exists() and not _holds(path, text):
         raise DataError(
             f"{path} is there already and holds something else; move it, or write the "
             "study file under another name."
         )
     write_whole(path, text)
+
+
+def _holds(path: Path, text: str) -> bool:
+    try:
+        return file_text(path) == text
+    except (OSError, UnicodeDecodeError):  # no regular file, or none of text
+        return False
 
 
 def joined(

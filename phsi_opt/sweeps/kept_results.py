@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import quote
 
 from phsi_opt.errors import DataError
+from phsi_opt.reading import file_text
 from phsi_opt.writing import write_whole
 
 FORMAT = "phsi_opt sweep 1"
@@ -76,7 +77,7 @@ class KeptResults:
     def _content(self, key: str) -> dict[str, Any] | None:
         path = self.path_of(key)
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json.loads(file_text(path))
         except (OSError, ValueError, RecursionError):
             return None
         if not isinstance(content, dict) or "result" not in content:

@@ -25,6 +25,7 @@ from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.program_builder import Assembly
+from phsi_opt.presentation.short_repr import short_number
 from phsi_opt.transcription.defect_constraint import DefectConstraint
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.force_prior import ForcePrior
@@ -38,6 +39,8 @@ from phsi_opt.transcription.loss_blocks import (
 )
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
+
+MOST_COUNTED = 1000  # steps between samples, or starts; a program grows with the first
 
 
 @dataclass(frozen=True)
@@ -343,10 +346,12 @@ def _check_positive(name: str, value: float | None) -> None:
 
 
 def _check_count(name: str, value: int | None) -> None:
-    if value is not None and (not isinstance(value, int) or value < 1):
+    if value is None:
+        return
+    if not isinstance(value, int) or not 1 <= value <= MOST_COUNTED:
         raise ModelError(
-            f"{name}={value!r} of MaximumLikelihood must be a whole number of at "
-            "least 1."
+            f"{name}={short_number(value)} of MaximumLikelihood must be a whole number "
+            f"of at least 1, and at most {MOST_COUNTED}."
         )
 
 

@@ -1,0 +1,113 @@
+"""A user's file is read whole: a regular file, of a size that the memory can bear.
+
+A pipe or a device may never end. What the bytes mean is the business of those who ask.
+"""
+
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+# Bytes; a text table of that size is some 50 million numbers.
+LARGEST_FILE = 500_000_000
+BYTES_AT_ONCE = 1_000_000
+OTHER_KINDS = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+WHY_NOT_READ: dict[type[OSError], str] = {
+    FileNotFoundError: "there is no such file; check the path",
+    IsADirectoryError: "it is a folder; give the path of a file",
+    NotADirectoryError: "a part of its path is no folder; check the path",
+    PermissionError: "access is not permitted; check the permissions",
+}
+
+
+def file_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
+    """All bytes of a regular file, or of the one that a link leads to.
+
+    Args:
+        path: Of the file.
+        most: Bytes that it may have; None: `LARGEST_FILE`.
+
+    Raises:
+        OSError: It cannot be read, is no regular file or is too large; `why_not_read`
+            says why.
+        TypeError: This is no path.
+    """
+    allowed = LARGEST_FILE if most is None else most
+    try:
+        status = os.stat(Path(path))
+    except ValueError:  # what Python says of a NUL
+        raise OSError("a path has no NUL") from None
+    _check_regular(status.st_mode)
+    _check_size(status.st_size, allowed)
+    with open(path, "rb") as file:
+        content: bytes = read_at_most(file, allowed)
+    return content
+
+
+def file_text(path: str | os.PathLike[str], most: int | None = None) -> str:
+    """The UTF-8 text of a file, its lines ended by "\\n", without a byte order mark.
+
+    Raises:
+        OSError: As in `file_bytes`.
+        TypeError: This is no path.
+        UnicodeDecodeError: It is not UTF-8.
+    """
+    text = file_bytes(path, most).decode("utf-8-sig")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_at_most(file: Any, most: int) -> Any:
+    """What an open file still holds: bytes or text, whichever it gives.
+
+    Args:
+        file: The open file.
+        most: Bytes or characters that it may hold.
+
+    Returns:
+        The content; or what the file gave, where that is neither bytes nor text.
+
+    Raises:
+        OSError: It holds more, or cannot be read.
+    """
+    parts = []
+    size = 0
+    while True:
+        part = file.read(BYTES_AT_ONCE)
+        if not isinstance(part, bytes | str):
+            return part
+        parts.append(part)
+        size += len(part)
+        _check_size(size, most)
+        if not part:
+            return part.join(parts)  # type: ignore[arg-type]
+
+
+def _check_regular(mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError
+    if not stat.S_ISREG(mode):
+        kind = OTHER_KINDS.get(stat.S_IFMT(mode), "of another kind")
+        raise OSError(
+            f"it is {kind} and no regular file; write its content into a file and give "
+            "the path of that"
+        )
+
+
+def _check_size(size: int, most: int) -> None:
+    if size > most:
+        raise OSError(
+            f"it has {size / 1e6:.1f} MB or more; at most {most / 1e6:g} MB are read"
+        )
+
+
+def why_not_read(error: OSError) -> str:
+    """Why a file cannot be read, in words."""
+    for kind, said in WHY_NOT_READ.items():
+        if isinstance(error, kind):
+            return said
+    return error.strerror or str(error)

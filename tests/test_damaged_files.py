@@ -1,0 +1,502 @@
+"""Files that are no tables, are damaged or are made to do harm: told, never a crash."""
+
+import io
+import os
+import re
+import signal
+import tomllib
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openpyxl
+import pytest
+from scipy.io import savemat
+
+import phsi_opt as ph
+from phsi_opt import reading
+from phsi_opt.command_line.first_study import first_study
+from phsi_opt.data import excel_tables, matlab_process
+from phsi_opt.errors import DataError
+from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.study_file.toml_tables import toml_tables
+from phsi_opt.sweeps.kept_results import KeptResults
+
+T = np.arange(40.0)
+N_DAMAGED = 150  # workbooks; always the same ones
+LONGEST_WAIT = 60  # seconds
+COLUMNS: dict[str, Any] = {"time": "t", "states": ["q"]}
+
+
+# ---- what is no regular file, and what is too large ----------------------------------
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "a.csv": lambda path: ph.Measurements.from_csv(path, **COLUMNS),
+    "a.xlsx": lambda path: ph.Measurements.from_excel(path, **COLUMNS),
+    "a.mat": lambda path: ph.Measurements.from_mat(path, **COLUMNS),
+    "a.json": ph.Fit.load,
+    "a.toml": StudyFile.read,
+    "b.csv": lambda path: first_study([path], path.with_name("s.toml"), force=False),
+    "b.xlsx": lambda path: first_study([path], path.with_name("s.toml"), force=False),
+    "b.mat": lambda path: first_study([path], path.with_name("s.toml"), force=False),
+}
+
+
+@pytest.fixture(params=READERS)
+def entry(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, Any]:
+    """The path of a file that is not there yet, and what reads it."""
+    return tmp_path / request.param, READERS[request.param]
+
+
+@pytest.fixture
+def held_pipe() -> Iterator[Callable[[Path], None]]:
+    """Makes pipes that never end: each has a writer, who writes nothing more.
+
+    Who waits for one fails, after `LONGEST_WAIT`.
+    """
+    handles = []
+    before = signal.signal(signal.SIGALRM, _fail)
+    signal.alarm(LONGEST_WAIT)
+
+    def make(path: Path) -> None:
+        os.mkfifo(path)
+        handles.append(os.open(path, os.O_RDWR | os.O_NONBLOCK))
+
+    yield make
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+    for handle in handles:
+        os.close(handle)
+
+
+def _fail(*_: Any) -> None:
+    pytest.fail(f"the pipe was waited for, {LONGEST_WAIT} s")  # no reader catches this
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_is_refused_and_not_waited_for(
+    entry: tuple[Path, Any], held_pipe: Callable[[Path], None]
+) -> None:
+    path, read = entry
+    held_pipe(path)
+    with pytest.raises(DataError, match="it is a pipe and no regular file"):
+        read(path)
+
+
+@pytest.mark.skipif(not Path("/dev/null").exists(), reason="no devices as files here")
+def test_a_device_is_refused_by_its_own_name_and_behind_a_link(
+    entry: tuple[Path, Any],
+) -> None:
+    path, read = entry
+    path.symlink_to("/dev/null")
+    with pytest.raises(DataError, match="it is a device and no regular file"):
+        read(path)
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(
+    entry: tuple[Path, Any],
+) -> None:
+    path, read = entry
+    with path.open("wb") as file:
+        file.truncate(reading.LARGEST_FILE + 1)  # takes no place on the disk
+    most = 1 if path.suffix == ".toml" else 500
+    with pytest.raises(DataError, match=f"MB or more; at most {most} MB are read"):
+        read(path)
+
+
+# ---- damaged tables ------------------------------------------------------------------
+
+
+def mat_file(**options: Any) -> bytes:
+    content: dict[str, Any] = {"t": T, "q": T**2, "name": "text"}
+    if options.get("format") != "4":
+        content["log"] = {"a": T, "X": np.column_stack([T, T])}
+        content["cells"] = np.array([T, "a"], object)
+        content["z"] = 1j * T
+    file = io.BytesIO()
+    savemat(file, content, **options)
+    return file.getvalue()
+
+
+def workbook() -> bytes:
+    book = openpyxl.Workbook()
+    for row in [["t", "q"], *zip(T.tolist(), (T**2).tolist(), strict=True)]:
+        book.active.append(row)
+    file = io.BytesIO()
+    book.save(file)
+    return file.getvalue()
+
+
+def with_part(name: str, change: Callable[[bytes], bytes]) -> io.BytesIO:
+    """The workbook with one of its parts changed; the checksums are right again."""
+    changed = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(workbook())) as book,
+        zipfile.ZipFile(changed, "w", zipfile.ZIP_DEFLATED) as copy,
+    ):
+        for part in book.namelist():
+            content = book.read(part)
+            copy.writestr(part, change(content) if part == name else content)
+    changed.seek(0)
+    return changed
+
+
+SHEET = "xl/worksheets/sheet1.xml"
+PARTS = (SHEET, "xl/workbook.xml", "xl/styles.xml", "xl/_rels/workbook.xml.rels")
+from_mat = ph.Measurements.from_mat
+from_excel = ph.Measurements.from_excel
+
+
+def flipped(content: bytes, rng: np.random.Generator, signs: bytes = b"") -> bytes:
+    """The content with some bytes changed, or cut."""
+    damaged = bytearray(content)
+    for _ in range(rng.integers(1, 9)):
+        place = rng.integers(len(damaged))
+        damaged[place] = rng.choice(list(signs)) if signs else rng.integers(256)
+    if rng.random() < 0.1:
+        damaged = damaged[: rng.integers(len(damaged))]
+    return bytes(damaged)
+
+
+def read_or_refused(content: bytes, read: Any, path: Path) -> None:
+    path.write_bytes(content)
+    try:
+        read(path, **COLUMNS)
+    except DataError as error:
+        assert path.name in str(error)
+
+
+# Seeds with which SciPy 1.17 alone crashed (83, 952, 217, 800), ran out of memory (200,
+# 826), raised what it does not promise (85, 118, 0), refused or read the file.
+@pytest.mark.parametrize(
+    ("content", "seeds"),
+    [
+        (mat_file(), (0, 2, 83, 85, 200, 952)),
+        (mat_file()[:520], (118, 217, 800, 826)),
+        (mat_file(do_compression=True), (0, 34)),
+        (mat_file(format="4"), (0, 1)),
+    ],
+    ids=["matlab 5", "matlab 5, short", "matlab 7", "matlab 4"],
+)
+def test_a_matlab_file_with_flipped_bytes_is_read_or_refused_by_name(
+    content: bytes, seeds: tuple[int, ...], tmp_path: Path
+) -> None:
+    for seed in seeds:
+        damaged = flipped(content, np.random.default_rng(seed))
+        read_or_refused(damaged, from_mat, tmp_path / "bench.mat")
+
+
+def test_a_workbook_with_flipped_bytes_is_read_or_refused_by_name(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(N_DAMAGED):
+        read_or_refused(flipped(workbook(), rng), from_excel, tmp_path / "bench.xlsx")
+
+
+@pytest.mark.filterwarnings("ignore:Cell .* is marked as a date")
+@pytest.mark.filterwarnings("ignore:Unknown extension")
+def test_a_workbook_whose_xml_is_damaged_is_read_or_refused_by_name() -> None:
+    rng = np.random.default_rng(0)
+    n_refused = 0
+    for number in range(N_DAMAGED):
+        damage = with_part(
+            PARTS[number % len(PARTS)],
+            lambda xml: flipped(xml, rng, b'0123456789AZ<>"/ -.'),
+        )
+        damage.name = "bench.xlsx"
+        try:
+            from_excel(damage, **COLUMNS)
+        except DataError as error:
+            n_refused += 1
+            assert "bench.xlsx" in str(error)
+    assert n_refused
+
+
+# ---- MATLAB --------------------------------------------------------------------------
+
+
+def elements(order: str, *parts: tuple[int, bytes]) -> bytes:
+    """Elements of a MATLAB file: the number of their type, and their bytes."""
+    written = b""
+    for kind, stored in parts:
+        written += np.array([kind, len(stored)], f"{order}u4").tobytes()
+        written += stored + bytes(-len(stored) % 8)
+    return written
+
+
+def test_matlab_files_of_other_machines_are_read() -> None:
+    """With the highest byte first, as SPARC wrote them."""
+    matrix = elements(
+        ">",
+        (6, np.array([6, 0], ">u4").tobytes()),
+        (5, np.array([3, 1], ">i4").tobytes()),
+        (1, b"q"),
+        (9, np.array([1.5, -2.0, 3.0], ">f8").tobytes()),
+    )
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI"
+    content = header + elements(">", (14, matrix))
+    data = from_mat(io.BytesIO(content), step=1, states=["q"])
+    assert data.trajectories[0].x[:, 0].tolist() == [1.5, -2.0, 3.0]
+
+
+def test_tables_of_matlab_are_no_hindrance_and_are_named() -> None:
+    content = mat_file()
+    for name in (b"first", b"second"):
+        matrix = elements(
+            "<",
+            (6, np.array([6, 0], "<u4").tobytes()),
+            (5, np.array([1, 1], "<i4").tobytes()),
+            (1, b""),
+            (9, np.array([1.0]).tobytes()),
+        )
+        table = elements(
+            "<",
+            (6, np.array([17, 0], "<u4").tobytes()),
+            (1, name),
+            (1, b"MCOS"),
+            (1, b"table"),
+            (14, matrix),
+        )
+        content += elements("<", (14, table))
+    with pytest.raises(DataError, match=r"'second' is .* a table or an object"):
+        from_mat(io.BytesIO(content), time="t", states=["second"])
+
+
+def test_a_matlab_file_that_holds_a_name_twice_is_refused() -> None:
+    content = mat_file() + mat_file()[128:]
+    with pytest.raises(DataError, match='Duplicate variable name "t"'):
+        from_mat(io.BytesIO(content), **COLUMNS)
+
+
+def test_a_matlab_variable_that_grows_beyond_the_bound_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    zeros = io.BytesIO()
+    savemat(zeros, {"t": np.zeros(10_000)}, do_compression=True)
+    zeros.seek(0)
+    monkeypatch.setattr(reading, "LARGEST_FILE", 50_000)
+    with pytest.raises(DataError, match=r"more than 0\.05 MB when decompressed"):
+        from_mat(zeros, **COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("worker", "time_limit", "why"),
+    [
+        ("import os; os.abort()", 60.0, "is damaged: its reading ended with exit code"),
+        ("import time; time.sleep(600)", 0.5, "it was not read in 0.5 s"),
+        ("import no_such_library", 60.0, "No module named 'no_such_library'"),
+    ],
+    ids=["crash", "endless", "no library"],
+)
+def test_a_matlab_file_whose_reading_crashes_or_never_ends_is_refused(
+    worker: str,
+    time_limit: float,
+    why: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    script = tmp_path / "worker.py"
+    script.write_text(worker)
+    monkeypatch.setattr(matlab_process, "WORKER", script)
+    monkeypatch.setattr(matlab_process, "TIME_LIMIT", time_limit)
+    with pytest.raises(DataError, match=f"open file cannot be read: .*{why}.* as CSV"):
+        from_mat(io.BytesIO(mat_file()), **COLUMNS)
+
+
+def test_modules_in_the_current_folder_are_not_taken_for_those_of_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "numpy.py").write_text("raise SystemExit('this is not NumPy')")
+    (tmp_path / "bench.mat").write_bytes(mat_file())
+    monkeypatch.chdir(tmp_path)
+    data = from_mat("bench.mat", **COLUMNS)
+    assert data.trajectories[0].x[:, 0].tolist() == (T**2).tolist()
+
+
+def test_a_program_without_a_python_interpreter_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As frozen programs are, which would start themselves again."""
+    monkeypatch.setattr("sys.frozen", True, raising=False)
+    with pytest.raises(DataError, match="needs a Python interpreter"):
+        from_mat(io.BytesIO(mat_file()), **COLUMNS)
+
+
+# ---- Excel ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stated", [b"A1:B3", b"A1:A41", b"A1", b"C1:D9"])
+def test_a_sheet_is_read_whole_whatever_dimension_it_states(stated: bytes) -> None:
+    book = with_part(SHEET, lambda xml: xml.replace(b"A1:B41", stated))
+    data = from_excel(book, **COLUMNS)
+    np.testing.assert_array_equal(data.trajectories[0].x[:, 0], T**2)
+
+
+def test_rows_and_cells_need_not_say_where_they_are() -> None:
+    places = re.compile(rb' r="[A-Z]*\d+"')
+    for change in (
+        lambda xml: xml.replace(b"<row ", b"<row spans='1:2' "),
+        lambda xml: places.sub(b"", xml),
+        lambda xml: re.sub(rb'<row r="\d+"', b"<row", xml),
+    ):
+        data = from_excel(with_part(SHEET, change), **COLUMNS)
+        np.testing.assert_array_equal(data.trajectories[0].x[:, 0], T**2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b'<row r="41"', b'<row r="4"', "row or cell 4 in the wrong place"),
+        (b'<row r="41"', b'<row r="40"', "row or cell 40 in the wrong place"),
+        (b'r="A41"', b'r="C41"', "row or cell B41 in the wrong place"),
+        (b'r="B41"', b'r="ABCD41"', "row or cell ABCD41 in the wrong place"),
+        (b'<row r="41"', b'<row r="999999999999"', "more than 1048576 rows"),
+        (b"<worksheet", b"<!DOCTYPE a []><worksheet", "defines XML entities"),
+        (b"<worksheet", "<wörksheet".encode("utf-16"), "is no XML in UTF-8"),
+    ],
+)
+def test_a_sheet_that_would_lose_rows_or_grow_is_refused(
+    old: bytes, new: bytes, message: str
+) -> None:
+    def change(xml: bytes) -> bytes:
+        assert xml.count(old) == 1
+        return new + xml if new.startswith(b"\xff") else xml.replace(old, new)
+
+    with pytest.raises(DataError, match=message):
+        from_excel(with_part(SHEET, change), **COLUMNS)
+
+
+def test_one_filled_cell_far_away_does_not_make_a_sheet_that_fills_the_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(excel_tables, "MOST_CELLS", 100)
+    book = with_part(SHEET, lambda xml: xml.replace(b'r="B41"', b'r="XFD41"'))
+    with pytest.raises(DataError, match="or more than 100 cells"):
+        from_excel(book, **COLUMNS)
+
+
+def test_a_workbook_that_grows_beyond_the_bound_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    book = with_part("docProps/app.xml", lambda xml: xml + bytes(10**6))
+    monkeypatch.setattr(reading, "LARGEST_FILE", 10**6)
+    with pytest.raises(DataError, match=r"has 1\.0 MB when decompressed; at most 1 MB"):
+        from_excel(book, **COLUMNS)
+
+
+def test_a_workbook_compressed_in_a_way_that_knows_no_bound_is_refused() -> None:
+    book = io.BytesIO()
+    with zipfile.ZipFile(book, "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr(SHEET, bytes(1000))
+    book.seek(0)
+    with pytest.raises(DataError, match="is compressed in another way"):
+        from_excel(book, **COLUMNS)
+
+
+# ---- study files and fits ------------------------------------------------------------
+
+DEEP = 50_000
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (".".join("a" * DEEP) + " = 1", "line 1 has more than 32 tables"),
+        ("\n[" + ".".join("a" * DEEP) + "]", "line 2 has more than 32 tables"),
+        ("a = " + "[" * DEEP + "]" * DEEP, "line 1 has more than 32 tables"),
+        ("a = " + "{ a = " * 40 + "1" + "}" * 40, "line 1 has more than 32 tables"),
+        ("a = 0x" + "f" * DEEP, "a name or number of more than 250 signs"),
+        ('"\\' * DEEP, "this is not TOML"),
+        ("#" + "x" * 1_000_000, "at most 1 MB are read"),
+        ("".join(f"k{i} = 1\n" for i in range(DEEP)), "the rest was not looked at"),
+    ],
+    ids=["key", "header", "list", "table", "number", "quotes", "long", "wrong"],
+)
+def test_a_study_file_made_to_do_harm_is_refused_at_once(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ph.StudyFileError, match=message):
+        StudyFile.read(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = '" + "x.y." * 100 + "'",
+        'a = """\n' + "[[" * 100 + '"""',
+        "a = '''\n" + "{{" * 100 + "'''",
+        "# " + "[a.b." * 100,
+        "a = [" + "[1], " * 100 + "]",
+        "a = '" + "9" * 1000 + "'",
+        "a = 1e-3",
+    ],
+)
+def test_what_stands_in_texts_and_comments_is_no_depth(text: str) -> None:
+    assert toml_tables(text) == tomllib.loads(text)
+
+
+def test_lists_in_lists_of_a_fit_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "fit.json"
+    path.write_text("[" * DEEP + "]" * DEEP)
+    with pytest.raises(DataError, match="fit: its lists or mappings lie too deep"):
+        ph.Fit.load(path)
+
+
+# ---- open files ----------------------------------------------------------------------
+
+
+class Endless:
+    """An open file that never ends, and cannot be read whole."""
+
+    def __init__(self, part: str | bytes) -> None:
+        self.part = part
+
+    def read(self, size: int) -> str | bytes:
+        return self.part * size
+
+
+@pytest.mark.parametrize(
+    ("part", "read"),
+    [("0", ph.Measurements.from_csv), (b"\0", from_mat), (b"\0", from_excel)],
+)
+def test_an_open_file_without_end_is_refused(
+    part: str | bytes, read: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reading, "LARGEST_FILE", 3_000_000)
+    with pytest.raises(DataError, match=r"cannot be read: .* at most 3 MB are read"):
+        read(Endless(part), **COLUMNS)
+
+
+def test_a_closed_file_is_refused() -> None:
+    file = io.StringIO("t,q\n0,1\n1,2\n")
+    file.close()
+    with pytest.raises(DataError, match=r"open file cannot be read: .* closed file"):
+        ph.Measurements.from_csv(file, **COLUMNS)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_kept_result_that_is_a_pipe_counts_as_none(
+    tmp_path: Path, held_pipe: Callable[[Path], None]
+) -> None:
+    kept = KeptResults(tmp_path)
+    held_pipe(kept.path_of("a"))
+    assert list(kept.found(["a"])) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_study_whose_table_is_a_pipe_says_so(
+    tmp_path: Path, held_pipe: Callable[[Path], None]
+) -> None:
+    held_pipe(tmp_path / "bench.csv")
+    path = tmp_path / "study.toml"
+    path.write_text(
+        '[data]\nfiles = "bench.csv"\ntime = { column = "t" }\n'
+        'states = { q = { column = "q" } }\n'
+    )
+    with pytest.raises(ph.StudyFileError, match=r"data\.files.* it is a pipe"):
+        StudyFile.read(path)
