@@ -288,9 +288,6 @@ THOROUGH_ITERATIONS = 100
 # Intervals of a record beyond which a re-fit that fails is not begun again, and none
 # begins at a sharp corner: on the ball and hoop's 5704 it was sought in vain.
 ONE_ATTEMPT_INTERVALS = 4_000
-# Windows of the longest trajectory through which a re-fit goes that failed along the
-# whole record.
-N_RESTART_WINDOWS = 4
 # Free-run error over the noise floor up to which a body that sticks is close enough to
 # the truth that its creep shows the width of its corner.
 NEAR_NOISE_ERROR = 2.0

@@ -5,7 +5,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.comparison.flat_run import flat_sentence, is_flat
-from phsi_opt.estimation import best_optimum, likelihood_solve
 
 PER_PERIOD = 20
 CORRELATION_TIME = 1.0
@@ -64,19 +63,6 @@ def test_a_start_sixty_percent_off_leads_to_the_optimum_that_the_truth_leads_to(
     assert near.values["k"] == pytest.approx(1.0, abs=0.02)
     assert off.values["k"] == pytest.approx(near.values["k"], rel=1e-4)
     assert off.bic == pytest.approx(near.bic, abs=0.1)
-    assert best_optimum.BY_WINDOWS in off.warnings
-
-
-def test_windows_cost_nothing_where_the_first_optimum_is_plausible(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def refused(*_: object) -> None:
-        raise AssertionError("windows were tried")
-
-    solver = likelihood_solve.LikelihoodSolver
-    monkeypatch.setattr(solver, "solve_through_windows", refused)
-    fit = ph.identify(from_start(0.8), positions(10, force_size=0.0))
-    assert fit.values["k"] == pytest.approx(1.0, rel=1e-3)
 
 
 def test_the_warning_of_large_residuals_names_what_helps(
@@ -84,7 +70,7 @@ def test_the_warning_of_large_residuals_names_what_helps(
 ) -> None:
     fit = ph.identify(from_start(1.0), swinging)
     (said,) = [w for w in fit.warnings if "neighbouring samples scatter" in w]
-    assert "a window of one or two periods" in said
+    assert "start the parameters elsewhere" in said
     assert "starts=5" not in said
 
 
@@ -104,7 +90,6 @@ def test_a_comparison_names_the_state_whose_free_run_is_flat(
     assert compared.table["fit_percent"].max() < 5
     assert compared.flat == ("q",)
     assert "The free run of q is flat" in str(compared)
-    assert "MaximumLikelihood(window=...)" in compared.warning
 
 
 def test_a_comparison_of_a_run_that_moves_says_nothing_of_flatness(

@@ -103,10 +103,9 @@ def test_known_parameters_stay_in_the_table_as_fixed() -> None:
     [
         ph.MaximumLikelihood(starts=2),
         ph.MaximumLikelihood(huber=1.345),
-        ph.MaximumLikelihood(window=5.0),
         ph.MaximumLikelihood(steps=2),
     ],
-    ids=["starts", "huber", "window", "steps"],
+    ids=["starts", "huber", "steps"],
 )
 def test_every_likelihood_takes_a_model_without_free_parameters(
     loss: ph.MaximumLikelihood,

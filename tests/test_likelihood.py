@@ -1,5 +1,5 @@
 """Maximum likelihood with data as they are: sensors, parameters per trajectory,
-outliers, gaps, windows, starts.
+outliers, gaps, starts.
 """
 
 from dataclasses import replace
@@ -310,7 +310,7 @@ def test_parameters_ten_orders_of_magnitude_apart_are_found() -> None:
     assert all(fit.std_errors[name] < 0.05 * value for name, value in truth.items())
 
 
-# ---- steps, windows, starts ----------------------------------------------------------
+# ---- steps, starts -------------------------------------------------------------------
 
 
 def test_coarse_samples_get_steps_in_between_and_fine_ones_none() -> None:
@@ -350,15 +350,6 @@ def _noisy_record(
         noisy(simulate(duffing().with_values(TRUTH), t, [1.0, 0.0], u), 0, sigma),
         u,
     )
-
-
-def test_the_window_only_shows_the_way() -> None:
-    t, x, u = record()
-    data = measured(t, noisy(x), u)
-    whole = identify(duffing(), data)
-    through = identify(duffing(), data, MaximumLikelihood(window=2.0))
-    for name in TRUTH:
-        assert through.values[name] == pytest.approx(whole.values[name], rel=1e-5)
 
 
 def test_the_report_says_how_many_starts_agree() -> None:
@@ -481,7 +472,6 @@ def test_the_band_of_a_run_is_what_it_scatters_by_when_the_noise_is_drawn_again(
     [
         {"huber": 0.0},
         {"huber": np.inf},
-        {"window": -1.0},
         {"steps": 0},
         {"starts": 0},
         {"starts": 1.5},

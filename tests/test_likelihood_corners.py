@@ -8,7 +8,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.errors import ModelError
-from phsi_opt.estimation import likelihood_start, maximum_likelihood
 from phsi_opt.model.parameters import Scan
 from phsi_opt.model.terms import Dictionary, Term
 
@@ -297,20 +296,6 @@ def test_a_channel_that_never_changes_does_not_harm_the_other(value: float) -> N
     fit = ph.identify(model, data)
     assert fit.values["a"] == pytest.approx(0.7, abs=0.05)
     assert fit.values["c"] == pytest.approx(0.0, abs=1e-4)
-
-
-def test_a_long_record_is_begun_through_its_first_part(
-    loads: ph.Measurements, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    model = spring(ph.Parameter(2.5, lower=0.1, per_trajectory=True))
-    whole = ph.identify(model, loads)
-    said: list[str] = []
-    monkeypatch.setattr(likelihood_start, "LONG_RECORD", 120)
-    monkeypatch.setattr(maximum_likelihood, "simple_start", lambda _: None)
-    through = ph.identify(model, loads, progress=said.append)
-    assert said[0] == "starting values from the first 60 samples"
-    for name in whole.names:
-        assert through.estimates[name] == pytest.approx(whole.estimates[name], rel=1e-5)
 
 
 def test_other_data_are_started_from_states_as_accurate_as_the_run(

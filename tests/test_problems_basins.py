@@ -39,7 +39,6 @@ def test_one_machine_from_half_off_is_judged_right_by_its_own_truth() -> None:
     setting = basins.Setting(0.5, basins.NOTHING, 1)
     row = basins.row("oscillator", 1, setting)
     assert row["right"]
-    assert row["right_windows_first"]
     assert row["frequency_error"] == pytest.approx(0.0, abs=1e-3)
     frame = pd.DataFrame([row, {**row, "kind": "pendulum", "right": False}])
     counted = basins.summary(frame).set_index("machine")

@@ -10,7 +10,7 @@ import phsi_opt as ph
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
-from phsi_opt.estimation.likelihood_start import simple_start
+from phsi_opt.estimation.likelihood_start import crude_start
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.step_refinement import finer_steps
@@ -97,8 +97,7 @@ def test_errors_of_integration_are_seen_by_the_factors_of_the_last_steps() -> No
     task = Task(spring(3.0), aligned, {}, None, ph.SolverSettings())
     loss = ph.MaximumLikelihood(steps=1)
     solver = LikelihoodSolver(LikelihoodProblem.of(task, loss))
-    start = simple_start(solver.problem)
-    assert start is not None
+    start = crude_start(solver.problem)
     estimate = solver.solve_directly(start)
     assert estimate is not None
     nearby, unit = estimate.linearized

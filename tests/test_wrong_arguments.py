@@ -93,7 +93,6 @@ def test_whole_times_that_no_float_holds_are_counted_from_the_first(
         (lambda: ph.Pruning("a"), "threshold='a'"),  # type: ignore[arg-type]
         (lambda: ph.MaximumLikelihood("a"), "noise='a'"),  # type: ignore[arg-type]
         (lambda: ph.MaximumLikelihood({"q": -1.0}), r"noise\['q'\]=-1"),
-        (lambda: ph.MaximumLikelihood(window="a"), "window='a'"),  # type: ignore[arg-type]
         (
             lambda: ph.Measurements.from_csv("a\0b", time="t", states=["q"]),
             "no NUL",

@@ -36,7 +36,5 @@ def flat_sentence(states: Sequence[str]) -> str:
         f"The free run of {names} is flat: it hardly moves and explains next to "
         "nothing of what was measured. The parameters are probably those of a wrong "
         "optimum, and what the model lacks cannot be told from it. Give the parameters "
-        "other values to start from, or give the loss a window one or two periods of "
-        "the motion long (window in [loss] of a study file, in Python "
-        "ph.MaximumLikelihood(window=...))."
+        "other values to start from."
     )

@@ -22,7 +22,7 @@ from phsi_opt.screening.second_look import Look, second_look
 def from_missing_force(base: DiagnosedModel) -> DiagnosedModel:
     """The model re-fitted from there where that is clearly better; else as it was."""
     record = base.record
-    if not record.model.free or base.loss.window is not None:
+    if not record.model.free:
         return base
     look = second_look(record, (), {})
     if look is None:

@@ -10,7 +10,6 @@ from phsi_opt.comparison.compare import Comparison, compare_record
 from phsi_opt.comparison.model_selection import delta_bic
 from phsi_opt.criteria import (
     BIC_TIE,
-    N_RESTART_WINDOWS,
     NEAR_NOISE_ERROR,
     ONE_ATTEMPT_INTERVALS,
     STRAYED_STATES,
@@ -30,8 +29,6 @@ from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import FEASIBLE_PATH, SolverSettings
-from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 
@@ -62,10 +59,9 @@ class RefitRequest:
 
 @dataclass(frozen=True, eq=False)
 class _Attempt:
-    """Where a re-fit begins: the base model's values, the loss, (n_nodes, n_states)."""
+    """Where a re-fit begins: values of the base model, states (n_nodes, n_states)."""
 
     model: Model
-    loss: MaximumLikelihood
     states: np.ndarray
 
 
@@ -226,14 +222,12 @@ class _Refitting:
     def begun(self) -> Fit:
         """The brief re-fit from the states of the missing force.
 
-        From where a second look ended, else from the base's own values, else, where
-        there was no second look, through windows; of a long record, and with an effect
-        that has a memory, there is one attempt.
+        From where a second look ended, else from the base's own values; of a long
+        record, and with an effect that has a memory, there is one attempt.
         """
         own = self.base.fit.model
-        loss = self.base.loss
         estimate = self.base.record.estimate
-        attempts = [_Attempt(own, loss, estimate.x)]
+        attempts = [_Attempt(own, estimate.x)]
         if self.request.base_values:
             expected = {}
             for name, value in self.request.base_values.items():
@@ -242,15 +236,11 @@ class _Refitting:
             states = self.request.states
             if states is None:
                 states = estimate.x
-            first = _Attempt(own.with_values(expected), loss, states)
+            first = _Attempt(own.with_values(expected), states)
             attempts.insert(0, first)
         has_memory = any(effect.memory for effect in self.request.effects)
         if self.base.is_long or has_memory:
             attempts = attempts[:1]
-        elif self.request.states is None:
-            window = _longest_duration(self.aligned) / N_RESTART_WINDOWS
-            in_windows = replace(loss, window=window)
-            attempts.append(_Attempt(own, in_windows, estimate.x))
         for attempt in attempts[:-1]:
             with suppress(PhsiOptError):
                 return self._identified(attempt)
@@ -271,7 +261,7 @@ class _Refitting:
             steps=tuple(self.refinement * steps for steps in base.fit.steps),
         )
         return identify_aligned(
-            self.model, self.aligned, attempt.loss, start=start, settings=self._effort()
+            self.model, self.aligned, base.loss, start=start, settings=self._effort()
         )
 
     def _effort(self) -> SolverSettings:
@@ -298,7 +288,3 @@ def distance_from_states(trained: Comparison) -> float:
         scaled = (run - x) / trained.sigma
         apart.append(scaled[np.isfinite(trajectory.x)])
     return float(np.sqrt(np.mean(np.concatenate(apart) ** 2)))
-
-
-def _longest_duration(aligned: AlignedData) -> float:
-    return max(float(run.t[-1] - run.t[0]) for run in aligned.data.trajectories)

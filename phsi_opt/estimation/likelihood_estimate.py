@@ -23,7 +23,6 @@ from phsi_opt.model_error.standard_errors import (
     standard_errors,
 )
 from phsi_opt.optimization.settings import GAUSS_NEWTON
-from phsi_opt.presentation.durations import time_words
 from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -74,8 +73,6 @@ class LikelihoodEstimate(Estimate):
         way: how it was solved, one of `WAYS`.
         nearby: the program, not in units of the information, linearised beside the
             optimum and its states eliminated; None: not known.
-        solved_window: length in time of the longest windows that could be solved where
-            the whole record could not; 0: none, or not tried.
     """
 
     loss: MaximumLikelihood
@@ -84,20 +81,6 @@ class LikelihoodEstimate(Estimate):
     is_known: np.ndarray
     way: str = GAUSS_NEWTON
     nearby: ReducedSystem | None = None
-    solved_window: float = 0.0
-
-    @property
-    def failure(self) -> str:
-        """How the solver ended where it reached no optimum, and what to do."""
-        ending = super().failure
-        if not self.solved_window:
-            return ending
-        window = time_words(self.solved_window, self.task.data.units.get("t", ""))
-        return (
-            f"{ending} Pieces of {window} could be solved: the model may lack what the "
-            "whole record shows. Give the record as shorter trajectories, and diagnose "
-            "what is missing."
-        )
 
     @property
     def n_values(self) -> int:

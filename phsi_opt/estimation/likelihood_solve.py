@@ -1,9 +1,9 @@
 """The likelihood of a task, maximised from a starting point.
 
-Three nested policies, each with a file of its own: windows where the whole record fails
-(`multiple_shooting`), the noise re-estimated until it stays (`noise_estimation`), the
-next way to solve where one fails (`solver_chain`). Where to start is the business of
-`likelihood_start`.
+Three nested policies, each with a file of its own: a missing force that shrinks where
+the start is not near (`continuation`), the noise re-estimated until it stays
+(`noise_estimation`), the next way to solve where one fails (`solver_chain`). Where to
+start is the business of `likelihood_start`.
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,6 @@ from phsi_opt.estimation.continuation import Continuation
 from phsi_opt.estimation.direct_steps import DirectSteps, Optimum
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
-from phsi_opt.estimation.multiple_shooting import (
-    FIRST_WINDOWS,
-    WINDOW_GROWTH,
-    cut_into_windows,
-)
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.residual_scatter import is_at_scatter
@@ -62,16 +57,20 @@ class LikelihoodSolver:
 
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
         """The optimum of the whole record, however far off the start is."""
-        if self.loss.window is not None:
-            return self.solve_through_windows(start)
         start = replace(start, steps=self._steps(start))
-        if not self.task.settings.thorough or start.is_optimum:
-            return self.solve(start)
-        near = self.solve_directly(start)
-        if near is not None and is_at_scatter(near):
+        near = self._near(start)
+        if near is not None:
             return near
         there = self.continued(start)
         return self.solve(start if there is None else there)
+
+    def _near(self, start: StartingPoint) -> LikelihoodEstimate | None:
+        """The optimum beside a start that is near it; None: there is none."""
+        if self.task.settings.thorough and not start.is_optimum:
+            near = self.solve_directly(start)
+            return near if near is not None and is_at_scatter(near) else None
+        near = self.solve(start)
+        return near if near.is_success else None
 
     def continued(self, start: StartingPoint) -> StartingPoint | None:
         """A start that nearly solves the model, along a missing force that shrinks.
@@ -79,7 +78,7 @@ class LikelihoodSolver:
         None where it leads nowhere. Outliers count in full on the way, and L1 for
         nothing.
         """
-        transcription = self._transcribed(start, {}, None)
+        transcription = self._transcribed(start, {})
         values = transcription.values
         z = Continuation(values).end(transcription.point.scaled, start.sigma)
         if z is None:
@@ -95,22 +94,6 @@ class LikelihoodSolver:
             states=tuple(np.split(at_samples, ends[:-1])),
             is_optimum=True,
         )
-
-    def solve_through_windows(self, start: StartingPoint) -> LikelihoodEstimate:
-        """Windows that grow, each from the last result, and then the whole record."""
-        start = replace(start, steps=self._steps(start))
-        runs = self.task.data.trajectories
-        longest = max(float(run.t[-1] - run.t[0]) for run in runs)
-        window = self.loss.window or longest / FIRST_WINDOWS
-        solved = 0.0
-        while window < longest:
-            estimate = self.solve(start, window=window)
-            if estimate.is_success:
-                start = start.moved_to(estimate)
-                solved = window
-            window *= WINDOW_GROWTH
-        whole = self.solve(start)
-        return whole if whole.is_success else replace(whole, solved_window=solved)
 
     def _steps(self, start: StartingPoint) -> tuple[np.ndarray, ...]:
         """Intervals in every gap between samples, fine where a memory fades."""
@@ -129,7 +112,6 @@ class LikelihoodSolver:
         *,
         l1: dict[str, float] | None = None,
         ways: tuple[str, ...] | None = None,
-        window: float | None = None,
     ) -> LikelihoodEstimate:
         """Solve from a starting point that has its steps.
 
@@ -137,12 +119,10 @@ class LikelihoodSolver:
             start: with ``steps``.
             l1: weights; None: those of the task.
             ways: to solve it, the next where one fails; None: those that fit the start.
-            window: length in time of pieces with free starting states; None: whole
-                trajectories.
         """
         l1 = self.task.l1 if l1 is None else l1
         ways = ways_after(start.way) if ways is None else ways
-        transcription = self._transcribed(start, l1, window)
+        transcription = self._transcribed(start, l1)
         noise = self._noise_iteration(transcription, l1)
         direct = self._direct_steps(transcription)
         if direct is not None and self._may_be_near(start, ways[0]):
@@ -167,13 +147,9 @@ class LikelihoodSolver:
         return way != FEASIBLE_PATH
 
     def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
-        """The optimum that full steps lead to; None where they lead nowhere.
-
-        Args:
-            start: without windows.
-        """
+        """The optimum that full steps lead to; None where they lead nowhere."""
         start = replace(start, steps=self._steps(start))
-        transcription = self._transcribed(start, self.task.l1, None)
+        transcription = self._transcribed(start, self.task.l1)
         direct = self._direct_steps(transcription)
         if direct is None:
             return None
@@ -229,9 +205,7 @@ class LikelihoodSolver:
             nearby=optimum.nearby,
         )
 
-    def _transcribed(
-        self, start: StartingPoint, l1: dict[str, float], window: float | None
-    ) -> Transcription:
+    def _transcribed(self, start: StartingPoint, l1: dict[str, float]) -> Transcription:
         model = start.model
         grid = self.task.aligned.grid_with(start.steps)
         unknown = Theta.of(model, self.task.runs)
@@ -240,11 +214,7 @@ class LikelihoodSolver:
         parameters = np.asarray(unknown.by_trajectory(start.theta))
         bounds = memory_start_bounds(model, grid, nodes, parameters)
         point = replace(point, x_bounds=bounds)
-        if window is not None:
-            grid = cut_into_windows(grid, window)
-        return Transcription(
-            self.loss, model, grid, unknown, point, l1, start.sigma, window
-        )
+        return Transcription(self.loss, model, grid, unknown, point, l1, start.sigma)
 
 
 def _maximum(

@@ -108,8 +108,7 @@ def scatter_warnings(
     return (
         f"the residuals of {worst.channel} are {worst.ratio:.1f} times what "
         "neighbouring samples scatter: the model lacks something (diagnose), outliers "
-        "pull (let them count less: huber = 1.345), or there are several optima (start "
-        "the parameters elsewhere, or give the loss a window of one or two periods). "
-        "Both stand in [loss] of a study file; in Python, "
-        "ph.MaximumLikelihood(huber=1.345, window=...)",
+        "pull (let them count less: huber = 1.345 in [loss] of a study file; in "
+        "Python, ph.MaximumLikelihood(huber=1.345)), or there are several optima "
+        "(start the parameters elsewhere)",
     )

@@ -27,12 +27,11 @@ class Transcription:
     Attributes:
         loss: the likelihood.
         model: whose defects vanish.
-        grid: nodes and intervals, cut into windows or whole.
+        grid: nodes and intervals.
         unknown: names and places of the free parameters.
         point: to start from, with the scale of each unknown.
         l1: weight by slot.
         sigma: (n_states,) noise to start from.
-        window: length of the windows in time, None: whole trajectories.
     """
 
     loss: MaximumLikelihood
@@ -42,7 +41,6 @@ class Transcription:
     point: Point
     l1: Mapping[str, float]
     sigma: np.ndarray
-    window: float | None = None
 
     def __getstate__(self) -> dict[str, Any]:  # symbols cannot be pickled
         return {part.name: getattr(self, part.name) for part in fields(self)}
@@ -68,18 +66,15 @@ class Transcription:
         )
 
     def __str__(self) -> str:
-        where = "" if self.window is None else f" in windows of {self.window:.3g}"
         return (
             f"maximum likelihood, {len(self.unknown)} parameters, "
-            f"{self.point.x.size} states{where}"
+            f"{self.point.x.size} states"
         )
 
     @property
     def has_path(self) -> bool:
         """Whether it can be solved along solutions of the model.
 
-        Not with windows, nor with slack variables.
+        Not with slack variables.
         """
-        n_pieces = self.grid.n_nodes - self.grid.n_intervals
-        is_whole = n_pieces == len(self.grid.first)
-        return is_whole and not self.has_slacks
+        return not self.has_slacks

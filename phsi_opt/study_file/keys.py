@@ -183,7 +183,6 @@ KEYS: tuple[Key, ...] = (
         ("integrator", "text", 'scheme of the defects; default "srk4"'),
         ("steps", "whole number", "intervals between samples; default: as needed"),
         ("huber", "number", "residuals beyond so many deviations count linearly"),
-        ("window", "number", "length in time of the pieces that are solved first"),
         ("starts", "whole number", "number of starting points; default 1"),
         ("model_error", "true or false", "a random force in the equations"),
         ("horizon", "number", "with model_error: length of the runs that matter"),

@@ -102,9 +102,6 @@ class MaximumLikelihood:
         huber: residuals beyond so many standard deviations count linearly (1.345 costs
             5 % of the efficiency on normal noise), so that outliers pull little; None:
             all count squared.
-        window: length in time of the pieces with free starting states that are solved
-            first, from which the whole record starts; None: only where the whole record
-            cannot be solved, or leads far off.
         starts: number of starting points, the first from the data, others moved from it
             by a fixed random sequence; the fit's warnings say how many of them agree.
         model_error: whether the equations hold up to a random force, estimated with its
@@ -122,7 +119,6 @@ class MaximumLikelihood:
     integrator: str = "srk4"
     steps: int | None = None
     huber: float | None = None
-    window: float | None = None
     starts: int = 1
     model_error: bool = False
     horizon: float | None = None
@@ -131,7 +127,6 @@ class MaximumLikelihood:
         _check_positive("horizon", self.horizon)
         self._check_model_error()
         _check_positive("huber", self.huber)
-        _check_positive("window", self.window)
         _check_count("steps", self.steps)
         _check_count("starts", self.starts)
         _check_noise(self.noise)
