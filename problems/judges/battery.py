@@ -139,6 +139,8 @@ def hidden_rows(hidden: pd.DataFrame) -> list[dict[str, object]]:
 
 def main() -> None:
     """Examine the list, and write the page."""
+    if not option("first", ""):
+        raise SystemExit("--first=SEED: seeds that nobody has seen (see cases.py).")
     first = int(option("first", ""))
     processes = int(option("processes", "2"))
     name = option("name", "battery")
