@@ -158,8 +158,8 @@ def test_an_interrupted_battery_goes_on_and_tells_its_shares(
 ) -> None:
     monkeypatch.setattr(provenance, "RESULTS", tmp_path)
     tasks = [
-        Task(HIDDEN, "nothing", DEVELOPED),
-        Task(FIELD, "chamber", DEVELOPED),
+        Task(HIDDEN, "nothing", DEVELOPED + 2),
+        Task(FIELD, "chamber", DEVELOPED + 1),
     ]
     battery.run("small", tasks[:1], processes=1)
     battery.run("small", tasks, processes=1)

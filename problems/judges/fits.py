@@ -38,6 +38,7 @@ LEAST_SIZE = 1e-3  # of the largest estimate: what a smaller one is compared wit
 N_PREDICTED = 9  # samples of the first trajectory
 SAME, NEARBY, OTHER = "same", "same optimum", "another optimum"
 TERMS, FAILED, SOLVED = "other terms", "failed", "solved now"
+NEW = {"success": False}  # a problem that was not there
 LIKELIER, LIKELY, LESS = "likelier", "as likely", "less likely"
 
 
@@ -177,7 +178,7 @@ def main() -> int:
         found = record(make)
         print(f"{name}: {found['ending']}, {found.get('seconds', 0):g} s", flush=True)
         if flag("check"):
-            rows.append({"fit": name, **compared(references[name], found)})
+            rows.append({"fit": name, **compared(references.get(name, NEW), found)})
         else:
             references[name] = found
     if not flag("check"):
