@@ -6,7 +6,6 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.augmented_states import (
-    memory_of_sensors,
     memory_start_bounds,
     with_memory,
 )
@@ -169,14 +168,3 @@ def test_a_sensor_that_is_late_is_found_without_a_value_to_start_from(
         fit.std_errors["sensor_delay_q"], 1e-3
     )
     assert abs(fit.estimates["k"] - 1.5) < 4 * max(fit.std_errors["k"], 1e-3)
-
-
-def test_the_memory_of_sensors_is_what_no_rate_but_its_own_reads() -> None:
-    late = pushed_at_once().add("sensor delay", "q")
-    assert memory_of_sensors(late) == late.memory
-    assert memory_of_sensors(pushed()) == ()  # the lagged input pushes
-    both = pushed_at_once().add("input lag", "p").add("sensor delay", "q")
-    assert memory_of_sensors(both) == both.memory[1:]
-    bare = both.without_memory(memory_of_sensors(both))
-    assert bare.states == ("q", "p", *both.memory[:1]) and not bare.sensor
-    assert set(bare.free) == set(both.free) - {"sensor_delay_q"}

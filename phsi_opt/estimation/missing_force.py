@@ -29,7 +29,6 @@ from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MissingForce
-from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import SensorOutputs
 
@@ -37,10 +36,6 @@ from phsi_opt.transcription.sensors import SensorOutputs
 # force takes hundreds.
 ROUGHLY = SolverSettings(tolerance=1e-6, max_iterations=30)
 THOROUGHLY = SolverSettings(tolerance=1e-6, max_iterations=200)
-# Where the force only leads to a starting point.
-SOFTLY = SolverSettings(tolerance=1e-4, max_iterations=60)
-# Factors on the force's size while parameters and states are found together.
-SHRINKING = (1.0, 0.1, 0.01)
 MOST_UPDATES = 8  # of the sizes between two solves
 SETTLED_SIZE = 0.02  # change of the logarithm of a size at which its updates end
 # Violation of the (scaled) dynamics beyond which a search that did not end well is of
@@ -218,48 +213,6 @@ class _Search:
 def _is_lost(solution: Solution) -> bool:
     outcome = solution.outcome
     return not outcome.success and outcome.infeasibility > LOST
-
-
-def softened(
-    model: Model,
-    grid: Grid,
-    unknown: Theta,
-    point: Point,
-    sigma: np.ndarray,
-    integrator: str,
-) -> Point:
-    """Parameters and states together, with a force that shrinks from a generous size.
-
-    With the force free the dynamics hold softly: the states cannot run away while the
-    parameters are still wrong, and the parameters are not confirmed by states that were
-    smoothed with them.
-
-    Args:
-        model: The model.
-        grid: Nodes, intervals and measurements.
-        unknown: The parameters that are found.
-        point: Where the search begins.
-        sigma: (n_states,) noise.
-        integrator: The scheme of the defects.
-
-    Returns:
-        The last point at which the dynamics held: parameters and states, without the
-        force.
-    """
-    prior = default_prior(model, grid, point)
-    loss = MissingForce(integrator)
-    program = loss.program(model, grid, point, prior, sigma, unknown)
-    solver = Solver(program, SOFTLY)
-    start = program.start
-    for factor in SHRINKING:
-        settings = np.r_[factor * prior.size, sigma]
-        solution = solver.solve(start, settings, raise_on_failure=False)
-        if _is_lost(solution):
-            break
-        start = solution.z
-        x = solution.values["x"].reshape(point.x.shape)
-        point = replace(point, theta=solution.values["theta"], x=x)
-    return point
 
 
 def force_deviation(estimate: ForceEstimate, most: int = MOST_EXACT) -> np.ndarray:

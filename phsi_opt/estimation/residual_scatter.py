@@ -59,11 +59,6 @@ class ResidualScatter:
         return self.ratio < SUSPICIOUS_RATIO
 
 
-def is_plausible(estimate: LikelihoodEstimate) -> bool:
-    """Whether it is an optimum with residuals as small as the scatter."""
-    return estimate.is_success and ResidualScatter.of(estimate).explains_residuals
-
-
 def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
     """Whether it is an optimum that leaves what neighbouring samples scatter, no more.
 
@@ -72,16 +67,6 @@ def is_at_scatter(estimate: LikelihoodEstimate) -> bool:
     if not estimate.is_success or not _is_small_beside_motion(estimate):
         return False
     return ResidualScatter.of(estimate).ratio < AT_SCATTER
-
-
-def is_far_off(estimate: LikelihoodEstimate) -> bool:
-    """Whether it is an optimum with residuals that a motion out of step may leave.
-
-    Far above the scatter, and no small share of what was measured.
-    """
-    if not estimate.is_success or is_plausible(estimate):
-        return False
-    return not _is_small_beside_motion(estimate)
 
 
 def _is_small_beside_motion(estimate: LikelihoodEstimate) -> bool:

@@ -4,7 +4,7 @@ How such points are found is the business of `likelihood_start`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,17 +52,6 @@ class StartingPoint:
             states=estimate.states,
             sigma=estimate.sigma,
             steps=tuple(steps),
-            way=estimate.way,
-            held=estimate.solution.outcome.at_bounds,
-        )
-
-    def moved_to(self, estimate: LikelihoodEstimate) -> "StartingPoint":
-        """The same model and steps, at the values, states and noise of an estimate."""
-        return replace(
-            self,
-            theta=estimate.theta,
-            states=estimate.states,
-            sigma=estimate.sigma,
             way=estimate.way,
             held=estimate.solution.outcome.at_bounds,
         )

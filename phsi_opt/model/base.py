@@ -17,7 +17,6 @@ import numpy as np
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.checks import checked_dictionary, checked_names, checked_structure
 from phsi_opt.model.effect import Effect
-from phsi_opt.model.expressions import names_of
 from phsi_opt.model.kinds import checked_kinds
 from phsi_opt.model.parameters import Parameter, with_value
 from phsi_opt.model.slots import (
@@ -243,28 +242,6 @@ class BaseModel:
             S=S,
             F={**self.F, **memory},
             memory=(*self.memory, *memory),
-        )
-
-    def without_memory(self, names: Sequence[str]) -> Self:
-        """A new model without states that are memory, and the sensors' terms on them.
-
-        Nothing but their own rates and sensors may name them.
-        """
-        gone = set(names)
-        kept = [i for i, state in enumerate(self.states) if state not in gone]
-        sensor = {}
-        for state, terms in self.sensor.items():
-            rest = [term for term in terms if not names_of(term.body) & gone]
-            if rest:
-                sensor[state] = Dictionary(tuple(rest))
-        return replace(
-            self,
-            states=tuple(self.states[i] for i in kept),
-            S=np.array(self.S)[np.ix_(kept, kept)],
-            F={name: terms for name, terms in self.F.items() if name not in gone},
-            sensor=sensor,
-            memory=tuple(name for name in self.memory if name not in gone),
-            kind={name: kind for name, kind in self.kind.items() if name not in gone},
         )
 
     def without(self, names: set[str]) -> Self:

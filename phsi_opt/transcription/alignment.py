@@ -72,16 +72,6 @@ class AlignedData:
             self._larger[states] = AlignedData(data, grid_of(data), self.notes)
         return self._larger[states]
 
-    def without_states(self, names: Sequence[str]) -> "AlignedData":
-        """The same without the columns of states that nobody measured."""
-        kept = [i for i, name in enumerate(self.data.states) if name not in names]
-        states = tuple(self.data.states[i] for i in kept)
-        runs = tuple(replace(run, x=run.x[:, kept]) for run in self.data.trajectories)
-        known = {"t", *states, *self.data.inputs}
-        units = {name: unit for name, unit in self.data.units.items() if name in known}
-        data = replace(self.data, trajectories=runs, states=states, units=units)
-        return AlignedData(data, grid_of(data), self.notes)
-
     def grid_with(self, steps: Sequence[np.ndarray]) -> Grid:
         """The layout with further nodes between samples.
 

@@ -72,25 +72,6 @@ def memory_start_bounds(
     return StateBounds(lower, upper)
 
 
-def memory_of_sensors(model: Model) -> tuple[str, ...]:
-    """The last states, as far as they are memory that sensors alone read.
-
-    They follow from the other states and do not act on them.
-    """
-    rhs = model.rhs()
-    x, u, t, theta = (ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(4))
-    reads = ca.jacobian(rhs(x, u, t, theta), x).sparsity()
-    is_read = np.array(ca.DM(reads, 1).full(), dtype=bool)
-    found = 0
-    for n in range(1, len(model.memory) + 1):
-        first = model.n_states - n
-        if model.states[first:] != model.memory[-n:]:
-            break
-        if not is_read[:first, first:].any():
-            found = n
-    return tuple(model.states[model.n_states - found :])
-
-
 def padded(model: Model, x: np.ndarray) -> np.ndarray:
     """States (n_nodes, n_states) with zeros for those at the end that x lacks."""
     n_lacking = model.n_states - x.shape[1]
