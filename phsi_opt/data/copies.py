@@ -5,7 +5,6 @@ standard errors smaller, and held out they would judge what was fitted to them. 
 not matter here, and neither does the time at which a run begins.
 """
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
@@ -35,11 +34,12 @@ def copies_in(data: Measurements) -> dict[str, str]:
     seen = _Seen()
     copies = {}
     for run in data.trajectories:
-        original = seen.equal_to(run)
+        alike = seen.alike(run)
+        original = next((other for other in alike if _is_copy(run, other)), None)
         if original is None:
-            seen.add(run)
+            alike.append(run)
         else:
-            copies[run.name] = original
+            copies[run.name] = original.name
     return copies
 
 
@@ -73,12 +73,12 @@ def check_can_judge(train: Measurements, held_out: Measurements) -> None:
     """
     seen = _Seen()
     for run in train.trajectories:
-        seen.add(run)
+        seen.alike(run).append(run)
     copies = {}
     for run in held_out.trajectories:
-        fitted = seen.equal_to(run)
-        if fitted is not None:
-            copies[run.name] = fitted
+        for fitted in seen.alike(run):
+            if _is_copy(run, fitted):
+                copies[run.name] = fitted.name
     if copies:
         raise DataError(
             f"held out: {_told(copies)} of the training data, and cannot judge what is "
@@ -88,29 +88,27 @@ def check_can_judge(train: Measurements, held_out: Measurements) -> None:
 
 
 class _Seen:
-    """Runs by a fingerprint of what was measured."""
+    """Runs by what tells most of them apart: their shapes and first states."""
 
     def __init__(self) -> None:
-        self._runs: dict[bytes, list[Trajectory]] = {}
+        self._runs: dict[tuple[object, ...], list[Trajectory]] = {}
 
-    def add(self, run: Trajectory) -> None:
-        self._runs.setdefault(_fingerprint(run), []).append(run)
-
-    def equal_to(self, run: Trajectory) -> str | None:
-        """The name of the run of which this one is a copy; None where it is none."""
-        for other in self._runs.get(_fingerprint(run), []):
-            if _has_same_times(run, other) and _is_telling(run):
-                return other.name
-        return None
+    def alike(self, run: Trajectory) -> list[Trajectory]:
+        """The list of those that may be equal to a run, to add it to."""
+        first = repr((run.x[0] + 0.0).tolist())  # one kind of NaN and of zero
+        key = (run.x.shape, run.u.shape, first)
+        return self._runs.setdefault(key, [])
 
 
-def _fingerprint(run: Trajectory) -> bytes:
-    """Of states and inputs, not of the times."""
-    digest = hashlib.sha256(repr((run.x.shape, run.u.shape)).encode())
-    x = np.where(np.isnan(run.x), np.nan, run.x)  # one kind of NaN
-    for values in (x, run.u):
-        digest.update((values + 0.0).tobytes())  # no negative zeros
-    return digest.digest()
+def _is_copy(run: Trajectory, other: Trajectory) -> bool:
+    return _is_equal(run, other) and _is_telling(run)
+
+
+def _is_equal(run: Trajectory, other: Trajectory) -> bool:
+    """Whether states and inputs are the same, and the times since both began."""
+    has_same_states = np.array_equal(run.x, other.x, equal_nan=True)
+    has_same_inputs = np.array_equal(run.u, other.u, equal_nan=True)
+    return has_same_states and has_same_inputs and _has_same_times(run, other)
 
 
 def _has_same_times(run: Trajectory, other: Trajectory) -> bool:

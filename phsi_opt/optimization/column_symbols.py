@@ -53,5 +53,6 @@ def stacked(entries: Columns, n_places: int) -> ca.MX:
 
 
 def _filled(entry: ca.MX, n_places: int) -> ca.MX:
-    dense = ca.densify(entry)
-    return dense if dense.numel() == n_places else ca.repmat(dense, n_places, 1)
+    if entry.numel() == n_places:
+        return entry
+    return ca.MX.zeros(n_places) if entry.is_zero() else ca.repmat(entry, n_places, 1)

@@ -50,8 +50,7 @@ def known_defects(
     arguments = [_columns(one) for one in interval_arguments(grid, grid.y.T)]
     arguments.append(ca.vertsplit(theta))
     together = _with_slopes(model, scheme, list(range(n_free)))
-    (d,) = in_columns(defect(model, scheme), arguments)
-    _, slopes = in_columns(together, arguments)
+    d, slopes = in_columns(together, arguments)
     by_parameter = []
     for j in range(n_free):
         by_parameter.append(stacked(slopes[j::n_free], grid.n_intervals))
