@@ -10,6 +10,7 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.estimation import solver_chain
 from phsi_opt.estimation.feasible_path import FeasiblePath
+from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
 from phsi_opt.estimation.record_likelihood import RecordLikelihood
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.optimization.endings import PATH_ITERATIONS
@@ -195,7 +196,7 @@ def test_where_all_fails_ipopt_says_why() -> None:
     model = friction_and_damping_free(0.3)
     with pytest.raises(
         ph.SolveError,
-        match=r"the time limit of 1e-06 s ended the solve; .*Maximum_WallTime"
+        match=r"the time limit of 1e-06 s ended the solve.*Maximum_WallTime"
         r".*allow more time",
     ):
         ph.identify(
@@ -293,6 +294,7 @@ def test_a_solution_that_is_no_optimum_is_enough_to_start_a_free_run(
         [np.ones(len(T) - 1, int)] * 2,
     )
     monkeypatch.setattr("phsi_opt.estimation.feasible_path.MAX_ITERATIONS", 1)
+    monkeypatch.setattr(LikelihoodSolver, "continued", lambda *_: None)
 
     aligned = AlignedData.of(model, data)
     record = RecordLikelihood(aligned, sigma, ph.MaximumLikelihood())

@@ -58,19 +58,15 @@ class LikelihoodSolver:
     def solve_from(self, start: StartingPoint) -> LikelihoodEstimate:
         """The optimum of the whole record, however far off the start is."""
         start = replace(start, steps=self._steps(start))
-        near = self._near(start)
-        if near is not None:
-            return near
-        there = self.continued(start)
-        return self.solve(start if there is None else there)
-
-    def _near(self, start: StartingPoint) -> LikelihoodEstimate | None:
-        """The optimum beside a start that is near it; None: there is none."""
         if self.task.settings.thorough and not start.is_optimum:
             near = self.solve_directly(start)
-            return near if near is not None and is_at_scatter(near) else None
+            if near is not None and is_at_scatter(near):
+                return near
+            there = self.continued(start)
+            return self.solve(start if there is None else there)
         near = self.solve(start)
-        return near if near.is_success else None
+        there = None if near.is_success else self.continued(start)
+        return near if there is None else self.solve(there)
 
     def continued(self, start: StartingPoint) -> StartingPoint | None:
         """A start that nearly solves the model, along a missing force that shrinks.
