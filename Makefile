@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 PY := $(VENV)/bin/python
 CONSTRAINTS := .ci/constraints.txt
-EXTRAS := neural,baselines,app,distributed,dev
+EXTRAS := neural,baselines,app,distributed,peers,dev
 # Bytecode is left to the first use of a module: compiling all that is installed takes longer than installing it.
 PIP_INSTALL := -m pip install -qq --no-compile
 # More arguments, e.g. `make test ARGS='-m "not slow"'` or `make compare ARGS=tanks`.
@@ -79,7 +79,7 @@ constraints: ## write .ci/constraints.txt anew, with the newest versions that py
 	echo "Resolving all dependencies in a fresh environment; this may take some minutes."; \
 	$(PYTHON) -m venv "$$tmp/venv"; \
 	"$$tmp/venv/bin/python" $(PIP_INSTALL) --upgrade pip setuptools; \
-	"$$tmp/venv/bin/python" $(PIP_INSTALL) --no-build-isolation -e '.[$(EXTRAS),peers]'; \
+	"$$tmp/venv/bin/python" $(PIP_INSTALL) --no-build-isolation -e '.[$(EXTRAS)]'; \
 	"$$tmp/venv/bin/python" -m pip freeze --all --exclude-editable > "$$tmp/frozen"; \
 	{ echo "# The exact version of every distribution in .venv: core, all extras and development tools."; \
 	  echo "# Written by 'make constraints' (pip freeze in a fresh environment, local version labels cut off)."; \

@@ -16,6 +16,7 @@ import torch
 
 import phsi_opt as ph
 from phsi_opt.baselines.descent import Adam
+from phsi_opt.baselines.descent_settings import DTYPES
 from phsi_opt.baselines.gradient_descent import (
     Descent,
     HybridBaseline,
@@ -23,7 +24,6 @@ from phsi_opt.baselines.gradient_descent import (
     gradient_descent,
 )
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.setting_checks import DTYPES
 from phsi_opt.baselines.starting_values import starting_values
 from phsi_opt.baselines.torch_defects import Steps
 from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
@@ -682,7 +682,7 @@ def test_importing_the_package_does_not_import_torch() -> None:
 def test_settings_are_made_without_torch() -> None:
     code = (
         "import sys, phsi_opt.baselines.descent_settings, "
-        "phsi_opt.baselines.phnn_model, phsi_opt.baselines.joint_force_result; "
+        "phsi_opt.baselines.joint_force, problems.peers.phnn_model; "
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -27,7 +27,7 @@ TOOLS = {
 }
 # What a user must have chosen before these files are imported.
 EXTRAS_OF = {
-    "phsi_opt/baselines": {"baselines", "neural"},
+    "phsi_opt/baselines": {"baselines"},
     "phsi_opt/learning": {"neural"},
     "phsi_opt/optimization/torch_threads.py": {"neural"},
     "phsi_opt/page": {"app"},

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.baselines.network_simulation import input_of
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.simulation.free_run import free_run
 from phsi_opt.transcription.grid import grid_of
@@ -118,12 +117,6 @@ def test_every_trajectory_has_its_own_spline() -> None:
     alone = grid_of(data["run 2"])
     np.testing.assert_array_equal(grid.u0[-8:], alone.u0)
     np.testing.assert_array_equal(grid.u1[-8:], alone.u1)
-
-
-def test_baselines_take_it_too() -> None:
-    t = times()
-    held = input_of(t, push(t)[:, None], 1, "cubic")
-    np.testing.assert_allclose(held(t[4]), push(t[4]))
 
 
 def test_a_model_without_inputs_takes_it() -> None:

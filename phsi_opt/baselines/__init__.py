@@ -1,6 +1,5 @@
-"""Other methods on the same measurements: gradient descent, SSINN, PHNN and SINDy.
+"""Gradient descent on the PHSI loss, the thesis' own method, on the same measurements.
 
-Each lives in a file of its own and is imported from there, such as ``from
-phsi_opt.baselines.gradient_descent import gradient_descent``: they need the extra
-``baselines``, the package itself does not.
+It is imported from its file, ``from phsi_opt.baselines.gradient_descent import
+gradient_descent``: it needs the extra ``baselines``, the package itself does not.
 """

@@ -7,7 +7,6 @@ of models.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from math import sqrt
-from typing import Protocol
 
 import numpy as np
 import pandas as pd
@@ -86,20 +85,6 @@ class Adam:
         self.raw.addcdiv_(self.mean, size, value=towards)
 
 
-class Passes(Protocol):
-    """What `descend` needs of the settings."""
-
-    @property
-    def learning_rate(self) -> float:
-        """Size of a first step, without the schedule of ``Hooks``."""
-        ...
-
-    @property
-    def epochs(self) -> int:
-        """Passes over all intervals."""
-        ...
-
-
 def _nothing() -> None:
     """After a step nothing needs to be done."""
 
@@ -113,15 +98,14 @@ class Hooks:
     """What one method of descent does otherwise than another.
 
     Attributes:
-        rate: learning rate of an epoch, counted from 1; None takes that of the
-            settings.
+        rate: learning rate of an epoch, counted from 1.
         l1: L1 weights of an epoch, or None.
         after_step: such as a projection onto bounds.
         after_epoch: such as pruning; it returns the number of terms that are left.
             None counts all parameters.
     """
 
-    rate: Callable[[int], float] | None = None
+    rate: Callable[[int], float]
     l1: Callable[[int], Tensor | None] = _no_weights
     after_step: Callable[[], object] = _nothing
     after_epoch: Callable[[int], int] | None = None
@@ -169,8 +153,8 @@ def descend(
     adam: Adam,
     loss: Callable[[Tensor, Sequence[Tensor]], Tensor],
     batches: Batches,
-    settings: Passes,
-    hooks: Hooks | None = None,
+    epochs: int,
+    hooks: Hooks,
     progress: Progress | None = None,
 ) -> pd.DataFrame:
     """Adam over shuffled batches (thesis Algorithm 6).
@@ -179,8 +163,8 @@ def descend(
         adam: the parameters and the steps.
         loss: of the parameters and the tables of a batch.
         batches: the data.
-        settings: learning rate and number of epochs.
-        hooks: what else happens; None: nothing.
+        epochs: passes over all intervals.
+        hooks: learning rates, and what else happens.
         progress: called with a line of text every few epochs.
 
     Returns:
@@ -190,10 +174,9 @@ def descend(
     Raises:
         SolveError: when the loss is no longer finite.
     """
-    hooks = hooks or Hooks()
     history = []
-    for epoch in range(1, settings.epochs + 1):
-        rate = hooks.rate(epoch) if hooks.rate else settings.learning_rate
+    for epoch in range(1, epochs + 1):
+        rate = hooks.rate(epoch)
         mean = _epoch(adam, loss, batches, rate, hooks.l1(epoch), hooks.after_step)
         if not np.isfinite(mean):
             raise SolveError(
@@ -203,10 +186,8 @@ def descend(
             )
         n_terms = hooks.after_epoch(epoch) if hooks.after_epoch else len(adam.flat)
         history.append((epoch, mean, n_terms))
-        if progress is not None and _is_reported(epoch, settings.epochs):
-            progress(
-                f"epoch {epoch} of {settings.epochs}: loss {mean:.4g}, {n_terms} terms"
-            )
+        if progress is not None and _is_reported(epoch, epochs):
+            progress(f"epoch {epoch} of {epochs}: loss {mean:.4g}, {n_terms} terms")
     return printed_table(history, columns=["epoch", "loss", "n_terms"])
 
 

@@ -1,29 +1,24 @@
-"""Settings of `gradient_descent`: how it descends, and the force trained beside it.
+"""Settings of `gradient_descent`, and the checks that other descents share.
 
-The descents of `ssinn` and `phnn` have settings of their own, in their files.
+A check names the setting, its value and what is expected. Nothing here needs torch.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import cos, pi
 from types import MappingProxyType
 from typing import Any
 
-from phsi_opt.baselines.setting_checks import (
-    check_descent,
-    is_count,
-    is_size,
-    require,
-    require_choice,
-    require_count,
-    require_positive,
-    require_size,
-)
+import numpy as np
+
+from phsi_opt.errors import ModelError, did_you_mean
+from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.losses import l1_weights
 
 STARTS = ("thesis", "normal", "model")
 DECAYS = ("none", "cosine")
 PRUNED_SLOTS = ("H", "R", "F")
+DTYPES = ("float32", "float64")
 
 
 @dataclass(frozen=True)
@@ -131,40 +126,73 @@ def _descent(parts: dict[str, Any]) -> Descent:
     return Descent(**parts)
 
 
-@dataclass(frozen=True)
-class JointForce:
-    """A force by a network beside the dictionary (the thesis' hybrid, Section 6.4).
-
-    In the equation of each state i among ``equations``, F_i = net_i(variables).
-
-    Args:
-        equations: states in whose equations it acts.
-        variables: states, inputs or "t" that it depends on.
-        hidden: widths of the hidden layers, with ReLU.
-        penalty: weight of the mean of ``|F|`` over the batch.
-        first: function of the first hidden layer, "relu" (the text of the thesis) or
-            "tanh" (its code, which has two hidden layers); with a large learning rate,
-            a narrow input and only ReLU, units die.
+def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
+    """Let a setting pass, or say what is wrong with it.
 
     Raises:
-        ModelError: if a setting is not possible.
+        ModelError: unless ``fine``; it names the setting, its value and the expected.
     """
+    if not fine:
+        raise ModelError(
+            f"{name}={value!r} is not possible; expected {expected}.{hint}"
+        )
 
-    equations: tuple[str, ...]
-    variables: tuple[str, ...]
-    hidden: tuple[int, ...] = (100, 100, 100)
-    penalty: float = 0.0
-    first: str = "relu"
 
-    def __post_init__(self) -> None:
-        require(self.first in ("relu", "tanh"), "first", self.first, "'relu' or 'tanh'")
-        for name in ("equations", "variables"):
-            given = getattr(self, name)
-            listed = (given,) if isinstance(given, str) else tuple(given)
-            distinct = len(set(listed)) == len(listed) > 0
-            require(distinct, name, given, "at least one name, and each only once")
-            object.__setattr__(self, name, listed)
-        possible = all(is_count(width) for width in self.hidden)
-        require(possible, "hidden", self.hidden, "widths of at least 1")
-        object.__setattr__(self, "hidden", tuple(self.hidden))
-        require_size("penalty", self.penalty)
+def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
+    """Check that the value is one of the choices, or name the closest of them."""
+    expected = f"one of {', '.join(choices)}"
+    hint = did_you_mean(value, choices)
+    require(value in choices, name, value, expected, hint)
+
+
+def require_count(name: str, value: Any, or_none: bool = False) -> None:
+    """Check that the value is a whole number of at least 1 (or None)."""
+    fine = (or_none and value is None) or is_count(value)
+    expected = "a whole number of at least 1" + (", or None" if or_none else "")
+    require(fine, name, value, expected)
+
+
+def require_size(name: str, value: Any) -> None:
+    """Check that the value is a finite number of at least 0."""
+    require(is_size(value), name, value, "a finite number of at least 0")
+
+
+def require_positive(name: str, value: Any, or_none: bool = False) -> None:
+    """Check that the value is a number above 0 (or None)."""
+    fine = (or_none and value is None) or is_size(value, positive=True)
+    expected = "a number above 0" + (", or None" if or_none else "")
+    require(fine, name, value, expected)
+
+
+def check_descent(settings: Any) -> None:
+    """Check what all descents have in common.
+
+    Args:
+        settings: with learning_rate, epochs, batch, weight_decay, dtype, and perhaps
+            integrator.
+
+    Raises:
+        ModelError: if one of them is not possible.
+    """
+    require_positive("learning_rate", settings.learning_rate)
+    require_count("epochs", settings.epochs)
+    require_count("batch", settings.batch)
+    require_size("weight_decay", settings.weight_decay)
+    known = settings.dtype in DTYPES
+    require(known, "dtype", settings.dtype, f"one of {', '.join(DTYPES)}")
+    if hasattr(settings, "integrator"):
+        integrator(settings.integrator)
+
+
+def is_count(value: Any) -> bool:
+    """Whether the value is a whole number of at least 1."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and bool(value >= 1)
+
+
+def is_size(value: Any, positive: bool = False) -> bool:
+    """Whether the value is a finite number of at least (or above) zero."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        return False
+    inside = value > 0 if positive else value >= 0
+    return bool(np.isfinite(value) and inside)

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
-from phsi_opt.baselines.descent_settings import Descent, JointForce
+from phsi_opt.baselines.descent_settings import Descent
 from phsi_opt.baselines.descent_significance import SignificanceTest
-from phsi_opt.baselines.joint_force_result import HybridBaseline
+from phsi_opt.baselines.joint_force import HybridBaseline, JointForce
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.starting_values import starting_values
 from phsi_opt.baselines.torch_defects import Steps
@@ -171,7 +171,7 @@ class _Run:
             self.adam,
             lambda flat, tables: self.steps.loss(flat, tables, penalty),
             batches,
-            self.settings,
+            self.settings.epochs,
             hooks,
             progress,
         )

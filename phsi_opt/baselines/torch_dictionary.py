@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent_settings import JointForce
+from phsi_opt.baselines.joint_force import JointForce
 from phsi_opt.baselines.torch_monomials import (
     Basis,
     Exponents,
@@ -183,7 +183,7 @@ class DictionaryDynamics:
         self._place_matrices(terms)
         self.force: PlacedForce | None = None
         if force is not None:
-            self.force = PlacedForce.of(force, model, self.variables, "neural force")
+            self.force = PlacedForce.of(force, model, self.variables)
 
     @property
     def network(self) -> Network | None:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from phsi_opt.baselines.setting_checks import is_count
+from phsi_opt.baselines.descent_settings import is_count
 from phsi_opt.baselines.torch_networks import joined
 from phsi_opt.model.expressions import parse
 

@@ -1,6 +1,6 @@
 """Fully connected networks in torch, their weights in one flat vector.
 
-What a trained network is worth without torch is in `network_simulation`.
+What a trained network is worth without torch is in `joint_force`.
 """
 
 from collections.abc import Sequence
@@ -13,8 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent_settings import JointForce
-from phsi_opt.baselines.network_simulation import Layers
+from phsi_opt.baselines.joint_force import JointForce, Layers
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.model.model import Model
 
@@ -102,7 +101,7 @@ class PlacedForce:
 
     @classmethod
     def of(
-        cls, force: JointForce, model: Model, variables: Sequence[str], kind: str
+        cls, force: JointForce, model: Model, variables: Sequence[str]
     ) -> "PlacedForce":
         """The force's place beside a model.
 
@@ -110,7 +109,6 @@ class PlacedForce:
             force: by names.
             model: whose equations it acts in.
             variables: names of the columns (states, z) that the right-hand side sees.
-            kind: what a message calls it, such as "force".
 
         Raises:
             ModelError: if it names an unknown variable or equation.
@@ -119,12 +117,12 @@ class PlacedForce:
         for name in force.variables:
             if name not in known:
                 raise ModelError(
-                    f"variable {name!r} of the {kind} is unknown; "
+                    f"variable {name!r} of the neural force is unknown; "
                     f"expected names among {', '.join(known)}."
                     f"{did_you_mean(name, known)}"
                 )
         columns = [variables.index(name) for name in force.variables]
-        what = f"equation of the {kind}"
+        what = "equation of the neural force"
         rows = [model.index(name, what) for name in force.equations]
         network = Network([len(columns), *force.hidden, len(rows)])
         return cls(torch.tensor(columns), torch.tensor(rows), network, force.first)

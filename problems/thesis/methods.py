@@ -166,7 +166,7 @@ def stlsq(
     system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
 ) -> Any:
     """SINDy by sequentially thresholded least squares (pysindy)."""
-    from phsi_opt.baselines.sindy import sindy
+    from problems.peers.sindy import sindy
 
     return sindy(
         system.first_order(), data, "stlsq", 0.05, 1e-10, fixed=_frequencies(system)
@@ -177,7 +177,7 @@ def sr3(
     system: System, data: ph.Measurements, kind: str = "noisy", seed: int = 0
 ) -> Any:
     """SINDy by SR3 (pysindy)."""
-    from phsi_opt.baselines.sindy import sindy
+    from problems.peers.sindy import sindy
 
     threshold = {"henon_heiles": 0.5, "schrodinger": 0.5}.get(system.name, 0.05)
     return sindy(
@@ -191,7 +191,7 @@ def lasso(
     """The LASSO of thesis Eq. 4.8, by CVXPY; its weight is the one that predicts a
     fifth of the trajectories best.
     """
-    from phsi_opt.baselines.sindy import lasso as by_lasso
+    from problems.peers.sindy import lasso as by_lasso
 
     began = time.perf_counter()
     model, fixed = system.first_order(), _frequencies(system)
@@ -217,7 +217,7 @@ def ssinn(
     """Separable Hamiltonian, symplectic steps, gradient descent; only for a system
     whose energy is T(p) + V(q).
     """
-    from phsi_opt.baselines.ssinn import ssinn as by_ssinn
+    from problems.peers.ssinn import ssinn as by_ssinn
 
     return by_ssinn(data, ["q1", "q2"], ["p1", "p2"], 3, seed=seed)
 
@@ -237,8 +237,8 @@ def phnn(
     weight decay are multiplied by their number. ``epochs``: fewer of them, for a quick
     run.
     """
-    from phsi_opt.baselines.phnn import NetworkDescent
-    from phsi_opt.baselines.phnn import phnn as by_phnn
+    from problems.peers.phnn import NetworkDescent
+    from problems.peers.phnn import phnn as by_phnn
 
     S = (
         tank_structure()

@@ -12,13 +12,13 @@ import torch
 from scipy.optimize import approx_fprime
 
 import phsi_opt as ph
-from phsi_opt.baselines.gradient_descent import JointForce
-from phsi_opt.baselines.phnn import PHNN, NetworkDescent, _NetworkDynamics, phnn
+from phsi_opt.baselines.joint_force import JointForce
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_defects import Steps
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
+from problems.peers.phnn import PHNN, NetworkDescent, _NetworkDynamics, phnn
 from problems.thesis.systems import SYSTEMS
 
 SPRING = SYSTEMS["mass_spring"]
@@ -130,6 +130,29 @@ def test_the_record_can_be_simulated_printed_and_pickled(trained: PHNN) -> None:
     assert str(trained).startswith("PHNN: loss ")
 
 
+@pytest.mark.parametrize("hold", ["linear", "zero", "cubic"])
+def test_inputs_act_between_samples_as_the_measurements_held_them(hold: str) -> None:
+    t = np.linspace(0, 3, 7)
+    u = t**3
+    pushed = PHNN(
+        states=("p",),
+        inputs=("u",),
+        S=np.zeros((1, 1)),
+        damping={},
+        energy_layers=((np.zeros((1, 1)), np.zeros(1)),) * 2,  # H is constant
+        force_layers=((np.ones((1, 1)), np.zeros(1)),),  # F = u
+        neural=JointForce(("p",), ("u",), hidden=()),
+        hold=hold,
+    )
+    impulses = {
+        "zero": np.r_[0, np.cumsum(u[:-1] * np.diff(t))],
+        "linear": np.r_[0, np.cumsum((u[:-1] + u[1:]) / 2 * np.diff(t))],
+        "cubic": t**4 / 4,  # the spline through a cubic is the cubic
+    }
+    p = pushed.simulate(t, [0.0], u[:, None])[:, 0]
+    np.testing.assert_allclose(p, impulses[hold], atol=1e-6)  # SciPy's tolerance
+
+
 def test_without_force_and_damping_the_energy_is_kept() -> None:
     made = phnn(
         SYSTEMS["henon_heiles"].data(0, noise=0.0, n=60), ph.canonical(2), SMALL
@@ -153,7 +176,7 @@ def test_seeds_are_reproducible_to_the_bit_and_differ() -> None:
         ({"S": np.eye(2)}, "S is not skew-symmetric"),
         ({"damping": ["v"]}, "damping of 'v' is not a state"),
         ({"damping": ["p", "p"]}, "damping=.*only once"),
-        ({"force": (["p"], ["v"])}, "variable 'v' of the force is unknown"),
+        ({"force": (["p"], ["v"])}, "variable 'v' of the neural force is unknown"),
         ({"force": ([], ["t"])}, "equations="),
     ],
 )

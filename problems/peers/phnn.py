@@ -14,15 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Batches, Progress, descend
-from phsi_opt.baselines.descent_settings import JointForce
-from phsi_opt.baselines.phnn_model import PHNN, hidden_values, input_gradient
-from phsi_opt.baselines.setting_checks import (
+from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
+from phsi_opt.baselines.descent_settings import (
     check_descent,
     is_count,
     require,
     require_size,
 )
+from phsi_opt.baselines.joint_force import JointForce
 from phsi_opt.baselines.torch_defects import Steps
 from phsi_opt.baselines.torch_networks import (
     DTYPE_OF,
@@ -36,6 +35,7 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.losses import complete_intervals
+from problems.peers.phnn_model import PHNN, hidden_values, input_gradient
 
 __all__ = ["PHNN", "NetworkDescent", "phnn"]
 
@@ -130,8 +130,9 @@ def phnn(
             adam,
             lambda flat, tables: steps.loss(flat, tables, settings.penalty),
             Batches(steps.tables, steps.n_intervals, settings.batch, generator),
-            settings,
-            progress=progress,
+            settings.epochs,
+            Hooks(rate=lambda epoch: settings.learning_rate),
+            progress,
         )
         flat = adam.raw.to(torch.float64)
         exact = _NetworkDynamics(model, tuple(damping), settings, neural, torch.float64)
@@ -200,7 +201,7 @@ class _NetworkDynamics:
         around = (*model.inputs, "t")
         self.outside = [i for i, name in enumerate(around) if name in neural.variables]
         variables = (*model.states, *(around[i] for i in self.outside))
-        self.force = PlacedForce.of(neural, model, variables, "force")
+        self.force = PlacedForce.of(neural, model, variables)
 
     def start(self, generator: torch.Generator) -> Tensor:
         """Zero damping, random weights."""

@@ -17,8 +17,7 @@ import torch
 from torch import Tensor
 
 from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
-from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.setting_checks import (
+from phsi_opt.baselines.descent_settings import (
     check_descent,
     is_size,
     require,
@@ -26,6 +25,7 @@ from phsi_opt.baselines.setting_checks import (
     require_count,
     require_size,
 )
+from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.torch_defects import Table
 from phsi_opt.baselines.torch_monomials import Basis, combination, lowered, monomial
 from phsi_opt.baselines.torch_networks import DTYPE_OF
@@ -172,12 +172,8 @@ def ssinn(
                 settings.batch,
                 generator,
             ),
-            settings,
-            Hooks(
-                rate=settings.rate,
-                l1=lambda epoch: l1,
-                after_epoch=lambda epoch: n_terms,
-            ),
+            settings.epochs,
+            Hooks(rate=settings.rate, l1=lambda epoch: l1),
             progress,
         )
         values = dict(zip(model.entries, adam.raw.tolist(), strict=True))

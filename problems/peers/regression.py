@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from phsi_opt.baselines.sampled_rates import SampledRates, sampled_rates
+from phsi_opt.baselines.descent_settings import require
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import FirstOrder, Model
@@ -18,6 +18,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import Entry, place_of
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.transcription.alignment import aligned_once
+from problems.peers.sampled_rates import SampledRates, sampled_rates
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +78,8 @@ def with_fixed(model: FirstOrder, fixed: Mapping[str, float]) -> Model:
                 f"fixed names {name!r}, which is not in the model."
                 f"{did_you_mean(name, model.entries)}"
             )
-        check_number(is_number(value), f"fixed[{name!r}]", value, "a finite number")
+        fine = isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+        require(fine, f"fixed[{name!r}]", value, "a finite number")
 
     def held(name: str, parameter: Parameter) -> Parameter:
         if name not in fixed:
@@ -228,18 +230,3 @@ def _check_columns(equation: str, names: tuple[str, ...], values: np.ndarray) ->
             f"but the data give {len(values)} rates; "
             "measure more or shorten the dictionary."
         )
-
-
-def is_number(value: object) -> bool:
-    """Whether the value is a finite number."""
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
-
-
-def check_number(fine: bool, name: str, value: object, expected: str) -> None:
-    """Let a number pass, or say what is wrong with it.
-
-    Raises:
-        ModelError: unless ``fine``; it names the setting, its value and the expected.
-    """
-    if not fine:
-        raise ModelError(f"{name}={value!r}; expected {expected}.")

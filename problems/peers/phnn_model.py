@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.baselines.descent_settings import JointForce
-from phsi_opt.baselines.network_simulation import (
+from phsi_opt.baselines.joint_force import (
+    JointForce,
     Layers,
     force_variables,
-    input_of,
-    integrated,
     known_columns,
     network_values,
     state_rows,
 )
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS
+from phsi_opt.model.model import FirstOrder
 from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.simulation.simulate import simulate_forced
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,19 +127,18 @@ class PHNN:
             DataError: if t, x0 or u does not suit.
             SolveError: if the solution ends before the last time.
         """
-        times = np.asarray(t, dtype=float)
-        inputs_at = input_of(times, u, len(self.inputs), self.hold)
         damping = [self.damping.get(name, 0.0) for name in self.states]
         structure = self.S - np.diag(damping)
 
-        def rhs(time: float, x: np.ndarray) -> np.ndarray:
+        def rates(time: float, x: np.ndarray, inputs: np.ndarray) -> np.ndarray:
             row = x[None, :]
-            inputs = inputs_at(time)[None, :]
             inside = self.efforts(row) @ structure.T
-            dx: np.ndarray = (inside + self.force(row, time, inputs))[0]
+            known = inputs[None, : len(self.inputs)]
+            dx: np.ndarray = (inside + self.force(row, time, known))[0]
             return dx
 
-        return integrated(rhs, t, x0, self.states)
+        at_rest = FirstOrder(self.states, {}, self.inputs)
+        return simulate_forced(at_rest, t, x0, u, rates, hold=self.hold)
 
     def equations(self) -> list[str]:
         """The right-hand sides as text; H and F are networks and have no formula."""

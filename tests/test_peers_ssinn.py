@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import phsi_opt as ph
-from phsi_opt.baselines.ssinn import SymplecticDescent, _Flow, separable, ssinn
+from problems.peers.ssinn import SymplecticDescent, _Flow, separable, ssinn
 from problems.thesis.systems import SYSTEMS
 
 HENON = SYSTEMS["henon_heiles"]

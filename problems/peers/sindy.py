@@ -21,20 +21,23 @@ import numpy as np
 import pysindy as ps
 from sklearn.exceptions import ConvergenceWarning
 
-from phsi_opt.baselines.regression import (
+from phsi_opt.baselines.descent_settings import (
+    require_choice,
+    require_positive,
+    require_size,
+)
+from phsi_opt.baselines.result import Baseline
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.interrupts import interruptible
+from phsi_opt.model.model import FirstOrder
+from problems.peers.regression import (
     Regression,
-    check_number,
-    is_number,
     regressions,
     regressions_of,
     with_fixed,
 )
-from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.sampled_rates import DERIVATIVES
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import ModelError, SolveError, did_you_mean
-from phsi_opt.interrupts import interruptible
-from phsi_opt.model.model import FirstOrder
+from problems.peers.sampled_rates import DERIVATIVES
 
 __all__ = ["DERIVATIVES", "Regression", "lasso", "regressions", "sindy"]
 OPTIMIZERS = ("stlsq", "sr3")
@@ -115,16 +118,10 @@ def sindy(
         DataError: for incomplete states.
         SolveError: if SR3 does not converge.
     """
-    if optimizer not in OPTIMIZERS:
-        raise ModelError(
-            f"optimizer {optimizer!r} is unknown; "
-            f"expected one of {', '.join(OPTIMIZERS)}."
-            f"{did_you_mean(str(optimizer), OPTIMIZERS)}"
-        )
-    _check_size("threshold", threshold)
-    _check_size("ridge", ridge)
-    positive = is_number(relaxation) and relaxation > 0
-    check_number(positive, "relaxation", relaxation, "a number above 0")
+    require_choice("optimizer", optimizer, OPTIMIZERS)
+    require_size("threshold", threshold)
+    require_size("ridge", ridge)
+    require_positive("relaxation", relaxation)
 
     def thresholding(n_terms: int) -> Any:
         if optimizer == "stlsq":
@@ -187,7 +184,7 @@ def lasso(
         DataError: for incomplete states.
         SolveError: if the convex program was not solved.
     """
-    _check_size("weight", weight)
+    require_size("weight", weight)
     settings = f"weight {weight:g}, derivative {derivative}{_fixed_text(fixed)}"
 
     def solve(columns: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -281,11 +278,6 @@ def _by_cvxpy(columns: np.ndarray, rates: np.ndarray, weight: float) -> np.ndarr
         )
     stays = (np.abs(z.value) > LASSO_ROUNDING) & (size > 0)
     return np.where(stays, z.value * scale * unit, 0.0)
-
-
-def _check_size(name: str, value: float) -> None:
-    fine = is_number(value) and value >= 0
-    check_number(fine, name, value, "a number of at least 0")
 
 
 def _fixed_text(fixed: Mapping[str, float] | None) -> str:

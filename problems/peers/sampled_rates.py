@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import pysindy as ps
 
+from phsi_opt.baselines.descent_settings import require_choice
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.smooth_inputs import SmoothInputs
 from phsi_opt.data.trajectory import Trajectory
-from phsi_opt.errors import DataError, ModelError, did_you_mean
+from phsi_opt.errors import DataError
 
 # The Savitzky-Golay filter of pysindy's SmoothedFiniteDifference, with pysindy's own
 # default of the window and of the degree.
@@ -51,12 +52,7 @@ def sampled_rates(data: Measurements, derivative: str) -> SampledRates:
         ModelError: if there is no such derivative.
         DataError: if it cannot be formed from these data.
     """
-    if derivative not in DERIVATIVES:
-        raise ModelError(
-            f"derivative {derivative!r} is unknown; "
-            f"expected one of {', '.join(DERIVATIVES)}."
-            f"{did_you_mean(str(derivative), DERIVATIVES)}"
-        )
+    require_choice("derivative", derivative, tuple(DERIVATIVES))
     rates_of = DERIVATIVES[derivative]
     return _joined([rates_of(run, data.hold) for run in data.trajectories])
 

@@ -1,0 +1,195 @@
+"""A force network trained with the dictionary: its settings, its values, its result.
+
+Nothing here needs torch: a trained network is a list of matrices.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from phsi_opt.baselines.descent_settings import is_count, require, require_size
+from phsi_opt.baselines.result import Baseline
+from phsi_opt.errors import DataError
+from phsi_opt.simulation.simulate import simulate_forced
+
+# (weight (n_in, n_out), bias (n_out,)) of every layer
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+
+
+@dataclass(frozen=True)
+class JointForce:
+    """A force by a network beside the dictionary (the thesis' hybrid, Section 6.4).
+
+    In the equation of each state i among ``equations``, F_i = net_i(variables).
+
+    Args:
+        equations: states in whose equations it acts.
+        variables: states, inputs or "t" that it depends on.
+        hidden: widths of the hidden layers, with ReLU.
+        penalty: weight of the mean of ``|F|`` over the batch.
+        first: function of the first hidden layer, "relu" (the text of the thesis) or
+            "tanh" (its code, which has two hidden layers); with a large learning rate,
+            a narrow input and only ReLU, units die.
+
+    Raises:
+        ModelError: if a setting is not possible.
+    """
+
+    equations: tuple[str, ...]
+    variables: tuple[str, ...]
+    hidden: tuple[int, ...] = (100, 100, 100)
+    penalty: float = 0.0
+    first: str = "relu"
+
+    def __post_init__(self) -> None:
+        require(self.first in ("relu", "tanh"), "first", self.first, "'relu' or 'tanh'")
+        for name in ("equations", "variables"):
+            given = getattr(self, name)
+            listed = (given,) if isinstance(given, str) else tuple(given)
+            distinct = len(set(listed)) == len(listed) > 0
+            require(distinct, name, given, "at least one name, and each only once")
+            object.__setattr__(self, name, listed)
+        possible = all(is_count(width) for width in self.hidden)
+        require(possible, "hidden", self.hidden, "widths of at least 1")
+        object.__setattr__(self, "hidden", tuple(self.hidden))
+        require_size("penalty", self.penalty)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HybridBaseline(Baseline):
+    """dx/dt = dictionary model + force network (the thesis' hybrid, Section 6.4).
+
+    ``model``, its tables and `sympy` hold the dictionary part alone; `simulate` and
+    `equations` know both.
+
+    Attributes:
+        neural: where the force acts and what it depends on.
+        layers: (weight (n_in, n_out), bias) of every layer.
+    """
+
+    neural: JointForce
+    layers: Layers
+
+    def force(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
+        """The network's force, (n, n_equations).
+
+        Args:
+            x: states (n, n_states).
+            t: times (n,), if the force depends on them.
+            u: inputs (n, n_inputs), if the force depends on them.
+
+        Raises:
+            DataError: if x has another shape, or t or u is needed.
+        """
+        x = state_rows(x, self.model.n_states)
+        states = dict(zip(self.model.states, x.T, strict=True))
+        known = known_columns(states, t, self.model.inputs, u)
+        v = force_variables(self.neural.variables, known, len(x))
+        return network_values(self.layers, v, self.neural.first)
+
+    def without_force(self) -> Baseline:
+        """The dictionary model alone; its loss, not that of the training, is NaN."""
+        return Baseline(
+            model=self.model,
+            hold=self.hold,
+            seconds=self.seconds,
+            removed=self.removed,
+            history=self.history,
+            settings=self.settings,
+            method=f"{self.method}, left out",
+        )
+
+    def equations(self) -> list[str]:
+        """The right-hand sides, the network by the name ``network``."""
+        inside = ", ".join(self.neural.variables)
+        lines = super().equations()
+        for i, name in enumerate(self.model.states):
+            if name in self.neural.equations:
+                lines[i] += f" + network_{name}({inside})"
+        return lines
+
+    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
+        """States (n_samples, n_states) with the network's force, by SciPy.
+
+        Args:
+            t: increasing times (n_samples,).
+            x0: states (n_states,) at t[0].
+            u: inputs (n_samples, n_inputs) at t; None for a model without inputs.
+
+        Raises:
+            DataError: if t, x0 or u does not suit.
+            SolveError: if the solution ends before the last time.
+        """
+        return simulate_forced(self.model, t, x0, u, self._added, hold=self.hold)
+
+    def _added(self, t: float, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """What the network adds to dx/dt, (n_states,)."""
+        inputs = u[: self.model.n_inputs]
+        rows = [self.model.index(name) for name in self.neural.equations]
+        total = np.zeros(self.model.n_states)
+        total[rows] = self.force(x[None, :], t, inputs[None, :])[0]
+        return total
+
+
+def network_values(layers: Layers, v: np.ndarray, first: str = "relu") -> np.ndarray:
+    """Value (n_rows, n_outputs) of a network with ReLU between its layers.
+
+    The same as ``torch_networks.relu_network``, in NumPy.
+    """
+    for i, (weight, bias) in enumerate(layers[:-1]):
+        v = v @ weight + bias
+        v = np.tanh(v) if i == 0 and first == "tanh" else np.maximum(v, 0.0)
+    weight, bias = layers[-1]
+    result: np.ndarray = v @ weight + bias
+    return result
+
+
+def state_rows(x: Any, n_states: int) -> np.ndarray:
+    """States as an array (n_rows, n_states).
+
+    Raises:
+        DataError: if x has another number of columns.
+    """
+    states = np.atleast_2d(np.asarray(x, dtype=float))
+    if states.ndim != 2 or states.shape[1] != n_states:
+        raise DataError(
+            f"x has shape {np.shape(x)}; expected (n, {n_states}), a column per state."
+        )
+    return states
+
+
+def known_columns(
+    states: Mapping[str, np.ndarray], t: Any, inputs: Sequence[str], u: Any
+) -> dict[str, Any]:
+    """Values by name of what a force may depend on; None where nothing was given.
+
+    Args:
+        states: values by name, (n_samples,) each.
+        t: times (n_samples,), or None.
+        inputs: names of the inputs.
+        u: their values (n_samples, n_inputs), or None.
+    """
+    known: dict[str, Any] = dict(states)
+    known["t"] = t
+    columns = [None] * len(inputs) if u is None else np.atleast_2d(u).T
+    known.update(zip(inputs, columns, strict=True))
+    return known
+
+
+def force_variables(
+    variables: Sequence[str], known: Mapping[str, Any], n_rows: int
+) -> np.ndarray:
+    """The variables of a force, (n_rows, n_variables).
+
+    Raises:
+        DataError: if a variable was not given.
+    """
+    columns = []
+    for name in variables:
+        if known[name] is None:
+            argument = "t" if name == "t" else "u"
+            raise DataError(f"the force depends on {name!r}; give {argument} beside x.")
+        columns.append(np.broadcast_to(known[name], n_rows))
+    return np.stack(columns, 1)
