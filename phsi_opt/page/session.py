@@ -361,7 +361,7 @@ class Session:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing would be lost with it: nobody filled in or began anything."""
+        """Whether nobody filled in or began anything, so that nothing would be lost."""
         if self.job is not None or self.snapshot is not None:
             return False
         return self.draft.as_it_is() == self._begun
