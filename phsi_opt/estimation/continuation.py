@@ -29,12 +29,12 @@ from phsi_opt.transcription.likelihood_values import (
     PointValues,
     WeighedValues,
 )
-from phsi_opt.transcription.optimality_system import NewtonStep, OptimalitySystem
+from phsi_opt.transcription.optimality_system import NewtonStep
 
 # Sizes of the force, as a share of each state's own rate.
 FORCE_SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
-MOST_STEPS_OF_A_SIZE = 30  # for each size
-PRICE = 2.0  # of a missing unit, over the largest multiplier
+MOST_STEPS_OF_A_SIZE = 30
+PRICE = 2.0  # of a unit of defect, over the largest multiplier: an exact penalty
 MOST_HALVINGS = 6  # of a step that does not lower the objective
 LEAST_FALL = 1e-3  # relative fall of the objective at which the next size is taken
 RETRY_DAMPING = 1e-3  # share of the parameters' curvature, after a step that failed
@@ -75,16 +75,6 @@ class Continuation:
                 return None
             z = settled
         return z
-
-    @cached_property
-    def _system(self) -> OptimalitySystem:
-        likelihood = self.likelihood
-        return OptimalitySystem(
-            likelihood.grid,
-            likelihood.n_states,
-            likelihood.hessian,
-            likelihood.jacobian,
-        )
 
     @cached_property
     def _rates(self) -> np.ndarray:
@@ -134,8 +124,8 @@ class Continuation:
     ) -> _Place | None:
         """The first place along a step, halved again and again, that is lower.
 
-        With what is missing from the equations without a force, at a price above their
-        multipliers.
+        Defects of the equations without a force count at a price above their
+        multipliers (an exact penalty).
         """
         without = variance == 0
         price = PRICE * float(np.max(np.abs(step.multipliers[without]), initial=0.0))
@@ -164,12 +154,12 @@ class Continuation:
         self, place: _Place, variance: np.ndarray, damping: float
     ) -> NewtonStep | None:
         """The step beside a force; None where there is none."""
-        own = slice(self._system.n_theta)
+        own = slice(self.likelihood.system.n_theta)
         likelihood = self.likelihood
         room = Room.at(place.z[own], likelihood.lower[own], likelihood.upper[own])
         softness = variance * place.weighed.residual.size / 2
         with suppress(SolveError, np.linalg.LinAlgError, ValueError):
-            factored = self._system.softened(
+            factored = self.likelihood.system.softened(
                 place.weighed.hessian, place.values.jacobian, softness
             )
             return factored.step(

@@ -129,16 +129,6 @@ class DirectSteps:
     settings: SolverSettings
 
     @cached_property
-    def _system(self) -> OptimalitySystem:
-        likelihood = self.likelihood
-        return OptimalitySystem(
-            likelihood.grid,
-            likelihood.n_states,
-            likelihood.hessian,
-            likelihood.jacobian,
-        )
-
-    @cached_property
     def _bounds(self) -> list[tuple[np.ndarray, np.ndarray, int]]:
         """Variables with a lower bound, it and 1; the same of upper ones, and -1."""
         sides = []
@@ -160,7 +150,7 @@ class DirectSteps:
         began = time.perf_counter()
         place = self._at(z, sigma)
         mixed = MixedSteps()
-        stepper = _Stepper(self._system)
+        stepper = _Stepper(self.likelihood.system)
         step: NewtonStep | None = None
         is_same = False  # the likelihood, since the last step
         errors: list[float] = []
@@ -171,7 +161,7 @@ class DirectSteps:
             is_late = time.perf_counter() - began > self.settings.max_seconds
             if step is None or is_late:
                 return None
-            errors.append(_error(self._system, place, step))
+            errors.append(_error(self.likelihood.system, place, step))
             if not _contracts(errors):
                 return None
             if stepper.is_again or not place.nearly_holds:
@@ -216,7 +206,7 @@ class DirectSteps:
 
     def _room(self, z: np.ndarray) -> Room:
         """How far the parameters may move from z, (n_variables,)."""
-        own = slice(self._system.n_theta)
+        own = slice(self.likelihood.system.n_theta)
         likelihood = self.likelihood
         return Room.at(z[own], likelihood.lower[own], likelihood.upper[own])
 
@@ -228,7 +218,7 @@ class DirectSteps:
             return step
 
         def times(z: np.ndarray) -> np.ndarray:
-            return self._system.times(place.weighed.hessian, z)
+            return self.likelihood.system.times(place.weighed.hessian, z)
 
         end = np.concatenate([place.z + step.z, step.multipliers])
         end = mixed.end(step.z, end, times)
@@ -239,10 +229,10 @@ class DirectSteps:
 
         What presses a parameter against its bound is the bound's multiplier.
         """
-        gradient = self._system.lagrangian_gradient(
+        gradient = self.likelihood.system.lagrangian_gradient(
             place.weighed.gradient, place.values.jacobian, step.multipliers
         )
-        own = gradient[: self._system.n_theta]
+        own = gradient[: self.likelihood.system.n_theta]
         own[self._room(place.z).is_pressed(own)] = 0.0
         error = max(float(np.max(np.abs(gradient))), place.violation)
         return error < self.settings.tolerance
@@ -253,7 +243,7 @@ class DirectSteps:
         if likelihood.point.x_bounds is None:
             return 1.0
         room = np.where(step > 0, likelihood.upper - z, z - likelihood.lower)
-        of_states = slice(self._system.n_theta, None)
+        of_states = slice(self.likelihood.system.n_theta, None)
         room, size = room[of_states], np.abs(step[of_states])
         crosses = size > TO_BOUND * room
         shares = TO_BOUND * room[crosses] / size[crosses]

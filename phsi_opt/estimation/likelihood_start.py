@@ -20,9 +20,7 @@ from phsi_opt.initialization.relative_guesses import corner_widths, resolve_gues
 from phsi_opt.initialization.scaling import with_states
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.settings import GAUSS_NEWTON
-from phsi_opt.transcription.augmented_states import (
-    with_memory,
-)
+from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import PHSILoss
 from phsi_opt.transcription.parameter_vector import Theta

@@ -24,6 +24,7 @@ from phsi_opt.transcription.interval_map import (
     known_arguments,
     node_arguments,
 )
+from phsi_opt.transcription.optimality_system import OptimalitySystem
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.pattern import Pattern, entries_of, entry_places
 from phsi_opt.transcription.point import Point
@@ -221,6 +222,11 @@ class LikelihoodValues:
             gradient=np.bincount(self.shown.columns, pulls, minlength=n),
             hessian=slopes[self._one] * slopes[self._other],
         )
+
+    @cached_property
+    def system(self) -> OptimalitySystem:
+        """The optimality conditions, to be filled with numbers."""
+        return OptimalitySystem(self.grid, self.n_states, self.hessian, self.jacobian)
 
     @cached_property
     def lower(self) -> np.ndarray:
