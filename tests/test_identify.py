@@ -26,7 +26,7 @@ from phsi_opt.model_error.standard_errors import (
 )
 from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.simulation.simulate import simulate
-from phsi_opt.transcription.losses import MaximumLikelihood, MissingForce, PHSILoss
+from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss
 
 K, M, D = 40.0, 2.5, 0.8  # N/m, kg, kg/s
 
@@ -263,7 +263,6 @@ def test_the_phsi_loss_refuses_a_state_that_nobody_measured() -> None:
         ({"l1": {"G": 1.0}}, "l1 names slot 'G'"),
         ({"l1": -1.0}, "must be a finite number of at least 0"),
         ({"loss": "phsi"}, "is not a loss"),
-        ({"loss": MissingForce()}, "is not a loss that finds .* estimated by diagnose"),
         (
             {"loss": MaximumLikelihood(noise={"p": 0.1})},
             "noise of the measured state 'q' is None",

@@ -2,25 +2,23 @@
 noise.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.sparse import csc_matrix, diags
 
 import phsi_opt as ph
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import difference_noise
-from phsi_opt.estimation.linearized_force import ForceSolution, LinearizedForce, Sizes
 from phsi_opt.estimation.missing_force import ForceEstimate, estimate_force
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula
-from phsi_opt.optimization.ipopt import solve
-from phsi_opt.transcription.force_prior import ForcePrior
+from phsi_opt.model_error.ascent import climbed
+from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.transcription.grid import grid_of
-from phsi_opt.transcription.losses import MissingForce
 from phsi_opt.transcription.point import Point
-from phsi_opt.transcription.sensors import SensorOutputs
 from problems.examples.friction_spring import CSV
 
 K, M, D, FRICTION, NOISE = 40.0, 2.5, 0.8, 3.0, 0.02
@@ -110,38 +108,36 @@ def test_the_evidence_is_larger_for_the_right_size_of_the_force_than_for_far_one
     case: tuple[ForceEstimate, np.ndarray],
 ) -> None:
     estimate, _ = case
-    grid, prior, sigma = estimate.grid, estimate.prior, estimate.sigma
-    point = Point(
-        np.array([D]), estimate.x, np.ones(1), np.array([0.5, 5.0]), estimate.w
-    )
-    assert 0.3 * FRICTION < prior.size[0] < 3 * FRICTION  # of the order of the friction
+    assert 0.3 * FRICTION < estimate.size[0] < 3 * FRICTION  # of the friction's order
+    likelihood = estimate.posterior.likelihood
 
     def evidence(factor: float) -> float:
-        other = ForcePrior(prior.rows, prior.size * factor, prior.time)
-        program = MissingForce().program(spring(), grid, point, other, sigma)
-        jacobian = csc_matrix(solve(program).kkt.jacobian @ diags(1 / program.scale))
-        sensors = SensorOutputs.at(spring(), grid, estimate.x, point.theta)
-        at = ForceSolution(grid, estimate.x, estimate.w, jacobian, sensors)
-        return LinearizedForce(at, Sizes(sigma, other)).log_evidence()
+        (force,) = estimate.disturbances.forces
+        other = replace(force, size=factor * force.size)
+        return likelihood.at(
+            replace(estimate.disturbances, forces=(other,))
+        ).log_evidence
 
     assert evidence(1.0) > max(evidence(0.2), evidence(5.0))
 
 
-def test_the_whitened_prior_is_an_ornstein_uhlenbeck_process() -> None:
-    t = np.linspace(0.0, 3.0, 31)
-    data = Measurements.from_arrays(
-        [t, t[:11]], [np.zeros((31, 1)), np.zeros((11, 1))], states=["q"]
+def test_updates_lead_to_the_sizes_that_a_search_by_slopes_finds(
+    case: tuple[ForceEstimate, np.ndarray],
+) -> None:
+    estimate, _ = case
+    likelihood = estimate.posterior.likelihood
+    coordinates = Coordinates(
+        origin=estimate.disturbances,
+        channels=(0,),
+        least_noise=np.full(2, 1e-6),
+        shortest=1e-6,
+        longest=1e6,
+        fixed_times=True,
     )
-    grid, prior = grid_of(data), ForcePrior((0,), np.array([2.0]), 0.7)
-    whitener = prior.whitener(grid, 0).toarray()
-    covariance = np.linalg.inv(whitener.T @ whitener)
-    middle, run = grid.t[grid.begin] + grid.h / 2, grid.trajectory[grid.begin]
-    expected = (
-        4.0 * np.exp(-np.abs(middle[:, None] - middle) / 0.7) * (run[:, None] == run)
-    )
-    np.testing.assert_allclose(
-        covariance, expected, atol=1e-11
-    )  # an inverse of condition 1e3: rounding times that
+    found = coordinates.at(climbed(likelihood, coordinates, (0,), 30).vector)
+    # Both estimate traces by random signs, of which the search has fewer.
+    assert found.sigma[0, 0] == pytest.approx(estimate.sigma[0], rel=0.02)
+    assert found.forces[0].size == pytest.approx(estimate.size[0], rel=0.1)
 
 
 def test_nothing_is_missing_on_data_held_out_beside_a_sharp_corner() -> None:

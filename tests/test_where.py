@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.identify import identify
-from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.energy_wording import NO_PATTERN, TOGETHER
@@ -24,7 +23,6 @@ from phsi_opt.force_analysis.force_plots import (
     plot_where,
 )
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.force_uncertainty import error_draws
 from phsi_opt.force_analysis.localization import StrongRange
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import (
@@ -284,7 +282,7 @@ def test_every_hidden_force_is_surer_than_its_standard_deviation(
     for name in HIDDEN:
         row = ForceAnalysis.of(cases[name]).where.iloc[0]
         assert row["times_noise"] > 1
-        typical = float(np.median(force_deviation(cases[name].estimate)))
+        typical = float(np.median(cases[name].estimate.posterior.deviation))
         # The sizes of force and noise have settled within 2 % per update, and both
         # shift the ratio.
         assert row["times_noise"] == pytest.approx(row["strength"] / typical, rel=0.1)
@@ -352,10 +350,10 @@ def test_the_draws_of_the_error_have_the_standard_deviation_of_the_force(
     cases: dict[str, Case],
 ) -> None:
     estimate = cases["cubic"].estimate
-    draws = error_draws(estimate, n_draws=400)
+    draws = estimate.posterior.error_draws(n_draws=400)
     # 400 draws tell each standard deviation to 3.5 %; the mean over all intervals
     # better than that.
-    ratio = draws.std(axis=2) / force_deviation(estimate)
+    ratio = draws.std(axis=2) / estimate.posterior.deviation
     assert ratio.mean() == pytest.approx(1.0, abs=0.03)
     assert np.ptp(ratio) < 0.4
 

@@ -14,7 +14,7 @@ from phsi_opt.diagnosis.next_step import next_step
 from phsi_opt.diagnosis.reason_words import brief_reason
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.missing_force import ForceEstimate, force_deviation
+from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.dependence import leading
@@ -164,8 +164,8 @@ class Diagnosis(Summarised):
                 "t": grid.t[grid.begin] + grid.h / 2,
             }
         )
-        deviation = force_deviation(estimate)
-        for column, row in enumerate(estimate.prior.rows):
+        deviation = estimate.posterior.deviation
+        for column, row in enumerate(estimate.rows):
             name = self.fit.model.states[row]
             frame[name] = estimate.w[:, column]
             frame[f"std_{name}"] = deviation[:, column]
@@ -294,7 +294,7 @@ class Diagnosis(Summarised):
         name = self.record.trajectories[number]
         rows = self.missing_force["trajectory"] == name
         states = self.fit.model.states
-        equations = [states[row] for row in self.estimate.prior.rows]
+        equations = [states[row] for row in self.estimate.rows]
         along_trajectory = self.missing_force[rows]
         return plot_missing_force(along_trajectory, equations, self.data.units, ax)
 

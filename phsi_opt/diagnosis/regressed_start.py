@@ -57,7 +57,7 @@ def _slopes(model: Model, estimate: ForceEstimate) -> np.ndarray:
     grid = estimate.grid
     rhs = model.rhs()
     arguments = [ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(4)]
-    rows = rhs(*arguments)[list(estimate.prior.rows)]
+    rows = rhs(*arguments)[list(estimate.rows)]
     slopes = ca.densify(ca.jacobian(rows, arguments[-1]))
     # Row by row, so that reshaping gives back equations and parameters.
     function = ca.Function("slopes", arguments, [ca.vec(slopes.T)])

@@ -105,7 +105,7 @@ class Remainder:
 
 def _by_equation(model: Model, estimate: ForceEstimate) -> dict[str, float]:
     """Root mean square of each force by the state of its equation."""
-    equations = [model.states[row] for row in estimate.prior.rows]
+    equations = [model.states[row] for row in estimate.rows]
     return dict(zip(equations, _root_mean_squares(estimate).tolist(), strict=True))
 
 
@@ -117,7 +117,7 @@ def weakest_equations(model: Model, estimate: ForceEstimate) -> list[str]:
         estimate: of that force.
     """
     shares = _shares_of_motion(estimate)
-    rows = np.array(estimate.prior.rows)[np.argsort(-shares, kind="stable")]
+    rows = np.array(estimate.rows)[np.argsort(-shares, kind="stable")]
     return [model.states[row] for row in rows]
 
 
@@ -138,5 +138,5 @@ def _root_mean_squares(estimate: ForceEstimate) -> np.ndarray:
 
 def _typical(estimate: ForceEstimate) -> np.ndarray:
     """Sizes of the rates that the forces add to, (n_forced,)."""
-    rates = estimate.grid.rates(estimate.x)[:, list(estimate.prior.rows)]
+    rates = estimate.grid.rates(estimate.x)[:, list(estimate.rows)]
     return np.sqrt(np.mean(rates**2, axis=0)) + TINY

@@ -68,8 +68,11 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
         return bool(np.any(measured & (found.sigma > DOUBTFUL_NOISE * scatter)))
 
     if is_doubtful(estimate):
-        size = SIZE_OF_SECOND_SEARCH * rate_size(estimate)
-        larger = replace(estimate.prior, size=size)
+        sizes = SIZE_OF_SECOND_SEARCH * rate_size(estimate)
+        larger = tuple(
+            replace(force, size=float(size))
+            for force, size in zip(estimate.disturbances.forces, sizes, strict=True)
+        )
         with suppress(SolveError):
             second = smoothed(
                 model,
@@ -78,7 +81,7 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
                 INTEGRATOR,
                 is_given,
                 theta,
-                prior=larger,
+                forces=larger,
                 least_noise=least,
             )
             estimate = max(estimate, second, key=lambda found: found.log_evidence)
@@ -95,4 +98,4 @@ def rate_size(estimate: ForceEstimate) -> np.ndarray:
     """Root mean square rate of forced equations, (n_forced,); at least the prior's."""
     rates = estimate.grid.rates(estimate.x)
     size = np.sqrt(np.mean(rates**2, axis=0))
-    return np.maximum(size[list(estimate.prior.rows)], estimate.prior.size)
+    return np.maximum(size[list(estimate.rows)], estimate.size)

@@ -27,12 +27,7 @@ from phsi_opt.optimization.settings import SolverSettings
 from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import Grid, grid_of
-from phsi_opt.transcription.losses import (
-    MaximumLikelihood,
-    MissingForce,
-    PHSILoss,
-    l1_weights,
-)
+from phsi_opt.transcription.losses import MaximumLikelihood, PHSILoss, l1_weights
 
 
 @interruptible
@@ -119,7 +114,7 @@ def identify_aligned(
     began = time.perf_counter()
     check_executor(executor)
     loss = loss or MaximumLikelihood()
-    if not isinstance(loss, Loss | MissingForce):
+    if not isinstance(loss, Loss):
         raise ModelError(_not_a_loss(loss))
     _check_free(model, loss)
     model = with_kinds_of_units(model, aligned.data.units)
@@ -219,12 +214,6 @@ def _check_unshrunk(task: Task) -> None:
             "together: the estimate with a model error has no L1 term; leave l1 out, "
             "or take it to choose terms, with pruning=Pruning()."
         )
-
-
-@estimate_by.register
-def _(loss: MissingForce, task: Task, start: Fit | None) -> Estimate:
-    hint = " A missing force is estimated by diagnose(fit, data).missing_force."
-    raise ModelError(_not_a_loss(loss) + hint)
 
 
 def _not_a_loss(loss: object) -> str:

@@ -13,7 +13,6 @@ from phsi_opt.errors import DataError
 from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
 from phsi_opt.estimation.problem import Task
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
@@ -84,7 +83,6 @@ class LikelihoodProblem:
         theta: np.ndarray | None = None,
         *,
         rounds: int,
-        prior: ForcePrior | None = None,
     ) -> ForceEstimate:
         """States and missing force at parameters theta (n_theta,); see `smoothed`.
 
@@ -99,7 +97,6 @@ class LikelihoodProblem:
             self.noise.is_known,
             theta,
             rounds=rounds,
-            prior=prior,
             least_noise=self.noise.least,
         )
 

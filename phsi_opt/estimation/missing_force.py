@@ -1,8 +1,10 @@
 """The missing force: what a model lacks, as an unknown function of time.
 
-The states and the force are found by one program (`losses.MissingForce`); how large the
-force is, and how large the noise, is chosen by marginal likelihood at the linearised
-solution (`linearized_force`). Both take turns until the sizes settle.
+A first-order process in every equation that can lack a force: smooth enough to tell
+force from noise, and rough enough for a friction that jumps. States and force are found
+together (`model_error.joint_estimate`); how large the force is, and how large the
+noise, is chosen by marginal likelihood at the linearised solution. Both take turns
+until the sizes settle.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,32 +12,29 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csc_matrix, diags
 
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.linearized_force import (
-    ForceSolution,
-    Known,
-    LinearizedForce,
-    Sizes,
-)
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
-from phsi_opt.optimization.ipopt import Solution, Solver
-from phsi_opt.optimization.program import Program
-from phsi_opt.optimization.settings import SolverSettings
-from phsi_opt.transcription.force_prior import ForcePrior
+from phsi_opt.model_error.ascent import updated
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.force_posterior import ForcePosterior
+from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
+from phsi_opt.model_error.processes import Process
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.losses import MissingForce
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
+from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
-from phsi_opt.transcription.sensors import SensorOutputs
 
-# Iterations while the force's size is still sought: beside sharp friction a generous
-# force takes hundreds.
-ROUGHLY = SolverSettings(tolerance=1e-6, max_iterations=30)
-THOROUGHLY = SolverSettings(tolerance=1e-6, max_iterations=200)
+Known = bool | np.ndarray  # whether the noise is known, of all states or of each
+Forces = tuple[Process, ...]
+
+# Steps while the force's size is still sought, and where few are not enough.
+ROUGHLY = 30
+THOROUGHLY = 200
 MOST_UPDATES = 8  # of the sizes between two solves
 SETTLED_SIZE = 0.02  # change of the logarithm of a size at which its updates end
 # Violation of the (scaled) dynamics beyond which a search that did not end well is of
@@ -45,8 +44,7 @@ LOST = 1e-2
 GENEROUS = 100.0
 # The mean duration of a record holds as many of the force's correlation times.
 N_CORRELATION_TIMES = 10
-# Intervals at which the force's standard deviation is worked out exactly.
-MOST_EXACT = 400
+NO_PARAMETERS = np.zeros(0, dtype=int)  # that are free to move
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,43 +53,61 @@ class ForceEstimate:
 
     Attributes:
         x: (n_nodes, n_states) states.
-        w: (n_intervals, n_forced) force in the forced equations ``prior.rows``, in the
-            unit of a rate of their states.
-        sigma: (n_states,) standard deviation of the measurement noise.
-        prior: Of the force, with its size.
-        log_evidence: Logarithm of the marginal likelihood of the sizes, up to a
-            constant.
-        grid: Nodes, intervals and measurements.
-        linear: The problem linearised at the solution, for standard deviations.
-        rounded: Widths of corners that were too sharp for the search, by name.
-        has_converged: Whether the last solve ended at an optimum.
+        w: (n_intervals, n_forced) force in the equations ``rows``, in the unit of a
+            rate of their states.
+        grid: nodes, intervals and measurements.
+        posterior: what the linearised record says of the force, with its sizes.
+        rounded: widths of corners that were too sharp for the search, by name.
+        has_converged: whether the last solve ended at an optimum.
     """
 
     x: np.ndarray
     w: np.ndarray
-    sigma: np.ndarray
-    prior: ForcePrior
-    log_evidence: float
     grid: Grid
-    linear: LinearizedForce
+    posterior: ForcePosterior
     rounded: dict[str, float] = field(default_factory=dict)
     has_converged: bool = True
 
+    @property
+    def disturbances(self) -> Disturbances:
+        """Noise and force, with their sizes."""
+        return self.posterior.disturbances
 
-def default_prior(model: Model, grid: Grid, point: Point) -> ForcePrior:
-    """A generous prior, from the rates of the states at ``point``.
+    @property
+    def sigma(self) -> np.ndarray:
+        """Standard deviation of the measurement noise, (n_states,)."""
+        return self.disturbances.sigma[0]
 
-    Its size in each equation is the root mean square of the state's rate, or the
-    state's scale over the duration of a record if that is larger; its correlation time
-    a tenth of the duration.
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Equations in which a force was estimated, (n_forced,)."""
+        return tuple(force.place for force in self.disturbances.forces)
+
+    @property
+    def size(self) -> np.ndarray:
+        """Standard deviation of the force's prior in each of them, (n_forced,)."""
+        return np.array([force.size for force in self.disturbances.forces])
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the marginal likelihood of the sizes, up to a constant."""
+        return self.posterior.log_evidence
+
+
+def generous_force(model: Model, grid: Grid, point: Point) -> Forces:
+    """A force in every equation that can lack one, as large as its state's rate.
+
+    The root mean square of the rate at ``point``, or the state's scale over the
+    duration of a record if that is larger; the correlation time is a tenth of the
+    duration.
     """
-    rows = forced_rows(model)
     last = np.r_[grid.first[1:] - 1, grid.n_nodes - 1]
     duration = float(np.mean(grid.t[last] - grid.t[grid.first]))
     mean_square = np.mean(np.diff(point.x, axis=0) ** 2, axis=0)
     rate = np.sqrt(mean_square) / np.median(grid.h)
-    size = np.maximum(rate, point.x_scale / duration)[list(rows)]
-    return ForcePrior(rows, size, duration / N_CORRELATION_TIMES)
+    size = np.maximum(rate, point.x_scale / duration)
+    time = duration / N_CORRELATION_TIMES
+    return tuple(Process(row, float(size[row]), time) for row in forced_rows(model))
 
 
 def estimate_force(
@@ -102,7 +118,7 @@ def estimate_force(
     *,
     rounds: int = 3,
     known_noise: Known = False,
-    prior: ForcePrior | None = None,
+    forces: Forces | None = None,
     integrator: str = "srk4",
     least_noise: np.ndarray | float = 0.0,
     is_patient: bool = True,
@@ -110,136 +126,159 @@ def estimate_force(
     """Estimate states and missing force, with sizes of force and noise by evidence.
 
     Args:
-        model: The model that lacks a force.
-        grid: Nodes, intervals and measurements.
-        point: Where the search begins. Its parameters ``theta``, which stay, are
+        model: the model that lacks a force.
+        grid: nodes, intervals and measurements.
+        point: where the search begins. Its parameters ``theta``, which stay, are
             (n_free,), or (n_free, n_trajectories) where trajectories have their own.
         sigma: (n_states,) noise to begin with.
-        rounds: Solves, each followed by updates of the sizes, at most.
-        known_noise: Whether ``sigma`` is known and stays, of all states or of each.
-        prior: Of the force, to begin with; None: `default_prior`.
-        integrator: The scheme of the defects.
-        least_noise: Below which noise that is not known does not fall, of all states or
+        rounds: solves, each followed by updates of the sizes, at most.
+        known_noise: whether ``sigma`` is known and stays, of all states or of each.
+        forces: to begin with; None: `generous_force`.
+        integrator: the scheme of the defects.
+        least_noise: below which noise that is not known does not fall, of all states or
             (n_states,).
-        is_patient: Whether many iterations are taken where few are not enough.
+        is_patient: whether many steps are taken where few are not enough.
 
     Raises:
-        SolveError: No states and force were found that obey the dynamics.
+        SolveError: no states and force were found that obey the dynamics.
     """
-    prior = prior or default_prior(model, grid, point)
-    program = MissingForce(integrator).program(model, grid, point, prior, sigma)
-    search = _Search(program, Sizes(sigma, prior, least_noise), is_patient)
+    forces = generous_force(model, grid, point) if forces is None else forces
+    search = _Search(
+        values=_values(model, grid, point, integrator),
+        disturbances=_with_noise(grid, sigma, forces),
+        channels=_unknown_channels(grid, known_noise),
+        least_noise=np.broadcast_to(least_noise, len(sigma)),
+        is_patient=is_patient,
+    )
     for n_left in reversed(range(rounds)):
-        solution = search.solve(is_last=n_left == 0)
-        x = solution.values["x"].reshape(point.x.shape)
-        w = solution.values["w"].reshape(grid.n_intervals, len(prior.rows))
-        jacobian = csc_matrix(solution.kkt.jacobian @ diags(1 / program.scale))
-        sensors = SensorOutputs.at(model, grid, x, point.theta)
-        solved = ForceSolution(grid, x, w, jacobian, sensors)
-        before = search.sizes
-        linear = search.update_sizes(solved, known_noise)
-        change = search.sizes.change_from(before)
-        if change < SETTLED_SIZE and solution.outcome.success:
+        found = search.solve(is_last=n_left == 0)
+        before = search.disturbances
+        posterior = search.update_sizes(found)
+        change = _change(before, search.disturbances)
+        if change < SETTLED_SIZE and found.has_converged:
             break
-    sizes = search.sizes
+    x = search.values.point.unscaled(found.point.z)["x"]
     return ForceEstimate(
-        x=x,
-        w=w,
-        sigma=sizes.sigma,
-        prior=sizes.prior,
-        log_evidence=linear.log_evidence(),
+        x=x.reshape(point.x.shape),
+        w=found.point.processes.reshape(len(forces), -1).T,
         grid=grid,
-        linear=linear,
-        has_converged=solution.outcome.success,
+        posterior=posterior,
+        has_converged=found.has_converged,
     )
 
 
+def _values(
+    model: Model, grid: Grid, point: Point, integrator: str
+) -> LikelihoodValues:
+    """The likelihood at parameters that stay."""
+    runs = tuple(str(number) for number in range(int(grid.trajectory[-1]) + 1))
+    unknown = Theta.of(model, runs)
+    theta = point.theta
+    if theta.ndim == 2:
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = point.theta
+    point = replace(point, theta=theta, theta_scale=np.ones(len(unknown)))
+    return LikelihoodValues(model, grid, integrator, point, unknown)
+
+
+def _with_noise(grid: Grid, sigma: np.ndarray, forces: Forces) -> Disturbances:
+    n_runs = int(grid.trajectory[-1]) + 1
+    return Disturbances(np.tile(sigma, (n_runs, 1)), forces)
+
+
+def _unknown_channels(grid: Grid, known: Known) -> tuple[int, ...]:
+    """Measured states whose noise is not known."""
+    is_known = np.broadcast_to(known, grid.y.shape[1])
+    unknown = grid.measured.any(axis=0) & ~is_known
+    return tuple(np.flatnonzero(unknown).tolist())
+
+
+def _change(before: Disturbances, after: Disturbances) -> float:
+    """Largest change of the logarithm of a size."""
+    changes = [float(np.max(np.abs(np.log(after.sigma / before.sigma))))]
+    for old, new in zip(before.forces, after.forces, strict=True):
+        changes.append(abs(float(np.log(new.size / old.size))))
+    return max(changes)
+
+
+@dataclass(eq=False)
 class _Search:
-    """The missing-force program, solved for better and better sizes.
+    """States and force, solved for better and better sizes.
 
     Attributes:
-        sizes: Of noise and force, at present.
+        values: of the likelihood; where they begin is where a search begins.
+        disturbances: noise and force, with their present sizes.
+        channels: states whose noise is not known.
+        least_noise: (n_states,) below which that does not fall.
+        is_patient: whether many steps are taken where few are not enough.
     """
 
-    def __init__(self, program: Program, sizes: Sizes, is_patient: bool) -> None:
-        self.sizes = sizes
-        self._is_patient = is_patient
-        self._program = program
-        self._solver = Solver(program, ROUGHLY)
-        self._start = program.start
+    values: LikelihoodValues
+    disturbances: Disturbances
+    channels: tuple[int, ...]
+    least_noise: np.ndarray
+    is_patient: bool
+    _last: JointPoint | None = None
 
-    def solve(self, *, is_last: bool) -> Solution:
+    def solve(self, *, is_last: bool) -> JointEstimate:
         """The solution for the present sizes, from the last solution.
 
         Raises:
-            SolveError: There is none, with a generous force and, where the search is
-                patient, many iterations either.
+            SolveError: there is none, with a generous force and, where the search is
+                patient, many steps either.
         """
-        solution = self._solve_from(self._start)
-        if _is_lost(solution):
+        found = self._solved(self._last, ROUGHLY)
+        if _is_lost(found):
             # A force large enough lets the states follow the data, whatever the model.
-            self.sizes = self.sizes.with_force(GENEROUS * self.sizes.prior.size)
-            solution = self._solve_from(self._program.start)
-        is_unfinished = is_last and not solution.outcome.success
-        if self._is_patient and (_is_lost(solution) or is_unfinished):
-            self._solver = Solver(self._program, THOROUGHLY)
-            solution = self._solve_from(solution.z)
-        if _is_lost(solution):
+            forces = _scaled(self.disturbances.forces, GENEROUS)
+            self.disturbances = replace(self.disturbances, forces=forces)
+            found = self._solved(None, ROUGHLY)
+        is_unfinished = is_last and not found.has_converged
+        if self.is_patient and (_is_lost(found) or is_unfinished):
+            found = self._solved(found.point, THOROUGHLY)
+        if _is_lost(found):
             raise SolveError(
-                f"The missing force could not be estimated: {solution.outcome}"
+                "the missing force could not be estimated: no states obey the model "
+                f"beside a force (largest violation {found.violation:.2g} after "
+                f"{found.n_steps} steps); start from other values, or round what is "
+                "sharp in the model."
             )
-        self._start = solution.z
-        return solution
+        self._last = found.point
+        return found
 
-    def _solve_from(self, start: np.ndarray) -> Solution:
-        settings = np.r_[self.sizes.prior.size, self.sizes.sigma]
-        return self._solver.solve(start, settings, raise_on_failure=False)
+    def _solved(self, start: JointPoint | None, most_steps: int) -> JointEstimate:
+        problem = JointProblem(self.values, self.disturbances, NO_PARAMETERS)
+        z = self.values.point.scaled if start is None else start.z
+        return problem.optimum(z, most_steps, start)
 
-    def update_sizes(self, solved: ForceSolution, known: Known) -> LinearizedForce:
+    def update_sizes(self, found: JointEstimate) -> ForcePosterior:
         """Move the sizes to the largest marginal likelihood at the solution.
 
         Returns:
-            The problem linearised there, for the sizes before the last update.
+            The linearised record, for the sizes before the last update.
         """
+        structure = self.disturbances.structure
+        likelihood = MarginalLikelihood(found.linear, structure, NO_PARAMETERS)
         for _ in range(MOST_UPDATES):
-            linear = LinearizedForce(solved, self.sizes)
-            before = self.sizes
-            self.sizes = linear.improved(known)
-            if self.sizes.change_from(before) < SETTLED_SIZE:
+            before = self.disturbances
+            self.disturbances = updated(
+                likelihood, before, self.channels, self.least_noise
+            )
+            if _change(before, self.disturbances) < SETTLED_SIZE:
                 break
-        return linear
+        return ForcePosterior(likelihood, self.disturbances)
 
 
-def _is_lost(solution: Solution) -> bool:
-    outcome = solution.outcome
-    return not outcome.success and outcome.infeasibility > LOST
+def _scaled(forces: Forces, factor: float) -> Forces:
+    return tuple(replace(force, size=factor * force.size) for force in forces)
 
 
-def force_deviation(estimate: ForceEstimate, most: int = MOST_EXACT) -> np.ndarray:
-    """Standard deviation of the force given the measurements, (n_intervals, n_forced).
-
-    Args:
-        estimate: The force, with its linearised problem.
-        most: Intervals at which it is exact; in between it is interpolated.
-    """
-    linear = estimate.linear
-    n_intervals, n_forced = estimate.w.shape
-    evenly = np.linspace(0, n_intervals - 1, min(most, n_intervals))
-    chosen = np.unique(evenly.astype(int))
-    columns = np.arange(len(chosen))
-    deviation = np.zeros((n_intervals, n_forced))
-    for k in range(n_forced):
-        places = linear.n_x + chosen * n_forced + k
-        units = np.zeros((linear.n_total, len(chosen)))
-        units[places, columns] = 1.0
-        variance = linear.factor.solve(units)[places, columns]
-        exact = np.sqrt(np.maximum(variance, 0.0))
-        deviation[:, k] = np.interp(np.arange(n_intervals), chosen, exact)
-    return deviation
+def _is_lost(found: JointEstimate) -> bool:
+    return not found.has_converged and found.violation > LOST
 
 
-# A factor on the width of corners, and the prior of the force, to begin with.
-_Attempt = tuple[float, ForcePrior]
+# A factor on the width of corners, and the forces to begin with.
+_Attempt = tuple[float, Forces]
 # Factors on the width of corners that are too sharp.
 ROUNDER = (1.0, 4.0, 16.0, 64.0)
 # Factor on the force's usual size where no search from it ends well: beside a corner of
@@ -256,7 +295,7 @@ def smoothed(
     theta: np.ndarray | None = None,
     *,
     rounds: int = 3,
-    prior: ForcePrior | None = None,
+    forces: Forces | None = None,
     least_noise: np.ndarray | float = 0.0,
 ) -> ForceEstimate:
     """States, also unmeasured ones, and missing force at given parameters.
@@ -275,7 +314,7 @@ def smoothed(
         theta: Other values, (n_free, n_trajectories) where trajectories have parameters
             of their own.
         rounds: Solves, each followed by updates of the sizes, at most.
-        prior: Of the force, to begin with; None: `default_prior`.
+        forces: to begin with; None: `generous_force`.
         least_noise: Below which noise that is not known does not fall, of all states or
             (n_states,).
 
@@ -285,11 +324,11 @@ def smoothed(
     point = first_point(model, grid)
     if theta is not None:
         point = replace(point, theta=theta)
-    usual = prior or default_prior(model, grid, point)
+    usual = generous_force(model, grid, point) if forces is None else forces
     values = model.values
     widths = {name: values[name] for name in corner_widths(model)}
 
-    def searched(factor: float, begun: ForcePrior, is_patient: bool) -> ForceEstimate:
+    def searched(factor: float, begun: Forces, is_patient: bool) -> ForceEstimate:
         rounded = {}
         if factor != 1:
             rounded = {name: factor * width for name, width in widths.items()}
@@ -300,7 +339,7 @@ def smoothed(
             sigma,
             rounds=rounds,
             known_noise=known_noise,
-            prior=begun,
+            forces=begun,
             integrator=integrator,
             least_noise=least_noise,
             is_patient=is_patient,
@@ -308,7 +347,7 @@ def smoothed(
         return replace(estimate, rounded=rounded)
 
     attempts = [(factor, usual) for factor in (ROUNDER if widths else ROUNDER[:1])]
-    attempts.append((1.0, replace(usual, size=SMALL * usual.size)))
+    attempts.append((1.0, _scaled(usual, SMALL)))
     found = None
     if widths:
         # Beside a corner that can be rounded, patience is for when all else fails.
@@ -323,14 +362,14 @@ def smoothed(
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """An estimate, with the factor on widths and the prior that it began with."""
+    """An estimate, with the factor on widths and the forces that it began with."""
 
     attempt: _Attempt
     estimate: ForceEstimate
 
 
 def _first_found(
-    searched: Callable[[float, ForcePrior, bool], ForceEstimate],
+    searched: Callable[[float, Forces, bool], ForceEstimate],
     attempts: Sequence[_Attempt],
     is_patient: bool,
 ) -> _Found:
@@ -340,13 +379,13 @@ def _first_found(
         SolveError: No search led anywhere.
     """
     unfinished = None
-    for factor, prior in attempts:
+    for factor, begun in attempts:
         try:
-            estimate = searched(factor, prior, is_patient)
+            estimate = searched(factor, begun, is_patient)
         except SolveError as error:
             failure = error
             continue
-        found = _Found((factor, prior), estimate)
+        found = _Found((factor, begun), estimate)
         if estimate.has_converged:
             return found
         unfinished = unfinished or found

@@ -15,7 +15,6 @@ from phsi_opt.criteria import SPECTRUM_LEVEL, SURE_DEVIATIONS
 from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.force_uncertainty import deviation_of, error_draws
 from phsi_opt.force_analysis.localization import is_mostly_constant
 from phsi_opt.force_analysis.plot_parts import draw_band, draw_title, draw_zero
 from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
@@ -77,7 +76,7 @@ def plot_force(
     ax = axes_of(ax, (8.0, 3.6))
     t = force.record.t[shown]
     w = force.w[shown]
-    deviation = deviation_of(force.record.estimate)[shown, force.number]
+    deviation = force.record.estimate.posterior.deviation[shown, force.number]
     half_width = SURE_DEVIATIONS * deviation
     ax.plot(t, w, color=MODEL, lw=1.2, label="missing force")
     draw_band(ax, t, w - half_width, w + half_width, "two standard deviations")
@@ -151,7 +150,7 @@ def _level(force: EquationForce) -> np.ndarray:
     neighbouring frequencies.
     """
     record = force.record
-    draws = error_draws(record.estimate)[:, force.number]
+    draws = record.estimate.posterior.error_draws()[:, force.number]
     of_draws = spectrum(record.t, record.run, draws).amplitudes
     rough = np.quantile(of_draws, SPECTRUM_LEVEL, axis=1)
     padded = np.pad(rough, N_SMOOTHED // 2, "edge")

@@ -13,10 +13,8 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.linearized_force import LinearizedForce
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.force_uncertainty import MOST_SOLVED
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
 from phsi_opt.statistics import TINY
@@ -81,7 +79,7 @@ class ForceRecord:
             trajectories=record.trajectories,
             origins=tuple(run.origin for run in record.data.trajectories),
             units={**record.data.units, **state_units(model, record.data.units)},
-            equations=tuple(model.states[row] for row in estimate.prior.rows),
+            equations=tuple(model.states[row] for row in estimate.rows),
             t=middles.t,
             h=grid.h,
             run=grid.trajectory[grid.begin],
@@ -132,17 +130,8 @@ class ForceRecord:
             equation: on which the forces act.
             forces: (n_intervals, k).
         """
-        linear = self.estimate.linear
-        n_intervals, n_forced = self.w.shape
         number = self.equations.index(equation)
-        of_equation = np.arange(n_intervals) * n_forced + number
-        n_forces = forces.shape[1]
-        n_parts = 1 + int(linear.n_total * n_forces / MOST_SOLVED)
-        shown = np.empty_like(forces)
-        for part in np.array_split(np.arange(n_forces), n_parts):
-            hidden = _hidden(linear, of_equation, forces[:, part])
-            shown[:, part] = forces[:, part] - hidden
-        return shown
+        return self.estimate.posterior.shown(number, forces)
 
     def by_parameters(self, equation: str) -> np.ndarray:
         """Slopes of an equation in its parameters, as the estimate would show them.
@@ -153,18 +142,6 @@ class ForceRecord:
         slopes = self.slopes[:, self.fit.model.states.index(equation)]
         is_acting = np.any(slopes != 0, axis=0)
         return self.as_estimated(equation, slopes[:, is_acting])
-
-
-def _hidden(
-    linear: LinearizedForce, of_equation: np.ndarray, forces: np.ndarray
-) -> np.ndarray:
-    """C P^-1 w for forces (n_intervals, k) at places ``of_equation`` of all forces."""
-    n_forces = forces.shape[1]
-    w = np.zeros((linear.n_w, n_forces))
-    w[of_equation] = forces
-    right = np.zeros((linear.n_total, n_forces))
-    right[linear.force_part] = linear.L.T @ (linear.L @ w)
-    return linear.factor.solve(right)[linear.n_x + of_equation]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,6 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.force_analysis.cross_validation import place_in_run
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.force_uncertainty import times_noise
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.presentation.durations import RANGE_OF_TIMES
 from phsi_opt.presentation.table_making import printed_table
@@ -54,7 +53,7 @@ def located(force: ForceRecord) -> "pd.DataFrame":
         (rms); times_noise (strength over the typical standard deviation of the
         estimate: below 1 it is not sure).
     """
-    certainty = times_noise(force.estimate)
+    certainty = force.estimate.posterior.times_noise
     rows = []
     for number, equation in enumerate(force.equations):
         w = force.w[:, number]

@@ -7,7 +7,6 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import DataError, ModelError
-from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.model import Model
 from phsi_opt.statistics import TINY
@@ -75,7 +74,7 @@ class ForceSamples:
         estimate = record.estimate
         model = record.model.with_values(estimate.rounded)
         row = model.index(equation, "equation of a learned force")
-        if row not in estimate.prior.rows:
+        if row not in estimate.rows:
             raise ModelError(
                 f"d{equation}/dt is kinematics and lacks no force; "
                 "learn it in the equation of a momentum."
@@ -87,8 +86,8 @@ class ForceSamples:
                 f"at least {MIN_INTERVALS} are needed."
             )
         points = _midpoints(record)
-        column = estimate.prior.rows.index(row)
-        std = np.maximum(force_deviation(estimate)[:, column], TINY)
+        column = estimate.rows.index(row)
+        std = np.maximum(estimate.posterior.deviation[:, column], TINY)
         columns = _force_by_parameters(record, model, row, points)
         scaled = columns / std[:, None]
         basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)

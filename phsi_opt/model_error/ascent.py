@@ -24,6 +24,8 @@ from phsi_opt.model_error.signs import random_signs
 from phsi_opt.statistics import TINY
 
 PROBED_VALUES = 8_000  # values that all random vectors together look at, at least
+# The same for updates, of which there are few, and which no curvature makes smooth.
+PROBED_BY_UPDATES = 200_000
 LEAST_PROBES = 6
 MOST_PROBES = 24
 # Share of the information that is added to it (Levenberg 1944, Marquardt 1963), and the
@@ -41,6 +43,8 @@ LEAST_GAIN = 0.03
 # An ascent may gain so many times what the quadratic at a place promises: the evidence
 # is steeper in logarithms of sizes that are far too small or too large.
 HOPE = 3.0
+LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
+LEAST_DETERMINED = 1e-3  # directions: keeps the update of a force without effect finite
 PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 
@@ -80,6 +84,35 @@ def slopes(
         SolveError: the states do not follow from the data.
     """
     return _Derivatives(likelihood, disturbances, channels).slopes(sums)
+
+
+def updated(
+    likelihood: MarginalLikelihood,
+    disturbances: Disturbances,
+    channels: tuple[int, ...],
+    least_noise: np.ndarray,
+) -> Disturbances:
+    """Sizes of noise and processes after one fixed-point update (MacKay 1992).
+
+    For many sizes, whose curvature would cost a solution each. Times and functions of
+    states stay.
+
+    Args:
+        likelihood: of the structure of the disturbances.
+        disturbances: with their sizes.
+        channels: states whose noise is estimated.
+        least_noise: (n_states,) below which it does not fall.
+
+    Raises:
+        SolveError: the states do not follow from the data.
+    """
+    return _Derivatives(likelihood, disturbances, channels).updated(least_noise)
+
+
+def _factor(squares: float, determined: float) -> float:
+    """On a standard deviation whose square has so many terms that are told."""
+    largest = LARGEST_CHANGE
+    return float(np.sqrt(np.clip(squares / determined, 1 / largest, largest)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,17 +260,11 @@ class _Prior:
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
         """Standard normals of values (n, ...)."""
-        whitener = self.whitener
-        result = (whitener.diagonal * values.T).T
-        result[1:] += (whitener.below * values[:-1].T).T
-        return result / self.process.size
+        return self.whitener.whitened(values) / self.process.size
 
     def transposed(self, normals: np.ndarray) -> np.ndarray:
-        """The transposed whitener times (n, k)."""
-        whitener = self.whitener
-        result = whitener.diagonal[:, None] * normals
-        result[:-1] += whitener.below[:, None] * normals[1:]
-        return result / self.process.size
+        """The transposed whitener times (n, ...)."""
+        return self.whitener.transposed(normals) / self.process.size
 
     def coloured(self, normals: np.ndarray) -> np.ndarray:
         """Values with this prior from standard normals (n, ...)."""
@@ -313,6 +340,40 @@ class _Derivatives:
             where = slice(first, first + length)
             priors.append(_Prior.of(process, now[number], then[number], where))
         return priors
+
+    def updated(self, least_noise: np.ndarray) -> Disturbances:
+        """Each variance as the sum of squares over the directions that are left to it.
+
+        Of the noise those that the unknowns do not take, of a process those that the
+        data determine.
+        """
+        probes = self._probes(PROBED_BY_UPDATES)
+        alone = self.parts.factors.solve(probes.inner)
+        open_border = probes.border - self.parts.right[:, :-1].T @ alone
+        of_border = solve_border(self.information, open_border)
+        answer = alone - self.parts.solved[:, :-1] @ of_border
+        n = self.n_probes
+        squares, leverage = self._of_values(answer[:, :n], of_border[:, :n])
+        sigma = self.disturbances.sigma.copy()
+        for channel in self.channels:
+            own = self.problem.channel == channel
+            left = max(float(np.sum(1 - leverage[own])), 1.0)
+            factor = _factor(float(np.sum(squares[own])), left)
+            sigma[:, channel] = np.maximum(
+                factor * sigma[:, channel], least_noise[channel]
+            )
+        processes = []
+        for prior, signs in zip(self.priors, self.process_signs, strict=True):
+            innovations, left = self._of_process(prior, signs, answer[:, n:])
+            factor = _factor(innovations, max(prior.n - left, LEAST_DETERMINED))
+            processes.append(replace(prior.process, size=factor * prior.process.size))
+        n_forces = len(self.disturbances.forces)
+        return replace(
+            self.disturbances,
+            sigma=sigma,
+            forces=tuple(processes[:n_forces]),
+            sensors=tuple(processes[n_forces:]),
+        )
 
     def slopes(self, sums: np.ndarray | None = None) -> Slopes:
         """Gradient and average information."""
@@ -393,11 +454,11 @@ class _Derivatives:
             moved[places, number] = 2 * self.step[places]
         return moved
 
-    def _probes(self) -> _Columns:
+    def _probes(self, probed: int = PROBED_VALUES) -> _Columns:
         """Random signs: first of the measured values, then of the processes."""
         likelihood = self.likelihood
         n_values = self.problem.n_values
-        n_probes = int(np.clip(PROBED_VALUES // n_values, LEAST_PROBES, MOST_PROBES))
+        n_probes = int(np.clip(probed // n_values, LEAST_PROBES, MOST_PROBES))
         self.n_probes = n_probes
         lengths = (n_values, *(prior.n for prior in self.priors))
         self.value_signs, *self.process_signs = random_signs(lengths, n_probes)
@@ -435,26 +496,39 @@ class _Derivatives:
         )
 
     def _in_noise(self, answer: np.ndarray, of_border: np.ndarray) -> np.ndarray:
+        squares, leverage = self._of_values(answer, of_border)
+        left = squares - 1 + leverage
+        return np.array([left[self.problem.channel == c].sum() for c in self.channels])
+
+    def _of_values(
+        self, answer: np.ndarray, of_border: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Squared residuals in units of the noise, and leverages, (n_values,) each."""
         likelihood = self.likelihood
         root = np.sqrt(self.parts.weights)
         shown = likelihood.shown @ answer[: likelihood.n_unknowns]
         shown = root[:, None] * (shown + likelihood.border_in_shown @ of_border)
         leverage = np.mean(self.value_signs * shown, axis=1)
-        squares = (root * self.residual) ** 2
-        left = squares - 1 + leverage
-        return np.array([left[self.problem.channel == c].sum() for c in self.channels])
+        return (root * self.residual) ** 2, leverage
+
+    def _of_process(
+        self, prior: _Prior, signs: np.ndarray, answer: np.ndarray
+    ) -> tuple[float, float]:
+        """Squared innovations, and how many of them the data leave to the prior."""
+        squares = float(np.sum(prior.whitened(self.unknowns[prior.places]) ** 2))
+        found = prior.whitened(answer[prior.places])
+        return squares, float(np.mean(np.sum(signs * found, axis=0)))
 
     def _in_processes(self, answer: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         by_size = []
         by_time = []
         for prior, signs in zip(self.priors, self.process_signs, strict=True):
+            squares, left = self._of_process(prior, signs, answer)
+            by_size.append(squares - prior.n + left)
             values = self.unknowns[prior.places]
-            found = answer[prior.places]
-            squares = float(np.sum(prior.whitened(values) ** 2))
-            determined = float(np.mean(np.sum(signs * prior.whitened(found), axis=0)))
-            by_size.append(squares - prior.n + determined)
             change = float(values @ prior.changed(values))
             changed = prior.changed(prior.coloured(signs))
+            found = answer[prior.places]
             trace = float(np.mean(np.sum(found * changed, axis=0)))
             by_time.append(prior.d_log_det - (change + trace) / 2)
         room = self._in_room()

@@ -17,10 +17,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
+from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
 
+from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.state_functions import smooth_functions
 from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 # Share of a direction of one parameter that others must leave of it, to be one more.
 SAME_DIRECTION = 1e-6
@@ -220,3 +222,40 @@ class Linearization:
             node=new_number[self.node[values]],
             channel=self.channel[values],
         )
+
+
+def linearized(
+    values: LikelihoodValues, z: np.ndarray, known: PointValues
+) -> Linearization:
+    """A likelihood linearised at a point.
+
+    Args:
+        values: of the likelihood.
+        z: (n_variables,) scaled parameters and states.
+        known: what the values are there.
+    """
+    grid, model, point = values.grid, values.model, values.point
+    dynamics = values.jacobian.filled(known.jacobian)
+    shown = values.shown.filled(known.slopes)
+    measured = np.flatnonzero(grid.measured.ravel())
+    memory = model.memory
+    observed = [k for k, name in enumerate(model.states) if name not in memory]
+    # A force enters its own equation, times the length of the interval.
+    lengths = grid.h[:, None] / point.x_scale
+    return Linearization(
+        grid=grid,
+        nodes=point.unscaled(z)["x"].reshape(-1, model.n_states),
+        dynamics_in_states=dynamics[:, point.of_x],
+        dynamics_in_theta=dynamics[:, point.of_theta].toarray(),
+        force_effects=csc_matrix(diags(lengths.ravel())),
+        offset=known.g,
+        shown_in_states=csr_matrix(shown[:, point.of_x]),
+        shown_in_theta=shown[:, point.of_theta].toarray(),
+        residual=known.misfit,
+        node=measured // model.n_states,
+        channel=measured % model.n_states,
+        x_scale=point.x_scale,
+        theta_scale=point.theta_scale,
+        forced=forced_rows(model),
+        observed=tuple(observed),
+    )

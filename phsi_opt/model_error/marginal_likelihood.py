@@ -23,7 +23,7 @@ from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.optimization.along_time import TimeLayout
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.chained import Chained
-from phsi_opt.transcription.elimination import RIDGE, chain_of
+from phsi_opt.transcription.elimination import REGULAR, RIDGE, chain_of
 
 LOST_TO_ROUNDING = (
     "the information about the parameters is lost to rounding: noise and model error "
@@ -59,12 +59,14 @@ class Smoothed:
         x: (n_nodes, n_states) step of the scaled states.
         processes: values of every process, forces first.
         coefficients: of the functions of states, one array per function.
+        largest_multiplier: of the dynamics.
     """
 
     theta: np.ndarray
     x: np.ndarray
     processes: list[np.ndarray]
     coefficients: list[np.ndarray]
+    largest_multiplier: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,6 +250,9 @@ class MarginalLikelihood:
         self._products = _products_of_rows(self.shown)
         rows.append(self._products.row)
         columns.append(self._products.column)
+        every_state = np.arange(self.problem.nodes.size)
+        rows.append(every_state)
+        columns.append(every_state)
         for first, n in self.places_of_processes():
             on_diagonal = first + np.arange(n)
             rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
@@ -356,6 +361,27 @@ class MarginalLikelihood:
             moved += problem.dynamics_of_force(equation) @ force
         return moved
 
+    @property
+    def n_coefficients(self) -> int:
+        """Number of the coefficients of all functions of states."""
+        return len(self._owner)
+
+    def dynamics_of_functions(self, coefficients: np.ndarray) -> np.ndarray:
+        """What functions of states do to the dynamics, (n_intervals * n_states,).
+
+        Args:
+            coefficients: (n_coefficients,).
+        """
+        first = len(self.moving)
+        columns = self.border_in_dynamics[:, first : first + len(coefficients)]
+        moved: np.ndarray = columns @ coefficients
+        return moved
+
+    def coefficient_sizes(self, disturbances: Disturbances) -> np.ndarray:
+        """Prior standard deviation of every coefficient, (n_coefficients,)."""
+        sizes = np.array([function.size for function in disturbances.functions])
+        return sizes[self._owner]
+
     def whiteners(self, disturbances: Disturbances) -> list[Whitener]:
         """Of every process, forces first, of size one."""
         problem = self.problem
@@ -366,8 +392,15 @@ class MarginalLikelihood:
             whiteners.append(whitener_of_sensor(problem, sensor))
         return whiteners
 
-    def eliminated(self, disturbances: Disturbances) -> "Eliminated":
+    def eliminated(
+        self, disturbances: Disturbances, regular: float = 0.0
+    ) -> "Eliminated":
         """States and processes solved for, in terms of the border.
+
+        Args:
+            disturbances: with their sizes.
+            regular: share of the largest curvature that is added to every state's, for
+                a point at which one has none.
 
         Raises:
             SolveError: the states do not follow from the data.
@@ -377,7 +410,9 @@ class MarginalLikelihood:
         squared = weight**2
         processes = [*disturbances.forces, *disturbances.sensors]
         whiteners = self.whiteners(disturbances)
-        entries = [self._dynamics_entries, self._products.entries(squared)]
+        curvature = self._products.entries(squared)
+        shift = np.full(problem.nodes.size, regular * np.max(curvature))
+        entries = [self._dynamics_entries, curvature, shift]
         log_prior = 0.0
         for process, whitener in zip(processes, whiteners, strict=True):
             entries.append(whitener.precision_diagonal / process.size**2)
@@ -444,11 +479,12 @@ class MarginalLikelihood:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        eliminated = self.eliminated(disturbances)
+        eliminated = self.eliminated(disturbances, REGULAR)
         sizes = np.array([function.size for function in disturbances.functions])
         border = self.border_of(eliminated).marginal(sizes)
         solved = eliminated.solved
-        unknowns = (solved[:, -1] - solved[:, :-1] @ border.border)[: self.n_unknowns]
+        found = solved[:, -1] - solved[:, :-1] @ border.border
+        unknowns, multipliers = found[: self.n_unknowns], found[self.n_unknowns :]
         problem = self.problem
         theta = np.zeros(problem.n_theta)
         theta[self.moving] = border.theta
@@ -465,6 +501,7 @@ class MarginalLikelihood:
             x=unknowns[:n_x].reshape(problem.nodes.shape),
             processes=processes,
             coefficients=coefficients,
+            largest_multiplier=float(np.max(np.abs(multipliers), initial=0.0)),
         )
 
     def response(self, disturbances: Disturbances) -> Response:

@@ -82,9 +82,15 @@ class Whitener:
         return below
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
-        """Standard normals of values (n,)."""
-        result = self.diagonal * values
-        result[1:] += self.below * values[:-1]
+        """Standard normals of values (n, ...)."""
+        result = (self.diagonal * values.T).T
+        result[1:] += (self.below * values[:-1].T).T
+        return result
+
+    def transposed(self, normals: np.ndarray) -> np.ndarray:
+        """The transposed matrix times (n, ...)."""
+        result = (self.diagonal * normals.T).T
+        result[:-1] += (self.below * normals[1:].T).T
         return result
 
     def factor_of(self, weights: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit_report import equation_lines
-from phsi_opt.estimation.missing_force import force_deviation
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import window_of
@@ -173,13 +172,13 @@ def _forces(record: Record, part: str) -> list[ForceCurve]:
     grid = estimate.grid
     t = grid.t[grid.begin] + grid.h / 2
     run_of = grid.trajectory[grid.begin]
-    deviation = force_deviation(estimate)
+    deviation = estimate.posterior.deviation
     units = record.data.units
     longest = float(t.max())
     forces = []
     for number, run in enumerate(record.data.trajectories):
         inside = run_of == number
-        for column, row in enumerate(estimate.prior.rows):
+        for column, row in enumerate(estimate.rows):
             equation = record.model.states[row]
             scale = scale_of_rate(equation, units, longest)
             forces.append(

@@ -7,7 +7,6 @@ import pandas as pd
 
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.force_uncertainty import deviation_of
 from phsi_opt.force_analysis.plot_parts import Bins
 from phsi_opt.force_analysis.state_plots import (
     Dependence,
@@ -96,7 +95,7 @@ def _force(force: EquationForce) -> Force:
 def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
     """The force along each trajectory, times in a unit of so many of the user's."""
     record = force.record
-    deviation = deviation_of(record.estimate)[:, force.number]
+    deviation = record.estimate.posterior.deviation[:, force.number]
     share = MOST_FORCE_SAMPLES / len(record.trajectories)
     most = int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
     runs = []

@@ -6,7 +6,6 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.force_uncertainty import deviation_of
 from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.durations import (
@@ -144,7 +143,7 @@ def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
     stretches = np.array_split(inside, min(STRETCHES, len(inside)))
     sizes = np.array([_rms(force.w[stretch]) for stretch in stretches])
     least = STRONG_STRETCH * np.max(sizes)
-    deviation = deviation_of(force.record.estimate)[inside, force.number]
+    deviation = force.record.estimate.posterior.deviation[inside, force.number]
     if least < float(np.median(deviation)):
         return False
     is_strong = (sizes > least).astype(int)
@@ -172,7 +171,7 @@ def _runs(force: EquationForce) -> list[np.ndarray]:
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
     """Whether a part of the force exceeds its standard deviation."""
-    deviation = deviation_of(force.record.estimate)[inside, force.number]
+    deviation = force.record.estimate.posterior.deviation[inside, force.number]
     return _rms(force.w[inside]) > CERTAIN_FORCE * float(np.median(deviation))
 
 

@@ -1,11 +1,10 @@
-"""The three losses: one family of problems, by where the noise is assumed to be.
+"""The two losses: one family of problems, by where the noise is assumed to be.
 
 ================= =========== ============ =========================================
 loss              states      defects      objective
 ================= =========== ============ =========================================
 PHSILoss          the data    minimised    mean of squared defects + L1
 MaximumLikelihood unknown     equal zero   mean of squared residuals/sigma^2 + L1
-MissingForce      unknown     unknown w    squared residuals/sigma^2 + smoothness of w
 ================= =========== ============ =========================================
 
 Each makes a `Program` from a model, a grid and a starting point; what is done with the
@@ -17,9 +16,7 @@ from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
-import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.model.model import Model
@@ -28,7 +25,6 @@ from phsi_opt.optimization.program_builder import Assembly
 from phsi_opt.presentation.short_repr import short_number
 from phsi_opt.transcription.defect_constraint import DefectConstraint
 from phsi_opt.transcription.defects import defects
-from phsi_opt.transcription.force_prior import ForcePrior
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import known_defects
 from phsi_opt.transcription.loss_blocks import (
@@ -187,78 +183,6 @@ class MaximumLikelihood:
         return build.finish()
 
 
-@dataclass(frozen=True)
-class MissingForce:
-    """Squared residuals, over states that obey the model and an unknown force w.
-
-    ::
-
-        minimise   1/2 sum ((y - x)/sigma)^2 + 1/2 |w|_prior^2
-        subject to defects = w in the forced equations, else zero
-
-    w, one value per interval and forced equation, is a force that the model lacks. Its
-    prior (`ForcePrior`) is smooth enough to tell force from noise, and rough enough for
-    a friction that jumps. Its size is chosen by marginal likelihood
-    (`phsi_opt.estimation.missing_force`), never inside this program, where it would
-    collapse to zero. Not a loss that `identify` takes.
-
-    Args:
-        integrator: the scheme of the defects.
-    """
-
-    integrator: str = "srk4"
-
-    def program(
-        self,
-        model: Model,
-        grid: Grid,
-        point: Point,
-        prior: ForcePrior,
-        sigma: np.ndarray,
-        unknown: Theta | None = None,
-    ) -> Program:
-        """The program in x and w, and in theta where it is ``unknown``.
-
-        Args:
-            model: the model that lacks a force.
-            grid: nodes, intervals and measurements.
-            point: where the solver begins, and the sizes of the unknowns.
-            prior: of the force; its size is a setting of the program.
-            sigma: (n_states,) noise of each channel, a setting of the program.
-            unknown: the parameters; None: they stay at ``point.theta``.
-        """
-        build = Assembly()
-        theta: Any = ca.DM(point.theta)
-        if unknown is not None:
-            theta = ThetaVariable.added_to(build, unknown, point).by_trajectory
-        x = state_variable(build, grid, point)
-        # Size and noise are settings: the updates of both solve the same program again.
-        size = build.setting("size", prior.size)
-        noise = build.setting("sigma", sigma)
-        w = _force_variable(build, grid, point, prior)
-        d = defects(model, grid, self.integrator, x, theta)
-        into_equations = ca.DM(_force_selector(model, prior))
-        constraint = DefectConstraint(model, grid, self.integrator, point, unknown)
-        in_force = ca.DM(_force_slopes(model, grid, point, prior))
-
-        def jacobian(z: ca.MX) -> ca.MX:
-            others = z[: z.numel() - w.numel()]
-            return ca.horzcat(constraint.jacobian(others), in_force)
-
-        build.constrain(
-            "defect",
-            constraint.scaled(d - ca.mtimes(into_equations, w)),
-            label=grid.interval_label(model.n_states),
-            jacobian=jacobian,
-        )
-        build.residual(measurement_residual(model, grid, x, theta, noise))
-        whitener = ca.DM(prior.unit_whitener(grid))
-        for k in range(len(prior.rows)):
-            innovations = ca.mtimes(whitener, w[k, :].T)
-            build.residual(innovations / size[k])
-        return build.finish()
-
-
 def l1_weights(l1: Mapping[str, float] | float | None) -> dict[str, float]:
     """L1 weight per slot: a number stands for H and F alike.
 
@@ -364,38 +288,3 @@ def _check_noise(noise: Any) -> None:
                 f"noise[{name!r}]={size!r} of MaximumLikelihood must be a standard "
                 "deviation: a number above zero."
             )
-
-
-def _force_variable(
-    build: Assembly, grid: Grid, point: Point, prior: ForcePrior
-) -> ca.MX:
-    """Add the block "w", the force per interval; (n_forced, n_intervals) symbols."""
-    n_forced = len(prior.rows)
-    start = np.zeros((grid.n_intervals, n_forced)) if point.w is None else point.w
-    scale = np.tile(prior.size, grid.n_intervals)
-    w = build.variable("w", start.ravel(), scale=scale)
-    return ca.reshape(w, n_forced, -1)
-
-
-def _force_selector(model: Model, prior: ForcePrior) -> np.ndarray:
-    """Matrix of ones that puts the force into its equations, (n_states, n_forced)."""
-    n_forced = len(prior.rows)
-    selector = np.zeros((model.n_states, n_forced))
-    selector[list(prior.rows), np.arange(n_forced)] = 1.0
-    return selector
-
-
-def _force_slopes(model: Model, grid: Grid, point: Point, prior: ForcePrior) -> Any:
-    """Jacobian of the scaled defects in the scaled force: sparse and constant.
-
-    The force enters linearly: per interval and forced row, minus its scale.
-    """
-    rows = list(prior.rows)
-    n_equations = model.n_states * grid.n_intervals
-    n_forces = len(rows) * grid.n_intervals
-    first_equation = model.n_states * np.arange(grid.n_intervals)[:, None]
-    equations = (first_equation + rows).ravel()
-    length_per_size = (grid.h[:, None] / point.x_scale[rows]).ravel()
-    slopes = np.tile(prior.size, grid.n_intervals) * length_per_size
-    places = (equations, np.arange(n_forces))
-    return -csc_matrix((slopes, places), shape=(n_equations, n_forces))

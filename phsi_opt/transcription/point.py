@@ -32,7 +32,6 @@ class Point:
         x: (n_nodes, n_states) states at the nodes.
         theta_scale: (n_theta,) size of each parameter.
         x_scale: (n_states,) size of each state.
-        w: (n_intervals, n_forced) missing force; None: zero.
         x_bounds: bounds of ``x``; None: it has none.
     """
 
@@ -40,7 +39,6 @@ class Point:
     x: np.ndarray
     theta_scale: np.ndarray
     x_scale: np.ndarray
-    w: np.ndarray | None = None
     x_bounds: StateBounds | None = None
 
     @property

@@ -1,0 +1,296 @@
+"""Parameters, states and disturbances together, where they are most likely.
+
+::
+
+    minimise   1/2 |(y - h(x, theta) - v) / sigma|^2 + 1/2 |w, v, c|^2_prior
+    over       theta, x, forces w, errors v of sensors, coefficients c of functions
+    subject to d(x, theta) = B w + Phi c
+
+The sizes of noise and disturbances are given (`Disturbances`). Each step linearises the
+record and goes to the optimum of what is then linear, by one banded factorisation
+(Gauss and Newton). A step is halved until it lowers the objective, in which what the
+dynamics are violated by has a price above their multipliers (an exact penalty; Han,
+J. Optimization Theory and Applications 22, 1977).
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from phsi_opt.interrupts import solving
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.linearization import Linearization, linearized
+from phsi_opt.model_error.marginal_likelihood import (
+    MarginalLikelihood,
+    Smoothed,
+    noise_weights,
+)
+from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
+
+PRICE = 2.0  # of a unit of violation, over the largest multiplier
+MOST_HALVINGS = 8
+# Length of a step in standard deviations of what is unknown, and largest violation of
+# the scaled dynamics, at which the steps end.
+SETTLED_STEP = 1e-4
+SETTLED_VIOLATION = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class JointPoint:
+    """A point: parameters, states and disturbances.
+
+    Attributes:
+        z: (n_variables,) scaled parameters and states.
+        processes: (n_inner,) values of all processes, forces first.
+        coefficients: (n_coefficients,) of the functions of states.
+    """
+
+    z: np.ndarray
+    processes: np.ndarray
+    coefficients: np.ndarray
+
+    def towards(self, other: "JointPoint", share: float) -> "JointPoint":
+        """The point at a share of the way to another one."""
+        return JointPoint(
+            self.z + share * (other.z - self.z),
+            self.processes + share * (other.processes - self.processes),
+            self.coefficients + share * (other.coefficients - self.coefficients),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class JointEstimate:
+    """Where the steps ended.
+
+    Attributes:
+        point: there.
+        linear: the record linearised there.
+        residual: (n_values,) measured less shown, errors of sensors included.
+        violation: the largest of the scaled dynamics.
+        n_steps: how many there were.
+        has_converged: whether the last step was short.
+    """
+
+    point: JointPoint
+    linear: Linearization
+    residual: np.ndarray
+    violation: float
+    n_steps: int
+    has_converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class JointProblem:
+    """A record whose disturbances have given sizes.
+
+    Attributes:
+        values: the likelihood of parameters and states.
+        disturbances: with their sizes and times.
+        moving: (n_moving,) places of the parameters that are free to move.
+    """
+
+    values: LikelihoodValues
+    disturbances: Disturbances
+    moving: np.ndarray
+
+    def optimum(
+        self, z: np.ndarray, most_steps: int, beside: JointPoint | None = None
+    ) -> JointEstimate:
+        """The most likely point, as far as the steps lead there.
+
+        Args:
+            z: (n_variables,) scaled parameters and states to start from.
+            most_steps: at most.
+            beside: disturbances to start from; None: there are none.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        place = _Place.of(self, z, beside)
+        n_steps = 0
+        has_converged = False
+        while not has_converged and n_steps < most_steps:
+            n_steps += 1
+            aim = place.aim
+            there = self._lower(place, aim)
+            has_converged = aim.length < SETTLED_STEP
+            if there is None:
+                break
+            place = there
+            has_converged &= place.violation < SETTLED_VIOLATION
+        return JointEstimate(
+            point=place.point,
+            linear=place.linear,
+            residual=place.residual,
+            violation=place.violation,
+            n_steps=n_steps,
+            has_converged=has_converged,
+        )
+
+    def _lower(self, place: "_Place", aim: "_Aim") -> "_Place | None":
+        """The first place on the way to the aim, halved again and again, that is lower.
+
+        None where there is none.
+        """
+        price = PRICE * aim.largest_multiplier
+        cost = place.cost(price)
+        share = 1.0
+        for _ in range(MOST_HALVINGS):
+            point = place.point.towards(aim.point, share)
+            point = replace(point, z=self._within(point.z))
+            there = replace(place, point=point, known=self._at(point.z))
+            if there.cost(price) <= cost * (1 + 1e-12):
+                return there.renewed()
+            share /= 2
+        return None
+
+    def _at(self, z: np.ndarray) -> PointValues:
+        with solving(), np.errstate(all="ignore"):
+            return self.values.at(z)
+
+    def _within(self, z: np.ndarray) -> np.ndarray:
+        return np.clip(z, self.values.lower, self.values.upper)
+
+
+@dataclass(frozen=True, eq=False)
+class _Aim:
+    """The optimum of a linearised record.
+
+    Attributes:
+        point: there.
+        length: of the way there, in standard deviations.
+        largest_multiplier: of the dynamics.
+    """
+
+    point: JointPoint
+    length: float
+    largest_multiplier: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A point beside the record linearised near by.
+
+    Attributes:
+        problem: that is solved.
+        point: parameters, states and disturbances.
+        known: defects and what is shown at the point.
+        likelihood: of the record linearised where the functions of states are taken.
+    """
+
+    problem: JointProblem
+    point: JointPoint
+    known: PointValues
+    likelihood: MarginalLikelihood
+
+    @classmethod
+    def of(
+        cls, problem: JointProblem, z: np.ndarray, beside: JointPoint | None
+    ) -> "_Place":
+        """Of a start."""
+        known = problem._at(z)
+        likelihood = _likelihood_at(problem, z, known)
+        if beside is None:
+            n_x = likelihood.problem.nodes.size
+            processes = np.zeros(likelihood.n_unknowns - n_x)
+            beside = JointPoint(z, processes, np.zeros(likelihood.n_coefficients))
+        return cls(problem, replace(beside, z=z), known, likelihood)
+
+    def renewed(self) -> "_Place":
+        """The same place, the record linearised here."""
+        likelihood = _likelihood_at(self.problem, self.point.z, self.known)
+        return replace(self, likelihood=likelihood)
+
+    @property
+    def linear(self) -> Linearization:
+        """The record linearised near by."""
+        return self.likelihood.problem
+
+    @cached_property
+    def _inner(self) -> np.ndarray:
+        """The values of the processes among all unknowns, (n_unknowns,)."""
+        still = np.zeros(self.linear.nodes.size)
+        return np.concatenate([still, self.point.processes])
+
+    @cached_property
+    def residual(self) -> np.ndarray:
+        """Measured less shown, errors of sensors included, (n_values,)."""
+        residual: np.ndarray = self.known.misfit - self.likelihood.shown @ self._inner
+        return residual
+
+    @cached_property
+    def _excess(self) -> np.ndarray:
+        """Defects less what the disturbances do to the dynamics, scaled."""
+        likelihood = self.likelihood
+        by_forces = likelihood.dynamics_of_processes(self._inner[:, None])[:, 0]
+        by_functions = likelihood.dynamics_of_functions(self.point.coefficients)
+        excess: np.ndarray = self.known.g + by_functions - by_forces
+        return excess
+
+    @property
+    def violation(self) -> float:
+        """The largest violation of the dynamics."""
+        return float(np.max(np.abs(self._excess), initial=0.0))
+
+    def cost(self, price: float) -> float:
+        """The objective, and the violation of the dynamics at its price."""
+        point = self.point
+        squares = self._squares(self.residual, point.processes, point.coefficients)
+        cost = squares / 2 + price * float(np.sum(np.abs(self._excess)))
+        return cost if np.isfinite(cost) else np.inf
+
+    def _squares(
+        self, shown: np.ndarray, processes: np.ndarray, coefficients: np.ndarray
+    ) -> float:
+        """Of values over their noise, and of disturbances in units of their priors."""
+        likelihood = self.likelihood
+        disturbances = self.problem.disturbances
+        weighted = noise_weights(self.linear, disturbances.sigma) * shown
+        sizes = likelihood.coefficient_sizes(disturbances)
+        total = np.sum(weighted**2) + np.sum((coefficients / sizes) ** 2)
+        whiteners = likelihood.whiteners(disturbances)
+        every = [*disturbances.forces, *disturbances.sensors]
+        first = 0
+        for process, whitener in zip(every, whiteners, strict=True):
+            own = processes[first : first + len(whitener.diagonal)]
+            total += np.sum((whitener.whitened(own) / process.size) ** 2)
+            first += len(own)
+        return float(total)
+
+    @cached_property
+    def aim(self) -> _Aim:
+        """The optimum of the record linearised here.
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        found = self.likelihood.smoothed(self.problem.disturbances)
+        step = np.concatenate([found.theta, found.x.ravel()])
+        point = JointPoint(
+            z=self.point.z + step,
+            processes=_joined(found.processes),
+            coefficients=_joined(found.coefficients),
+        )
+        return _Aim(point, self._length(found, point), found.largest_multiplier)
+
+    def _length(self, found: Smoothed, aim: JointPoint) -> float:
+        """Of a step, in standard deviations of what it changes."""
+        processes = aim.processes - self.point.processes
+        coefficients = aim.coefficients - self.point.coefficients
+        likelihood = self.likelihood
+        moved = likelihood.shown @ np.concatenate([found.x.ravel(), processes])
+        moved = moved + self.linear.shown_in_theta @ found.theta
+        return float(np.sqrt(self._squares(moved, processes, coefficients)))
+
+
+def _likelihood_at(
+    problem: JointProblem, z: np.ndarray, known: PointValues
+) -> MarginalLikelihood:
+    linear = linearized(problem.values, z, known)
+    structure = problem.disturbances.structure
+    return MarginalLikelihood(linear, structure, problem.moving)
+
+
+def _joined(parts: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate(parts) if parts else np.zeros(0)
