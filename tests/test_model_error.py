@@ -612,7 +612,7 @@ BESIDE = {
 
 
 @pytest.mark.parametrize("kind", list(BESIDE))
-def test_the_program_ends_where_the_marginal_likelihood_says(
+def test_the_steps_end_where_the_marginal_likelihood_says(
     kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Linearised at the solution, nothing moves: neither parameters nor forces."""
@@ -632,11 +632,11 @@ def test_the_program_ends_where_the_marginal_likelihood_says(
     limit = 0.1 if d.functions or d.is_orthogonal else 1e-3
     assert np.abs(step.theta / std_error).max() < limit
     sizes = [p.size for p in (*d.forces, *d.sensors)]
-    blocks = [f"force_{i}" for i in range(len(d.forces))]
-    blocks += [f"sensor_{i}" for i in range(len(d.sensors))]
-    for block, values, size in zip(blocks, step.processes, sizes, strict=True):
-        found = estimate.solution.values[block]
+    first = 0
+    for values, size in zip(step.processes, sizes, strict=True):
+        found = estimate.joint.point.processes[first : first + len(values)]
         np.testing.assert_allclose(found, values, atol=limit * size)
+        first += len(values)
     assert estimate.misfit == pytest.approx(0.9, abs=0.15)
 
 

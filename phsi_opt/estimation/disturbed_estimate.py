@@ -2,10 +2,12 @@
 
 From the plain maximum of the likelihood: the record is linearised there, a prior of the
 force is chosen (`phsi_opt.model_error.priors`), and parameters, states and force are
-found together by one nonlinear program. There the record is linearised again and the
-sizes are moved to the optimum of their marginal likelihood, until they stay.
+found together (`phsi_opt.model_error.joint_estimate`). There the record is linearised
+again and the sizes are moved to the optimum of their marginal likelihood, until they
+stay.
 """
 
+import time
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,18 +24,17 @@ from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, Smoothed
+from phsi_opt.model_error.joint_estimate import JointEstimate, JointProblem
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, noise_weights
 from phsi_opt.model_error.priors import Prior, compared_priors
-from phsi_opt.model_error.program import disturbed_program
 from phsi_opt.model_error.spread import Spread
 from phsi_opt.model_error.standard_errors import Source, under_disturbances
-from phsi_opt.optimization.ipopt import Solution, Solver
-from phsi_opt.optimization.program import Program
-from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.optimization.endings import STEPS_OPTIMUM, STEPS_STALLED
+from phsi_opt.optimization.ipopt import Solution, names_at_bounds
+from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.transcription.grid import steps_per_gap
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.point import Point
 
 MOST_SOLVES = 3  # each followed by better sizes of the disturbances
 # Change of the logarithm of the evidence by better sizes up to which they stay.
@@ -43,9 +44,7 @@ SETTLED_EVIDENCE = 0.1
 # those of the states before: after one solve with such directions the stiffness of an
 # oscillator was off by 4 to 7 standard errors, after two by a thousandth.
 SETTLED_STEP = 0.1
-# Factors on the noise through which a solve goes that failed: with much noise the
-# states need not follow the data at once.
-LARGER_NOISE = (1e3, 1e2, 1e1, 1.0)
+MOST_STEPS = 100  # of one solve
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -57,6 +56,7 @@ class DisturbedEstimate(Estimate):
         disturbances: what acts beside the model.
         priors: what was compared.
         search: for disturbances, on the record linearised at the solution.
+        joint: parameters, states and forces.
     """
 
     loss: MaximumLikelihood
@@ -64,6 +64,7 @@ class DisturbedEstimate(Estimate):
     disturbances: Disturbances
     priors: tuple[Prior, ...]
     search: DisturbanceSearch
+    joint: JointEstimate
 
     @property
     def n_values(self) -> int:
@@ -190,29 +191,6 @@ def _solved(estimate: DisturbedEstimate) -> SolvedLikelihood:
     )
 
 
-def _moved(point: Point, unknown: Theta, step: Smoothed) -> Point:
-    """The point after a step of parameters and states, within their bounds."""
-    theta = point.theta + step.theta * point.theta_scale
-    x = point.x + step.x * point.x_scale
-    if point.x_bounds is not None:
-        x = np.clip(x, point.x_bounds.lower, point.x_bounds.upper)
-    return replace(point, theta=np.clip(theta, unknown.lower, unknown.upper), x=x)
-
-
-def _solution(program: Program, settings: SolverSettings) -> Solution:
-    """The optimum; where that is too far, through noise that shrinks to its size."""
-    solver = Solver(program, settings)
-    solution = solver.solve(raise_on_failure=False)
-    if solution.outcome.success:
-        return solution
-    start = program.start
-    for factor in LARGER_NOISE:
-        weights = program.set_to / factor
-        solution = solver.solve(start, weights, raise_on_failure=False)
-        start = solution.z
-    return solution
-
-
 def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     """The estimate with a random force, begun at the plain one.
 
@@ -221,6 +199,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     """
     if not plain.is_success:
         raise SolveError(f"The solver failed: {plain.solution.outcome}")
+    began = time.perf_counter()
     task = plain.task
     task.say("priors of the model error")
     first = plain.plain.search
@@ -233,7 +212,8 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
     is_fixed = chosen.has_fixed_times
     solved = plain.solved
     search = solved.search(solved.linearized())
-    point = replace(plain.point, theta=plain.theta, x=plain.nodes)
+    values = plain.transcription.values
+    z = plain.solution.z[: len(plain.unknown) + plain.point.x.size]
     evidence = -np.inf
     move = np.inf
     for _ in range(MOST_SOLVES):
@@ -243,29 +223,17 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         if is_settled and move < SETTLED_STEP:
             break
         task.say(f"states and force together, prior: {chosen.name}")
-        likelihood = MarginalLikelihood(
-            search.problem, disturbances.structure, search.moving
-        )
-        smoothed = likelihood.smoothed(disturbances)
-        point = _moved(point, plain.unknown, smoothed)
-        program = disturbed_program(
-            plain.model,
-            point,
-            plain.unknown,
-            plain.loss.integrator,
-            search.problem,
-            disturbances,
-            search.moving,
-            smoothed,
-        )
-        solution = _solution(program, task.settings)
+        problem = JointProblem(values, disturbances, search.moving)
+        joint = problem.optimum(z, MOST_STEPS)
+        z = joint.point.z
+        solution = _solution(values, joint, disturbances, began)
         estimate = DisturbedEstimate(
             task=task,
             loss=plain.loss,
             model=plain.model,
             grid=plain.grid,
             unknown=plain.unknown,
-            point=point,
+            point=values.point,
             solution=solution,
             l1={},
             removed=plain.removed,
@@ -274,15 +242,40 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             disturbances=disturbances,
             priors=tuple(priors),
             search=search,
+            joint=joint,
         )
         if not solution.outcome.success:
             return estimate
-        solved = _solved(estimate)
-        search = solved.search(solved.linearized())
+        search = solved.search(joint.linear)
         estimate = replace(estimate, search=search)
         marginal = estimate._likelihood.at(disturbances)
         evidence = marginal.log_evidence
         std_errors = np.sqrt(np.diag(marginal.covariance))
         move = float(np.max(np.abs(marginal.theta) / std_errors, initial=0.0))
-        point = replace(point, theta=estimate.theta, x=solved.nodes)
     return estimate
+
+
+def _solution(
+    values: LikelihoodValues,
+    joint: JointEstimate,
+    disturbances: Disturbances,
+    began: float,
+) -> Solution:
+    """Where the steps ended, as other solvers tell it."""
+    z = joint.point.z
+    weights = noise_weights(joint.linear, disturbances.sigma)
+    residual = joint.residual * weights * np.sqrt(2 / len(weights))
+    ending = STEPS_OPTIMUM if joint.has_converged else STEPS_STALLED
+    bounds = (values.lower, values.upper)
+    outcome = Outcome(
+        success=ending.is_usable,
+        status=ending.status,
+        sentence=ending.sentence,
+        advice=ending.advice,
+        iterations=joint.n_steps,
+        seconds=time.perf_counter() - began,
+        objective=float(residual @ residual) / 2,
+        infeasibility=joint.violation,
+        at_bounds=names_at_bounds(values.unknown.names, z, bounds),
+    )
+    return Solution(values.point.unscaled(z), z, residual, outcome)

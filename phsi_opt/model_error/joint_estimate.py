@@ -33,6 +33,9 @@ MOST_HALVINGS = 8
 # Length of a step in standard deviations of what is unknown, and largest violation of
 # the scaled dynamics, at which the steps end.
 SETTLED_STEP = 1e-4
+# Length up to which a step is taken whole: what it gains is beyond the accuracy of
+# numbers.
+SHORT_STEP = 1e-2
 SETTLED_VIOLATION = 1e-7
 
 
@@ -134,13 +137,13 @@ class JointProblem:
         None where there is none.
         """
         price = PRICE * aim.largest_multiplier
-        cost = place.cost(price)
+        most = place.cost(price) if aim.length > SHORT_STEP else np.inf
         share = 1.0
         for _ in range(MOST_HALVINGS):
             point = place.point.towards(aim.point, share)
             point = replace(point, z=self._within(point.z))
             there = replace(place, point=point, known=self._at(point.z))
-            if there.cost(price) <= cost * (1 + 1e-12):
+            if there.cost(price) < most:
                 return there.renewed()
             share /= 2
         return None
@@ -160,7 +163,7 @@ class _Aim:
     Attributes:
         point: there.
         length: of the way there, in standard deviations.
-        largest_multiplier: of the dynamics.
+        largest_multiplier: of what the steps must obey.
     """
 
     point: JointPoint
@@ -221,12 +224,12 @@ class _Place:
 
     @cached_property
     def _excess(self) -> np.ndarray:
-        """Defects less what the disturbances do to the dynamics, scaled."""
+        """What violates the dynamics, scaled, and what forces may not do."""
         likelihood = self.likelihood
         by_forces = likelihood.dynamics_of_processes(self._inner[:, None])[:, 0]
         by_functions = likelihood.dynamics_of_functions(self.point.coefficients)
-        excess: np.ndarray = self.known.g + by_functions - by_forces
-        return excess
+        excess = self.known.g + by_functions - by_forces
+        return np.concatenate([excess, likelihood.forbidden(self._inner)])
 
     @property
     def violation(self) -> float:

@@ -59,7 +59,7 @@ class Smoothed:
         x: (n_nodes, n_states) step of the scaled states.
         processes: values of every process, forces first.
         coefficients: of the functions of states, one array per function.
-        largest_multiplier: of the dynamics.
+        largest_multiplier: of the dynamics, and of what forces may not do.
     """
 
     theta: np.ndarray
@@ -377,6 +377,15 @@ class MarginalLikelihood:
         moved: np.ndarray = columns @ coefficients
         return moved
 
+    def forbidden(self, unknowns: np.ndarray) -> np.ndarray:
+        """What forces do that the parameters could, (n_directions,); zero if obeyed.
+
+        Args:
+            unknowns: (n_unknowns,).
+        """
+        forbidden: np.ndarray = self._directions.T @ unknowns
+        return forbidden
+
     def coefficient_sizes(self, disturbances: Disturbances) -> np.ndarray:
         """Prior standard deviation of every coefficient, (n_coefficients,)."""
         sizes = np.array([function.size for function in disturbances.functions])
@@ -484,7 +493,9 @@ class MarginalLikelihood:
         border = self.border_of(eliminated).marginal(sizes)
         solved = eliminated.solved
         found = solved[:, -1] - solved[:, :-1] @ border.border
-        unknowns, multipliers = found[: self.n_unknowns], found[self.n_unknowns :]
+        unknowns = found[: self.n_unknowns]
+        of_directions = border.border[len(self.moving) + len(self._owner) :]
+        multipliers = np.concatenate([found[self.n_unknowns :], of_directions])
         problem = self.problem
         theta = np.zeros(problem.n_theta)
         theta[self.moving] = border.theta

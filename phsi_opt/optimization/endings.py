@@ -93,6 +93,9 @@ IPOPT_ENDINGS = (
 
 STEPS_OPTIMUM = Ending(DIRECT_STEPS, True, "a local optimum was found")
 OTHERWISE = "Start from other values, or use more steps per sample."
+STEPS_STALLED = Ending(
+    DIRECT_STEPS, False, "the steps stalled before an optimum", OTHERWISE
+)
 PATH = "along solutions of the model"
 PATH_OPTIMUM = Ending(FEASIBLE_PATH, True, f"a local optimum was found {PATH}")
 PATH_SETTLED = Ending(FEASIBLE_PATH, True, f"the likelihood settled {PATH}")

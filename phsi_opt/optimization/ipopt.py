@@ -65,18 +65,19 @@ class Solution:
         z: scaled vector, (n_variables,).
         residual: (n_residuals,).
         outcome: how the solve ended.
-        later_kkt: what `kkt` is, for those who ask.
+        later_kkt: what `kkt` is, for those who ask; None: it is not known.
     """
 
     values: dict[str, np.ndarray]
     z: np.ndarray
     residual: np.ndarray
     outcome: Outcome
-    later_kkt: Later[KKT] = field(repr=False)
+    later_kkt: Later[KKT] | None = field(repr=False, default=None)
 
     @property
     def kkt(self) -> KKT:
-        """Second-order information at z."""
+        """Second-order information at z, where the solver knows it."""
+        assert self.later_kkt is not None
         return self.later_kkt.value
 
 
