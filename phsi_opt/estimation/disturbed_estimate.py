@@ -44,7 +44,7 @@ SETTLED_EVIDENCE = 0.1
 # those of the states before: after one solve with such directions the stiffness of an
 # oscillator was off by 4 to 7 standard errors, after two by a thousandth.
 SETTLED_STEP = 0.1
-MOST_STEPS = 100  # of one solve
+MOST_STEPS_OF_A_SOLVE = 100  # of one solve
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -224,7 +224,7 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             break
         task.say(f"states and force together, prior: {chosen.name}")
         problem = JointProblem(values, disturbances, search.moving)
-        joint = problem.optimum(z, MOST_STEPS)
+        joint = problem.optimum(z, MOST_STEPS_OF_A_SOLVE)
         z = joint.point.z
         solution = _solution(values, joint, disturbances, began)
         estimate = DisturbedEstimate(

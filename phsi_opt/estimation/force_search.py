@@ -12,13 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from phsi_opt.criteria import DOUBTFUL_NOISE
+from phsi_opt.criteria import BRIEF_NOISE, DOUBTFUL_NOISE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate, smoothed
+from phsi_opt.estimation.model_error_table import lasting_noise
 from phsi_opt.estimation.trajectory_parameters import (
     parameter_matrix,
     parameters_of,
@@ -59,8 +60,17 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     guess = initial_noise(data, given)
     scatter = np.where(is_given, given, initial_noise(data))
     least = np.maximum(quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter)
+    longest = BRIEF_NOISE * float(np.median(grid.h))
+    sensors = lasting_noise(fit.model_error_rows, model.states, longest)
     estimate = smoothed(
-        model, grid, guess, INTEGRATOR, is_given, theta, least_noise=least
+        model,
+        grid,
+        guess,
+        INTEGRATOR,
+        is_given,
+        theta,
+        sensors=sensors,
+        least_noise=least,
     )
     measured = grid.measured.any(axis=0)
 
@@ -82,6 +92,7 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
                 is_given,
                 theta,
                 forces=larger,
+                sensors=sensors,
                 least_noise=least,
             )
             estimate = max(estimate, second, key=lambda found: found.log_evidence)

@@ -75,8 +75,16 @@ class ForceEstimate:
 
     @property
     def sigma(self) -> np.ndarray:
-        """Standard deviation of the measurement noise, (n_states,)."""
+        """Standard deviation of the white measurement noise, (n_states,)."""
         return self.disturbances.sigma[0]
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Standard deviation of all measurement noise, (n_states,), lasting or not."""
+        variance = self.sigma**2
+        for sensor in self.disturbances.sensors:
+            variance[sensor.place] += sensor.size**2
+        return np.sqrt(variance)
 
     @property
     def rows(self) -> tuple[int, ...]:
@@ -119,6 +127,7 @@ def estimate_force(
     rounds: int = 3,
     known_noise: Known = False,
     forces: Forces | None = None,
+    sensors: tuple[Process, ...] = (),
     integrator: str = "srk4",
     least_noise: np.ndarray | float = 0.0,
     is_patient: bool = True,
@@ -134,6 +143,7 @@ def estimate_force(
         rounds: solves, each followed by updates of the sizes, at most.
         known_noise: whether ``sigma`` is known and stays, of all states or of each.
         forces: to begin with; None: `generous_force`.
+        sensors: errors of sensors that last, to begin with.
         integrator: the scheme of the defects.
         least_noise: below which noise that is not known does not fall, of all states or
             (n_states,).
@@ -143,9 +153,10 @@ def estimate_force(
         SolveError: no states and force were found that obey the dynamics.
     """
     forces = generous_force(model, grid, point) if forces is None else forces
+    noise = np.tile(sigma, (int(grid.trajectory[-1]) + 1, 1))
     search = _Search(
         values=_values(model, grid, point, integrator),
-        disturbances=_with_noise(grid, sigma, forces),
+        disturbances=Disturbances(noise, forces, sensors),
         channels=_unknown_channels(grid, known_noise),
         least_noise=np.broadcast_to(least_noise, len(sigma)),
         is_patient=is_patient,
@@ -158,9 +169,10 @@ def estimate_force(
         if change < SETTLED_SIZE and found.has_converged:
             break
     x = search.values.point.unscaled(found.point.z)["x"]
+    n_forces = len(forces) * grid.n_intervals
     return ForceEstimate(
         x=x.reshape(point.x.shape),
-        w=found.point.processes.reshape(len(forces), -1).T,
+        w=found.point.processes[:n_forces].reshape(len(forces), -1).T,
         grid=grid,
         posterior=posterior,
         has_converged=found.has_converged,
@@ -181,11 +193,6 @@ def _values(
     return LikelihoodValues(model, grid, integrator, point, unknown)
 
 
-def _with_noise(grid: Grid, sigma: np.ndarray, forces: Forces) -> Disturbances:
-    n_runs = int(grid.trajectory[-1]) + 1
-    return Disturbances(np.tile(sigma, (n_runs, 1)), forces)
-
-
 def _unknown_channels(grid: Grid, known: Known) -> tuple[int, ...]:
     """Measured states whose noise is not known."""
     is_known = np.broadcast_to(known, grid.y.shape[1])
@@ -196,7 +203,7 @@ def _unknown_channels(grid: Grid, known: Known) -> tuple[int, ...]:
 def _change(before: Disturbances, after: Disturbances) -> float:
     """Largest change of the logarithm of a size."""
     changes = [float(np.max(np.abs(np.log(after.sigma / before.sigma))))]
-    for old, new in zip(before.forces, after.forces, strict=True):
+    for old, new in zip(before.processes, after.processes, strict=True):
         changes.append(abs(float(np.log(new.size / old.size))))
     return max(changes)
 
@@ -296,6 +303,7 @@ def smoothed(
     *,
     rounds: int = 3,
     forces: Forces | None = None,
+    sensors: tuple[Process, ...] = (),
     least_noise: np.ndarray | float = 0.0,
 ) -> ForceEstimate:
     """States, also unmeasured ones, and missing force at given parameters.
@@ -315,6 +323,7 @@ def smoothed(
             of their own.
         rounds: Solves, each followed by updates of the sizes, at most.
         forces: to begin with; None: `generous_force`.
+        sensors: errors of sensors that last, to begin with.
         least_noise: Below which noise that is not known does not fall, of all states or
             (n_states,).
 
@@ -340,6 +349,7 @@ def smoothed(
             rounds=rounds,
             known_noise=known_noise,
             forces=begun,
+            sensors=sensors,
             integrator=integrator,
             least_noise=least_noise,
             is_patient=is_patient,

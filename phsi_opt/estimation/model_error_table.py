@@ -13,6 +13,7 @@ from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
 
 SENSOR_ERROR = "sensor error"  # kind of a row
+OF_SENSOR = "sensor of "  # where it is, before the name of a state
 PRIOR_COLUMNS = ("prior", "log_evidence", "prediction", "agreement", "chosen")
 MODEL_ERROR_COLUMNS = ("where", "kind", "size", "time", "unit", "share")
 
@@ -94,6 +95,18 @@ def model_error_rows(
     return tuple(rows)
 
 
+def lasting_noise(
+    rows: Sequence[ModelErrorRow], states: Sequence[str], longest: float
+) -> tuple[Process, ...]:
+    """The errors of sensors among the rows that last no longer than a time."""
+    found = []
+    for row in rows:
+        if row.kind == SENSOR_ERROR and row.time <= longest:
+            channel = list(states).index(row.where.removeprefix(OF_SENSOR))
+            found.append(Process(channel, row.size, row.time))
+    return tuple(found)
+
+
 class _Rows:
     def __init__(self, solved: SolvedLikelihood) -> None:
         self._states = solved.model.states
@@ -114,7 +127,7 @@ class _Rows:
     def of_sensor(self, sensor: Process) -> ModelErrorRow:
         state = self._states[sensor.place]
         spread = max(float(np.nanstd(self._y[:, sensor.place])), TINY)
-        where = f"sensor of {state}"
+        where = f"{OF_SENSOR}{state}"
         unit = self._units.get(state, "")
         share = sensor.size / spread
         return ModelErrorRow(where, SENSOR_ERROR, sensor.size, sensor.time, unit, share)
@@ -129,7 +142,7 @@ class _Rows:
                 continue
             spread = max(float(np.nanstd(measured)), TINY)
             for run, size in zip(self._runs, of_runs.tolist(), strict=True):
-                where = f"sensor of {state}"
+                where = f"{OF_SENSOR}{state}"
                 kind = f"noise of {run}"
                 unit = self._units.get(state, "")
                 row = ModelErrorRow(where, kind, size, 0.0, unit, size / spread)

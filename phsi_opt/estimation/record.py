@@ -111,11 +111,11 @@ class Record:
         With noise that lasts from sample to sample, all of it.
         """
         n_states = self.model.n_states
-        known = self.estimate.sigma[:n_states]
+        known = self.estimate.noise[:n_states]
         sigma = np.r_[known, np.ones(n_states - len(known))]
         if not self.has_correlated_noise:
             return sigma
-        # Beside a free force, noise that lasts was taken for a force.
+        # Few of its values are independent: the longer record of the fit knows it too.
         of_fit = [self.fit.noise.get(name, 0.0) for name in self.model.states]
         return np.maximum(sigma, of_fit)
 

@@ -24,10 +24,11 @@ from phsi_opt.model_error.signs import random_signs
 from phsi_opt.statistics import TINY
 
 PROBED_VALUES = 8_000  # values that all random vectors together look at, at least
-# The same for updates, of which there are few, and which no curvature makes smooth.
-PROBED_BY_UPDATES = 200_000
 LEAST_PROBES = 6
 MOST_PROBES = 24
+# The same of an update, which no curvature makes smooth.
+PROBED_BY_UPDATES = 200_000
+MOST_OF_AN_UPDATE = 64
 # Share of the information that is added to it (Levenberg 1944, Marquardt 1963), and the
 # factor on it after a step that led down.
 FIRST_DAMPING = 0.1
@@ -322,7 +323,7 @@ class _Derivatives:
 
     def _priors(self) -> list[_Prior]:
         forces = self.disturbances.forces
-        processes = [*forces, *self.disturbances.sensors]
+        processes = self.disturbances.processes
         later = []
         for process in processes:
             time = process.time * float(np.exp(PRIOR_STEP))
@@ -347,7 +348,7 @@ class _Derivatives:
         Of the noise those that the unknowns do not take, of a process those that the
         data determine.
         """
-        probes = self._probes(PROBED_BY_UPDATES)
+        probes = self._probes(PROBED_BY_UPDATES, MOST_OF_AN_UPDATE)
         alone = self.parts.factors.solve(probes.inner)
         open_border = probes.border - self.parts.right[:, :-1].T @ alone
         of_border = solve_border(self.information, open_border)
@@ -379,7 +380,7 @@ class _Derivatives:
         """Gradient and average information."""
         n_slopes = len(self.channels) + 2 * len(self.priors) + len(self.sizes)
         changes = self._changes(np.eye(n_slopes) if sums is None else sums)
-        probes = self._probes()
+        probes = self._probes(PROBED_VALUES, MOST_PROBES)
         inner = np.hstack([changes.inner, probes.inner])
         border = np.hstack([changes.border, probes.border])
         k = changes.inner.shape[1]
@@ -454,11 +455,11 @@ class _Derivatives:
             moved[places, number] = 2 * self.step[places]
         return moved
 
-    def _probes(self, probed: int = PROBED_VALUES) -> _Columns:
+    def _probes(self, probed: int, most: int) -> _Columns:
         """Random signs: first of the measured values, then of the processes."""
         likelihood = self.likelihood
         n_values = self.problem.n_values
-        n_probes = int(np.clip(probed // n_values, LEAST_PROBES, MOST_PROBES))
+        n_probes = int(np.clip(probed // n_values, LEAST_PROBES, most))
         self.n_probes = n_probes
         lengths = (n_values, *(prior.n for prior in self.priors))
         self.value_signs, *self.process_signs = random_signs(lengths, n_probes)

@@ -49,6 +49,11 @@ class Disturbances:
     is_orthogonal: bool = False
 
     @property
+    def processes(self) -> tuple[Process, ...]:
+        """All of them, forces first."""
+        return (*self.forces, *self.sensors)
+
+    @property
     def structure(self) -> "Structure":
         """Which there are, without their sizes."""
         return Structure(

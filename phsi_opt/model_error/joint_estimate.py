@@ -29,10 +29,10 @@ from phsi_opt.model_error.marginal_likelihood import (
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 PRICE = 2.0  # of a unit of violation, over the largest multiplier
-MOST_HALVINGS = 8
+MOST_SHORTENINGS = 8
 # Length of a step in standard deviations of what is unknown, and largest violation of
 # the scaled dynamics, at which the steps end.
-SETTLED_STEP = 1e-4
+SETTLED_LENGTH = 1e-4
 # Length up to which a step is taken whole: what it gains is beyond the accuracy of
 # numbers.
 SHORT_STEP = 1e-2
@@ -117,7 +117,7 @@ class JointProblem:
             n_steps += 1
             aim = place.aim
             there = self._lower(place, aim)
-            has_converged = aim.length < SETTLED_STEP
+            has_converged = aim.length < SETTLED_LENGTH
             if there is None:
                 break
             place = there
@@ -139,7 +139,7 @@ class JointProblem:
         price = PRICE * aim.largest_multiplier
         most = place.cost(price) if aim.length > SHORT_STEP else np.inf
         share = 1.0
-        for _ in range(MOST_HALVINGS):
+        for _ in range(MOST_SHORTENINGS):
             point = place.point.towards(aim.point, share)
             point = replace(point, z=self._within(point.z))
             there = replace(place, point=point, known=self._at(point.z))
@@ -253,7 +253,7 @@ class _Place:
         sizes = likelihood.coefficient_sizes(disturbances)
         total = np.sum(weighted**2) + np.sum((coefficients / sizes) ** 2)
         whiteners = likelihood.whiteners(disturbances)
-        every = [*disturbances.forces, *disturbances.sensors]
+        every = disturbances.processes
         first = 0
         for process, whitener in zip(every, whiteners, strict=True):
             own = processes[first : first + len(whitener.diagonal)]

@@ -417,7 +417,7 @@ class MarginalLikelihood:
         problem = self.problem
         weight = noise_weights(problem, disturbances.sigma)
         squared = weight**2
-        processes = [*disturbances.forces, *disturbances.sensors]
+        processes = disturbances.processes
         whiteners = self.whiteners(disturbances)
         curvature = self._products.entries(squared)
         shift = np.full(problem.nodes.size, regular * np.max(curvature))
