@@ -1063,7 +1063,7 @@ def test_trials_that_are_asked_together_promise_what_each_does_alone(
 ) -> None:
     search = search_of(0)
     white = Disturbances(search.plain)
-    record = WhiteRecord(search._likelihood(white), white)
+    record = WhiteRecord(search.likelihood(white), white)
     sensors = search._sensors(1.0, TIME)
     forces = [Process(place, 1.0, TIME) for place in search.problem.forced]
     trials = [
@@ -1179,7 +1179,7 @@ def test_random_signs_and_whiteners_are_made_once_for_a_place(
         return whitener(problem, force)
 
     monkeypatch.setattr(marginal_likelihood, "whitener_of_force", counted)
-    slopes(search._likelihood(start), start, search.channels)
+    slopes(search.likelihood(start), start, search.channels)
     assert len(made) == 2 * len(start.forces)  # at its time, and a little later
 
 
@@ -1189,7 +1189,7 @@ def test_slopes_in_a_variance_are_those_of_the_evidence(
     monkeypatch.setattr(score_test, "N_SIGNS", 2000)  # traces to 2 % of their spread
     search = search_of(0)
     white = Disturbances(search.plain)
-    record = WhiteRecord(search._likelihood(white), white)
+    record = WhiteRecord(search.likelihood(white), white)
     (place,) = search.problem.forced[-1:]
     force = Process(place, 1.0, TIME)
     asked = score_test._Places(record).asked(Trial([force], []))
@@ -1217,7 +1217,7 @@ def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
     monkeypatch.setattr(score_test, "N_SIGNS", 1000)
     search = search_of_a_chain()
     white = Disturbances(search.plain)
-    record = WhiteRecord(search._likelihood(white), white)
+    record = WhiteRecord(search.likelihood(white), white)
     sensors = search._sensors(0.01, TIME)
     trial = Trial([], sensors, is_tied=True)
     asked = score_test._Places(record).asked(trial)
@@ -1233,7 +1233,7 @@ def test_a_slope_in_a_shared_variance_is_that_of_the_evidence(
 def test_many_channels_promise_nothing_by_their_number() -> None:
     search = search_of_a_chain()
     white = Disturbances(search.plain)
-    record = WhiteRecord(search._likelihood(white), white)
+    record = WhiteRecord(search.likelihood(white), white)
     sensors = search._sensors(1.0, search.first_times()[0])
     trials = [Trial([], sensors), Trial([], sensors, is_tied=True)]
     gains = []
@@ -1268,7 +1268,7 @@ def test_tied_sizes_are_searched_for_with_less_of_a_promise(
 def test_a_function_gains_what_the_evidence_says() -> None:
     search = search_of(0)
     with_all = Disturbances(search.plain).with_functions(search._function_candidates())
-    border = search._likelihood(with_all).border(with_all)
+    border = search.likelihood(with_all).border(with_all)
     rates = search._rates_of(with_all.functions)
     absent = 1e-9 * rates
     sizes = np.zeros(len(rates))

@@ -836,6 +836,25 @@ def test_evidence_and_smoothed_states_approach_those_of_a_kalman_filter() -> Non
     assert finest.force < 0.001 * 0.5  # of its size
 
 
+def test_the_likelihood_of_different_models_is_that_of_a_kalman_filter() -> None:
+    """Of a free and of a damped oscillator, not up to a constant but whole."""
+    data = forced_record()
+    (run,) = data.trajectories
+    force = Process(1, 0.5, 2.0)
+    d = Disturbances(np.full((1, 2), NOISE), (force,))
+    n_known = np.isfinite(run.x[:, 0]).sum()
+    flat = np.log(2 * np.pi * 1e6)  # of two starting states with the filter's variance
+    for damping in (0.0, 0.3, 3.0):
+        F = {"q": formula("v"), "v": formula(f"-k*q - {damping}*v", k=Parameter(4.0))}
+        estimate = estimated(data, FirstOrder(states=("q", "v"), F=F), steps=16)
+        problem = estimate.solved.linearized()
+        k = float(estimate.theta[0])
+        ours = likelihood_of(problem, d, NONE).log_likelihood(d)
+        there = Continuous(k, damping, force, NOISE).filtered(run.t, run.x[:, 0])
+        expected = there.log_likelihood - n_known * np.log(2 * np.pi) / 2 + flat
+        assert ours == pytest.approx(expected, abs=0.02)  # held over a step
+
+
 # --- A published package
 
 

@@ -170,6 +170,7 @@ class DisturbedEstimate(Estimate):
             covariances=covariances,
             freedom=self.spread.freedom,
             model_error_rows=model_error_rows(_solved(self), self.disturbances),
+            log_evidence=self._likelihood.log_model_evidence(self.disturbances),
         )
 
     def _noise_by_name(self) -> dict[str, float]:

@@ -42,6 +42,7 @@ def fit_content(fit: FitRecord) -> Content:
         "outcome": _outcome_content(fit.outcome),
         "n_values": fit.n_values,
         "bic": fit.bic,
+        "log_evidence": fit.log_evidence,
         "hold": fit.hold,
         "huber": fit.huber,
         "steps": [_steps_content(steps) for steps in fit.steps],
@@ -103,6 +104,7 @@ def fit_parts(content: Content) -> dict[str, Any]:
         covariances=_covariances_from(content.get("covariances", {}), len(names)),
         freedom=freedom,
         model_error_rows=_model_error_from(content.get("model_error", [])),
+        log_evidence=float(content.get("log_evidence", np.nan)),
         warnings=_texts(content["warnings"]),
     )
     return {

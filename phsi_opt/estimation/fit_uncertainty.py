@@ -20,6 +20,7 @@ class FitUncertainty:
         freedom: (n_names,) degrees of freedom of the variances; None: those that the
             residuals leave.
         model_error_rows: what was found beside the model.
+        log_evidence: of the model, beside what was found.
         warnings: sentences to read before the numbers are used.
     """
 
@@ -28,4 +29,5 @@ class FitUncertainty:
     covariances: Mapping[Source, np.ndarray] = field(default_factory=dict)
     freedom: np.ndarray | None = None
     model_error_rows: tuple[ModelErrorRow, ...] = ()
+    log_evidence: float = np.nan
     warnings: tuple[str, ...] = ()

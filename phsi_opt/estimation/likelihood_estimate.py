@@ -252,6 +252,7 @@ class LikelihoodEstimate(Estimate):
             covariances=covariances,
             freedom=found.spread.freedom,
             model_error_rows=model_error_rows(self.solved, found.disturbances),
+            log_evidence=found.log_evidence,
         )
 
     def _unscaled(self, covariance: np.ndarray) -> np.ndarray:

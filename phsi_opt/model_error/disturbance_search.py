@@ -154,7 +154,7 @@ class DisturbanceSearch:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        likelihood = self._likelihood(disturbances)
+        likelihood = self.likelihood(disturbances)
         marginal = likelihood.at(disturbances)
         return Evidence(disturbances, marginal.log_evidence)
 
@@ -204,7 +204,7 @@ class DisturbanceSearch:
         white = Disturbances(self.plain)
         if not self.is_brief:
             white = white.with_functions(self._function_candidates())
-        record = WhiteRecord(self._likelihood(white), white)
+        record = WhiteRecord(self.likelihood(white), white)
         trials = [self._trial(time) for time in self.first_times()]
         gains = record.promised_gains(trials, self.channels)
         is_tied = any(trial.is_tied for trial in trials)
@@ -329,7 +329,7 @@ class DisturbanceSearch:
         """
         if not starts:
             return Evidence(Disturbances(self.plain), -NO_STATES)
-        likelihood = self._likelihood(starts[0])
+        likelihood = self.likelihood(starts[0])
         values = [_negative_evidence(likelihood, start) for start in starts]
         origin = starts[int(np.argmin(values))]
         coordinates = Coordinates(
@@ -355,7 +355,8 @@ class DisturbanceSearch:
         processes = len(disturbances.forces) + len(disturbances.sensors)
         return len(self.channels) + processes
 
-    def _likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
+    def likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
+        """The marginal likelihood for disturbances of this structure."""
         return MarginalLikelihood(self.problem, disturbances.structure, self.moving)
 
     @property
@@ -454,7 +455,7 @@ class DisturbanceSearch:
         if not candidates:
             return ()
         with_all = beside.with_functions(candidates)
-        border = self._likelihood(with_all).border(with_all)
+        border = self.likelihood(with_all).border(with_all)
         sizes = _chosen_sizes(border, self._rates_of(candidates))
         chosen = []
         for candidate, size in zip(candidates, sizes, strict=True):

@@ -8,9 +8,11 @@
 
 The sizes of noise and disturbances are given (`Disturbances`). Each step linearises the
 record and goes to the optimum of what is then linear, by one banded factorisation
-(Gauss and Newton). A step is halved until it lowers the objective, in which what the
-dynamics are violated by has a price above their multipliers (an exact penalty; Han,
-J. Optimization Theory and Applications 22, 1977).
+(Gauss and Newton). It has to lower the objective, in which what the dynamics are
+violated by has a price above their multipliers (an exact penalty; Han, J. Optimization
+Theory and Applications 22, 1977). Else it is corrected for the curvature that was met
+(Maratos; Nocedal and Wright, Numerical Optimization, 2006, chapter 18), halved, and at
+last damped.
 """
 
 from dataclasses import dataclass, replace
@@ -28,6 +30,17 @@ from phsi_opt.model_error.marginal_likelihood import (
 )
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
+# Share of the parameters' information that is added to it where no part of a step leads
+# down (Levenberg 1944, Marquardt 1963).
+LEAST_STEP_DAMPING = 1e-2
+STEP_DAMPING_GROWTH = 10.0
+MOST_STEP_DAMPING = 1e6
+ARMIJO = 0.1  # share of what a step promises to lower that it has to
+# Steps whose objectives are level (log likelihoods) beside a kink of the model, where no
+# step is short, and the violation up to which the dynamics then hold.
+LAST_STEPS = 8
+LEVEL_OBJECTIVE = 0.025
+NEARLY_HELD = 1e-2
 PRICE = 2.0  # of a unit of violation, over the largest multiplier
 MOST_SHORTENINGS = 8
 # Length of a step in standard deviations of what is unknown, and largest violation of
@@ -113,15 +126,27 @@ class JointProblem:
         place = _Place.of(self, z, beside)
         n_steps = 0
         has_converged = False
+        damping = 0.0
+        objectives: list[float] = []
         while not has_converged and n_steps < most_steps:
             n_steps += 1
-            aim = place.aim
+            aim = place.aim(damping)
             there = self._lower(place, aim)
-            has_converged = aim.length < SETTLED_LENGTH
             if there is None:
-                break
+                damping = max(STEP_DAMPING_GROWTH * damping, LEAST_STEP_DAMPING)
+                if damping > MOST_STEP_DAMPING or not len(self.moving):
+                    break
+                continue
+            is_whole = damping == 0
+            damping = (
+                damping / STEP_DAMPING_GROWTH if damping > LEAST_STEP_DAMPING else 0.0
+            )
             place = there
-            has_converged &= place.violation < SETTLED_VIOLATION
+            is_short = is_whole and aim.length < SETTLED_LENGTH
+            has_converged = is_short and place.violation < SETTLED_VIOLATION
+            objectives.append(place.cost(0.0))
+            if _is_level(objectives) and place.violation < NEARLY_HELD:
+                has_converged = True
         return JointEstimate(
             point=place.point,
             linear=place.linear,
@@ -137,16 +162,27 @@ class JointProblem:
         None where there is none.
         """
         price = PRICE * aim.largest_multiplier
-        most = place.cost(price) if aim.length > SHORT_STEP else np.inf
+        cost = place.cost(price)
+        promise = ARMIJO * (cost - place.cost(0.0) + aim.length**2 / 2)
+        if aim.length < SHORT_STEP:
+            promise = -np.inf
         share = 1.0
         for _ in range(MOST_SHORTENINGS):
-            point = place.point.towards(aim.point, share)
-            point = replace(point, z=self._within(point.z))
-            there = replace(place, point=point, known=self._at(point.z))
-            if there.cost(price) < most:
+            there = self._moved(place, place.point.towards(aim.point, share))
+            if there.cost(price) < cost - share * promise:
                 return there.renewed()
+            again = there.corrected() if share == 1 else None
+            if again is not None:
+                there = self._moved(there, again)
+                if there.cost(price) < cost - promise:
+                    return there.renewed()
             share /= 2
         return None
+
+    def _moved(self, place: "_Place", point: JointPoint) -> "_Place":
+        """At a point, or beside it within the bounds."""
+        point = replace(point, z=self._within(point.z))
+        return replace(place, point=point, known=self._at(point.z))
 
     def _at(self, z: np.ndarray) -> PointValues:
         with solving(), np.errstate(all="ignore"):
@@ -261,21 +297,34 @@ class _Place:
             first += len(own)
         return float(total)
 
-    @cached_property
-    def aim(self) -> _Aim:
-        """The optimum of the record linearised here.
+    def aim(self, damping: float = 0.0) -> _Aim:
+        """The optimum of the record linearised here, or with damping before it.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        found = self.likelihood.smoothed(self.problem.disturbances)
+        found = self.likelihood.smoothed(self.problem.disturbances, damping)
+        point = self._stepped(found)
+        return _Aim(point, self._length(found, point), found.largest_multiplier)
+
+    def corrected(self) -> JointPoint | None:
+        """The optimum by the slopes of the place before: what curvature made is undone.
+
+        None where a value is no number.
+        """
+        if not np.isfinite(self.violation):
+            return None
+        known = self.known
+        other = self.likelihood.at_values(known.misfit, known.g)
+        return self._stepped(other.smoothed(self.problem.disturbances))
+
+    def _stepped(self, found: Smoothed) -> JointPoint:
         step = np.concatenate([found.theta, found.x.ravel()])
-        point = JointPoint(
+        return JointPoint(
             z=self.point.z + step,
             processes=_joined(found.processes),
             coefficients=_joined(found.coefficients),
         )
-        return _Aim(point, self._length(found, point), found.largest_multiplier)
 
     def _length(self, found: Smoothed, aim: JointPoint) -> float:
         """Of a step, in standard deviations of what it changes."""
@@ -285,6 +334,12 @@ class _Place:
         moved = likelihood.shown @ np.concatenate([found.x.ravel(), processes])
         moved = moved + self.linear.shown_in_theta @ found.theta
         return float(np.sqrt(self._squares(moved, processes, coefficients)))
+
+
+def _is_level(objectives: list[float]) -> bool:
+    """Whether the last steps went to and fro over a kink of the model."""
+    last = objectives[-LAST_STEPS:]
+    return len(last) == LAST_STEPS and float(np.ptp(last)) < LEVEL_OBJECTIVE
 
 
 def _likelihood_at(

@@ -100,6 +100,24 @@ class Linearization:
         """Number of the trajectory of each interval, (n_intervals,)."""
         return self.grid.trajectory[self.grid.begin]
 
+    @cached_property
+    def log_volume(self) -> float:
+        """What slopes and scales of the states add to a log evidence.
+
+        States are integrated out behind dynamics that hold, d(x) = 0. They follow from
+        the starting states, whose flat prior is in their own units, so the slopes of d
+        in the states at the ends of the intervals have to be divided out.
+        """
+        n = self.n_states
+        slopes = coo_matrix(self.dynamics_in_states)
+        interval = slopes.row // n
+        is_end = slopes.col // n == self.grid.begin[interval] + 1
+        at_end = np.zeros((self.grid.n_intervals, n, n))
+        places = (interval[is_end], slopes.row[is_end] % n, slopes.col[is_end] % n)
+        np.add.at(at_end, places, slopes.data[is_end])
+        log_slopes = float(np.sum(np.linalg.slogdet(at_end)[1]))
+        return log_slopes + self.n_trajectories * float(np.sum(np.log(self.x_scale)))
+
     def effect_of_force(self, equation: int) -> np.ndarray:
         """B: what a force of one does to the dynamics, (n_intervals, n_states)."""
         effect = coo_matrix(self.dynamics_of_force(equation))

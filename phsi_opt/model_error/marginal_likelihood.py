@@ -10,6 +10,7 @@ border.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,8 +37,9 @@ class Marginal:
     """What measurements say under given disturbances.
 
     Attributes:
-        log_evidence: logarithm of the marginal likelihood, up to a constant of the
-            linearisation.
+        log_evidence: logarithm of the marginal likelihood, with flat priors of the
+            starting states in their units and of the scaled parameters; without the
+            factor 2 pi of each value and unknown.
         theta: (n_theta,) step of the scaled parameters to their estimate.
         covariance: (n_theta, n_theta) of the scaled parameters.
         border: (n_border,) the step of the parameters, then coefficients of functions,
@@ -144,13 +146,20 @@ class Border:
         gains: np.ndarray = np.sum(pulls / (1 + told) - np.log1p(told), axis=0) / 2
         return gains
 
-    def marginal(self, sizes: np.ndarray) -> Marginal:
+    def marginal(self, sizes: np.ndarray, damping: float = 0.0) -> Marginal:
         """With functions of these sizes, (n_functions,).
+
+        Args:
+            sizes: (n_functions,).
+            damping: share of each parameter's information that is added to it, for a
+                shorter step.
 
         Raises:
             SolveError: rounding has made the information indefinite.
         """
         information = self.with_priors(sizes)
+        own = np.arange(self.n_theta)
+        information[own, own] *= 1 + damping
         found = solve_border(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         sign, log_det = np.linalg.slogdet(information)
@@ -448,7 +457,10 @@ class MarginalLikelihood:
             solved=factors.solve(right),
             factors=factors,
             whiteners=whiteners,
-            log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
+            log_evidence=log_noise
+            + log_prior
+            + problem.log_volume
+            - factors.log_abs_det / 2,
         )
 
     def border(self, disturbances: Disturbances) -> Border:
@@ -482,15 +494,30 @@ class MarginalLikelihood:
             borders.append(self._border_of(eliminated, values, unknowns))
         return borders
 
-    def smoothed(self, disturbances: Disturbances) -> Smoothed:
+    def at_values(
+        self, residual: np.ndarray, offset: np.ndarray
+    ) -> "MarginalLikelihood":
+        """The same with other values, (n_values,) and (n_intervals * n_states,).
+
+        Its slopes stay.
+        """
+        other = copy(self)
+        other.problem = replace(self.problem, residual=residual, offset=offset)
+        return other
+
+    def smoothed(self, disturbances: Disturbances, damping: float = 0.0) -> Smoothed:
         """The most likely parameters, states and disturbances.
+
+        Args:
+            disturbances: with their sizes.
+            damping: as in `Border.marginal`.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
         eliminated = self.eliminated(disturbances, REGULAR)
         sizes = np.array([function.size for function in disturbances.functions])
-        border = self.border_of(eliminated).marginal(sizes)
+        border = self.border_of(eliminated).marginal(sizes, damping)
         solved = eliminated.solved
         found = solved[:, -1] - solved[:, :-1] @ border.border
         unknowns = found[: self.n_unknowns]
@@ -574,8 +601,9 @@ class MarginalLikelihood:
     def log_likelihood(self, disturbances: Disturbances) -> float:
         """Logarithm of the likelihood of the measurements at the best parameters.
 
-        Disturbances and starting states are integrated out, parameters are not, so that
-        models with other parameters can be compared.
+        Disturbances and starting states are integrated out, with a flat prior of
+        density one in the units of the states. Parameters are not, so that models with
+        other parameters can be compared.
 
         Raises:
             SolveError: the states do not follow from the data.
@@ -586,8 +614,22 @@ class MarginalLikelihood:
         information = border.with_priors(sizes)
         inner = information[border.n_theta :, border.n_theta :]
         log_det = np.linalg.slogdet(information)[1] - np.linalg.slogdet(inner)[1]
-        constant = self.problem.n_values * np.log(2 * np.pi) / 2
+        problem = self.problem
+        n_free = problem.n_values - problem.n_trajectories * problem.n_states
+        constant = n_free * np.log(2 * np.pi) / 2
         return float(marginal.log_evidence + log_det / 2 - constant)
+
+    def log_model_evidence(self, disturbances: Disturbances) -> float:
+        """`log_likelihood`, less BIC's half log n for every parameter that is free.
+
+        Differences between models of the same measurements are logarithms of Bayes
+        factors (Schwarz, Annals of Statistics 6, 1978).
+
+        Raises:
+            SolveError: the states do not follow from the data.
+        """
+        price = len(self.moving) * float(np.log(self.problem.n_values)) / 2
+        return self.log_likelihood(disturbances) - price
 
     def at(self, disturbances: Disturbances) -> Marginal:
         """The marginal likelihood and the estimate under these disturbances.

@@ -8,6 +8,7 @@
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -98,12 +99,14 @@ class StandardErrors:
         spreads: all that were worked out, by source.
         disturbances: what was found beside the model.
         evidence: gain of the log evidence by it.
+        log_evidence: of the model beside it; NaN where numbers do not hold it.
     """
 
     source: Source
     spreads: Mapping[Source, Spread]
     disturbances: Disturbances
     evidence: float
+    log_evidence: float
 
     @property
     def spread(self) -> Spread:
@@ -139,7 +142,10 @@ def standard_errors(plain: PlainEstimate) -> StandardErrors:
         source = Source.TRAJECTORIES
     elif is_disturbed:
         source = Source.DISTURBANCES
-    return StandardErrors(source, spreads, found, gain)
+    log_evidence = np.nan
+    with suppress(SolveError, np.linalg.LinAlgError):
+        log_evidence = plain.search.likelihood(found).log_model_evidence(found)
+    return StandardErrors(source, spreads, found, gain, log_evidence)
 
 
 def _clusters(plain: PlainEstimate) -> Clusters | None:
