@@ -36,8 +36,8 @@ LEAST_STEP_DAMPING = 1e-2
 STEP_DAMPING_GROWTH = 10.0
 MOST_STEP_DAMPING = 1e6
 ARMIJO = 0.1  # share of what a step promises to lower that it has to
-# Steps whose objectives are level (log likelihoods) beside a kink of the model, where no
-# step is short, and the violation up to which the dynamics then hold.
+# Steps whose objectives are level (log likelihoods) beside a kink of the model, where
+# no step is short, and the violation up to which the dynamics then hold.
 LAST_STEPS = 8
 LEVEL_OBJECTIVE = 0.025
 NEARLY_HELD = 1e-2
