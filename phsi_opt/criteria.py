@@ -73,9 +73,6 @@ FEWEST_TRAJECTORIES = 10.0
 # p-value of the hypothesis that trajectories differ by noise alone, below which it is
 # given up.
 AGREEMENT_LEVEL = 0.05
-# Factor on the error of predictions of parts left out from which a prior of the model
-# error is given up for one that predicts better.
-WORSE_PREDICTION = 1.05
 # p-value of the hypothesis that all trajectories have one noise, below which each gets
 # its own.
 DIFFERENT_RUNS_LEVEL = 1e-3

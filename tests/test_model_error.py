@@ -18,7 +18,6 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import ModelError, SolveError
-from phsi_opt.estimation import disturbed_estimate
 from phsi_opt.estimation import identify as identify_module
 from phsi_opt.estimation.disturbed_estimate import DisturbedEstimate
 from phsi_opt.estimation.estimate import Estimate
@@ -41,7 +40,6 @@ from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.freedom import FEWEST, MOST, degrees_of_freedom
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
-from phsi_opt.model_error.priors import Prior, _chosen, compared_priors
 from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.model_error.score_test import Trial, WhiteRecord
 from phsi_opt.model_error.signs import random_signs
@@ -241,7 +239,6 @@ def test_with_nothing_hidden_white_noise_gives_the_standard_errors() -> None:
     fit = identify(oscillator(), simulated(0, size=0.0))
     assert fit.std_error_source == Source.NOISE
     assert fit.model_error.empty
-    assert fit.model_error_priors.empty
     np.testing.assert_array_equal(widening(fit), 1.0)
     np.testing.assert_array_equal(fit.degrees_of_freedom, fit.n_values - 3)
     assert fit.independent_share(["k", "c"]) == 1.0
@@ -359,7 +356,7 @@ def test_two_calls_give_the_same_bits(loss: MaximumLikelihood) -> None:
     other = identify(oscillator(), record(1), loss)
     assert one.values == other.values
     assert one.model_error_rows == other.model_error_rows
-    assert one.prior_rows == other.prior_rows
+    assert one.has_model_error == other.has_model_error
     assert one.bic == other.bic
     for source, covariance in one.covariances.items():
         np.testing.assert_array_equal(covariance, other.covariances[source])
@@ -417,7 +414,7 @@ def test_what_was_found_beside_the_model_survives_a_file(tmp_path: Path) -> None
     loaded = Fit.load(tmp_path / "fit.json")
     assert loaded.std_error_source is Source.DISTURBANCES
     assert loaded.model_error_rows == fit.model_error_rows
-    assert loaded.prior_rows == fit.prior_rows
+    assert loaded.has_model_error == fit.has_model_error
     np.testing.assert_array_equal(loaded.freedom, fit.freedom)
     assert list(loaded.covariances) == list(fit.covariances)
     for source, covariance in fit.covariances.items():
@@ -438,14 +435,14 @@ def test_a_file_from_before_has_standard_errors_of_white_noise(tmp_path: Path) -
         "covariances",
         "freedom",
         "model_error",
-        "model_error_priors",
+        "has_model_error",
+        "log_evidence",
     ):
         del content[name]
     path.write_text(json.dumps(content))
     loaded = Fit.load(path)
     assert loaded.std_error_source is Source.NOISE
     assert loaded.model_error.empty
-    assert loaded.model_error_priors.empty
     assert list(loaded.standard_errors) == ["std_error", "freedom"]
     np.testing.assert_array_equal(loaded.degrees_of_freedom, fit.n_values - 3)
     assert loaded.independent_share(["k"]) == 1.0
@@ -476,66 +473,6 @@ def test_the_standard_errors_of_estimates_with_a_force_hold() -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5
 
 
-def test_the_table_of_priors_says_which_one_was_taken() -> None:
-    table = forced_fit(0).model_error_priors
-    names = ["white", "short", "lasting", "white and lasting", "orthogonal"]
-    assert table["prior"].tolist() == names
-    assert table["chosen"].sum() == 1
-    taken = table[table["chosen"]].iloc[0]
-    assert taken["prior"] == "lasting"
-    assert taken["prediction"] <= 1.05 * table["prediction"].min()
-    assert np.isfinite(table["log_evidence"]).all()
-    assert table["agreement"].between(0, 1).all()
-
-
-def made_up(
-    name: str,
-    log_evidence: float,
-    prediction: float = 1.0,
-    agreement: float = 0.5,
-    n_forces: int = 0,
-) -> Prior:
-    forces = tuple(Process(1, 1.0, 0.0) for _ in range(n_forces))
-    origin = Disturbances(np.ones((1, 2)), forces)
-    coordinates = Coordinates(
-        origin=origin,
-        channels=(),
-        least_noise=np.full(2, 0.1),
-        shortest=0.1,
-        longest=10.0,
-    )
-    evidence = Evidence(origin, log_evidence, coordinates)
-    return Prior(name, evidence, prediction, agreement, has_fixed_times=False)
-
-
-def test_the_likeliest_prior_is_not_taken_where_it_predicts_badly() -> None:
-    likely = made_up("likely", 100.0, prediction=1.2)
-    good = made_up("good", 10.0, prediction=1.04)
-    best = made_up("best", 0.0, prediction=1.0)
-    assert _chosen([likely, good, best]).name == "good"
-    assert _chosen([replace(likely, prediction=1.04), good, best]).name == "likely"
-
-
-def test_a_prior_is_not_taken_where_the_parts_of_the_record_contradict_it() -> None:
-    likely = made_up("likely", 100.0, agreement=1e-4)
-    good = made_up("good", 10.0)
-    assert _chosen([likely, good]).name == "good"
-    assert _chosen([likely, replace(good, agreement=1e-5)]).name == "likely"
-
-
-def test_every_size_of_a_prior_costs_one_of_its_log_evidence() -> None:
-    simple = made_up("simple", 10.0, n_forces=1)
-    assert _chosen([simple, made_up("rich", 11.9, n_forces=3)]).name == "simple"
-    assert _chosen([simple, made_up("rich", 12.1, n_forces=3)]).name == "rich"
-
-
-def test_the_horizon_belongs_to_model_error() -> None:
-    with pytest.raises(
-        ModelError, match=r"horizon=3\.0 .* set model_error=True as well"
-    ):
-        MaximumLikelihood(horizon=3.0)
-
-
 def test_outliers_and_model_error_do_not_go_together() -> None:
     with pytest.raises(ModelError, match=r"huber=1\.345 and model_error=True"):
         MaximumLikelihood(huber=1.345, model_error=True)
@@ -555,27 +492,12 @@ def test_a_fit_with_model_error_has_no_profile() -> None:
         profile(forced_fit(0), record(0), "k")
 
 
-# 9.96 would leave one sample at the end of the record, which cannot be predicted; 1000
-# is longer than the record.
-@pytest.mark.parametrize("horizon", [3.0, 9.96, 1000.0])
-def test_a_horizon_cuts_the_record_evenly(horizon: float) -> None:
-    priors = compared_priors(search_of(0), horizon)
-    assert sum(prior.is_chosen for prior in priors) == 1
-    assert all(0.3 < prior.prediction < 2 for prior in priors)
-
-
-def test_a_horizon_too_short_for_states_to_follow_is_named() -> None:
-    with pytest.raises(SolveError, match=r"horizon=0\.15 .* let the parts be longer"):
-        compared_priors(search_of(0), 0.15)
-
-
 def test_a_known_model_lets_a_force_in() -> None:
     fit = identify(known_oscillator(), record(0), WITH_FORCE)
     assert fit.names == ()
     (row,) = fit.model_error.to_dict("records")
     assert SIZE / 1.5 < row["size"] < 1.5 * SIZE
     assert fit.noise["q"] == pytest.approx(NOISE, rel=0.2)
-    assert "orthogonal" not in fit.model_error_priors["prior"].tolist()
 
 
 def test_where_the_plain_fit_fails_the_failure_is_returned(
@@ -605,9 +527,6 @@ BESIDE = {
         (Process(1, SIZE, TIME),),
         functions=(StateFunction(1, 0, 0.1),),
     ),
-    "orthogonal": Disturbances(
-        np.full((1, 2), NOISE), (Process(1, SIZE, TIME),), is_orthogonal=True
-    ),
 }
 
 
@@ -617,8 +536,7 @@ def test_the_steps_end_where_the_marginal_likelihood_says(
 ) -> None:
     """Linearised at the solution, nothing moves: neither parameters nor forces."""
     evidence = Evidence(BESIDE[kind], 0.0)
-    prior = Prior(kind, evidence, 1.0, 1.0, has_fixed_times=False, is_chosen=True)
-    monkeypatch.setattr(disturbed_estimate, "compared_priors", lambda *_: [prior])
+    monkeypatch.setattr(DisturbanceSearch, "found", lambda _: evidence)
     estimate = estimated(record(0), WITH_FORCE)
     assert isinstance(estimate, DisturbedEstimate)
     assert estimate.is_success
@@ -628,8 +546,7 @@ def test_the_steps_end_where_the_marginal_likelihood_says(
     likelihood = MarginalLikelihood(search.problem, d.structure, search.moving)
     step = likelihood.smoothed(d)
     std_error = np.sqrt(np.diag(likelihood.at(d).covariance))
-    # Functions, and the directions of the parameters, are those of the states before.
-    limit = 0.1 if d.functions or d.is_orthogonal else 1e-3
+    limit = 0.1 if d.functions else 1e-3  # functions are those of the states before
     assert np.abs(step.theta / std_error).max() < limit
     sizes = [p.size for p in (*d.forces, *d.sensors)]
     first = 0

@@ -176,32 +176,18 @@ class Dense:
         by_interval = self.of_dynamics.reshape(len(self.y), *effects.shape)
         return np.einsum("vis,is->vi", by_interval, effects)
 
-    def force_covariance(self, d: Disturbances, own: np.ndarray) -> np.ndarray:
-        """Of the values of all forces, those without (own) directions conditioned."""
+    def force_covariance(self, d: Disturbances) -> np.ndarray:
+        """Of the values of all forces."""
         problem = self.problem
         grid = problem.grid
         middles = (grid.t[grid.begin] + grid.t[grid.begin + 1]) / 2
         blocks = []
         for force in d.forces:
             blocks.append(kernel(force, middles, grid.trajectory[grid.begin]))
-        covariance = block_diag(*blocks)
-        if d.is_orthogonal:
-            gain = covariance @ own @ np.linalg.inv(own.T @ covariance @ own)
-            covariance = covariance - gain @ own.T @ covariance
+        covariance: np.ndarray = block_diag(*blocks)
         return covariance
 
-    def own_directions(self, d: Disturbances, moving: np.ndarray) -> np.ndarray:
-        """What the parameters do to the dynamics, as seen by the forces."""
-        problem = self.problem
-        in_theta = problem.dynamics_in_theta[:, moving]
-        blocks = []
-        for force in d.forces:
-            effects = problem.effect_of_force(force.place)
-            by_interval = in_theta.reshape(*effects.shape, len(moving))
-            blocks.append(np.einsum("isp,is->ip", by_interval, effects))
-        return np.vstack(blocks)
-
-    def errors(self, d: Disturbances, moving: np.ndarray) -> np.ndarray:
+    def errors(self, d: Disturbances) -> np.ndarray:
         """Covariance of what is shown under disturbances, (n_values, n_values)."""
         problem = self.problem
         grid = problem.grid
@@ -209,8 +195,7 @@ class Dense:
         covariance = np.diag(d.sigma[run, problem.channel] ** 2)
         if d.forces:
             slopes = np.hstack([self.force_slopes(f.place) for f in d.forces])
-            own = self.own_directions(d, moving)
-            covariance += slopes @ self.force_covariance(d, own) @ slopes.T
+            covariance += slopes @ self.force_covariance(d) @ slopes.T
         for sensor in d.sensors:
             values = np.flatnonzero(problem.channel == sensor.place)
             t = grid.t[problem.node[values]]
@@ -224,7 +209,7 @@ class Dense:
 
     def log_evidence(self, d: Disturbances, moving: np.ndarray) -> float:
         """With starting states and parameters integrated out (REML)."""
-        covariance = self.errors(d, moving)
+        covariance = self.errors(d)
         log_det = np.linalg.slogdet(covariance)[1]
         inverse = np.linalg.inv(covariance)
         information = self.design.T @ inverse @ self.design
@@ -236,14 +221,14 @@ class Dense:
 
     def log_likelihood(self, d: Disturbances, moving: np.ndarray) -> float:
         """At the best parameters, with starting states integrated out."""
-        inverse = np.linalg.inv(self.errors(d, moving))
+        inverse = np.linalg.inv(self.errors(d))
         of_all = np.linalg.slogdet(self.design.T @ inverse @ self.design)[1]
         of_start = np.linalg.slogdet(self.of_start.T @ inverse @ self.of_start)[1]
         return self.log_evidence(d, moving) + float(of_all - of_start) / 2
 
     def to_theta(self, d: Disturbances, moving: np.ndarray) -> np.ndarray:
         """Generalised least squares: from values to parameters, (n_moving, n_values)."""
-        inverse = np.linalg.inv(self.errors(d, moving))
+        inverse = np.linalg.inv(self.errors(d))
         information = self.design.T @ inverse @ self.design
         answer: np.ndarray = np.linalg.solve(information, self.design.T @ inverse)
         return answer[self.of_start.shape[1] :]
@@ -281,11 +266,7 @@ def cases(problem: Linearization) -> dict[str, Disturbances]:
         "forces in both": Disturbances(sigma, (in_q, force)),
         "sensors": Disturbances(sigma, sensors=sensors),
         "functions": Disturbances(sigma, functions=functions),
-        "orthogonal": Disturbances(sigma, (force,), is_orthogonal=True),
         "all": Disturbances(sigma, (in_q, force), sensors, functions),
-        "all orthogonal": Disturbances(
-            sigma, (in_q, force), sensors, functions, is_orthogonal=True
-        ),
     }
 
 
@@ -298,9 +279,7 @@ KINDS = (
     "forces in both",
     "sensors",
     "functions",
-    "orthogonal",
     "all",
-    "all orthogonal",
 )
 
 
@@ -345,7 +324,7 @@ def test_estimate_and_covariance_are_those_of_generalised_least_squares(
     d = cases(problem)[kind]
     found = likelihood_of(problem, d, places).at(d)
     to_theta = dense.to_theta(d, places)
-    covariance = to_theta @ dense.errors(d, places) @ to_theta.T
+    covariance = to_theta @ dense.errors(d) @ to_theta.T
     std_error = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(
         found.theta, to_theta @ dense.y, atol=ROUNDING * std_error.min()
@@ -361,14 +340,14 @@ def test_the_sandwich_is_that_of_dense_matrices(name: str, kind: str) -> None:
     problem = plain.problem
     moving = plain.moving
     dense = Dense.of(problem, moving)
-    d = replace(cases(problem)[kind], is_orthogonal=False)
+    d = cases(problem)[kind]
     to_theta = dense.to_theta(Disturbances(plain.sigma), moving)
-    expected = to_theta @ dense.errors(d, moving) @ to_theta.T
+    expected = to_theta @ dense.errors(d) @ to_theta.T
     found = covariance_under(problem, plain.response, d)
     np.testing.assert_allclose(found, expected, rtol=ROUNDING)
 
 
-@pytest.mark.parametrize("taken", ["longer force", "all", "all orthogonal"])
+@pytest.mark.parametrize("taken", ["longer force", "all"])
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_sandwich_of_an_estimate_with_disturbances_is_that_of_dense_matrices(
     name: str, taken: str
@@ -380,9 +359,7 @@ def test_the_sandwich_of_an_estimate_with_disturbances_is_that_of_dense_matrices
     truth = cases(problem)["all"]
     to_theta = dense.to_theta(estimate, moving)
     expected = np.zeros((3, 3))
-    expected[np.ix_(moving, moving)] = (
-        to_theta @ dense.errors(truth, moving) @ to_theta.T
-    )
+    expected[np.ix_(moving, moving)] = to_theta @ dense.errors(truth) @ to_theta.T
     response = likelihood_of(problem, estimate, moving).response(estimate)
     found = covariance_under(problem, response, truth)
     np.testing.assert_allclose(found, expected, rtol=ROUNDING, atol=1e-20)
@@ -401,7 +378,7 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
     d = cases(problem)[kind]
     found = likelihood_of(problem, d, moving).smoothed(d)
 
-    inverse = np.linalg.inv(dense.errors(d, moving))
+    inverse = np.linalg.inv(dense.errors(d))
     design = dense.design
     known = np.linalg.solve(design.T @ inverse @ design, design.T @ inverse @ dense.y)
     pull = inverse @ (dense.y - design @ known)
@@ -415,7 +392,7 @@ def test_smoothed_is_the_best_linear_prediction(name: str, kind: str) -> None:
     expected = []
     if d.forces:
         slopes = np.hstack([dense.force_slopes(f.place) for f in d.forces])
-        prior = dense.force_covariance(d, dense.own_directions(d, moving))
+        prior = dense.force_covariance(d)
         expected += np.split(prior @ slopes.T @ pull, len(d.forces))
     run = problem.grid.trajectory[problem.node]
     for sensor in d.sensors:
@@ -575,13 +552,13 @@ def test_slopes_and_average_information_are_those_of_dense_algebra(
         below = moved(d, -unit, channels)
         rise = dense.log_evidence(above, moving) - dense.log_evidence(below, moving)
         gradient.append(rise / (2 * SLOPE_STEP))
-        change = dense.errors(above, moving) - dense.errors(below, moving)
+        change = dense.errors(above) - dense.errors(below)
         in_errors.append(change / (2 * SLOPE_STEP))
     # Slopes of priors are differences over 1e-4.
     np.testing.assert_allclose(found.gradient, gradient, rtol=1e-3, atol=5e-3)
 
     # Gilmour, Thompson and Cullis (1995): y'P V_i P V_j P y/2.
-    inverse = np.linalg.inv(dense.errors(d, moving))
+    inverse = np.linalg.inv(dense.errors(d))
     to_design = dense.design.T @ inverse
     projection = inverse - to_design.T @ np.linalg.solve(
         to_design @ dense.design, to_design
@@ -589,11 +566,8 @@ def test_slopes_and_average_information_are_those_of_dense_algebra(
     pulled = projection @ dense.y
     answers = np.array([change @ pulled for change in in_errors])
     expected = answers @ projection @ answers.T / 2
-    # Beside a constraint, what a time changes is not projected; it is a curvature.
-    limit = 5e-3 if d.is_orthogonal else 1e-4
-    np.testing.assert_allclose(
-        found.information, expected, atol=limit * np.abs(expected).max()
-    )
+    largest = np.abs(expected).max()
+    np.testing.assert_allclose(found.information, expected, atol=1e-4 * largest)
 
 
 def coordinates_of(d: Disturbances, channels: tuple[int, ...]) -> Coordinates:
@@ -639,7 +613,7 @@ def test_slopes_in_coordinates_are_sums_of_those_that_move_together(
             assert ours.size == pytest.approx(theirs.size)
 
 
-@pytest.mark.parametrize("kind", ["force", "sensors", "functions", "orthogonal"])
+@pytest.mark.parametrize("kind", ["force", "sensors", "functions"])
 def test_an_ascent_ends_where_a_search_without_slopes_does(kind: str) -> None:
     problem = problem_of("one run")
     moving = np.arange(3)

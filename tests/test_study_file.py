@@ -381,7 +381,7 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ("[data.states]", "between = [6, 9]\n[data.states]", "data", "0 samples"),
         ("added = []", "max_steps = 0", "study.max_steps", "at least 1"),
         ("[study]", "[loss]\nstart = 2\n[study]", "loss.start", "Did you mean 'starts'?"),
-        ("[study]", "[loss]\nhorizon = 2.0\n[study]", "loss", "model_error"),
+        ("[study]", "[loss]\nhuber = 1\nmodel_error = true\n[study]", "loss", "outliers"),
         ("[study]", "[[effects]]\nname = 'a'\n[study]", "effects[0].slot", "needs it"),
     ],
 )  # fmt: skip

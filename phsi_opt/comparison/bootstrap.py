@@ -187,7 +187,7 @@ def _check(fit: Fit, n_draws: int) -> None:
             f"the fit is one by {fit.loss}, which says nothing of the noise; "
             "fit with MaximumLikelihood()."
         )
-    if fit.has_model_error or fit.prior_rows:
+    if fit.has_model_error:
         raise ModelError(
             "the fit has a model error in its likelihood, which is not drawn here; "
             "bootstrap a fit by MaximumLikelihood()."

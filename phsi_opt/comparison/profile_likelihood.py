@@ -162,7 +162,7 @@ def _check(fit: Fit, name: str, level: float) -> None:
             f"the fit is one by {fit.loss}, which has no likelihood; "
             "fit with MaximumLikelihood()."
         )
-    if fit.prior_rows:
+    if fit.has_model_error:
         raise ModelError(
             "the fit was made with model_error=True, which has no profile here; use "
             "fit.intervals(), or the profile of a fit with MaximumLikelihood()."

@@ -176,7 +176,7 @@ def diagnose_comparison(
 
 def _without_model_error(loss: MaximumLikelihood) -> MaximumLikelihood:
     """What is missing is looked for with the dynamics hard: a force would hide it."""
-    return replace(loss, model_error=False, horizon=None)
+    return replace(loss, model_error=False)
 
 
 def _without_force(

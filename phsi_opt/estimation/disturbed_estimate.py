@@ -1,10 +1,14 @@
 """An estimate whose equations hold up to a random force: `model_error=True`.
 
-From the plain maximum of the likelihood: the record is linearised there, a prior of the
-force is chosen (`phsi_opt.model_error.priors`), and parameters, states and force are
-found together (`phsi_opt.model_error.joint_estimate`). There the record is linearised
-again and the sizes are moved to the optimum of their marginal likelihood, until they
-stay.
+From the plain maximum of the likelihood: the record is linearised there, what acts
+beside the model is found by evidence (`phsi_opt.model_error.disturbance_search`), and
+parameters, states and forces are found together (`model_error.joint_estimate`).
+There the record is linearised again and the sizes are moved to the optimum of their
+marginal likelihood, until they stay.
+
+The straight part of a function of a state is that of a spring or a damper: no record
+tells which of the two it was. The estimates give all of it to the model; their standard
+errors count a part of it (`state_functions.LINEAR_SHARE`).
 """
 
 import time
@@ -19,16 +23,16 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
-from phsi_opt.estimation.model_error_table import model_error_rows, prior_rows
+from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.uncertainty import Uncertainty, of_covariance
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointProblem
 from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, noise_weights
-from phsi_opt.model_error.priors import Prior, compared_priors
 from phsi_opt.model_error.spread import Spread
 from phsi_opt.model_error.standard_errors import Source, under_disturbances
+from phsi_opt.model_error.state_functions import LINEAR_SHARE
 from phsi_opt.optimization.endings import STEPS_OPTIMUM, STEPS_STALLED
 from phsi_opt.optimization.ipopt import Solution, names_at_bounds
 from phsi_opt.optimization.outcome import Outcome
@@ -54,7 +58,6 @@ class DisturbedEstimate(Estimate):
     Attributes:
         plain: the maximum of the likelihood without a force, where it began.
         disturbances: what acts beside the model.
-        priors: what was compared.
         search: for disturbances, on the record linearised at the solution.
         joint: parameters, states and forces.
     """
@@ -62,7 +65,6 @@ class DisturbedEstimate(Estimate):
     loss: MaximumLikelihood
     plain: LikelihoodEstimate
     disturbances: Disturbances
-    priors: tuple[Prior, ...]
     search: DisturbanceSearch
     joint: JointEstimate
 
@@ -90,7 +92,9 @@ class DisturbedEstimate(Estimate):
         enough.
         """
         response = self._likelihood.response(self.disturbances)
-        found = under_disturbances(self.search, response, self.search.found())
+        problem = replace(self.search.problem, linear_share=LINEAR_SHARE)
+        counted = replace(self.search, problem=problem)
+        found = under_disturbances(counted, response, counted.found())
         spreads = {Source.DISTURBANCES: found}
         clusters = self._clusters()
         if clusters is not None:
@@ -153,7 +157,7 @@ class DisturbedEstimate(Estimate):
             noise=self._noise_by_name(),
             bic=bic,
             steps=tuple(steps_per_gap(self.grid)),
-            prior_rows=prior_rows(self.priors),
+            has_model_error=True,
         )
 
     def fit_uncertainty(self) -> FitUncertainty:
@@ -202,28 +206,21 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
         raise SolveError(f"The solver failed: {plain.solution.outcome}")
     began = time.perf_counter()
     task = plain.task
-    task.say("priors of the model error")
-    first = plain.plain.search
-    pieces = first.pieces()
-    priors = compared_priors(pieces or first, plain.loss.horizon)
-    chosen = next(prior for prior in priors if prior.is_chosen)
-    disturbances = chosen.evidence.disturbances
-    if pieces is not None:
-        disturbances = first.translated(disturbances, pieces)
-    is_fixed = chosen.has_fixed_times
+    task.say("what acts beside the model")
+    disturbances = plain.plain.search.found().disturbances
     solved = plain.solved
-    search = solved.search(solved.linearized())
+    search = solved.search(replace(solved.linearized(), linear_share=0.0))
     values = plain.transcription.values
     z = plain.solution.z[: len(plain.unknown) + plain.point.x.size]
     evidence = -np.inf
     move = np.inf
     for _ in range(MOST_SOLVES):
-        found = search.best_of([disturbances], is_fixed)
+        found = search.best_of([disturbances])
         disturbances = found.disturbances
         is_settled = found.log_evidence < evidence + SETTLED_EVIDENCE
         if is_settled and move < SETTLED_STEP:
             break
-        task.say(f"states and force together, prior: {chosen.name}")
+        task.say("parameters, states and forces together")
         problem = JointProblem(values, disturbances, search.moving)
         joint = problem.optimum(z, MOST_STEPS_OF_A_SOLVE)
         z = joint.point.z
@@ -241,13 +238,12 @@ def with_model_error(plain: LikelihoodEstimate) -> DisturbedEstimate:
             notes=plain.notes,
             plain=plain,
             disturbances=disturbances,
-            priors=tuple(priors),
             search=search,
             joint=joint,
         )
         if not solution.outcome.success:
             return estimate
-        search = solved.search(joint.linear)
+        search = solved.search(replace(joint.linear, along=None))
         estimate = replace(estimate, search=search)
         marginal = estimate._likelihood.at(disturbances)
         evidence = marginal.log_evidence

@@ -14,7 +14,7 @@ from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.estimation.fit_record import FitRecord
 from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.model_content import Content, model_content, model_from
-from phsi_opt.estimation.model_error_table import ModelErrorRow, PriorRow
+from phsi_opt.estimation.model_error_table import ModelErrorRow
 from phsi_opt.later import Later
 from phsi_opt.model_error.standard_errors import Source
 from phsi_opt.optimization.outcome import Outcome
@@ -37,7 +37,7 @@ def fit_content(fit: FitRecord) -> Content:
         "covariances": _covariances_content(fit.covariances),
         "freedom": None if fit.freedom is None else fit.freedom.tolist(),
         "model_error": [vars(row) for row in fit.model_error_rows],
-        "model_error_priors": [vars(row) for row in fit.prior_rows],
+        "has_model_error": fit.has_model_error,
         "noise": dict(fit.noise),
         "outcome": _outcome_content(fit.outcome),
         "n_values": fit.n_values,
@@ -114,7 +114,7 @@ def fit_parts(content: Content) -> dict[str, Any]:
         "loss": str(content["loss"]),
         "loss_value": float(content["loss_value"]),
         "uncertainty": Later.known(uncertainty),
-        "prior_rows": _priors_from(content.get("model_error_priors", [])),
+        "has_model_error": bool(content.get("has_model_error", False)),
         "noise": noise,
         "outcome": _outcome_from(content["outcome"]),
         "n_values": int(content["n_values"]),
@@ -171,21 +171,6 @@ def _model_error_from(content: Sequence[Content]) -> tuple[ModelErrorRow, ...]:
                 time=float(row["time"]),
                 unit=str(row["unit"]),
                 share=float(row["share"]),
-            )
-        )
-    return tuple(rows)
-
-
-def _priors_from(content: Sequence[Content]) -> tuple[PriorRow, ...]:
-    rows = []
-    for row in content:
-        rows.append(
-            PriorRow(
-                prior=str(row["prior"]),
-                log_evidence=float(row["log_evidence"]),
-                prediction=float(row["prediction"]),
-                agreement=float(row["agreement"]),
-                chosen=bool(row["chosen"]),
             )
         )
     return tuple(rows)

@@ -17,9 +17,7 @@ from phsi_opt.estimation.fit_uncertainty import FitUncertainty
 from phsi_opt.estimation.identified import PARAMETER_COLUMNS, Identified
 from phsi_opt.estimation.model_error_table import (
     MODEL_ERROR_COLUMNS,
-    PRIOR_COLUMNS,
     ModelErrorRow,
-    PriorRow,
 )
 from phsi_opt.later import Later
 from phsi_opt.model.model import Model
@@ -68,8 +66,8 @@ class FitRecord(Identified):
             trajectory.
         huber: Residuals beyond this many standard deviations counted linearly (see
             `MaximumLikelihood`); None: all counted squared.
-        prior_rows: Which priors of the model error were compared (see
-            `model_error_priors`).
+        has_model_error: Whether a random force was part of the likelihood
+            (``model_error=True``).
     """
 
     names: tuple[str, ...] = ()
@@ -86,7 +84,7 @@ class FitRecord(Identified):
     states: tuple[np.ndarray, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
     huber: float | None = None
-    prior_rows: tuple[PriorRow, ...] = ()
+    has_model_error: bool = False
 
     def __post_init__(self) -> None:
         if not self.names:
@@ -211,11 +209,6 @@ class FitRecord(Identified):
             table[str(source)] = np.sqrt(np.diag(covariance))
         return table
 
-    @property
-    def has_model_error(self) -> bool:
-        """Whether a random force was part of the likelihood (``model_error=True``)."""
-        return bool(self.prior_rows)
-
     def independent_share(self, names: Sequence[str]) -> float:
         """Share of the residuals that is independent, for what these parameters tell.
 
@@ -253,18 +246,6 @@ class FitRecord(Identified):
         """
         rows = [vars(row) for row in self.model_error_rows]
         return printed_table(rows, columns=list(MODEL_ERROR_COLUMNS))
-
-    @property
-    def model_error_priors(self) -> "pd.DataFrame":
-        """Priors of the model error that were compared, for ``model_error=True``.
-
-        Columns: prior, log_evidence (up to a common constant), prediction (root mean
-        square of the residuals of parts of the record that were predicted from the
-        others, in standard deviations of the plain likelihood's noise), agreement
-        (p-value of the hypothesis that all parts have the same parameters), chosen.
-        """
-        rows = [vars(row) for row in self.prior_rows]
-        return printed_table(rows, columns=list(PRIOR_COLUMNS))
 
     def intervals(self, level: float = 0.95) -> "pd.DataFrame":
         """Confidence intervals of the estimates, from their standard errors.

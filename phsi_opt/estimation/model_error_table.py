@@ -7,14 +7,12 @@ import numpy as np
 
 from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.priors import Prior
 from phsi_opt.model_error.processes import Process
 from phsi_opt.presentation.units import rate_unit
 from phsi_opt.statistics import TINY
 
 SENSOR_ERROR = "sensor error"  # kind of a row
 OF_SENSOR = "sensor of "  # where it is, before the name of a state
-PRIOR_COLUMNS = ("prior", "log_evidence", "prediction", "agreement", "chosen")
 MODEL_ERROR_COLUMNS = ("where", "kind", "size", "time", "unit", "share")
 
 
@@ -39,42 +37,6 @@ class ModelErrorRow:
     time: float
     unit: str
     share: float
-
-
-@dataclass(frozen=True)
-class PriorRow:
-    """One prior of the model error that was compared with others.
-
-    Attributes:
-        prior: its name.
-        log_evidence: logarithm of its marginal likelihood, up to a common constant.
-        prediction: root mean square of the residuals of parts of the record that were
-            predicted from the others, in standard deviations of the plain noise.
-        agreement: p-value of the hypothesis that all parts have the same parameters.
-        chosen: whether it was taken.
-    """
-
-    prior: str
-    log_evidence: float
-    prediction: float
-    agreement: float
-    chosen: bool
-
-
-def prior_rows(priors: Sequence[Prior]) -> tuple[PriorRow, ...]:
-    """A row per prior."""
-    rows = []
-    for prior in priors:
-        rows.append(
-            PriorRow(
-                prior=prior.name,
-                log_evidence=prior.evidence.log_evidence,
-                prediction=prior.prediction,
-                agreement=prior.agreement,
-                chosen=prior.is_chosen,
-            )
-        )
-    return tuple(rows)
 
 
 def model_error_rows(

@@ -532,29 +532,7 @@ class _Derivatives:
             found = answer[prior.places]
             trace = float(np.mean(np.sum(found * changed, axis=0)))
             by_time.append(prior.d_log_det - (change + trace) / 2)
-        room = self._in_room()
-        return np.array(by_size) + room[0], np.array(by_time) + room[1]
-
-    def _in_room(self) -> np.ndarray:
-        """What forces are not allowed to do: slopes by size, and by time.
-
-        (2, n_processes), of `MarginalLikelihood.log_room`.
-        """
-        in_room = np.zeros((2, len(self.priors)))
-        if not self.disturbances.is_orthogonal:
-            return in_room
-        forces = self.disturbances.forces
-        here = self.likelihood.log_room(self.disturbances)
-        factor = float(np.exp(PRIOR_STEP))
-        for number, force in enumerate(forces):
-            larger = replace(force, size=force.size * factor)
-            longer = replace(force, time=force.time * factor)
-            for row, moved in enumerate((larger, longer)):
-                others = (*forces[:number], moved, *forces[number + 1 :])
-                there = replace(self.disturbances, forces=others)
-                rise = self.likelihood.log_room(there) - here
-                in_room[row, number] = rise / PRIOR_STEP
-        return in_room
+        return np.array(by_size), np.array(by_time)
 
     def _in_functions(self) -> np.ndarray:
         covariance = solve_border(self.information, np.eye(len(self.information)))

@@ -38,15 +38,12 @@ class Disturbances:
         forces: processes that act in equations.
         sensors: processes that add to what sensors show.
         functions: of states, that act in equations.
-        is_orthogonal: whether the forces do nothing that a change of the model's own
-            parameters would do.
     """
 
     sigma: np.ndarray
     forces: tuple[Process, ...] = ()
     sensors: tuple[Process, ...] = ()
     functions: tuple[StateFunction, ...] = ()
-    is_orthogonal: bool = False
 
     @property
     def processes(self) -> tuple[Process, ...]:
@@ -60,7 +57,6 @@ class Disturbances:
             forces=tuple(process.place for process in self.forces),
             sensors=tuple(process.place for process in self.sensors),
             functions=tuple((f.equation, f.state) for f in self.functions),
-            is_orthogonal=self.is_orthogonal,
         )
 
     @property
@@ -81,10 +77,8 @@ class Structure:
         forces: equation of every force.
         sensors: channel of every sensor's process.
         functions: equation and state of every function.
-        is_orthogonal: as in `Disturbances`.
     """
 
     forces: tuple[int, ...] = ()
     sensors: tuple[int, ...] = ()
     functions: tuple[tuple[int, int], ...] = ()
-    is_orthogonal: bool = False

@@ -199,7 +199,7 @@ class _Aim:
     Attributes:
         point: there.
         length: of the way there, in standard deviations.
-        largest_multiplier: of what the steps must obey.
+        largest_multiplier: of the dynamics.
     """
 
     point: JointPoint
@@ -215,7 +215,7 @@ class _Place:
         problem: that is solved.
         point: parameters, states and disturbances.
         known: defects and what is shown at the point.
-        likelihood: of the record linearised where the functions of states are taken.
+        likelihood: of the record linearised there.
     """
 
     problem: JointProblem
@@ -237,8 +237,9 @@ class _Place:
         return cls(problem, replace(beside, z=z), known, likelihood)
 
     def renewed(self) -> "_Place":
-        """The same place, the record linearised here."""
-        likelihood = _likelihood_at(self.problem, self.point.z, self.known)
+        """The same place, the record linearised here, functions of states as before."""
+        along = self.linear.nodes if self.linear.along is None else self.linear.along
+        likelihood = _likelihood_at(self.problem, self.point.z, self.known, along)
         return replace(self, likelihood=likelihood)
 
     @property
@@ -260,12 +261,12 @@ class _Place:
 
     @cached_property
     def _excess(self) -> np.ndarray:
-        """What violates the dynamics, scaled, and what forces may not do."""
+        """Defects less what the disturbances do to the dynamics, scaled."""
         likelihood = self.likelihood
         by_forces = likelihood.dynamics_of_processes(self._inner[:, None])[:, 0]
         by_functions = likelihood.dynamics_of_functions(self.point.coefficients)
-        excess = self.known.g + by_functions - by_forces
-        return np.concatenate([excess, likelihood.forbidden(self._inner)])
+        excess: np.ndarray = self.known.g + by_functions - by_forces
+        return excess
 
     @property
     def violation(self) -> float:
@@ -343,9 +344,13 @@ def _is_level(objectives: list[float]) -> bool:
 
 
 def _likelihood_at(
-    problem: JointProblem, z: np.ndarray, known: PointValues
+    problem: JointProblem,
+    z: np.ndarray,
+    known: PointValues,
+    along: np.ndarray | None = None,
 ) -> MarginalLikelihood:
     linear = linearized(problem.values, z, known)
+    linear = replace(linear, along=along, linear_share=0.0)
     structure = problem.disturbances.structure
     return MarginalLikelihood(linear, structure, problem.moving)
 

@@ -10,7 +10,6 @@ not know. States and parameters are in the scale of the program that was solved,
 in the unit of a rate of their state.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -20,7 +19,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
 
 from phsi_opt.model.structure import forced_rows
-from phsi_opt.model_error.state_functions import smooth_functions
+from phsi_opt.model_error.state_functions import LINEAR_SHARE, smooth_functions
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
@@ -50,6 +49,9 @@ class Linearization:
         theta_scale: (n_theta,) scale of the parameters.
         forced: equations that can lack a force.
         observed: numbers of states that functions may depend on: not the memories.
+        along: (n_nodes, n_states) states along which functions of them are taken; None:
+            those of the solution.
+        linear_share: of their linear part that functions of states keep.
     """
 
     grid: Grid
@@ -67,6 +69,8 @@ class Linearization:
     theta_scale: np.ndarray
     forced: tuple[int, ...]
     observed: tuple[int, ...]
+    along: np.ndarray | None = None
+    linear_share: float = LINEAR_SHARE
 
     @property
     def n_states(self) -> int:
@@ -137,28 +141,6 @@ class Linearization:
         """Those of the equations asked for: a search asks hundreds of times."""
         return {}
 
-    def own_directions(
-        self, equations: Sequence[int], moving: np.ndarray
-    ) -> np.ndarray:
-        """What the model's own parameters do, as directions of forces.
-
-        Args:
-            equations: of the forces.
-            moving: (n_moving,) places of the parameters.
-
-        Returns:
-            (n_forces * n_intervals, n_directions), orthonormal. They are fewer than the
-            parameters where one acts in no forced equation, as the offset of a sensor,
-            or acts as others do.
-        """
-        own = self.dynamics_in_theta[:, moving]
-        parts = [self.dynamics_of_force(equation).T @ own for equation in equations]
-        columns = np.concatenate(parts)
-        sizes = np.linalg.norm(columns, axis=0)
-        scaled = columns[:, sizes > 0] / sizes[sizes > 0]
-        basis, values, _ = np.linalg.svd(scaled, full_matrices=False)
-        return np.asarray(basis[:, values > SAME_DIRECTION])
-
     def values_of(self, channel: int) -> np.ndarray:
         """Places of the measured values of one state."""
         return np.flatnonzero(self.channel == channel)
@@ -167,8 +149,12 @@ class Linearization:
     def function_values(self) -> dict[int, np.ndarray]:
         """Values of the smooth functions of every state, (n_intervals, n_functions)."""
         begin = self.grid.begin
-        middles = (self.nodes[begin] + self.nodes[begin + 1]) / 2
-        return {state: smooth_functions(middles[:, state]) for state in self.observed}
+        nodes = self.nodes if self.along is None else self.along
+        middles = (nodes[begin] + nodes[begin + 1]) / 2
+        found = {}
+        for state in self.observed:
+            found[state] = smooth_functions(middles[:, state], self.linear_share)
+        return found
 
     def dynamics_of_function(self, equation: int, state: int) -> np.ndarray:
         """What functions of a state do to the dynamics, as J_theta does."""
@@ -230,6 +216,7 @@ class Linearization:
             self,
             grid=shorter,
             nodes=self.nodes[kept_nodes],
+            along=None if self.along is None else self.along[kept_nodes],
             dynamics_in_states=dynamics,
             dynamics_in_theta=self.dynamics_in_theta[rows],
             force_effects=csc_matrix(self.force_effects[:, rows])[rows],
@@ -243,7 +230,9 @@ class Linearization:
 
 
 def linearized(
-    values: LikelihoodValues, z: np.ndarray, known: PointValues
+    values: LikelihoodValues,
+    z: np.ndarray,
+    known: PointValues,
 ) -> Linearization:
     """A likelihood linearised at a point.
 

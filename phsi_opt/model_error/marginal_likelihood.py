@@ -42,8 +42,7 @@ class Marginal:
             factor 2 pi of each value and unknown.
         theta: (n_theta,) step of the scaled parameters to their estimate.
         covariance: (n_theta, n_theta) of the scaled parameters.
-        border: (n_border,) the step of the parameters, then coefficients of functions,
-            then multipliers.
+        border: (n_border,) the step of the parameters, then coefficients of functions.
     """
 
     log_evidence: float
@@ -61,7 +60,7 @@ class Smoothed:
         x: (n_nodes, n_states) step of the scaled states.
         processes: values of every process, forces first.
         coefficients: of the functions of states, one array per function.
-        largest_multiplier: of the dynamics, and of what forces may not do.
+        largest_multiplier: of the dynamics.
     """
 
     theta: np.ndarray
@@ -87,8 +86,6 @@ class Border:
         n_theta: number of parameters.
         owner: number of the function that a coefficient belongs to, after the
             parameters; (n_coefficients,).
-
-    Behind the coefficients stand the multipliers of what forces are not allowed to do.
     """
 
     information: np.ndarray
@@ -163,8 +160,7 @@ class Border:
         found = solve_border(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         sign, log_det = np.linalg.slogdet(information)
-        n_multipliers = len(found) - self.n_theta - len(self.owner)
-        if sign != (-1.0) ** n_multipliers:
+        if sign <= 0:
             raise SolveError(LOST_TO_ROUNDING)
         log_prior = -np.sum(np.log(sizes[self.owner]))
         covariance = solve_border(information, np.eye(len(information)))
@@ -307,42 +303,9 @@ class MarginalLikelihood:
             owner += [number] * columns.shape[1]
         self.border_in_dynamics = np.hstack(in_dynamics)
         self._owner = np.array(owner, dtype=int)
-        n_columns = self.border_in_dynamics.shape[1]
-        in_unknowns = np.zeros((self.n_unknowns, 0))
-        if self.structure.is_orthogonal:
-            in_unknowns = self._own_directions()
-            n_dynamics = len(self.border_in_dynamics)
-            no_dynamics = np.zeros((n_dynamics, in_unknowns.shape[1]))
-            self.border_in_dynamics = np.hstack([self.border_in_dynamics, no_dynamics])
-        self._directions = in_unknowns
-        before = np.zeros((self.n_unknowns, n_columns))
-        self._border_in_unknowns = np.hstack([before, in_unknowns])
         in_shown = np.zeros((problem.n_values, self.border_in_dynamics.shape[1]))
         in_shown[:, : len(self.moving)] = problem.shown_in_theta[:, self.moving]
         self.border_in_shown = in_shown
-
-    def _own_directions(self) -> np.ndarray:
-        """Directions that forces may not take, (n_unknowns, n_directions)."""
-        found = self.problem.own_directions(self.structure.forces, self.moving)
-        directions = np.zeros((self.n_unknowns, found.shape[1]))
-        first = self.problem.dynamics_in_states.shape[1]
-        directions[first : first + len(found)] = found
-        return directions
-
-    def log_room(self, disturbances: Disturbances) -> float:
-        """Half the log determinant of the prior covariance of the own directions."""
-        if not self.structure.is_orthogonal:
-            return 0.0
-        whiteners = self.whiteners(disturbances)
-        covariance = np.zeros((self._directions.shape[1],) * 2)
-        first = self.problem.dynamics_in_states.shape[1]
-        for force, whitener in zip(disturbances.forces, whiteners, strict=False):
-            n = len(whitener.diagonal)
-            factor = whitener.factor_of(self._directions[first : first + n])
-            covariance += force.size**2 * (factor.T @ factor)
-            first += n
-        ridge = RIDGE * np.eye(len(covariance)) * np.trace(covariance)
-        return float(np.linalg.slogdet(covariance + ridge)[1] / 2)
 
     def values_of_processes(self, unknowns: np.ndarray) -> np.ndarray:
         """What processes alone add to the measured values, (n_values, k).
@@ -385,15 +348,6 @@ class MarginalLikelihood:
         columns = self.border_in_dynamics[:, first : first + len(coefficients)]
         moved: np.ndarray = columns @ coefficients
         return moved
-
-    def forbidden(self, unknowns: np.ndarray) -> np.ndarray:
-        """What forces do that the parameters could, (n_directions,); zero if obeyed.
-
-        Args:
-            unknowns: (n_unknowns,).
-        """
-        forbidden: np.ndarray = self._directions.T @ unknowns
-        return forbidden
 
     def coefficient_sizes(self, disturbances: Disturbances) -> np.ndarray:
         """Prior standard deviation of every coefficient, (n_coefficients,)."""
@@ -439,18 +393,16 @@ class MarginalLikelihood:
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
         factors = self._layout.factors(np.concatenate(entries))
-        n, n_border = self._border_in_unknowns.shape
+        n, n_border = self.n_unknowns, self.border_in_dynamics.shape[1]
         n_theta = len(self.moving)
         # Column after column in memory, as it is solved for.
         right = np.zeros((n + len(problem.offset), n_border + 1), order="F")
-        right[:n, :n_border] = self._border_in_unknowns
         in_theta = squared[:, None] * self.border_in_shown[:, :n_theta]
         right[:n, :n_theta] += self.shown_transposed @ in_theta
         right[n:, :n_border] = self.border_in_dynamics
         right[:n, n_border] = self.shown_transposed @ (squared * problem.residual)
         right[n:, n_border] = -problem.offset
         log_noise = float(np.sum(np.log(weight)))
-        log_prior += self.log_room(disturbances)
         return Eliminated(
             weights=squared,
             right=right,
@@ -521,8 +473,7 @@ class MarginalLikelihood:
         solved = eliminated.solved
         found = solved[:, -1] - solved[:, :-1] @ border.border
         unknowns = found[: self.n_unknowns]
-        of_directions = border.border[len(self.moving) + len(self._owner) :]
-        multipliers = np.concatenate([found[self.n_unknowns :], of_directions])
+        multipliers = found[self.n_unknowns :]
         problem = self.problem
         theta = np.zeros(problem.n_theta)
         theta[self.moving] = border.theta
@@ -530,7 +481,7 @@ class MarginalLikelihood:
         processes = []
         for first, n in self.places_of_processes():
             processes.append(unknowns[first : first + n])
-        of_functions = border.border[len(self.moving) :][: len(self._owner)]
+        of_functions = border.border[len(self.moving) :]
         coefficients = []
         for number in range(len(self.structure.functions)):
             coefficients.append(of_functions[self._owner == number])

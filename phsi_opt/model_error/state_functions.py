@@ -33,16 +33,19 @@ LEAST_VARIANCE = 1e-4
 LINEAR_SHARE = 0.25
 
 
-def smooth_functions(values: np.ndarray) -> np.ndarray:
+def smooth_functions(
+    values: np.ndarray, linear_share: float = LINEAR_SHARE
+) -> np.ndarray:
     """Values of the functions along a state, (n, n_functions).
 
     Args:
         values: (n,) of the state.
+        linear_share: that of their linear part that they keep.
 
     Returns:
         Columns whose sum with independent coefficients of size one is a process of
         size one, less its mean: a constant force is no function of a state; and less
-        all but `LINEAR_SHARE` of its linear part. None where the state does not move.
+        all but a share of its linear part. None where the state does not move.
     """
     spread = float(np.std(values))
     if not spread > TINY:
@@ -55,7 +58,7 @@ def smooth_functions(values: np.ndarray) -> np.ndarray:
     functions: np.ndarray = _covariance(standard, points) @ to_functions
     functions -= functions.mean(axis=0)
     linear = np.outer(standard, standard @ functions) / len(standard)
-    return functions - (1 - LINEAR_SHARE) * linear
+    return functions - (1 - linear_share) * linear
 
 
 def _covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -185,7 +185,6 @@ KEYS: tuple[Key, ...] = (
         ("huber", "number", "residuals beyond so many deviations count linearly"),
         ("starts", "whole number", "number of starting points; default 1"),
         ("model_error", "true or false", "a random force in the equations"),
-        ("horizon", "number", "with model_error: length of the runs that matter"),
     ),
 )
 

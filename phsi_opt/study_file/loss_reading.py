@@ -35,8 +35,6 @@ def read_loss(file: Part) -> MaximumLikelihood:
 def _check_alone(part: Part, name: str, value: Any) -> None:
     """Note a setting that is out of its range, whatever the others are."""
     settings: dict[str, Any] = {name: value}
-    if name == "horizon":
-        settings["model_error"] = True
     try:
         MaximumLikelihood(**settings)
     except ModelError as error:

@@ -102,10 +102,6 @@ class MaximumLikelihood:
             by a fixed random sequence; the fit's warnings say how many of them agree.
         model_error: whether the equations hold up to a random force, estimated with its
             size and correlation time beside the parameters (`Fit.model_error`).
-        horizon: length in time of the free runs that matter, for the choice among
-            priors of the model error by what they predict; None: whole trajectories, or
-            quarters where they are fewer than four. A record is cut evenly, into parts
-            whose length is nearest to it.
 
     Raises:
         ModelError: a setting is out of its range.
@@ -117,10 +113,8 @@ class MaximumLikelihood:
     huber: float | None = None
     starts: int = 1
     model_error: bool = False
-    horizon: float | None = None
 
     def __post_init__(self) -> None:
-        _check_positive("horizon", self.horizon)
         self._check_model_error()
         _check_positive("huber", self.huber)
         _check_count("steps", self.steps)
@@ -129,11 +123,6 @@ class MaximumLikelihood:
 
     def _check_model_error(self) -> None:
         if not self.model_error:
-            if self.horizon is not None:
-                raise ModelError(
-                    f"horizon={self.horizon!r} of MaximumLikelihood chooses a prior of "
-                    "the model error; set model_error=True as well, or leave it out."
-                )
             return
         if self.huber is not None:
             raise ModelError(
