@@ -28,7 +28,7 @@ class SolvedLikelihood:
     Attributes:
         task: what was asked for.
         transcription: what was solved, or what forces were added to.
-        theta: (n_theta,) their estimates.
+        theta: (n_theta,) estimates of the parameters.
         nodes: (n_nodes, n_states) states.
         solution: of the program.
         sigma: (n_states,) noise.

@@ -86,8 +86,8 @@ class LinearizedRecord:
         sigma: (n_states,) noise.
         defects: at these states, (n_intervals * n_states,).
         shown_slopes: C, of what is shown, over the noise, sparse, (n_values, n_z).
-        reduced: the system with its states eliminated; its defects are changes of the
-            states by one interval.
+        reduced: the system with its states eliminated; its constraints are defects
+            times the length of their interval.
         scale: (n_theta,) size of each parameter, one that changes rates and residuals
             by about one.
         covariance: of theta.
@@ -149,11 +149,7 @@ class LinearizedRecord:
         shown_slopes = likelihood.shown.filled(squares.slopes)
         scale = _parameter_sizes(likelihood, there, squares)
         is_held = np.array([entry.name in held for entry in unknown.entries], bool)
-        sizes = np.outer(scale, scale)
-        held_places = np.flatnonzero(is_held).tolist()
-        covariance = sizes * regularized_inverse(
-            reduced.information * sizes, held_places
-        )
+        covariance = _covariance(reduced.information, scale, is_held)
         pull = -squares.gradient
         n = len(theta)
         step = reduced.solve(pull[n:], -there.g, covariance, pull[:n])
@@ -426,6 +422,15 @@ def likelihood_of(record: Record, model: Model, grid: Grid) -> LikelihoodValues:
 def _lengths(likelihood: LikelihoodValues) -> np.ndarray:
     """In time, of the interval of every defect, (n_intervals * n_states,)."""
     return np.repeat(likelihood.grid.h, likelihood.n_states)
+
+
+def _covariance(
+    information: np.ndarray, scale: np.ndarray, is_held: np.ndarray
+) -> np.ndarray:
+    """Inverse of the information of parameters of these sizes, (n_theta, n_theta)."""
+    sizes = np.outer(scale, scale)
+    held = np.flatnonzero(is_held).tolist()
+    return sizes * regularized_inverse(information * sizes, held)
 
 
 def _parameter_sizes(
