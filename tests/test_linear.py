@@ -12,11 +12,11 @@ from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
 from phsi_opt.transcription.elimination import (
     HELD,
     RIDGE,
-    ReducedSystem,
     regularized_inverse,
     time_order,
 )
 from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.optimality_system import eliminated
 
 
 def two_runs(n: int) -> Measurements:
@@ -101,9 +101,7 @@ def test_states_are_eliminated_as_by_dense_algebra() -> None:
     J = constraints(grid, n, p, rng)
     root = np.hstack([rng.normal(size=(n_x, p)), np.diag(rng.uniform(0.5, 2.0, n_x))])
     H = root.T @ root
-    reduced = ReducedSystem(
-        grid, n, csc_matrix(H), csc_matrix(J), slice(0, p), slice(p, p + n_x)
-    )
+    reduced = eliminated(grid, n, csc_matrix(H), csc_matrix(J), p)
     kkt = np.block([[H, J.T], [J, np.zeros((n_c, n_c))]])
     inverse = np.linalg.inv(kkt)
     covariance = inverse[:p, :p]
@@ -182,9 +180,7 @@ def test_multipliers_are_what_the_objective_gains_per_offset() -> None:
     J = constraints(grid, n, p, rng)
     H = np.diag(rng.uniform(0.5, 2.0, p + n_x))
     H[:p, p] = H[p, :p] = 0.1
-    reduced = ReducedSystem(
-        grid, n, csc_matrix(H), csc_matrix(J), slice(0, p), slice(p, p + n_x)
-    )
+    reduced = eliminated(grid, n, csc_matrix(H), csc_matrix(J), p)
     covariance = np.linalg.inv(reduced.information)
     gradient = rng.normal(size=p + n_x)
     kkt = np.block([[H, J.T], [J, np.zeros((n_c, n_c))]])

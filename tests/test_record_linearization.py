@@ -1,24 +1,27 @@
 """The linearised likelihood of a record, against finite differences and dense algebra."""
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 import pytest
 
 import phsi_opt as ph
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary
 from phsi_opt.screening.pair_search import JointRegression
+from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.defects import defects
-from phsi_opt.transcription.elimination import Step
+from phsi_opt.transcription.elimination import REGULAR
 from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.record_linearization import RecordLinearization
+from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import outputs
 
 SCHEME = "srk4"
-SIGMA = np.array([0.1, 0.2])
 RUNS = ("run 1", "run 2")
 
 
@@ -46,7 +49,13 @@ def with_sensor() -> Model:
     return spring(sensor={"q": shown})
 
 
-def grid_of_two_runs() -> Grid:
+def with_memory() -> Model:
+    """The force acts late: three states more, which nobody measures."""
+    model = spring()
+    return model.add(effect_named(model, "input delay", "p"))
+
+
+def grid_of_two_runs(model: Model) -> Grid:
     """Position measured everywhere but once, momentum nowhere in the second run."""
     rng = np.random.default_rng(0)
     times = [np.linspace(0, 2, 9), np.linspace(0, 1, 6)]
@@ -57,31 +66,33 @@ def grid_of_two_runs() -> Grid:
     data = Measurements.from_arrays(
         times, states, inputs, states=["q", "p"], inputs=["u"]
     )
-    return grid_of(data)
+    return grid_of(aligned(model, data))
 
 
 class Dense:
-    """Weighted residuals and defects of a model, their slopes by differences."""
+    """Residuals in units of the noise, and defects, with slopes by differences."""
 
-    def __init__(self, model: Model, grid: Grid, unknown: Theta) -> None:
-        self.model = model
-        self.grid = grid
-        self.unknown = unknown
-        self.weight = np.where(grid.measured, 1 / SIGMA, 0.0)
+    def __init__(self, likelihood: LikelihoodValues, sigma: np.ndarray) -> None:
+        self.at = likelihood
+        self.sigma = sigma
 
     def defects(self, z: np.ndarray) -> np.ndarray:
+        """As changes of the scaled states by one interval."""
         x, theta = self._split(z)
-        return np.array(defects(self.model, self.grid, SCHEME, x.T, theta)).T.ravel()
+        grid = self.at.grid
+        d = np.array(defects(self.at.model, grid, SCHEME, x.T, theta)).T
+        return (d * grid.h[:, None] / self.at.point.x_scale).ravel()
 
     def residual(self, z: np.ndarray) -> np.ndarray:
         x, theta = self._split(z)
-        shown = np.array(outputs(self.model, self.grid, x.T, theta)).T
-        left = np.where(self.grid.measured, self.grid.y - shown, 0.0)
-        return (self.weight * left).ravel()
+        grid = self.at.grid
+        shown = np.array(outputs(self.at.model, grid, x.T, theta)).T
+        return ((grid.y - shown) / self.sigma)[grid.measured]
 
     def _split(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        n = len(self.unknown)
-        return z[n:].reshape(self.grid.y.shape), z[:n][self.unknown.table]
+        values = self.at.point.unscaled(z)
+        theta = values["theta"][self.at.unknown.table]
+        return values["x"].reshape(self.at.grid.y.shape), theta
 
     def slopes(self, name: str, z: np.ndarray) -> np.ndarray:
         function, step = getattr(self, name), 1e-5
@@ -92,42 +103,49 @@ class Dense:
         return np.array(columns).T
 
 
-@pytest.mark.parametrize("model", [spring(), with_sensor()], ids=["plain", "sensor"])
-def test_the_band_that_is_filled_is_the_likelihood_linearised(model: Model) -> None:
-    grid = grid_of_two_runs()
+MODELS = {"plain": spring(), "sensor": with_sensor(), "memory": with_memory()}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
+    model = MODELS[name]
+    grid = grid_of_two_runs(model)
     unknown = Theta.of(model, RUNS)
     rng = np.random.default_rng(1)
-    linearization = RecordLinearization(unknown, grid, SCHEME, SIGMA)
-    linearization.at(rng.normal(size=grid.y.shape), rng.uniform(1, 2, len(unknown)))
-    x = rng.normal(size=grid.y.shape)  # what another point left is written over
     theta = rng.uniform(1, 2, len(unknown))
-    point = linearization.at(x, theta)
-    scale = np.r_[point.scale, np.ones(x.size)]
-    z = np.r_[theta, x.ravel()]
-    dense = Dense(model, grid, unknown)
-    C = -dense.slopes("residual", z) * scale
-    J = dense.slopes("defects", z) * scale
-    np.testing.assert_allclose(point.defects, dense.defects(z), atol=1e-10)
-    np.testing.assert_allclose(point.outputs.residual, dense.residual(z), atol=1e-10)
-    n = len(unknown)
-    squares = np.sum(C[:, :n] ** 2, axis=0) + np.sum(J[:, :n] ** 2, axis=0)
-    np.testing.assert_allclose(squares, 1.0, rtol=1e-6)
-    some = rng.normal(size=(len(z), 2))
-    of_some = point.outputs.change(Step(some[:n], some[n:]))
-    np.testing.assert_allclose(of_some, C @ some, atol=1e-7)
-    back = point.outputs.gradient(of_some)
-    np.testing.assert_allclose(back.joined, C.T @ of_some, atol=1e-6)
-    # The least squares with dynamics hard: by a basis of what obeys them.
-    kkt = np.block([[C.T @ C, J.T], [J, np.zeros((len(J), len(J)))]])
-    kkt[range(len(z)), range(len(z))] += np.r_[np.zeros(n), np.full(x.size, 1e-9)]
+    x = rng.normal(size=grid.y.shape)
+    sizes = rng.uniform(0.5, 2, len(unknown)), rng.uniform(0.5, 2, model.n_states)
+    point = Point(theta, x, *sizes)
+    likelihood = LikelihoodValues(model, grid, SCHEME, point, unknown)
+    sigma = np.r_[0.1, 0.2, np.ones(model.n_states - 2)]
+    z = point.scaled
+    there = likelihood.at(z)
+    squares = likelihood.standardized(there, sigma)
+    dense = Dense(likelihood, sigma)
+    np.testing.assert_allclose(there.g, dense.defects(z), atol=1e-10)
+    np.testing.assert_allclose(squares.residual, dense.residual(z), atol=1e-10)
+    C = likelihood.shown.filled(squares.slopes).toarray()
+    J = likelihood.jacobian.filled(there.jacobian).toarray()
+    # Central differences: the steps cut off 1e-10, and round at 1e-16/1e-5.
+    np.testing.assert_allclose(C, -dense.slopes("residual", z), atol=1e-7)
+    np.testing.assert_allclose(J, dense.slopes("defects", z), atol=1e-7)
+    pull = C.T @ squares.residual
+    np.testing.assert_allclose(-squares.gradient, pull, atol=1e-10)
+    n, n_z = len(theta), len(z)
+    H = C.T @ C
+    H[range(n, n_z), range(n, n_z)] += REGULAR * np.max(np.diag(H)[n:])
+    kkt = np.block([[H, J.T], [J, np.zeros((len(J), len(J)))]])
+    reduced = likelihood.reduced(there, squares)
     inverse = np.linalg.inv(kkt)
-    covariance = np.linalg.inv(point.reduced.information)
-    np.testing.assert_allclose(covariance, inverse[:n, :n], rtol=1e-3, atol=1e-8)
-    gradient = point.outputs.gradient(point.outputs.residual)
-    step = point.reduced.solve(gradient.x, -point.defects, covariance, gradient.theta)
-    right = np.r_[C.T @ dense.residual(z), -dense.defects(z)]
-    expected = (inverse @ right)[: len(z)]
-    np.testing.assert_allclose(step.joined, expected, rtol=1e-3, atol=1e-5)
+    covariance = inverse[:n, :n]
+    close = partial(np.testing.assert_allclose, rtol=1e-7, atol=1e-8)
+    close(reduced.information @ covariance, np.eye(n))
+    step = reduced.solve(pull[n:], -there.g, covariance, pull[:n])
+    expected = np.linalg.solve(kkt, np.r_[pull, -there.g])
+    close(step.joined, expected[:n_z])
+    multipliers = reduced.multipliers(pull[n:], covariance, pull[:n])
+    alone = np.linalg.solve(kkt, np.r_[pull, np.zeros(len(J))])
+    close(multipliers, alone[n_z:])
 
 
 def joint(bounds: np.ndarray, n_of: list[int]) -> tuple[JointRegression, np.ndarray]:

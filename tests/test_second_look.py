@@ -14,7 +14,7 @@ from phsi_opt.diagnosis.remainder import ForceLeft, Remainder
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.effect_size import size_of
-from phsi_opt.screening.linearized_record import LinearizedRecord
+from phsi_opt.screening.linearized_record import LinearizedRecord, likelihood_of
 from phsi_opt.screening.prospects import Prospects
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.second_look import second_look
@@ -132,11 +132,14 @@ def test_parameters_stay_within_their_bounds() -> None:
 
 def test_a_parameter_that_ends_at_a_bound_is_exactly_there() -> None:
     record = diagnosed(*CUBIC).record
-    for lower in np.linspace(3e-3, 3.1, 20):  # rounding reaches some by chance
-        stiffness = ph.Parameter(40.1, lower=float(lower))
+    starts = [(lower, 40.1) for lower in np.linspace(3e-3, 3.1, 20)]
+    starts += [(0.0, value) for value in np.linspace(0.7, 40.1, 20)]
+    for lower, value in starts:  # rounding reaches some by chance
+        stiffness = ph.Parameter(value, lower=float(lower))
         model = spring("(k + 3)*q**2/2", "0.1", k=stiffness)
-        start = np.array([[40.1, 40.1]])
-        at = LinearizedRecord.at(record, model, record.estimate.x, start)
+        start = np.array([[value, value]])
+        likelihood = likelihood_of(record, model, record.estimate.grid)
+        at = LinearizedRecord.at(record, likelihood, record.estimate.x, start)
         assert np.all(at.parameters_within_bounds == lower)
 
 

@@ -68,7 +68,7 @@ def test_where_finer_steps_lead_nowhere_the_optimum_stays_and_says_so(
 def test_finer_steps_have_the_room_of_the_factors_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    eliminate = ReducedSystem._eliminate
+    eliminate = ReducedSystem.__init__
     solve = LikelihoodSolver.solve
     made: list[weakref.ref[ReducedSystem]] = []
     n_finer = []
@@ -85,7 +85,7 @@ def test_finer_steps_have_the_room_of_the_factors_before(
             assert all(before() is None for before in made)
         return solve(self, start, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(ReducedSystem, "_eliminate", remembered)
+    monkeypatch.setattr(ReducedSystem, "__init__", remembered)
     monkeypatch.setattr(LikelihoodSolver, "solve", with_room)
     ph.identify(spring(3.0), coarse_record())
     assert n_finer

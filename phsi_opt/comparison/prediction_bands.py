@@ -14,8 +14,8 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.optimization.ipopt import Solver
 from phsi_opt.transcription.elimination import ReducedSystem
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
@@ -110,15 +110,11 @@ def _linearized(
     theta = np.zeros(len(unknown))
     theta[unknown.table] = parameter_matrix(model, values)
     point = point_at(model, grid, unknown, theta, nodes)
-    loss = MaximumLikelihood()
-    program = loss.program(model, grid, point, {}, record.sigma, unknown)
-    kkt = Solver(program).kkt(program.start, record.sigma)
-    information = kkt.hessian * (int(grid.measured.sum()) / 2)
-    of_theta = program.variables["theta"].slice
-    of_states = program.variables["x"].slice
-    reduced = ReducedSystem(
-        grid, model.n_states, information, kkt.jacobian, of_theta, of_states
-    )
+    scheme = MaximumLikelihood().integrator
+    likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
+    there = likelihood.at(point.scaled)
+    squares = likelihood.standardized(there, record.sigma)
+    reduced = likelihood.reduced(there, squares)
     return _LinearizedRun(unknown, theta, point, reduced)
 
 

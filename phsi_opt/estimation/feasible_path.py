@@ -29,6 +29,7 @@ from phsi_opt.optimization.program import Program
 from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import MaximumLikelihood
+from phsi_opt.transcription.optimality_system import eliminated
 from phsi_opt.transcription.parameter_vector import Theta
 
 # Falls of -2 log likelihood: that a step promises at the optimum, that the last steps
@@ -293,8 +294,8 @@ class FeasiblePath:
         kkt = self.solver.kkt(place.z, set_to)
         if not np.all(np.isfinite(kkt.jacobian.data)):
             return _Step(np.zeros_like(place.z), np.nan)
-        reduced = ReducedSystem(
-            self.grid, self.n_states, kkt.hessian, kkt.jacobian, self.theta, self.x
+        reduced = eliminated(
+            self.grid, self.n_states, kkt.hessian, kkt.jacobian, self.theta.stop
         )
         information = reduced.information
         change = self._bounded(place, reduced, information)

@@ -194,12 +194,9 @@ class LikelihoodEstimate(Estimate):
         """The parts of the solved likelihood, to be linearised."""
         return SolvedLikelihood(
             task=self.task,
-            model=self.model,
-            grid=self.grid,
-            unknown=self.unknown,
+            transcription=self.transcription,
             theta=self.theta,
             nodes=self.nodes,
-            point=self.point,
             solution=self.solution,
             sigma=self.sigma,
             is_known=self.is_known,

@@ -48,7 +48,7 @@ def model_error_rows(
     for force in disturbances.forces:
         rows.append(table.of_force(force.place, force.size, force.time, "force"))
     for function in disturbances.functions:
-        state = solved.model.states[function.state]
+        state = solved.transcription.model.states[function.state]
         kind = f"function of {state}"
         rows.append(table.of_force(function.equation, function.size, np.nan, kind))
     for sensor in disturbances.sensors:
@@ -71,12 +71,13 @@ def lasting_noise(
 
 class _Rows:
     def __init__(self, solved: SolvedLikelihood) -> None:
-        self._states = solved.model.states
+        grid = solved.transcription.grid
+        self._states = solved.transcription.model.states
         self._runs = solved.task.runs
         self._units = solved.task.data.units
-        rates = solved.grid.rates(solved.nodes)
+        rates = grid.rates(solved.nodes)
         self._rates = np.sqrt(np.mean(rates**2, axis=0))
-        self._y = solved.grid.y
+        self._y = grid.y
 
     def of_force(
         self, equation: int, size: float, time: float, kind: str

@@ -60,7 +60,7 @@ class Transcription:
 
     @cached_property
     def values(self) -> LikelihoodValues:
-        """The likelihood in numbers, where it has no slack variables."""
+        """The likelihood in numbers, without slack variables."""
         return LikelihoodValues(
             self.model, self.grid, self.loss.integrator, self.point, self.unknown
         )

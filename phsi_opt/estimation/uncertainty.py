@@ -23,6 +23,7 @@ from phsi_opt.transcription.defect_derivatives import defect_slopes
 from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import ParameterSlopes
+from phsi_opt.transcription.optimality_system import eliminated
 from phsi_opt.transcription.point import Point
 
 
@@ -71,7 +72,7 @@ def reduced(
     n_states = len(point.x_scale)
     hessian = solution.kkt.hessian * (n_residuals / 2)
     jacobian = solution.kkt.of_first(grid.n_intervals * n_states)
-    return ReducedSystem(grid, n_states, hessian, jacobian, point.of_theta, point.of_x)
+    return eliminated(grid, n_states, hessian, jacobian, point.theta.size)
 
 
 def of_likelihood(

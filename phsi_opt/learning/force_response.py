@@ -38,9 +38,8 @@ class Response:
         n_stretches = STRETCHES_PER_FOLD * N_FOLDS
         stretch = np.arange(grid.n_nodes) * n_stretches // grid.n_nodes
         of_node = stretch % N_FOLDS
-        is_measured = linearized.weight > 0
-        of_value = np.repeat(of_node, record.model.n_states)[is_measured]
-        residual = linearized.residual[is_measured]
+        of_value = of_node[np.nonzero(grid.measured)[0]]
+        residual = linearized.residual
         return cls(linearized, row, residual, of_node[grid.begin], of_value)
 
     def traces(self, forces: np.ndarray) -> np.ndarray:
@@ -59,5 +58,4 @@ class Response:
         of_defects = np.zeros((grid.n_intervals, n_states, n_forces))
         of_defects[:, self.row] = -forces
         of_outputs = np.zeros((grid.n_nodes * n_states, n_forces))
-        traces = linearized.traces(of_defects.reshape(-1, n_forces), of_outputs)
-        return traces[linearized.weight > 0]
+        return linearized.traces(of_defects.reshape(-1, n_forces), of_outputs)

@@ -15,22 +15,30 @@ compare phases that have run apart.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.record import Record
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.bounded_least_squares import bounded_least_squares
 from phsi_opt.statistics import TINY
-from phsi_opt.transcription.elimination import RIDGE, Step, regularized_inverse
-from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.record_linearization import (
-    LinearPoint,
-    RecordLinearization,
+from phsi_opt.transcription.elimination import (
+    RIDGE,
+    ReducedSystem,
+    Step,
+    regularized_inverse,
 )
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.likelihood_values import (
+    LikelihoodValues,
+    PointValues,
+    WeighedValues,
+)
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import Point
 from phsi_opt.transcription.sensors import SensorOutputs
 
 DEFECT_SCHEME = "srk4"  # the integrator of the defects that are linearised
@@ -51,8 +59,8 @@ class BoundedStep:
     """A step, and what is left after it.
 
     Attributes:
-        step: of scaled parameters and states.
-        residual: (n_nodes * n_states,) weighted residuals after it.
+        step: of parameters and states.
+        residual: after it, (n_values,), in units of the noise.
     """
 
     step: Step
@@ -70,114 +78,112 @@ class LinearizedRecord:
 
     Attributes:
         record: the fit along the measurements.
-        model: the fitted model, corners of dry friction rounded as in the estimate, or
-            a larger one.
-        grid: nodes and intervals.
+        likelihood: of the fitted model, corners of dry friction rounded as in the
+            estimate, or of a larger one; parameters and states in their own units.
         states: where it was linearised, (n_nodes, n_states).
         parameters: values of the free parameters, (n_free, n_trajectories).
-        unknown: the layout of the vector of parameters.
         theta: their values, (n_theta,).
-        point: defects, outputs and the system with its states eliminated, there.
-        covariance: of scaled theta.
-        step: of scaled theta and of the states, to those that obey the model.
-        residual: weighted residuals after that step, (n_nodes * n_states,).
+        sigma: (n_states,) noise.
+        defects: at these states, (n_intervals * n_states,).
+        shown_slopes: C, of what is shown, over the noise, sparse, (n_values, n_z).
+        reduced: the system with its states eliminated; its constraints are defects
+            times the length of their interval.
+        scale: (n_theta,) size of each parameter, one that changes rates and residuals
+            by about one.
+        covariance: of theta.
+        step: of theta and of the states, to those that obey the model.
+        residual: after that step, (n_values,), in units of the noise.
         is_held: (n_theta,) whether a parameter is known and does not move.
     """
 
     record: Record
-    model: Model
-    grid: Grid
+    likelihood: LikelihoodValues = field(repr=False)
     states: np.ndarray
     parameters: np.ndarray
-    unknown: Theta
     theta: np.ndarray
-    point: LinearPoint = field(repr=False)
+    sigma: np.ndarray
+    defects: np.ndarray = field(repr=False)
+    shown_slopes: csc_matrix = field(repr=False)
+    reduced: ReducedSystem = field(repr=False)
+    scale: np.ndarray
     covariance: np.ndarray = field(repr=False)
     step: Step = field(repr=False)
     residual: np.ndarray = field(repr=False)
     is_held: np.ndarray = field(repr=False)
 
     @classmethod
-    def of(cls, record: Record, states: np.ndarray | None = None) -> "LinearizedRecord":
-        """Linearise a record.
-
-        Args:
-            record: the fit along the measurements.
-            states: where, (n_nodes, n_states); default: those of the missing force.
-        """
+    def of(cls, record: Record) -> "LinearizedRecord":
+        """Linearise a record at the states of its missing force."""
         estimate = record.estimate
         model = record.model.with_values(estimate.rounded)
-        x = estimate.x if states is None else states
-        return cls.at(record, model, x, record.theta)
+        likelihood = likelihood_of(record, model, estimate.grid)
+        return cls.at(record, likelihood, estimate.x, record.theta)
 
     @classmethod
     def at(
         cls,
         record: Record,
-        model: Model,
+        likelihood: LikelihoodValues,
         states: np.ndarray,
         parameters: np.ndarray,
-        grid: Grid | None = None,
         held: Collection[str] = (),
-        linearization: RecordLinearization | None = None,
     ) -> "LinearizedRecord":
         """Linearise the likelihood of a model along a record of a smaller one.
 
         Args:
             record: of the fit that is diagnosed.
-            model: its model, or a larger one whose further states are its last.
+            likelihood: of its model, or of a larger one whose further states are its
+                last (`likelihood_of`).
             states: where, (n_nodes, n_states).
             parameters: of the model's free parameters, (n_free, n_trajectories).
-            grid: in the order of the model; default: that of the record.
             held: names of the model's parameters that are known and do not move.
-            linearization: of the model, where it was made before.
         """
-        grid = grid or record.estimate.grid
-        if linearization is None:
-            linearization = linearization_of(record, model, grid)
-        unknown = Theta.of(model, record.trajectories)
-        n_theta = len(unknown)
-        theta = np.zeros(n_theta)
+        unknown = likelihood.unknown
+        theta = np.zeros(len(unknown))
         theta[unknown.table] = parameters
-        point = linearization.at(states, theta)
+        sigma = record.estimate.sigma
+        sigma = np.r_[sigma, np.ones(likelihood.n_states - len(sigma))]
+        there = likelihood.at(np.concatenate([theta, states.ravel()]))
+        squares = likelihood.standardized(there, sigma)
+        reduced = likelihood.reduced(there, squares)
+        shown_slopes = likelihood.shown.filled(squares.slopes)
+        scale = _parameter_sizes(likelihood, there, squares)
         is_held = np.array([entry.name in held for entry in unknown.entries], bool)
-        covariance = regularized_inverse(
-            point.reduced.information, np.flatnonzero(is_held).tolist()
-        )
-        gradient = point.outputs.gradient(point.outputs.residual)
-        step = point.reduced.solve(
-            gradient.x, -point.defects, covariance, gradient.theta
-        )
-        residual = point.outputs.residual - point.outputs.change(step)
+        covariance = _covariance(reduced.information, scale, is_held)
+        pull = -squares.gradient
+        n = len(theta)
+        step = reduced.solve(pull[n:], -there.g, covariance, pull[:n])
         return cls(
             record=record,
-            model=model,
-            grid=grid,
+            likelihood=likelihood,
             states=states,
             parameters=parameters,
-            unknown=unknown,
             theta=theta,
-            point=point,
+            sigma=sigma,
+            defects=there.g / _lengths(likelihood),
+            shown_slopes=shown_slopes,
+            reduced=reduced,
+            scale=scale,
             covariance=covariance,
             step=step,
-            residual=residual,
+            residual=squares.residual - shown_slopes @ step.joined,
             is_held=is_held,
         )
 
     @property
-    def scale(self) -> np.ndarray:
-        """Size of each parameter, (n_theta,)."""
-        return self.point.scale
+    def model(self) -> Model:
+        """Whose likelihood it is."""
+        return self.likelihood.model
 
     @property
-    def defects(self) -> np.ndarray:
-        """At these states, (n_intervals * n_states,)."""
-        return self.point.defects
+    def grid(self) -> Grid:
+        """Nodes and intervals."""
+        return self.likelihood.grid
 
     @property
-    def weight(self) -> np.ndarray:
-        """One over each value's noise, (n_nodes * n_states,), 0 where unmeasured."""
-        return self.point.outputs.weight
+    def unknown(self) -> Theta:
+        """The layout of the vector of parameters."""
+        return self.likelihood.unknown
 
     @property
     def n_theta(self) -> int:
@@ -187,7 +193,7 @@ class LinearizedRecord:
     @property
     def n_values(self) -> int:
         """Number of measured values."""
-        return int(self.grid.measured.sum())
+        return len(self.residual)
 
     @cached_property
     def misfit(self) -> float:
@@ -206,25 +212,27 @@ class LinearizedRecord:
         """
         if not np.all(np.isfinite(self.residual)):
             raise SolveError("a step along the linearised record is not finite")
-        lower, upper = self._scaled_bounds
+        lower, upper = self._step_bounds
         free = self.step.theta
         if np.all(free >= lower) and np.all(free <= upper):
             return BoundedStep(self.step, self.residual)
-        reduced = self.point.reduced
         moves = ~self.is_held
-        information = reduced.information[np.ix_(moves, moves)]
+        scale = self.scale[moves]
+        information = self.reduced.information[np.ix_(moves, moves)]
+        information = information * np.outer(scale, scale)
         values, vectors = np.linalg.eigh(information + RIDGE * np.eye(len(information)))
         root = np.sqrt(np.maximum(values, RIDGE))[:, None] * vectors.T
+        lower, upper = lower[moves] / scale, upper[moves] / scale
         upper = np.maximum(upper, lower + TINY)
         bounded = free.copy()
-        bounded[moves] = bounded_least_squares(
-            root, root @ free[moves], lower[moves], upper[moves]
+        bounded[moves] = scale * bounded_least_squares(
+            root, root @ (free[moves] / scale), lower, upper
         )
         moved = bounded - free
-        by_theta = (reduced.following @ moved).ravel()
-        change = self.point.outputs.change(Step(moved, by_theta))
-        residual = self.residual - change
-        return BoundedStep(Step(bounded, self.step.x + by_theta), residual)
+        by_theta = (self.reduced.following @ moved).ravel()
+        change = self.shown_slopes @ Step(moved, by_theta).joined
+        step = Step(bounded, self.step.x + by_theta)
+        return BoundedStep(step, self.residual - change)
 
     @cached_property
     def states_within_bounds(self) -> np.ndarray:
@@ -236,8 +244,8 @@ class LinearizedRecord:
     def parameters_within_bounds(self) -> np.ndarray:
         """Parameters after that step, (n_free, n_trajectories)."""
         step = self.within_bounds.step.theta
-        lower, upper = self._scaled_bounds
-        moved = self.theta + self.scale * step
+        lower, upper = self._step_bounds
+        moved = self.theta + step
         # Exactly: a coefficient of 1e-17 in place of zero gives inner values slopes.
         moved = np.where(step <= lower, self.unknown.lower, moved)
         moved = np.where(step >= upper, self.unknown.upper, moved)
@@ -245,11 +253,9 @@ class LinearizedRecord:
         return theta[self.unknown.table].reshape(self.parameters.shape)
 
     @property
-    def _scaled_bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper, of a step of the scaled parameters."""
-        lower = (self.unknown.lower - self.theta) / self.scale
-        upper = (self.unknown.upper - self.theta) / self.scale
-        return lower, upper
+    def _step_bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper, of a step of the parameters."""
+        return self.unknown.lower - self.theta, self.unknown.upper - self.theta
 
     @cached_property
     def obeying_states(self) -> np.ndarray:
@@ -268,11 +274,10 @@ class LinearizedRecord:
     @cached_property
     def kept_rows(self) -> np.ndarray:
         """Rows of measured values that are kept of a trace, all or a fixed draw."""
-        rows = np.flatnonzero(self.weight)
-        if len(rows) > MOST_KEPT_ROWS:
-            rng = np.random.default_rng(0)
-            rows = rng.choice(rows, MOST_KEPT_ROWS, replace=False)
-        return np.sort(rows)
+        if self.n_values <= MOST_KEPT_ROWS:
+            return np.arange(self.n_values)
+        rng = np.random.default_rng(0)
+        return np.sort(rng.choice(self.n_values, MOST_KEPT_ROWS, replace=False))
 
     def traces(self, of_defects: np.ndarray, of_outputs: np.ndarray) -> np.ndarray:
         """What is left of changes in the residuals when all that may move has followed.
@@ -282,28 +287,41 @@ class LinearizedRecord:
             of_outputs: Y, (n_nodes * n_states, k), not yet weighted.
 
         Returns:
-            (n_nodes * n_states, k), in units of the noise.
+            (n_values, k), in units of the noise.
         """
-        followed = self._followed(of_defects, of_outputs)
-        direct = self.weight[:, None] * of_outputs
-        return np.asarray(direct + self.point.outputs.change(followed))
+        direct = self._over_noise(of_outputs)
+        followed = self._followed(of_defects, direct)
+        return direct + self.shown_slopes @ followed.joined
 
-    def _followed(self, of_defects: np.ndarray, of_outputs: np.ndarray) -> Step:
-        """How scaled parameters and states follow the changes D and Y."""
-        gradient = self.point.outputs.gradient(-self.weight[:, None] * of_outputs)
-        return self.point.reduced.solve(
-            gradient.x, -of_defects, self.covariance, gradient.theta
-        )
+    def _over_noise(self, of_outputs: np.ndarray) -> np.ndarray:
+        """Of changes at all nodes those of measured values, (n_values, k)."""
+        is_measured = self.grid.measured.ravel()
+        return of_outputs[is_measured] / self.sigma[self.grid.channel][:, None]
+
+    def _followed(self, of_defects: np.ndarray, direct: np.ndarray) -> Step:
+        """How parameters and states follow changes of defects and residuals."""
+        n = self.n_theta
+        pull = -self.shown_slopes.T @ direct
+        offset = -_lengths(self.likelihood)[:, None] * of_defects
+        return self.reduced.solve(pull[n:], offset, self.covariance, pull[:n])
+
+    def _theta_beside(
+        self, of_defects: np.ndarray, of_outputs: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
+        """How the parameters follow an effect with given coefficients, (n_theta,)."""
+        c = coefficients[:, None]
+        followed = self._followed(of_defects @ c, self._over_noise(of_outputs @ c))
+        return followed.theta[:, 0]
 
     def adjoint(self) -> np.ndarray:
         """Multipliers of the defects, (n_intervals * n_states,).
 
         Minus the product of the residual with the trace of each defect.
         """
-        gradient = self.point.outputs.gradient(self.residual)
-        return self.point.reduced.multipliers(
-            gradient.x, self.covariance, gradient.theta
-        )
+        n = self.n_theta
+        pull = self.shown_slopes.T @ self.residual
+        found = self.reduced.multipliers(pull[n:], self.covariance, pull[:n])
+        return _lengths(self.likelihood) * found
 
     def parameters_with(
         self,
@@ -316,13 +334,10 @@ class LinearizedRecord:
         They move at most half way to their bounds: the linearisation is not trusted
         further.
         """
-        by_effect = self._followed(of_defects, of_outputs).theta @ coefficients
-        moved = self.theta + self.scale * (self.step.theta + by_effect)
-        entries = self.unknown.entries
-        lower = np.array([entry.parameter.lower for entry in entries])
-        upper = np.array([entry.parameter.upper for entry in entries])
-        half_way_down = (lower + self.theta) / 2
-        half_way_up = (upper + self.theta) / 2
+        by_effect = self._theta_beside(of_defects, of_outputs, coefficients)
+        moved = self.theta + self.step.theta + by_effect
+        half_way_down = (self.unknown.lower + self.theta) / 2
+        half_way_up = (self.unknown.upper + self.theta) / 2
         moved = np.clip(moved, half_way_down, half_way_up)
         return dict(zip(self.unknown.names, moved.tolist(), strict=True))
 
@@ -336,10 +351,10 @@ class LinearizedRecord:
 
         The arguments are those of `parameters_with`; parameters at zero do not count.
         """
-        by_effect = self._followed(of_defects, of_outputs).theta @ coefficients
+        by_effect = self._theta_beside(of_defects, of_outputs, coefficients)
         sizes = np.abs(self.theta)
         counts = sizes > 0
-        relative = np.abs(self.scale * by_effect)[counts] / sizes[counts]
+        relative = np.abs(by_effect)[counts] / sizes[counts]
         return float(np.max(relative, initial=0.0))
 
     def parameters_of(self, model: Model, values: dict[str, float]) -> np.ndarray:
@@ -357,15 +372,13 @@ class LinearizedRecord:
         return np.array(rows).reshape(-1, n_trajectories)
 
     def by_trajectory(self, values: np.ndarray, size: np.ndarray) -> list[np.ndarray]:
-        """Weighted values over ``size`` per state, (n_samples, n_states) each."""
-        table = values.reshape(self.grid.y.shape) / size
-        return np.split(table, self.grid.first[1:])
+        """Values (n_values,) over ``size`` per state, (n_samples, n_states) each.
 
-    def channel_sizes(self, residual: np.ndarray) -> np.ndarray:
-        """Root mean square of a weighted residual in each state, (n_states,)."""
-        measured = self.grid.measured
-        squares = np.sum(residual.reshape(self.grid.y.shape) ** 2, axis=0)
-        return np.sqrt(squares / np.maximum(measured.sum(axis=0), 1))
+        Zero where nothing was measured.
+        """
+        table = np.zeros(self.grid.y.shape)
+        table[self.grid.measured] = values
+        return list(self.grid.split(table / size))
 
     def along(self, run: Sequence[np.ndarray]) -> "LinearizedRecord | None":
         """The same along states that obey the base model.
@@ -376,29 +389,60 @@ class LinearizedRecord:
         Returns:
             None where there are no such states within a few Newton steps.
         """
-        linearized = LinearizedRecord.of(self.record, np.concatenate(run))
+        at = partial(LinearizedRecord.at, self.record, self.likelihood)
+        linearized = at(np.concatenate(run), self.parameters)
         reference = np.linalg.norm(self.defects)
         for _ in range(MOST_NEWTON_STEPS):
             if np.linalg.norm(linearized.defects) < OBEYING * reference:
                 return linearized
             held = np.zeros_like(linearized.covariance)
-            back = linearized.point.reduced.respond(-linearized.defects, held).x
+            offset = -_lengths(self.likelihood) * linearized.defects
+            back = linearized.reduced.respond(offset, held).x
             states = linearized.states + back.reshape(linearized.states.shape)
-            linearized = LinearizedRecord.of(self.record, states)
+            linearized = at(states, self.parameters)
         left = np.linalg.norm(linearized.defects)
         return linearized if left < NEARLY_OBEYING * reference else None
 
 
-def linearization_of(record: Record, model: Model, grid: Grid) -> RecordLinearization:
-    """Of the likelihood of a model along a record, for many points of it.
+def likelihood_of(record: Record, model: Model, grid: Grid) -> LikelihoodValues:
+    """Of a model along a record, for many points of it, in the data's own units.
 
-    Arguments as those of `LinearizedRecord.at`.
+    Args:
+        record: of the fit that is diagnosed.
+        model: its model, or a larger one whose further states are its last.
+        grid: in the order of the model.
     """
-    sigma = record.estimate.sigma
-    n_further = model.n_states - len(sigma)
-    return RecordLinearization(
-        Theta.of(model, record.trajectories),
-        grid,
-        DEFECT_SCHEME,
-        np.r_[sigma, np.ones(n_further)],
-    )
+    unknown = Theta.of(model, record.trajectories)
+    n_theta = len(unknown)
+    x = np.zeros((grid.n_nodes, model.n_states))
+    point = Point(np.zeros(n_theta), x, np.ones(n_theta), np.ones(model.n_states))
+    return LikelihoodValues(model, grid, DEFECT_SCHEME, point, unknown)
+
+
+def _lengths(likelihood: LikelihoodValues) -> np.ndarray:
+    """In time, of the interval of every defect, (n_intervals * n_states,)."""
+    return np.repeat(likelihood.grid.h, likelihood.n_states)
+
+
+def _covariance(
+    information: np.ndarray, scale: np.ndarray, is_held: np.ndarray
+) -> np.ndarray:
+    """Inverse of the information of parameters of these sizes, (n_theta, n_theta)."""
+    sizes = np.outer(scale, scale)
+    held = np.flatnonzero(is_held).tolist()
+    return sizes * regularized_inverse(information * sizes, held)
+
+
+def _parameter_sizes(
+    likelihood: LikelihoodValues, there: PointValues, squares: WeighedValues
+) -> np.ndarray:
+    """Size of each parameter, one that changes rates and residuals by about one.
+
+    A power of two: what is scaled to a bound comes back to exactly that bound.
+    """
+    rates = there.jacobian / _lengths(likelihood)[likelihood.jacobian.rows]
+    n = len(likelihood.point.scale)
+    square = np.bincount(likelihood.jacobian.columns, rates**2, minlength=n)
+    square += np.bincount(likelihood.shown.columns, squares.slopes**2, minlength=n)
+    of_theta = square[likelihood.point.of_theta]
+    return np.exp2(-np.round(np.log2(np.where(of_theta > 0, of_theta, 1.0)) / 2))

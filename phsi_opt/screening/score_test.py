@@ -438,7 +438,7 @@ class ScoreTest:
         """Of the likelihood ratio, for correlated residuals and all values scanned."""
         linearized = self.linearized
         residual = linearized.residual - explained
-        size = linearized.channel_sizes(residual) + TINY
+        size = linearized.grid.rms_by_channel(residual) + TINY
         share = effective_sample_share(
             linearized.by_trajectory(explained, size),
             linearized.by_trajectory(residual, size),

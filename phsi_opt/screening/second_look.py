@@ -18,7 +18,7 @@ from phsi_opt.initialization.relative_guesses import resolve_guesses
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.screening.effect_size import Size, new_names, size_of
-from phsi_opt.screening.linearized_record import LinearizedRecord, linearization_of
+from phsi_opt.screening.linearized_record import LinearizedRecord, likelihood_of
 from phsi_opt.statistics import TINY, effective_sample_share, profiled_deviance
 from phsi_opt.transcription.augmented_states import with_memory
 
@@ -47,15 +47,16 @@ class Look:
 
     @property
     def residual(self) -> np.ndarray:
-        """Weighted, (n_nodes * n_states,)."""
+        """In units of the noise, (n_values,)."""
         return self.linearized.within_bounds.residual
 
     @property
     def deviance(self) -> float:
         """Of the last step, up to a constant (see ``profiled_deviance``)."""
         grid = self.linearized.grid
-        squares = np.sum(self.residual.reshape(grid.y.shape) ** 2, axis=0)
-        return profiled_deviance(squares, grid.measured.sum(axis=0))
+        counts = grid.measured.sum(axis=0)
+        squares = counts * grid.rms_by_channel(self.residual) ** 2
+        return profiled_deviance(squares, counts)
 
     @property
     def states(self) -> np.ndarray:
@@ -73,10 +74,8 @@ class Look:
         at = self.linearized
         names = new_names(base, effect, at.unknown.names)
         places = [at.unknown.names.index(name) for name in names]
-        scale = at.scale[places]
-        n_values = int(at.grid.measured.sum())
-        variance = max(self.misfit / n_values, 1.0) / max(share, TINY)
-        covariance = at.covariance[np.ix_(places, places)] * np.outer(scale, scale)
+        variance = max(self.misfit / at.n_values, 1.0) / max(share, TINY)
+        covariance = at.covariance[np.ix_(places, places)]
         values = self.model.values
         return size_of(effect, self.model, names, values, variance * covariance)
 
@@ -84,10 +83,9 @@ class Look:
 def independent_share(before: Look, after: Look) -> float:
     """Share of the residuals that is independent, for the change between two looks."""
     smaller = before.linearized
-    n_states = smaller.model.n_states
-    n_nodes = len(smaller.grid.y)
-    residual = after.residual.reshape(n_nodes, -1)[:, :n_states].ravel()
-    size = smaller.channel_sizes(residual) + TINY
+    is_shared = after.linearized.grid.channel < smaller.model.n_states
+    residual = after.residual[is_shared]
+    size = smaller.grid.rms_by_channel(residual) + TINY
     return effective_sample_share(
         smaller.by_trajectory(before.residual - residual, size),
         smaller.by_trajectory(residual, size),
@@ -135,11 +133,11 @@ def _settled(
     parameters = _parameters(record, model, known)
     grid = record.aligned.for_model(model).grid
     states = with_memory(model, grid, estimate.x, parameters)
-    linearization = linearization_of(record, model, grid)
+    likelihood = likelihood_of(record, model, grid)
     held = set(model.free) - record.estimated_here(model) if is_held else set()
 
     def linearized(x: np.ndarray, theta: np.ndarray) -> LinearizedRecord:
-        return LinearizedRecord.at(record, model, x, theta, grid, held, linearization)
+        return LinearizedRecord.at(record, likelihood, x, theta, held)
 
     at = linearized(states, parameters)
     misfit = at.within_bounds.misfit

@@ -12,7 +12,6 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import (
@@ -20,8 +19,6 @@ from phsi_opt.transcription.interval_map import (
     in_intervals,
     interval_arguments,
     map_intervals,
-    mapped,
-    mapped_parameters,
 )
 from phsi_opt.transcription.pattern import entries_of, entry_places
 
@@ -115,63 +112,19 @@ def _slopes_of_one(model: Model, scheme: str, with_theta: bool) -> OfOne:
     return OfOne(entries, entry_places(slopes))
 
 
-def linear_defect(model: Model, scheme: str) -> OfOne:
-    """The defect of one interval with its slopes in (x0, x1, theta)."""
-    return model.built(("linear", scheme), lambda: _linear_one(model, scheme))
-
-
-def _linear_one(model: Model, scheme: str) -> OfOne:
-    function = defect(model, scheme)
-    arguments = argument_symbols(function)
-    x0, x1, *_, parameters = arguments
-    value = function(*arguments)
-    slopes = ca.jacobian(value, ca.vertcat(x0, x1, parameters))
-    both = ca.Function("linear", arguments, [value, entries_of(slopes)])
-    return OfOne(both, entry_places(slopes))
-
-
-class DefectLinearization:
-    """Defects of a model with their slopes, made once for many points of a grid.
+def linear_function(function: ca.Function, n_states: int) -> OfOne:
+    """The value of a function, with its slopes in its states and parameters.
 
     Args:
-        model: the model.
-        scheme: name of the integrator.
-        grid: nodes and intervals.
-        n_trajectories: of the parameters.
-
-    Attributes:
-        places: (n_entries, 2) equation and unknown of each slope that is not always
-            zero, among (x0, x1, theta).
+        function: of one interval or node; its last argument are the parameters.
+        n_states: number of its first arguments that are states.
     """
-
-    def __init__(
-        self, model: Model, scheme: str, grid: Grid, n_trajectories: int
-    ) -> None:
-        one = linear_defect(model, scheme)
-        self.places = one.places
-        is_shared = n_trajectories == 1
-        self._evaluated = Evaluated(mapped(one.entries, grid.n_intervals, is_shared))
-        self._begin = grid.begin
-        self._trajectory = grid.trajectory[grid.begin]
-        self._given = [grid.t[grid.begin], grid.h, grid.u0.ravel(), grid.u1.ravel()]
-
-    def at(
-        self, x: np.ndarray, parameters: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Linearise at states (n_nodes, n_states).
-
-        Args:
-            x: the states.
-            parameters: (n_free, n_trajectories).
-
-        Returns:
-            The defects, (n_intervals, n_states), and the slopes, (n_intervals,
-            n_entries). They are written over by the next call.
-        """
-        ends = x[self._begin].ravel(), x[self._begin + 1].ravel()
-        theta = mapped_parameters(parameters, self._trajectory)
-        values, entries = self._evaluated(*ends, *self._given, theta)
-        return values, entries
+    arguments = argument_symbols(function)
+    value = function(*arguments)
+    unknowns = [*arguments[:n_states], arguments[-1]]
+    slopes = ca.jacobian(value, ca.vertcat(*unknowns))
+    both = ca.Function("linear", arguments, [value, entries_of(slopes)])
+    return OfOne(both, entry_places(slopes))
 
 
 def interval_curvatures(

@@ -8,16 +8,13 @@ dense problem in the parameters: the information.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_matrix
 
 from phsi_opt.errors import SolveError
-from phsi_opt.optimization.along_time import Chain, TimeLayout
+from phsi_opt.optimization.along_time import Chain
 from phsi_opt.optimization.banded import Banded
 from phsi_opt.optimization.chained import Chained
-from phsi_opt.statistics import TINY
 from phsi_opt.transcription.grid import Grid
 
 # Information, per scaled parameter, that makes the matrix regular where the data say
@@ -105,56 +102,17 @@ class ReducedSystem:
     Args:
         grid: nodes and intervals.
         n_states: number of states at a node.
-        H: sparse curvature, square in z.
-        J: sparse Jacobian of the constraints, (n_intervals * n_states, n_z).
-        theta: where the parameters stand in z.
-        x: where the states stand in z.
+        factors: of states and multipliers, parameters held.
+        coupling: (n_x + n_constraints, n_theta) how theta acts on both.
+        curvature: (n_theta, n_theta) of theta alone.
+        per_theta: what the factors make of the coupling, where it is known.
 
     Attributes:
         information: (n_theta, n_theta), the curvature that is left for theta when the
             states follow it.
-
-    Raises:
-        SolveError: the states do not follow from the parameters and the data.
     """
 
     def __init__(
-        self, grid: Grid, n_states: int, H: Any, J: Any, theta: slice, x: slice
-    ) -> None:
-        H = H.tocoo()
-        J = J.tocoo()
-        order = time_order(grid, ("node", n_states), ("interval", n_states))
-        matrix = _kkt_matrix(H, J, x)
-        layout = TimeLayout(matrix.row, matrix.col, order, chain_of(grid, n_states))
-        factors = layout.factors(matrix.data)
-        coupling = _coupling(H, J, theta, x)
-        self._eliminate(grid, n_states, factors, coupling, _own_block(H, theta))
-
-    @classmethod
-    def of_factors(
-        cls,
-        grid: Grid,
-        n_states: int,
-        factors: Banded | Chained,
-        coupling: np.ndarray,
-        curvature: np.ndarray,
-        per_theta: np.ndarray | None = None,
-    ) -> "ReducedSystem":
-        """Of parts that were made elsewhere.
-
-        Args:
-            grid: nodes and intervals.
-            n_states: number of states at a node.
-            factors: of states and multipliers, parameters held.
-            coupling: (n_x + n_constraints, n_theta) how theta acts on both.
-            curvature: (n_theta, n_theta) of theta alone.
-            per_theta: what the factors make of the coupling, where it is known.
-        """
-        system = cls.__new__(cls)
-        system._eliminate(grid, n_states, factors, coupling, curvature, per_theta)
-        return system
-
-    def _eliminate(
         self,
         grid: Grid,
         n_states: int,
@@ -247,50 +205,3 @@ class ReducedSystem:
         per_node = columns.reshape(-1, n, n)
         inverses = np.linalg.pinv(at_start, hermitian=True)
         return per_node @ inverses[trajectory] @ per_node.transpose(0, 2, 1)
-
-
-def _kkt_matrix(H: coo_matrix, J: coo_matrix, x: slice) -> coo_matrix:
-    """Optimality conditions in the states (at ``x`` in z) and multipliers."""
-    n_x = x.stop - x.start
-    is_state = (H.row >= x.start) & (H.row < x.stop)
-    is_state &= (H.col >= x.start) & (H.col < x.stop)
-    row, column, curvature = (part[is_state] for part in (H.row, H.col, H.data))
-    largest = float(np.max(curvature[row == column], initial=0.0))
-    every_state = np.arange(n_x)
-    of_x = (J.col >= x.start) & (J.col < x.stop)
-    state = J.col[of_x] - x.start
-    defect = J.row[of_x] + n_x
-    slopes = J.data[of_x]
-    shift = np.full(n_x, REGULAR * max(largest, TINY))
-    rows = [row - x.start, every_state, defect, state]
-    columns = [column - x.start, every_state, state, defect]
-    entries = np.concatenate([curvature, shift, slopes, slopes])
-    n = n_x + J.shape[0]
-    places = (np.concatenate(rows), np.concatenate(columns))
-    return coo_matrix((entries, places), shape=(n, n))
-
-
-def _coupling(H: coo_matrix, J: coo_matrix, theta: slice, x: slice) -> np.ndarray:
-    """What couples states and multipliers with the parameters, dense."""
-    n_x = x.stop - x.start
-    shape = (n_x + J.shape[0], theta.stop - theta.start)
-    coupling = np.zeros(shape, order="F")  # as it is solved for
-    is_mixed = (H.row >= x.start) & (H.row < x.stop)
-    is_mixed &= (H.col >= theta.start) & (H.col < theta.stop)
-    states = H.row[is_mixed] - x.start
-    coupling[states, H.col[is_mixed] - theta.start] = H.data[is_mixed]
-    of_theta = (J.col >= theta.start) & (J.col < theta.stop)
-    defects = n_x + J.row[of_theta]
-    coupling[defects, J.col[of_theta] - theta.start] = J.data[of_theta]
-    return coupling
-
-
-def _own_block(H: coo_matrix, theta: slice) -> np.ndarray:
-    """The part of a curvature that is the parameters' alone, dense."""
-    n = theta.stop - theta.start
-    block = np.zeros((n, n))
-    is_own = (H.row >= theta.start) & (H.row < theta.stop)
-    is_own &= (H.col >= theta.start) & (H.col < theta.stop)
-    places = (H.row[is_own] - theta.start, H.col[is_own] - theta.start)
-    block[places] = H.data[is_own]
-    return block

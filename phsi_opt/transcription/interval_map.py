@@ -95,18 +95,6 @@ def mapped(function: ca.Function, n: int, is_shared: bool) -> ca.Function:
     return function.map(n, "serial")
 
 
-def mapped_parameters(parameters: np.ndarray, trajectory: np.ndarray) -> np.ndarray:
-    """The last argument of what `mapped` made, as one vector.
-
-    Args:
-        parameters: (n_free, n_trajectories); one column where all share them.
-        trajectory: of each column of the function.
-    """
-    if parameters.shape[1] == 1:
-        return parameters.ravel()
-    return parameters.T[trajectory].ravel()
-
-
 def node_arguments(grid: Grid, x: Any) -> list[Any]:
     """x, u and t of every node, as columns; ``x`` is (n_states, n_nodes)."""
     return [x, grid.u.T, grid.t[None, :]]

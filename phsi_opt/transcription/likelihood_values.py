@@ -14,19 +14,14 @@ import numpy as np
 
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.column_function import ColumnFunction
-from phsi_opt.transcription.defect_derivatives import (
-    OfOne,
-    linear_defect,
-)
+from phsi_opt.transcription.defect_derivatives import linear_function
+from phsi_opt.transcription.defects import defect
+from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import (
-    argument_symbols,
-    known_arguments,
-    node_arguments,
-)
+from phsi_opt.transcription.interval_map import known_arguments, node_arguments
 from phsi_opt.transcription.optimality_system import OptimalitySystem
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.pattern import Pattern, entries_of, entry_places
+from phsi_opt.transcription.pattern import Pattern
 from phsi_opt.transcription.point import Point
 
 
@@ -54,12 +49,14 @@ class WeighedValues:
     Attributes:
         objective: half the sum of squared residuals.
         residual: (n_values,).
+        slopes: entries of what is shown, in z, over the noise as the residual.
         gradient: in z, (n_variables,).
         hessian: entries of the upper triangle of the Gauss-Newton Hessian.
     """
 
     objective: float
     residual: np.ndarray
+    slopes: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
 
@@ -129,7 +126,10 @@ class LikelihoodValues:
         """Places of the slopes of the defects: row by row, interval by interval."""
         grid = self.grid
         n = self.n_states
-        one = linear_defect(self.model, scheme)
+        model = self.model
+        one = model.built(
+            ("linear", scheme), lambda: linear_function(defect(model, scheme), 2)
+        )
         equation, local = one.places.T
         is_state = local < 2 * n
         # Parameters are the first columns of z.
@@ -158,7 +158,8 @@ class LikelihoodValues:
             self.shown = Pattern(np.arange(n_values), first + self._measured, shape)
             self._sensor = None
             return
-        one = self.model.built("linear output", lambda: _linear_output(self.model))
+        model = self.model
+        one = model.built("linear output", lambda: linear_function(model.output(), 1))
         channel, local = one.places.T
         columns = self._columns(local, n, self.grid.trajectory)
         columns[:, local < n] += n * np.arange(self.grid.n_nodes)[:, None]
@@ -210,8 +211,19 @@ class LikelihoodValues:
         return self._y - shown.T.ravel()[self._measured], entries.T[self._is_shown]
 
     def weighed(self, values: PointValues, sigma: np.ndarray) -> WeighedValues:
-        """The objective with noise sigma (n_states,), and its derivatives."""
-        weights = np.sqrt(2 / len(self._y)) / sigma[self._channel]
+        """The objective with noise sigma (n_states,), and its derivatives.
+
+        It is a mean: two over the number of values, times -log p.
+        """
+        return self._squares(values, np.sqrt(2 / len(self._y)) / sigma)
+
+    def standardized(self, values: PointValues, sigma: np.ndarray) -> WeighedValues:
+        """The same of -log p: residuals in units of the noise sigma (n_states,)."""
+        return self._squares(values, 1 / sigma)
+
+    def _squares(self, values: PointValues, weight: np.ndarray) -> WeighedValues:
+        """Half the squares of the misfit times the weight (n_states,)."""
+        weights = weight[self._channel]
         residual = values.misfit * weights
         slopes = values.slopes * weights[self.shown.rows]
         pulls = -slopes * residual[self.shown.rows]
@@ -219,6 +231,7 @@ class LikelihoodValues:
         return WeighedValues(
             objective=float(residual @ residual) / 2,
             residual=residual,
+            slopes=slopes,
             gradient=np.bincount(self.shown.columns, pulls, minlength=n),
             hessian=slopes[self._one] * slopes[self._other],
         )
@@ -227,6 +240,15 @@ class LikelihoodValues:
     def system(self) -> OptimalitySystem:
         """The optimality conditions, to be filled with numbers."""
         return OptimalitySystem(self.grid, self.n_states, self.hessian, self.jacobian)
+
+    def reduced(self, values: PointValues, weighed: WeighedValues) -> ReducedSystem:
+        """The likelihood linearised at a point, states eliminated.
+
+        Raises:
+            SolveError: the states do not follow from the parameters and the data.
+        """
+        factored = self.system.factored(weighed.hessian, values.jacobian)
+        return factored.reduced(self.grid, self.n_states)
 
     @cached_property
     def lower(self) -> np.ndarray:
@@ -245,17 +267,6 @@ class LikelihoodValues:
         if bounds is not None:
             of_states = bounds.upper.ravel()
         return np.concatenate([self.unknown.upper, of_states]) / self._scale
-
-
-def _linear_output(model: Model) -> OfOne:
-    """What the sensors of one node show, with its slopes in (x, theta)."""
-    function = model.output()
-    arguments = argument_symbols(function)
-    x, _, _, parameters = arguments
-    value = function(*arguments)
-    slopes = ca.jacobian(value, ca.vertcat(x, parameters))
-    both = ca.Function("linear", arguments, [value, entries_of(slopes)])
-    return OfOne(both, entry_places(slopes))
 
 
 def _pairs(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

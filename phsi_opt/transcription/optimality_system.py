@@ -7,8 +7,10 @@ with a step is the business of the callers.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy.sparse import triu
 
 from phsi_opt.optimization.along_time import TimeLayout
 from phsi_opt.optimization.banded import Banded, BandLayout
@@ -212,7 +214,7 @@ class Factored:
 
     def reduced(self, grid: Grid, n_states: int) -> ReducedSystem:
         """The same with the states eliminated, for other questions than the step."""
-        return ReducedSystem.of_factors(
+        return ReducedSystem(
             grid,
             n_states,
             self._factors,
@@ -259,3 +261,27 @@ class Factored:
         others = alone - self._per_theta @ best.d
         z = np.concatenate([best.d, others[:n_x]])
         return NewtonStep(z, others[n_x:], best.is_silent)
+
+
+def eliminated(
+    grid: Grid, n_states: int, hessian: Any, jacobian: Any, n_theta: int
+) -> ReducedSystem:
+    """A system given as sparse matrices, its states eliminated.
+
+    Args:
+        grid: nodes and intervals.
+        n_states: number of states at a node.
+        hessian: symmetric, square in z = (theta, x, others); the others stay.
+        jacobian: of the constraints, (n_intervals * n_states, n_z).
+        n_theta: number of parameters.
+
+    Raises:
+        SolveError: the states do not follow from the parameters and the data.
+    """
+    n = n_theta + grid.n_nodes * n_states
+    upper = triu(hessian.tocsc()[:n, :n], format="coo")
+    slopes = jacobian.tocsc()[:, :n].tocoo()
+    of_hessian = Pattern(upper.row, upper.col, upper.shape)
+    of_jacobian = Pattern(slopes.row, slopes.col, slopes.shape)
+    system = OptimalitySystem(grid, n_states, of_hessian, of_jacobian)
+    return system.factored(upper.data, slopes.data).reduced(grid, n_states)

@@ -13,16 +13,9 @@ import numpy as np
 from scipy.sparse import bsr_matrix, identity
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import (
-    argument_symbols,
-    map_nodes,
-    mapped,
-    mapped_parameters,
-)
+from phsi_opt.transcription.interval_map import argument_symbols, map_nodes
 from phsi_opt.transcription.parameter_vector import Theta
-from phsi_opt.transcription.pattern import entries_of, entry_places
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,61 +103,6 @@ def _slopes_of(sensors: ca.Function) -> ca.Function:
     in_parameters = ca.densify(ca.jacobian(shown, parameters).T)
     both = [ca.vec(in_state), ca.vec(in_parameters)]
     return ca.Function("slopes", arguments, both)
-
-
-class SensorLinearization:
-    """What the sensors show with its slopes, made once for many points of a grid.
-
-    Args:
-        model: the model with its sensors.
-        grid: nodes, their times and inputs.
-        n_trajectories: of the parameters.
-
-    Attributes:
-        places: (n_entries, 2) shown state and unknown of each slope that is not always
-            zero, among (x, theta).
-    """
-
-    def __init__(self, model: Model, grid: Grid, n_trajectories: int) -> None:
-        self._trajectory = grid.trajectory
-        self._given = [grid.u.ravel(), grid.t]
-        self._evaluated = None
-        self.places = np.repeat(np.arange(model.n_states)[:, None], 2, axis=1)
-        if model.sensor:
-            both, self.places = model.built(
-                "linear outputs", lambda: _linear_outputs(model.output())
-            )
-            is_shared = n_trajectories == 1
-            self._evaluated = Evaluated(mapped(both, grid.n_nodes, is_shared))
-
-    def at(
-        self, x: np.ndarray, parameters: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Linearise at states (n_nodes, n_states).
-
-        Args:
-            x: the states.
-            parameters: (n_free, n_trajectories).
-
-        Returns:
-            What is shown, (n_nodes, n_states), and the slopes, (n_nodes, n_entries).
-            They are written over by the next call.
-        """
-        if self._evaluated is None:
-            return x, np.ones_like(x)
-        theta = mapped_parameters(parameters, self._trajectory)
-        shown, slopes = self._evaluated(x.ravel(), *self._given, theta)
-        return shown, slopes
-
-
-def _linear_outputs(sensors: ca.Function) -> tuple[ca.Function, np.ndarray]:
-    """A function's value with its slopes in (x, theta), and the places of these."""
-    arguments = argument_symbols(sensors)
-    state, _, _, parameters = arguments
-    shown = sensors(*arguments)
-    slopes = ca.jacobian(shown, ca.vertcat(state, parameters))
-    results = [ca.densify(shown), entries_of(slopes)]
-    return ca.Function("linear", arguments, results), entry_places(slopes)
 
 
 def output_slopes_in_theta(
