@@ -6,16 +6,14 @@ In the scale of the program; the record of slopes is that of ``phsi_opt.model_er
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csc_matrix, diags
 
 from phsi_opt.data.noise_by_run import scatter_by_run
 from phsi_opt.estimation.identifiability import SilentDirections
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.transcription import Transcription
-from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch
 from phsi_opt.model_error.gaps import between_samples
-from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.linearization import Linearization, linearized
 from phsi_opt.model_error.standard_errors import PlainEstimate
 from phsi_opt.optimization.ipopt import Solution
 from phsi_opt.transcription.elimination import ReducedSystem, regularized_inverse
@@ -54,39 +52,9 @@ class SolvedLikelihood:
 
     def linearized(self) -> Linearization:
         """Slopes of dynamics and sensors at the solution."""
-        grid = self.transcription.grid
-        point = self.transcription.point
-        likelihood = self.transcription.values
-        z = np.concatenate([self.theta, self.nodes.ravel()]) / point.scale
-        there = likelihood.at(z)
-        dynamics = likelihood.jacobian.filled(there.jacobian)
-        shown = likelihood.shown.filled(there.slopes)
-        model = self.transcription.model
-        memory = model.memory
-        observed = [k for k, name in enumerate(model.states) if name not in memory]
-        return Linearization(
-            grid=grid,
-            nodes=self.nodes,
-            dynamics_in_states=dynamics[:, point.of_x],
-            dynamics_in_theta=dynamics[:, point.of_theta].toarray(),
-            force_effects=self._force_effects(),
-            offset=there.g,
-            shown_in_states=shown[:, point.of_x].tocsr(),
-            shown_in_theta=shown[:, point.of_theta].toarray(),
-            residual=there.misfit,
-            node=np.nonzero(grid.measured)[0],
-            channel=grid.channel,
-            x_scale=point.x_scale,
-            theta_scale=point.theta_scale,
-            forced=forced_rows(model),
-            observed=tuple(observed),
-        )
-
-    def _force_effects(self) -> csc_matrix:
-        """A force enters its own equation, times the length of the interval."""
-        at = self.transcription
-        lengths = at.grid.h[:, None] / at.point.x_scale
-        return csc_matrix(diags(lengths.ravel()))
+        values = self.transcription.values
+        z = np.concatenate([self.theta, self.nodes.ravel()]) / values.point.scale
+        return linearized(values, z, values.at(z))
 
     def plain(
         self,

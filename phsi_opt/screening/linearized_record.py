@@ -39,7 +39,7 @@ from phsi_opt.transcription.likelihood_values import (
 )
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.point import Point
-from phsi_opt.transcription.sensors import SensorOutputs
+from phsi_opt.transcription.sensors import outputs
 
 DEFECT_SCHEME = "srk4"  # the integrator of the defects that are linearised
 # Newton steps to states that obey the model, at most: a free run's steps are finer than
@@ -265,11 +265,11 @@ class LinearizedRecord:
     @cached_property
     def shown(self) -> np.ndarray:
         """What the sensors show of the obeying states, (n_nodes, n_states)."""
+        if not self.model.sensor:
+            return self.obeying_states
         by_trajectory = np.asarray(self.unknown.by_trajectory(self.theta))
-        sensed = SensorOutputs.at(
-            self.model, self.grid, self.obeying_states, by_trajectory
-        )
-        return sensed.values
+        states = self.obeying_states.T
+        return np.array(outputs(self.model, self.grid, states, by_trajectory)).T
 
     @cached_property
     def kept_rows(self) -> np.ndarray:

@@ -10,35 +10,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import bsr_matrix, identity
 
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import argument_symbols, map_nodes
 from phsi_opt.transcription.parameter_vector import Theta
-
-
-@dataclass(frozen=True, eq=False)
-class SensorOutputs:
-    """What the sensors show of given states, and how it changes with them.
-
-    Attributes:
-        values: (n_nodes, n_states).
-        jacobian: slope in the states, sparse and square, (n_nodes * n_states).
-    """
-
-    values: np.ndarray
-    jacobian: Any
-
-    @classmethod
-    def at(
-        cls, model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray
-    ) -> "SensorOutputs":
-        """The sensors of ``model`` at the states ``x``, (n_nodes, n_states)."""
-        if not model.sensor:
-            return cls(x, identity(x.size, format="csc"))
-        values = np.array(outputs(model, grid, ca.DM(x.T), ca.DM(theta))).T
-        return cls(values, output_jacobian(model, grid, x, theta))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,14 +97,3 @@ def output_slopes_in_theta(
         everywhere = np.broadcast_to(places, in_parameters.shape)
         np.put_along_axis(slopes, everywhere, in_parameters, axis=2)
     return slopes
-
-
-def output_jacobian(model: Model, grid: Grid, x: np.ndarray, theta: np.ndarray) -> Any:
-    """Slope of `outputs` in the states, a sparse matrix.
-
-    It is (n_nodes * n_states, n_nodes * n_states), a block per node on the diagonal.
-    """
-    blocks = output_slopes(model, grid, x, theta).in_states
-    block_columns = np.arange(grid.n_nodes)
-    row_starts = np.arange(grid.n_nodes + 1)
-    return bsr_matrix((blocks, block_columns, row_starts)).tocsc()
