@@ -16,6 +16,7 @@ import phsi_opt as ph
 from phsi_opt.estimation import direct_steps
 from phsi_opt.interrupts import interruptible, is_noted, solving
 from phsi_opt.optimization import ipopt
+from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 from phsi_opt.transcription.optimality_system import NewtonStep
 
 PATIENCE = 60.0  # s for what takes far less, on a busy machine too
@@ -174,22 +175,20 @@ def test_another_thread_leaves_the_handler_alone() -> None:
 
 def test_a_study_goes_on_after_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
     study = ph.Study(SPRING, record())
-    n_solved = 0
-    run = ipopt.Solver._run
+    n_evaluated = 0
+    values_at = LikelihoodValues.at
 
-    def pressed(
-        solver: ipopt.Solver, *arguments: object
-    ) -> tuple[np.ndarray, ph.SolverSettings]:
-        nonlocal n_solved
-        n_solved += 1
+    def pressed(likelihood: LikelihoodValues, z: np.ndarray) -> PointValues:
+        nonlocal n_evaluated
+        n_evaluated += 1
         press()
-        return run(solver, *arguments)  # type: ignore[arg-type, return-value]
+        return values_at(likelihood, z)
 
     with monkeypatch.context() as patched:
-        patched.setattr(ipopt.Solver, "_run", pressed)
+        patched.setattr(LikelihoodValues, "at", pressed)
         with pytest.raises(KeyboardInterrupt):
             study.add("cubic stiffness")
-    assert n_solved == 1
+    assert n_evaluated == 1
     assert list(study.history["effect"]) == ["base model"]
     study.add("cubic stiffness")
     assert len(study.history) == 2

@@ -61,7 +61,8 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     scatter = np.where(is_given, given, initial_noise(data))
     least = np.maximum(quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter)
     longest = BRIEF_NOISE * float(np.median(grid.h))
-    sensors = lasting_noise(fit.model_error_rows, model.states, longest)
+    lasting = lasting_noise(fit.model_error_rows, model.states, longest)
+    sensors = tuple(error for error in lasting if not is_given[error.place])
     estimate = smoothed(
         model,
         grid,

@@ -102,7 +102,8 @@ def updated(
         likelihood: of the structure of the disturbances.
         disturbances: with their sizes.
         channels: states whose noise is estimated.
-        least_noise: (n_states,) below which it does not fall.
+        least_noise: (n_states,) below which all noise of a channel does not fall, white
+            and lasting.
 
     Raises:
         SolveError: the states do not follow from the data.
@@ -355,20 +356,22 @@ class _Derivatives:
         answer = alone - self.parts.solved[:, :-1] @ of_border
         n = self.n_probes
         squares, leverage = self._of_values(answer[:, :n], of_border[:, :n])
-        sigma = self.disturbances.sigma.copy()
-        for channel in self.channels:
-            own = self.problem.channel == channel
-            left = max(float(np.sum(1 - leverage[own])), 1.0)
-            factor = _factor(float(np.sum(squares[own])), left)
-            sigma[:, channel] = np.maximum(
-                factor * sigma[:, channel], least_noise[channel]
-            )
         processes = []
         for prior, signs in zip(self.priors, self.process_signs, strict=True):
             innovations, left = self._of_process(prior, signs, answer[:, n:])
             factor = _factor(innovations, max(prior.n - left, LEAST_DETERMINED))
             processes.append(replace(prior.process, size=factor * prior.process.size))
         n_forces = len(self.disturbances.forces)
+        least = least_noise**2
+        for error in processes[n_forces:]:
+            least[error.place] -= error.size**2
+        sigma = self.disturbances.sigma.copy()
+        for channel in self.channels:
+            own = self.problem.channel == channel
+            left = max(float(np.sum(1 - leverage[own])), 1.0)
+            factor = _factor(float(np.sum(squares[own])), left)
+            lowest = np.sqrt(max(least[channel], 0.0))
+            sigma[:, channel] = np.maximum(factor * sigma[:, channel], lowest)
         return replace(
             self.disturbances,
             sigma=sigma,
