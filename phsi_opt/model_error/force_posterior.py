@@ -40,7 +40,7 @@ class ForcePosterior:
 
     @property
     def n_unknowns(self) -> int:
-        """Length of what is solved for: states, forces and multipliers."""
+        """Number of states, forces and multipliers, which are solved for."""
         return len(self._eliminated.right)
 
     @property
