@@ -76,7 +76,7 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     measured = grid.measured.any(axis=0)
 
     def is_doubtful(found: ForceEstimate) -> bool:
-        return bool(np.any(measured & (found.sigma > DOUBTFUL_NOISE * scatter)))
+        return bool(np.any(measured & (found.white > DOUBTFUL_NOISE * scatter)))
 
     if is_doubtful(estimate):
         sizes = SIZE_OF_SECOND_SEARCH * rate_size(estimate)

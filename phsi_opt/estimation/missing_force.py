@@ -74,14 +74,14 @@ class ForceEstimate:
         return self.posterior.disturbances
 
     @property
-    def sigma(self) -> np.ndarray:
-        """Standard deviation of the white measurement noise, (n_states,)."""
+    def white(self) -> np.ndarray:
+        """Standard deviation of the white measurement noise alone, (n_states,)."""
         return self.disturbances.sigma[0]
 
     @property
-    def noise(self) -> np.ndarray:
+    def sigma(self) -> np.ndarray:
         """Standard deviation of all measurement noise, (n_states,), lasting or not."""
-        variance = self.sigma**2
+        variance = self.white**2
         for sensor in self.disturbances.sensors:
             variance[sensor.place] += sensor.size**2
         return np.sqrt(variance)

@@ -111,7 +111,7 @@ class Record:
         With noise that lasts from sample to sample, all of it.
         """
         n_states = self.model.n_states
-        known = self.estimate.noise[:n_states]
+        known = self.estimate.sigma[:n_states]
         sigma = np.r_[known, np.ones(n_states - len(known))]
         if not self.has_correlated_noise:
             return sigma
