@@ -60,8 +60,8 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
     guess = initial_noise(data, given)
     scatter = np.where(is_given, given, initial_noise(data))
     least = np.maximum(quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter)
-    longest = BRIEF_NOISE * float(np.median(grid.h))
-    lasting = lasting_noise(fit.model_error_rows, model.states, longest)
+    rows = fit.model_error_rows
+    lasting = lasting_noise(rows, model.states, longest_noise(grid))
     sensors = tuple(error for error in lasting if not is_given[error.place])
     estimate = smoothed(
         model,
@@ -104,6 +104,11 @@ def missing_force_of(fit: Fit, data: Measurements, grid: Grid) -> ForceEstimate:
                 model, grid, scatter, INTEGRATOR, known_noise=True, theta=theta
             )
     return estimate
+
+
+def longest_noise(grid: Grid) -> float:
+    """Correlation time up to which an error of a sensor is noise."""
+    return BRIEF_NOISE * float(np.median(grid.h))
 
 
 def rate_size(estimate: ForceEstimate) -> np.ndarray:

@@ -11,10 +11,9 @@ from functools import cached_property
 
 import numpy as np
 
-from phsi_opt.criteria import BRIEF_NOISE
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.force_search import missing_force_of
+from phsi_opt.estimation.force_search import longest_noise, missing_force_of
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.model_error_table import SENSOR_ERROR
 from phsi_opt.estimation.trajectory_parameters import (
@@ -130,7 +129,7 @@ class Record:
             return False
         errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
         others = [row for row in rows if row.kind != SENSOR_ERROR and row.time != 0]
-        return bool(errors) and not others and max(errors) <= self._longest_noise
+        return bool(errors) and not others and max(errors) <= longest_noise(self.grid)
 
     @property
     def shows_correlated_noise(self) -> bool:
@@ -140,12 +139,7 @@ class Record:
         """
         rows = self.fit.model_error_rows
         errors = [row.time for row in rows if row.kind == SENSOR_ERROR]
-        return bool(errors) and min(errors) <= self._longest_noise
-
-    @property
-    def _longest_noise(self) -> float:
-        """Correlation time up to which an error of a sensor is noise."""
-        return BRIEF_NOISE * float(np.median(self.grid.h))
+        return bool(errors) and min(errors) <= longest_noise(self.grid)
 
     @property
     def start(self) -> tuple[np.ndarray, ...]:

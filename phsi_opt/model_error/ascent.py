@@ -46,6 +46,9 @@ LEAST_GAIN = 0.03
 HOPE = 3.0
 LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
 LEAST_DETERMINED = 1e-3  # directions: keeps the update of a force without effect finite
+# Share of a channel's least variance that stays white beside errors that last: the
+# weight of its values is one over the white noise, and would be infinite.
+LEAST_WHITE = 1e-2
 PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 
@@ -370,7 +373,9 @@ class _Derivatives:
             own = self.problem.channel == channel
             left = max(float(np.sum(1 - leverage[own])), 1.0)
             factor = _factor(float(np.sum(squares[own])), left)
-            lowest = np.sqrt(max(least[channel], 0.0))
+            lowest = np.sqrt(
+                max(least[channel], LEAST_WHITE * least_noise[channel] ** 2)
+            )
             sigma[:, channel] = np.maximum(factor * sigma[:, channel], lowest)
         return replace(
             self.disturbances,

@@ -24,10 +24,10 @@ MOST_DEVIATIONS = 400
 
 @dataclass(frozen=True, eq=False)
 class ForcePosterior:
-    """The forces given the measurements.
+    """The forces given the measurements and the parameters.
 
     Attributes:
-        likelihood: of the linearised record.
+        likelihood: of the linearised record; no parameter moves in it.
         disturbances: with their sizes, forces among them.
     """
 
@@ -51,8 +51,8 @@ class ForcePosterior:
     @property
     def mean(self) -> np.ndarray:
         """Of the forces, (n_intervals, n_forced)."""
-        found = self.likelihood.smoothed(self.disturbances).processes
-        return np.array(found[: len(self.disturbances.forces)]).T
+        solved = self._eliminated.solved[:, -1]
+        return np.array([solved[places] for places in self._places]).T
 
     @cached_property
     def deviation(self) -> np.ndarray:

@@ -238,7 +238,7 @@ class _Place:
 
     def renewed(self) -> "_Place":
         """The same place, the record linearised here, functions of states as before."""
-        along = self.linear.nodes if self.linear.along is None else self.linear.along
+        along = self.linear.states_of_functions
         likelihood = _likelihood_at(self.problem, self.point.z, self.known, along)
         return replace(self, likelihood=likelihood)
 
@@ -298,7 +298,7 @@ class _Place:
             first += len(own)
         return float(total)
 
-    def aim(self, damping: float = 0.0) -> _Aim:
+    def aim(self, damping: float) -> _Aim:
         """The optimum of the record linearised here, or with damping before it.
 
         Raises:

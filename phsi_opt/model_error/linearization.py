@@ -20,6 +20,8 @@ from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, diags
 
 from phsi_opt.model.structure import forced_rows
 from phsi_opt.model_error.state_functions import LINEAR_SHARE, smooth_functions
+from phsi_opt.optimization.banded import Banded, BandLayout
+from phsi_opt.optimization.passage import neighbours_first
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
@@ -111,15 +113,22 @@ class Linearization:
         States are integrated out behind dynamics that hold, d(x) = 0. They follow from
         the starting states, whose flat prior is in their own units, so the slopes of d
         in the states at the ends of the intervals have to be divided out.
+
+        Raises:
+            SolveError: an interval's end does not follow from its begin.
         """
         n = self.n_states
         slopes = coo_matrix(self.dynamics_in_states)
-        interval = slopes.row // n
-        is_end = slopes.col // n == self.grid.begin[interval] + 1
-        at_end = np.zeros((self.grid.n_intervals, n, n))
-        places = (interval[is_end], slopes.row[is_end] % n, slopes.col[is_end] % n)
-        np.add.at(at_end, places, slopes.data[is_end])
-        log_slopes = float(np.sum(np.linalg.slogdet(at_end)[1]))
+        interval, row = np.divmod(slopes.row, n)
+        node, column = np.divmod(slopes.col, n)
+        at_end = node == self.grid.begin[interval] + 1
+        interval, row, column = interval[at_end], row[at_end], column[at_end]
+        order = neighbours_first(row, column, n)
+        first = n * np.arange(self.grid.n_intervals)[:, None]
+        layout = BandLayout(
+            interval * n + row, interval * n + column, (first + order).ravel()
+        )
+        log_slopes = Banded.of(layout, slopes.data[at_end]).log_abs_det
         return log_slopes + self.n_trajectories * float(np.sum(np.log(self.x_scale)))
 
     def effect_of_force(self, equation: int) -> np.ndarray:
@@ -145,11 +154,16 @@ class Linearization:
         """Places of the measured values of one state."""
         return np.flatnonzero(self.channel == channel)
 
+    @property
+    def states_of_functions(self) -> np.ndarray:
+        """States along which functions of them are taken, (n_nodes, n_states)."""
+        return self.nodes if self.along is None else self.along
+
     @cached_property
     def function_values(self) -> dict[int, np.ndarray]:
         """Values of the smooth functions of every state, (n_intervals, n_functions)."""
         begin = self.grid.begin
-        nodes = self.nodes if self.along is None else self.along
+        nodes = self.states_of_functions
         middles = (nodes[begin] + nodes[begin + 1]) / 2
         found = {}
         for state in self.observed:
@@ -230,9 +244,7 @@ class Linearization:
 
 
 def linearized(
-    values: LikelihoodValues,
-    z: np.ndarray,
-    known: PointValues,
+    values: LikelihoodValues, z: np.ndarray, known: PointValues
 ) -> Linearization:
     """A likelihood linearised at a point.
 
