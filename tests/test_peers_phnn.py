@@ -12,13 +12,13 @@ import torch
 from scipy.optimize import approx_fprime
 
 import phsi_opt as ph
-from phsi_opt.baselines.joint_force import JointForce
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_defects import Steps
+from phsi_opt.baselines.torch_steps import Steps
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.integrators import integrator
-from problems.peers.phnn import PHNN, NetworkDescent, _NetworkDynamics, phnn
+from problems.peers.joint_force import JointForce
+from problems.peers.phnn import PHNN, NetworkDescent, _Networks, phnn
 from problems.thesis.systems import SYSTEMS
 
 SPRING = SYSTEMS["mass_spring"]
@@ -54,24 +54,25 @@ def test_the_gradient_of_the_loss_is_that_of_finite_differences() -> None:
     structured = ph.PseudoHamiltonian(
         states=["q", "p"], S=ph.canonical(1), H=ph.polynomials(["q"], 1)
     )
-    dynamics = _NetworkDynamics(
-        structured, ("p",), NetworkDescent(hidden=(5, 4, 3)), neural, torch.float64
-    )
-    steps = Steps(grid_of(record), "srk4", dynamics, torch.float64)
-    theta = dynamics.start(torch.Generator().manual_seed(0))
-    flat = theta.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(steps.loss(flat, steps.all_tables(), 0.1), flat)
-    for i in range(0, len(theta), 3):
-        shift = torch.zeros_like(theta)
-        shift[i] = 1e-6
-        ends = [
-            steps.loss(theta + sign * shift, steps.all_tables(), 0.1)
-            for sign in (1, -1)
-        ]
-        # Central differences: rounding of about 1e-16 / 1e-6 of the loss.
-        assert float(gradient[i]) == pytest.approx(
-            float((ends[0] - ends[1]).detach()) / 2e-6, rel=1e-5, abs=1e-7
-        )
+    settings = NetworkDescent(hidden=(5, 4, 3), dtype="float64")
+    generator = torch.Generator().manual_seed(0)
+    networks = _Networks(structured, ("p",), settings, neural, generator)
+    steps = Steps(grid_of(record), "srk4", torch.float64)
+    tables = steps.tables
+    loss = networks.loss(steps, tables, 0.1)
+    gradients = torch.autograd.grad(loss, networks.parameters, materialize_grads=True)
+    for parameter, gradient in zip(networks.parameters, gradients, strict=True):
+        values = parameter.detach().view(-1)  # writing here moves the parameter
+        for i in range(0, len(values), 3):
+            ends = []
+            for shift in (1e-6, -1e-6):
+                values[i] += shift
+                ends.append(float(networks.loss(steps, tables, 0.1).detach()))
+                values[i] -= shift
+            # Central differences: rounding of about 1e-16 / 1e-6 of the loss.
+            assert float(gradient.view(-1)[i]) == pytest.approx(
+                (ends[0] - ends[1]) / 2e-6, rel=1e-5, abs=1e-7
+            )
 
 
 def test_the_efforts_are_the_gradient_of_the_energy(trained: PHNN) -> None:

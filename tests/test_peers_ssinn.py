@@ -43,7 +43,6 @@ def error_of_one_interval(h: float, steps: int) -> float:
         q1,
         p1,
         torch.full((1, 1), h, dtype=torch.float64),
-        flow.kinetic.basis.features(p0),
     ]
     return float(flow.loss(theta, tables))
 

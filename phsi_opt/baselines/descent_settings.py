@@ -6,7 +6,6 @@ A check names the setting, its value and what is expected. Nothing here needs to
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import cos, pi
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,8 +30,6 @@ class Descent:
         batch: samples per step.
         decay: "none", or "cosine": the learning rate falls along half a cosine to
             (almost) zero in the last epoch.
-        force_rate: learning rate of the weights of a neural force; None takes
-            ``learning_rate``.
         prune_every: after every so many epochs, coefficients below ``threshold`` in
             size, of ``prune_slots``, become zero for good; None never prunes.
         prune_from: epoch before which nothing is pruned (the thesis' code: twice
@@ -53,10 +50,6 @@ class Descent:
         dtype: "float64", or "float32" as the thesis has it.
         keep_damping_positive: keep the bounds of R; the thesis lets it go negative.
             Other bounds are always kept, by projection after each step.
-        significance: from half of the epochs on, terms go as well while the data do not
-            contradict that they are zero: the test of `phsi_opt.Pruning`, with the
-            standard errors of the PHSI loss, at every pruning. What L1 still shrinks is
-            tested as it is. None: size alone, as the thesis has it.
 
     Raises:
         ModelError: if a setting is not possible.
@@ -66,7 +59,6 @@ class Descent:
     epochs: int = 60
     batch: int = 32
     decay: str = "none"
-    force_rate: float | None = None
     prune_every: int | None = 5
     prune_from: int | None = None
     threshold: float = 0.05
@@ -78,38 +70,24 @@ class Descent:
     start: str = "thesis"
     dtype: str = "float64"
     keep_damping_positive: bool = False
-    significance: float | None = None
 
     def __post_init__(self) -> None:
         check_descent(self)
+        integrator(self.integrator)
         require_count("prune_every", self.prune_every, or_none=True)
         require_count("prune_from", self.prune_from, or_none=True)
-        require_positive("force_rate", self.force_rate, or_none=True)
         require_choice("decay", self.decay, DECAYS)
-        require_size("threshold", self.threshold)
-        self._check_slots()
-        self._check_share()
-        self._check_significance()
         require_choice("start", self.start, STARTS)
-        object.__setattr__(self, "l1", MappingProxyType(l1_weights(self.l1)))
-        object.__setattr__(self, "prune_slots", tuple(self.prune_slots))
-
-    def _check_slots(self) -> None:
+        require_size("threshold", self.threshold)
+        known = set(self.prune_slots) <= set(PRUNED_SLOTS)
         expected = "slots among 'H', 'R' and 'F'"
-        for slot in self.prune_slots:
-            require(slot in PRUNED_SLOTS, "prune_slots", self.prune_slots, expected)
-
-    def _check_share(self) -> None:
+        require(known, "prune_slots", self.prune_slots, expected)
         share = self.l1_off_after
         fine = share is None or (is_size(share) and share <= 1)
         expected = "a share of the epochs between 0 and 1, or None"
         require(fine, "l1_off_after", share, expected)
-
-    def _check_significance(self) -> None:
-        chance = self.significance
-        fine = chance is None or (is_size(chance, positive=True) and chance < 1)
-        expected = "a number between 0 and 1, such as 0.01, or None"
-        require(fine, "significance", chance, expected)
+        object.__setattr__(self, "l1", l1_weights(self.l1))
+        object.__setattr__(self, "prune_slots", tuple(self.prune_slots))
 
     def rate(self, epoch: int) -> float:
         """Learning rate in an epoch, counted from 1."""
@@ -117,13 +95,6 @@ class Descent:
             return self.learning_rate
         share = (epoch - 1) / self.epochs
         return self.learning_rate * ((1 + cos(pi * share)) / 2)
-
-    def __reduce__(self) -> tuple[Any, ...]:  # a mappingproxy cannot be pickled
-        return _descent, ({**vars(self), "l1": dict(self.l1)},)
-
-
-def _descent(parts: dict[str, Any]) -> Descent:
-    return Descent(**parts)
 
 
 def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") -> None:
@@ -141,8 +112,7 @@ def require(fine: bool, name: str, value: Any, expected: str, hint: str = "") ->
 def require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
     """Check that the value is one of the choices, or name the closest of them."""
     expected = f"one of {', '.join(choices)}"
-    hint = did_you_mean(value, choices)
-    require(value in choices, name, value, expected, hint)
+    require(value in choices, name, value, expected, did_you_mean(value, choices))
 
 
 def require_count(name: str, value: Any, or_none: bool = False) -> None:
@@ -157,19 +127,13 @@ def require_size(name: str, value: Any) -> None:
     require(is_size(value), name, value, "a finite number of at least 0")
 
 
-def require_positive(name: str, value: Any, or_none: bool = False) -> None:
-    """Check that the value is a number above 0 (or None)."""
-    fine = (or_none and value is None) or is_size(value, positive=True)
-    expected = "a number above 0" + (", or None" if or_none else "")
-    require(fine, name, value, expected)
+def require_positive(name: str, value: Any) -> None:
+    """Check that the value is a number above 0."""
+    require(is_size(value) and value > 0, name, value, "a number above 0")
 
 
 def check_descent(settings: Any) -> None:
-    """Check what all descents have in common.
-
-    Args:
-        settings: with learning_rate, epochs, batch, weight_decay, dtype, and perhaps
-            integrator.
+    """Check learning_rate, epochs, batch, weight_decay and dtype of any descent.
 
     Raises:
         ModelError: if one of them is not possible.
@@ -178,10 +142,7 @@ def check_descent(settings: Any) -> None:
     require_count("epochs", settings.epochs)
     require_count("batch", settings.batch)
     require_size("weight_decay", settings.weight_decay)
-    known = settings.dtype in DTYPES
-    require(known, "dtype", settings.dtype, f"one of {', '.join(DTYPES)}")
-    if hasattr(settings, "integrator"):
-        integrator(settings.integrator)
+    require_choice("dtype", settings.dtype, DTYPES)
 
 
 def is_count(value: Any) -> bool:
@@ -190,9 +151,8 @@ def is_count(value: Any) -> bool:
     return whole and bool(value >= 1)
 
 
-def is_size(value: Any, positive: bool = False) -> bool:
-    """Whether the value is a finite number of at least (or above) zero."""
+def is_size(value: Any) -> bool:
+    """Whether the value is a finite number of at least zero."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         return False
-    inside = value > 0 if positive else value >= 0
-    return bool(np.isfinite(value) and inside)
+    return bool(0 <= value < np.inf)

@@ -2,40 +2,37 @@
 
 This is thesis Algorithm 6. The loss is that of
 `phsi_opt.transcription.losses.PHSILoss`; only the way down differs. `torch_dictionary`
-has the model in torch, `torch_defects` the loss, `descent` the steps.
+has the model in torch, `torch_steps` the loss, `descent` the steps.
 """
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import pandas as pd
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
+from phsi_opt.baselines.descent import Adam, Progress, descend
 from phsi_opt.baselines.descent_settings import Descent
-from phsi_opt.baselines.descent_significance import SignificanceTest
-from phsi_opt.baselines.joint_force import HybridBaseline, JointForce
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.baselines.starting_values import starting_values
-from phsi_opt.baselines.torch_defects import Steps
 from phsi_opt.baselines.torch_dictionary import DictionaryDynamics
-from phsi_opt.baselines.torch_networks import DTYPE_OF, arrays_of
+from phsi_opt.baselines.torch_steps import RightHandSide, Steps
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError, SolveError
+from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
+from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.slots import place_of
-from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.model.terms import Dictionary
 from phsi_opt.optimization.torch_threads import one_thread
 from phsi_opt.transcription.alignment import aligned_once
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.losses import complete_intervals
 
-__all__ = ["Descent", "HybridBaseline", "JointForce", "gradient_descent"]
+__all__ = ["Descent", "DescentRun", "gradient_descent"]
 
 
 @interruptible
@@ -45,7 +42,6 @@ def gradient_descent(
     settings: Descent | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-    force: JointForce | None = None,
 ) -> Baseline:
     """Minimise the PHSI loss by Adam with pruning (thesis Algorithm 6).
 
@@ -60,121 +56,103 @@ def gradient_descent(
         settings: see `Descent`; None takes its defaults.
         seed: of the order of the batches and of a random start.
         progress: called with a line of text every few epochs.
-        force: a force by a network, trained with the rest.
 
     Returns:
         The model without the terms that were pruned; ``removed`` names them and
-        ``loss_value`` is the loss over all data without penalties. With ``force`` a
-        `HybridBaseline`.
+        ``loss_value`` is the loss over all data without penalties.
 
     Raises:
         DataError: if data and model do not match.
         ModelError: for a model without parameters.
         SolveError: if the loss diverges or if the whole energy was pruned.
     """
-    began = time.perf_counter()
-    settings = settings or Descent()
-    if not model.free and force is None:
+    if not model.free:
         raise ModelError(
             "the model has no free parameter, so there is nothing to identify."
         )
-    record = aligned_once(model, data)
-    grid = complete_intervals(model, grid_of(record))
     with one_thread():
-        run = _Run(model, grid, settings, seed, force)
-        history = run.descended(progress)
-        result = run.result(record.hold, history)
-        return replace(result, seconds=time.perf_counter() - began)
+        return DescentRun(model, data, settings or Descent(), seed).result(progress)
 
 
-class _Run:
-    """One descent: the parameters, what is held, and what was pruned."""
+class DescentRun:
+    """One descent: its parameters, their bounds, and what was pruned.
+
+    A subclass may train more than the dictionary (`further`, `optimizer`, `rates`,
+    `loss`), prune by another rule (`weak`), or look on after each epoch
+    (`after_epoch`).
+
+    Args:
+        model: whose parameters are sought.
+        data: every state measured.
+        settings: of the descent.
+        seed: of the order of the batches and of a random start.
+
+    Attributes:
+        theta: the parameters in the order of ``model.entries``.
+        removed: names of the terms that were pruned, in order.
+    """
 
     def __init__(
-        self,
-        model: Model,
-        grid: Grid,
-        settings: Descent,
-        seed: int,
-        force: JointForce | None,
+        self, model: Model, data: Measurements, settings: Descent, seed: int
     ) -> None:
+        self.began = time.perf_counter()
         self.model = model
-        self.grid = grid
         self.settings = settings
-        self.force = force
-        self.dtype = DTYPE_OF[settings.dtype]
-        self.dynamics = DictionaryDynamics(model, self.dtype, force)
-        self.steps = Steps(grid, settings.integrator, self.dynamics, self.dtype)
+        record = aligned_once(model, data)
+        self.hold = record.hold
+        self.grid = complete_intervals(model, grid_of(record))
+        self.dtype: torch.dtype = getattr(torch, settings.dtype)
+        self.dynamics = DictionaryDynamics(model, self.dtype)
+        self.steps = Steps(self.grid, settings.integrator, self.dtype)
         self.generator = torch.Generator().manual_seed(seed)
-        self.entries = list(model.entries.values())
-        self.adam = self._adam(seed)
-        self.theta = self.adam.raw[: len(self.entries)]
-        self.held = np.array([e.parameter.fixed for e in self.entries], dtype=bool)
+        self.pruning = Pruning(settings.threshold, settings.prune_slots)
         self.removed: list[str] = []
-        self.test = SignificanceTest.of(model, grid, settings)
+        start = starting_values(model, settings, seed)
+        self.theta = torch.tensor(start, dtype=self.dtype, requires_grad=True)
         self._set_bounds()
-        self._hold()
+        self.l1 = self._l1(epoch=1)
+        self.parameters = [self.theta, *self.further()]
+        self.adam = self.optimizer()
 
-    def _adam(self, seed: int) -> Adam:
-        """Adam on the starting values and the random weights of the network."""
-        start = starting_values(self.model, self.settings, seed)
-        flat = torch.tensor(start, dtype=self.dtype)
-        relative = None
-        if self.dynamics.network is not None:
-            weights = self.dynamics.network.start(self.generator, self.dtype)
-            flat = torch.cat([flat, weights])
-            relative = self._relative_rates(flat, len(start))
-        return Adam(flat.requires_grad_(), self.settings.weight_decay, relative)
+    def further(self) -> list[Tensor]:
+        """What is trained beside theta."""
+        return []
 
-    def _relative_rates(self, flat: Tensor, n_theta: int) -> Tensor | None:
-        """Learning rates in units of the common one; None if all are the same."""
-        if self.settings.force_rate is None:
-            return None
-        relative = torch.ones_like(flat, requires_grad=False)
-        relative[n_theta:] = self.settings.force_rate / self.settings.learning_rate
-        return relative
+    def optimizer(self) -> Adam:
+        """Adam on all parameters."""
+        return Adam(self.parameters, self.settings.weight_decay)
+
+    def rates(self, dynamics: DictionaryDynamics, theta: Tensor) -> RightHandSide:
+        """The right-hand side whose defects are the loss."""
+        return dynamics.at(theta)
+
+    def loss(self, tables: Sequence[Tensor]) -> Tensor:
+        """The loss of a batch, without L1."""
+        return self.steps.loss(self.rates(self.dynamics, self.theta), tables)
+
+    def weak(self, epoch: int) -> set[str]:
+        """Names of the terms that pruning removes after an epoch, by their size."""
+        return self.pruning.small(self.model, self.values) - set(self.removed)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by name."""
+        return dict(zip(self.dynamics.names, self.theta.tolist(), strict=True))
 
     def _set_bounds(self) -> None:
-        """The bounds of the parameters that keep theirs."""
-        lower = []
-        upper = []
-        for entry in self.entries:
-            kept = entry.slot != "R" or self.settings.keep_damping_positive
-            lower.append(entry.parameter.lower if kept else -np.inf)
-            upper.append(entry.parameter.upper if kept else np.inf)
-        self.lower = torch.tensor(lower, dtype=self.dtype)
-        self.upper = torch.tensor(upper, dtype=self.dtype)
-
-    def _hold(self) -> None:
-        held = torch.zeros(len(self.adam.raw), dtype=torch.bool)
-        held[: len(self.held)] = torch.tensor(self.held)
-        self.adam.hold(held)
-        bounded = np.isfinite(self.lower.numpy()) | np.isfinite(self.upper.numpy())
-        self.projects = bool(np.any(bounded & ~self.held))
-
-    def descended(self, progress: Progress | None) -> pd.DataFrame:
-        """Descend; the history."""
-        penalty = self.force.penalty if self.force else 0.0
-        batches = Batches(
-            self.steps.tables,
-            self.steps.n_intervals,
-            self.settings.batch,
-            self.generator,
-        )
-        hooks = Hooks(
-            rate=self.settings.rate,
-            l1=self._l1,
-            after_step=self._project,
-            after_epoch=self._prune,
-        )
-        return descend(
-            self.adam,
-            lambda flat, tables: self.steps.loss(flat, tables, penalty),
-            batches,
-            self.settings.epochs,
-            hooks,
-            progress,
-        )
+        """The bounds of the parameters that keep theirs; a fixed one cannot move."""
+        bounds = []
+        starts = self.theta.tolist()
+        for entry, start in zip(self.model.entries.values(), starts, strict=True):
+            parameter = entry.parameter
+            if parameter.fixed:
+                bounds.append((start, start))
+            elif entry.slot == "R" and not self.settings.keep_damping_positive:
+                bounds.append((-np.inf, np.inf))
+            else:
+                bounds.append((parameter.lower, parameter.upper))
+        table = torch.tensor(bounds, dtype=self.dtype).view(-1, 2)
+        self.lower, self.upper = table.T.contiguous()
 
     def _l1(self, epoch: int) -> Tensor | None:
         """Weights of ``|parameter|`` in an epoch; None if all are zero."""
@@ -184,125 +162,85 @@ class _Run:
             weights.pop("H", None)
         if not any(weights.values()):
             return None
-        of_theta = [weights.get(e.slot, 0.0) * e.prunable for e in self.entries]
-        result = torch.zeros_like(self.adam.raw)
-        result[: len(self.entries)] = torch.tensor(of_theta)
-        return result
+        entries = self.model.entries.values()
+        of_theta = [weights.get(entry.slot, 0.0) * entry.prunable for entry in entries]
+        return torch.tensor(of_theta, dtype=self.dtype)
 
-    def _project(self) -> None:
-        """Back into the bounds."""
-        if self.projects:
-            self.theta.clamp_(self.lower, self.upper)
+    def step(self, gradients: Sequence[Tensor], rate: float) -> None:
+        """A step of Adam, with the slope of L1, and back into the bounds."""
+        theta = self.theta.detach()
+        if self.l1 is not None:
+            gradients[0].addcmul_(self.l1, theta.sign())
+        self.adam.step(gradients, rate)
+        theta.clamp_(self.lower, self.upper)
 
-    def _prune(self, epoch: int) -> int:
-        """Hold small coefficients at zero; the number of terms that are left."""
+    def after_epoch(self, epoch: int) -> int:
+        """Prune, if it is time; the number of terms that are left."""
         every = self.settings.prune_every
         first = self.settings.prune_from or 1
         if every is not None and epoch % every == 0 and epoch >= first:
-            for i in range(len(self.entries)):
-                if self._is_pruned(i):
-                    self._remove(i)
-            if self.test is not None and epoch >= self.test.first_epoch:
-                self._remove_insignificant(self.test)
-            self._hold()
-        n_terms = sum(entry.prunable for entry in self.entries)
+            self.remove(self.weak(epoch))
+        self.l1 = self._l1(epoch + 1)
+        n_terms = sum(entry.prunable for entry in self.model.entries.values())
         return n_terms - len(self.removed)
 
-    def _is_pruned(self, i: int) -> bool:
-        entry = self.entries[i]
-        may_go = entry.prunable and entry.slot in self.settings.prune_slots
-        small = abs(float(self.theta[i])) < self.settings.threshold
-        return may_go and small and not self.held[i]
+    def remove(self, names: Iterable[str]) -> None:
+        """Hold these terms at zero for good."""
+        places = sorted(self.dynamics.names.index(name) for name in names)
+        self.removed += [self.dynamics.names[i] for i in places]
+        for values in (self.theta.detach(), self.lower, self.upper):
+            values[places] = 0.0
 
-    def _remove_insignificant(self, test: SignificanceTest) -> None:
-        kept = self._kept_model()
-        if not test.pruning.candidates(kept):
-            return
-        with torch.no_grad():
-            found = self.steps.defects(self.adam.raw, self.steps.all_tables())
-        weak = test.insignificant(kept, found.to(torch.float64).numpy())
-        for i, entry in enumerate(self.entries):
-            if entry.name in weak:
-                self._remove(i)
-
-    def _kept_model(self) -> Model:
+    def kept(self) -> Model:
         """The model at the values so far, without the terms that were pruned."""
-        values = dict(zip(self.dynamics.names, self.theta.tolist(), strict=True))
+        values = self.values
         kept = _released(self.model, values).without(set(self.removed))
-        left = {name: values[name] for name in values if name in kept.entries}
-        return kept.with_values(left)
+        return kept.with_values({name: values[name] for name in kept.entries})
 
-    def _remove(self, i: int) -> None:
-        self.removed.append(self.entries[i].name)
-        self.held[i] = True
-        self.theta[i] = 0.0
-        self.lower[i] = -np.inf
-        self.upper[i] = np.inf
-
-    def result(self, hold: str, history: pd.DataFrame) -> Baseline:
-        """The record of what was found.
+    def result(self, progress: Progress | None = None) -> Baseline:
+        """Descend; the record of what was found.
 
         Raises:
-            SolveError: if the whole energy was pruned.
+            SolveError: if the loss diverges or if the whole energy was pruned.
         """
-        self._check_energy()
-        kept = self._kept_model()
-        weights = self.adam.raw[len(self.entries) :].to(torch.float64)
-        scheme = self.settings.integrator
-        common: dict[str, Any] = {
-            "model": kept,
-            "hold": hold,
-            "removed": tuple(self.removed),
-            "settings": str(self.settings),
-            "loss_value": phsi_loss(kept, self.grid, scheme, self.force, weights),
-            "history": history,
-        }
-        network = self.dynamics.network
-        if self.force is None or network is None:
-            return Baseline(method="gradient descent", **common)
-        return HybridBaseline(
-            method="gradient descent with a neural force",
-            neural=self.force,
-            layers=arrays_of(network.layers(weights.split(network.sizes))),
-            **common,
+        history = descend(
+            self.parameters,
+            self.step,
+            self.loss,
+            self.steps.tables,
+            self.settings,
+            self.generator,
+            after_epoch=self.after_epoch,
+            progress=progress,
         )
+        self._check_energy()
+        kept = self.kept()
+        return Baseline(
+            model=kept,
+            hold=self.hold,
+            loss_value=self._loss_of(kept),
+            seconds=time.perf_counter() - self.began,
+            removed=tuple(self.removed),
+            method="gradient descent",
+            history=history,
+            settings=str(self.settings),
+        )
+
+    def _loss_of(self, model: Model) -> float:
+        """The loss over all data in double precision, without penalties."""
+        dynamics = DictionaryDynamics(model, torch.float64)
+        theta = torch.tensor(list(model.values.values()), dtype=torch.float64)
+        steps = Steps(self.grid, self.settings.integrator, torch.float64)
+        return float(steps.loss(self.rates(dynamics, theta), steps.tables).detach())
 
     def _check_energy(self) -> None:
-        energy = self.model.H.terms
-        if not energy:
-            return
-        for term in energy:
-            if term.is_formula or term.coefficient_name("H") not in self.removed:
-                return
-        raise SolveError(
-            "pruning removed every term of H: "
-            f"all fell below threshold={self.settings.threshold:g}. "
-            "Take a smaller threshold, prune later (prune_every) or train longer."
-        )
-
-
-def phsi_loss(
-    model: Model,
-    grid: Grid,
-    scheme: str,
-    force: JointForce | None = None,
-    weights: Tensor | None = None,
-) -> float:
-    """``(1/m) sum |(x1 - x0)/h - Psi|^2`` over all intervals (thesis Eq. 5.6).
-
-    Args:
-        model: with its values.
-        grid: the m intervals.
-        scheme: of Psi, a name in ``phsi_opt.transcription.integrators``.
-        force: a force network beside the model.
-        weights: those of the network, (n_weights,), in double precision.
-    """
-    dynamics = DictionaryDynamics(model, torch.float64, force)
-    steps = Steps(grid, scheme, dynamics, torch.float64)
-    values = [model.values[name] for name in dynamics.names]
-    theta = torch.tensor(values, dtype=torch.float64)
-    flat = theta if weights is None else torch.cat((theta, weights))
-    return float(steps.loss(flat, steps.all_tables()).detach())
+        names = {term.coefficient_name("H") for term in self.model.H}
+        if names and names <= set(self.removed):
+            raise SolveError(
+                "pruning removed every term of H: "
+                f"all fell below threshold={self.settings.threshold:g}. "
+                "Take a smaller threshold, prune later (prune_every) or train longer."
+            )
 
 
 def _released(model: Model, values: Mapping[str, float]) -> Model:
@@ -310,20 +248,15 @@ def _released(model: Model, values: Mapping[str, float]) -> Model:
 
     Otherwise the record could not hold its value.
     """
-    changed = {}
-    for name, terms in model.R.items():
-        place = place_of("R", name)
-        opened = [_opened(term, place, values) for term in terms]
-        changed[name] = Dictionary(tuple(opened))
-    return replace(model, R=changed)
 
+    def released(name: str, parameter: Parameter) -> Parameter:
+        if parameter.fixed or parameter.lower <= values[name] <= parameter.upper:
+            return parameter
+        return replace(parameter, lower=-np.inf, upper=np.inf)
 
-def _opened(term: Term, place: str, values: Mapping[str, float]) -> Term:
-    coefficient = term.coefficient
-    if coefficient is None or coefficient.fixed:
-        return term
-    value = values[term.coefficient_name(place)]
-    if coefficient.lower <= value <= coefficient.upper:
-        return term
-    free = replace(coefficient, lower=-np.inf, upper=np.inf)
-    return replace(term, coefficient=free)
+    R = {}
+    for equation, terms in model.R.items():
+        place = place_of("R", equation)
+        opened = tuple(term.with_parameters(place, released) for term in terms)
+        R[equation] = Dictionary(opened)
+    return replace(model, R=R)

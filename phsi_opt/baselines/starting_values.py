@@ -3,7 +3,7 @@
 import numpy as np
 
 from phsi_opt.baselines.descent_settings import Descent
-from phsi_opt.baselines.torch_monomials import monomial
+from phsi_opt.baselines.torch_polynomials import monomial
 from phsi_opt.model.model import Model
 from phsi_opt.model.slots import Entry, place_of
 from phsi_opt.model.terms import Term

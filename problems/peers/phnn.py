@@ -14,28 +14,30 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
+from phsi_opt.baselines.descent import Adam, Progress, descend
 from phsi_opt.baselines.descent_settings import (
     check_descent,
     is_count,
     require,
     require_size,
 )
-from phsi_opt.baselines.joint_force import JointForce
-from phsi_opt.baselines.torch_defects import Steps
-from phsi_opt.baselines.torch_networks import (
-    DTYPE_OF,
-    Network,
-    PlacedForce,
-    arrays_of,
-)
+from phsi_opt.baselines.torch_steps import Steps
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.interrupts import interruptible
 from phsi_opt.model.model import Model
 from phsi_opt.optimization.torch_threads import one_thread
-from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.grid import grid_of
+from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.losses import complete_intervals
+from problems.peers.joint_force import JointForce
 from problems.peers.phnn_model import PHNN, hidden_values, input_gradient
+from problems.peers.torch_networks import (
+    PlacedForce,
+    arrays_of,
+    as_type,
+    parameters_of,
+    random_layers,
+)
 
 __all__ = ["PHNN", "NetworkDescent", "phnn"]
 
@@ -72,12 +74,17 @@ class NetworkDescent:
 
     def __post_init__(self) -> None:
         check_descent(self)
+        integrator(self.integrator)
         require_size("penalty", self.penalty)
         for name in ("hidden", "force_hidden"):
             widths = tuple(getattr(self, name))
             possible = all(is_count(width) for width in widths) and len(widths) > 0
             require(possible, name, widths, "at least one width of 1 or more")
             object.__setattr__(self, name, widths)
+
+    def rate(self, epoch: int) -> float:
+        """The learning rate, in every epoch the same."""
+        return self.learning_rate
 
 
 @interruptible
@@ -120,33 +127,30 @@ def phnn(
         neural = JointForce(tuple(equations), tuple(variables), settings.force_hidden)
     grid = complete_intervals(model, grid_of(data))
     with one_thread():
-        dtype = DTYPE_OF[settings.dtype]
-        dynamics = _NetworkDynamics(model, tuple(damping), settings, neural, dtype)
+        dtype: torch.dtype = getattr(torch, settings.dtype)
         generator = torch.Generator().manual_seed(seed)
-        start = dynamics.start(generator).requires_grad_()
-        adam = Adam(start, settings.weight_decay)
-        steps = Steps(grid, settings.integrator, dynamics, dtype)
+        networks = _Networks(model, damping, settings, neural, generator)
+        steps = Steps(grid, settings.integrator, dtype)
         history = descend(
-            adam,
-            lambda flat, tables: steps.loss(flat, tables, settings.penalty),
-            Batches(steps.tables, steps.n_intervals, settings.batch, generator),
-            settings.epochs,
-            Hooks(rate=lambda epoch: settings.learning_rate),
-            progress,
+            networks.parameters,
+            Adam(networks.parameters, settings.weight_decay).step,
+            lambda tables: networks.loss(steps, tables, settings.penalty),
+            steps.tables,
+            settings,
+            generator,
+            progress=progress,
         )
-        flat = adam.raw.to(torch.float64)
-        exact = _NetworkDynamics(model, tuple(damping), settings, neural, torch.float64)
-        loss_value = _loss(exact, flat, grid, settings.integrator)
-        parts = exact.parts(flat)
+        exact = Steps(grid, settings.integrator, torch.float64)
+        loss_value = float(networks.loss(exact, exact.tables).detach())
     return PHNN(
         states=data.states,
         inputs=data.inputs,
         S=np.array(model.S),
         neural=neural,
         hold=data.hold,
-        damping=dict(zip(damping, parts.damping.tolist(), strict=True)),
-        energy_layers=arrays_of(parts.energy),
-        force_layers=arrays_of(parts.force),
+        damping=dict(zip(damping, networks.damping.tolist(), strict=True)),
+        energy_layers=arrays_of(networks.energy),
+        force_layers=arrays_of(networks.force),
         seconds=time.perf_counter() - began,
         loss_value=loss_value,
         history=history,
@@ -154,100 +158,61 @@ def phnn(
     )
 
 
-def _loss(dynamics: "_NetworkDynamics", flat: Tensor, grid: Grid, scheme: str) -> float:
-    """The loss over all data in double precision, without penalty."""
-    steps = Steps(grid, scheme, dynamics, torch.float64)
-    return float(steps.loss(flat, steps.all_tables()))
-
-
-@dataclass(frozen=True)
-class _Parts:
-    """The flat vector taken apart: diagonal of R, layers of H, layers of F."""
-
-    damping: Tensor
-    energy: list[tuple[Tensor, Tensor]]
-    force: list[tuple[Tensor, Tensor]]
-
-
-class _NetworkDynamics:
-    """The right-hand side in torch.
-
-    The flat vector holds the diagonal of R, the weights of H, then those of F.
-    """
+class _Networks:
+    """The diagonal of R, the layers of H and those of F, and their right-hand side."""
 
     def __init__(
         self,
         model: Model,
-        damping: tuple[str, ...],
+        damping: Sequence[str],
         settings: NetworkDescent,
         neural: JointForce | None,
-        dtype: torch.dtype,
+        generator: torch.Generator,
     ) -> None:
-        self.dtype = dtype
+        dtype: torch.dtype = getattr(torch, settings.dtype)
         distinct = len(set(damping)) == len(damping)
-        require(distinct, "damping", damping, "each state only once")
+        require(distinct, "damping", tuple(damping), "each state only once")
         n = model.n_states
-        damped = [model.index(name, "damping of") for name in damping]
-        on_diagonal = [i * n + i for i in damped]
-        self.damped = torch.tensor(on_diagonal, dtype=torch.long)
-        self.structure = torch.tensor(np.array(model.S).T.copy(), dtype=dtype)
-        self.energy = Network([n, *settings.hidden, 1])
-        self.force: PlacedForce | None = None
-        self.outside: list[int] = []
-        if neural is not None:
-            self._place(model, neural)
+        damped = [model.index(name, "damping of") * (n + 1) for name in damping]
+        self.damped = torch.tensor(damped, dtype=torch.long)
+        self.damping = torch.zeros(len(damped), dtype=dtype, requires_grad=True)
+        self.structure = torch.tensor(np.array(model.S).T.copy())
+        self.energy = random_layers([n, *settings.hidden, 1], generator, dtype)
+        self.placed = PlacedForce.of(neural, model) if neural else None
+        widths = self.placed.widths if self.placed else ()
+        self.force = random_layers(widths, generator, dtype)
+        layers = parameters_of(self.energy) + parameters_of(self.force)
+        self.parameters = [self.damping, *layers] if damped else layers
 
-    def _place(self, model: Model, neural: JointForce) -> None:
-        around = (*model.inputs, "t")
-        self.outside = [i for i, name in enumerate(around) if name in neural.variables]
-        variables = (*model.states, *(around[i] for i in self.outside))
-        self.force = PlacedForce.of(neural, model, variables)
+    def loss(
+        self, steps: Steps, tables: Sequence[Tensor], penalty: float = 0.0
+    ) -> Tensor:
+        """The loss of a batch in the precision of its tables.
 
-    def start(self, generator: torch.Generator) -> Tensor:
-        """Zero damping, random weights."""
-        damping = torch.zeros(len(self.damped), dtype=self.dtype)
-        parts = [damping, self.energy.start(generator, self.dtype)]
-        if self.force is not None:
-            parts.append(self.force.network.start(generator, self.dtype))
-        return torch.cat(parts)
+        The penalty is on the mean of ``|F|`` at the last stage.
+        """
+        dtype = tables[0].dtype
+        energy = as_type(self.energy, dtype)
+        force = as_type(self.force, dtype)
+        structure = self._structure(dtype)
+        forces: list[Tensor] = []
 
-    def parts(self, flat: Tensor) -> _Parts:
-        """The flat vector taken apart."""
-        n_energy = len(self.energy.sizes)
-        force_sizes = self.force.network.sizes if self.force else []
-        sizes = [len(self.damped), *self.energy.sizes, *force_sizes]
-        damping, *weights = flat.split(sizes)
-        energy = self.energy.layers(weights[:n_energy])
-        if self.force is None:
-            return _Parts(damping, energy, [])
-        return _Parts(damping, energy, self.force.network.layers(weights[n_energy:]))
+        def rates(x: Tensor, z: Tensor) -> Tensor:
+            hidden = hidden_values(energy, x)
+            dx: Tensor = input_gradient(energy, hidden) @ structure
+            if self.placed is None:
+                return dx
+            forces.append(self.placed.value(force, x, z))
+            return dx.index_add(1, self.placed.rows, forces[-1])
 
-    def features(self, x: Tensor, z: Tensor | None) -> None:
-        """Nothing can be computed ahead: all weights move."""
+        value = steps.loss(rates, tables)
+        if penalty and forces:
+            value = value + penalty * forces[-1].abs().mean()
+        return value
 
-    def at(self, flat: Tensor) -> "_NetworkEvaluation":
-        """The right-hand side at the parameters."""
-        return _NetworkEvaluation(self, self.parts(flat))
-
-
-class _NetworkEvaluation:
-    """`_NetworkDynamics` at given parameters."""
-
-    def __init__(self, dynamics: _NetworkDynamics, parts: _Parts) -> None:
-        self.parts = parts
-        self.force = dynamics.force
-        self.forces: list[Tensor] = []
-        self.structure = dynamics.structure
-        if len(parts.damping):
-            flat = self.structure.reshape(-1)
-            damped = flat.index_add(0, dynamics.damped, parts.damping, alpha=-1)
-            self.structure = damped.view_as(self.structure)
-
-    def __call__(self, x: Tensor, z: Tensor | None, features: Tensor | None) -> Tensor:
-        """dx/dt, (n_rows, n_states); see `torch_defects.Evaluation`."""
-        hidden = hidden_values(self.parts.energy, x)
-        dx: Tensor = input_gradient(self.parts.energy, hidden) @ self.structure
-        if self.force is None:
-            return dx
-        self.forces.append(self.force.value(self.parts.force, x, z))
-        return dx.index_add(1, self.force.rows, self.forces[-1])
+    def _structure(self, dtype: torch.dtype) -> Tensor:
+        """(S - R)'."""
+        structure = self.structure.to(dtype)
+        damping = self.damping.to(dtype)
+        flat = structure.reshape(-1).index_add(0, self.damped, damping, alpha=-1)
+        return flat.view_as(structure)

@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.baselines.joint_force import (
+from phsi_opt.estimation.identified import PARAMETER_COLUMNS
+from phsi_opt.model.model import FirstOrder
+from phsi_opt.presentation.table_making import printed_table
+from phsi_opt.simulation.simulate import simulate_forced
+from problems.peers.joint_force import (
     JointForce,
     Layers,
     force_variables,
@@ -18,10 +22,6 @@ from phsi_opt.baselines.joint_force import (
     network_values,
     state_rows,
 )
-from phsi_opt.estimation.identified import PARAMETER_COLUMNS
-from phsi_opt.model.model import FirstOrder
-from phsi_opt.presentation.table_making import printed_table
-from phsi_opt.simulation.simulate import simulate_forced
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

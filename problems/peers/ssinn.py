@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from phsi_opt.baselines.descent import Adam, Batches, Hooks, Progress, descend
+from phsi_opt.baselines.descent import Adam, Progress, descend
 from phsi_opt.baselines.descent_settings import (
     check_descent,
     is_size,
@@ -26,9 +26,12 @@ from phsi_opt.baselines.descent_settings import (
     require_size,
 )
 from phsi_opt.baselines.result import Baseline
-from phsi_opt.baselines.torch_defects import Table
-from phsi_opt.baselines.torch_monomials import Basis, combination, lowered, monomial
-from phsi_opt.baselines.torch_networks import DTYPE_OF
+from phsi_opt.baselines.torch_polynomials import (
+    Cell,
+    Polynomials,
+    gradient_cells,
+    monomial,
+)
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import ModelError
 from phsi_opt.interrupts import interruptible
@@ -155,29 +158,28 @@ def ssinn(
     model = separable(data.states, positions, momenta, degree)
     grid = complete_intervals(model, grid_of(data))
     with one_thread():
-        dtype = DTYPE_OF[settings.dtype]
+        dtype: torch.dtype = getattr(torch, settings.dtype)
         flow = _Flow(model, positions, momenta, settings, dtype)
         tables = flow.tables(grid)
         generator = torch.Generator().manual_seed(seed)
-        n_terms = len(model.H)
-        start = _random_start(n_terms, generator).to(dtype)
-        adam = Adam(start.requires_grad_(), settings.weight_decay)
-        l1 = torch.full_like(adam.raw, settings.l1) if settings.l1 else None
+        theta = _random_start(len(model.H), generator).to(dtype).requires_grad_()
+        adam = Adam([theta], settings.weight_decay)
+
+        def step(gradients: Sequence[Tensor], rate: float) -> None:
+            gradients[0].add_(theta.detach().sign(), alpha=settings.l1)
+            adam.step(gradients, rate)
+
         history = descend(
-            adam,
-            flow.loss,
-            Batches(
-                [Table(values, 1) for values in tables],
-                grid.n_intervals,
-                settings.batch,
-                generator,
-            ),
-            settings.epochs,
-            Hooks(rate=settings.rate, l1=lambda epoch: l1),
-            progress,
+            [theta],
+            step,
+            lambda batch: flow.loss(theta, batch),
+            tables,
+            settings,
+            generator,
+            progress=progress,
         )
-        values = dict(zip(model.entries, adam.raw.tolist(), strict=True))
-        loss_value = float(flow.loss(adam.raw, tables))
+        values = dict(zip(model.entries, theta.tolist(), strict=True))
+        loss_value = float(flow.loss(theta, tables).detach())
     return Baseline(
         model=model.with_values(values),
         hold=data.hold,
@@ -226,44 +228,22 @@ def separable(
     return PseudoHamiltonian(states=states, S=S, H=potential + kinetic)
 
 
-class _Part:
-    """Gradient of T or V: monomials of lower degree times a matrix.
+def _gradient(
+    model: PseudoHamiltonian, variables: Sequence[str], dtype: torch.dtype
+) -> Polynomials:
+    """Gradient of T or V by its variables."""
+    n = len(variables)
+    cells: list[Cell] = []
+    for j, term in enumerate(model.H):
+        body = monomial(term.body, variables)
+        if body is not None:  # not a term of the other part
+            cells += gradient_cells(body, j, n)
+    return Polynomials(cells, n, n, dtype)
 
-    The matrix is linear in the coefficients.
-    """
 
-    def __init__(
-        self, model: PseudoHamiltonian, variables: Sequence[str], dtype: torch.dtype
-    ) -> None:
-        n = len(variables)
-        columns = []
-        slopes = []
-        sources = []
-        factors = []
-        for j, term in enumerate(model.H):
-            exponents = monomial(term.body, variables)
-            if exponents is None:  # a term of the other part
-                continue
-            for k in range(n):
-                if exponents[k]:
-                    columns.append(k)
-                    slopes.append(lowered(exponents, k))
-                    sources.append(j)
-                    factors.append(float(exponents[k]))
-        self.n_variables = n
-        self.basis = Basis(slopes, n, n, dtype)
-        cells = []
-        for slope, k in zip(slopes, columns, strict=True):
-            cells.append(self.basis.position[slope] * n + k)
-        self.cells = torch.tensor(cells)
-        self.sources = torch.tensor(sources)
-        self.factors = torch.tensor(factors, dtype=dtype)
-        self.zero = torch.zeros(len(self.basis) * n, dtype=dtype)
-
-    def matrix(self, theta: Tensor) -> Tensor:
-        """(n_monomials, n_variables) at the coefficients."""
-        values = theta.index_select(0, self.sources) * self.factors
-        return self.zero.index_add(0, self.cells, values).view(-1, self.n_variables)
+def _with_one(v: Tensor) -> Tensor:
+    """The variables and a column of ones."""
+    return torch.cat((v, v.new_ones(len(v), 1)), 1)
 
 
 class _Flow:
@@ -280,13 +260,13 @@ class _Flow:
         self.dtype = dtype
         self.positions = [model.states.index(name) for name in positions]
         self.momenta = [model.states.index(name) for name in momenta]
-        self.potential = _Part(model, positions, dtype)
-        self.kinetic = _Part(model, momenta, dtype)
+        self.potential = _gradient(model, positions, dtype)
+        self.kinetic = _gradient(model, momenta, dtype)
         self.n_steps = settings.steps
         self.absolute = settings.loss == "absolute"
 
     def tables(self, grid: Grid) -> list[Tensor]:
-        """What the loss needs of all intervals: p0, q0, q1, p1, h, monomials of p0."""
+        """What the loss needs of all intervals: p0, q0, q1, p1, h."""
         x0 = grid.y[grid.begin]
         x1 = grid.y[grid.begin + 1]
         p0 = torch.tensor(x0[:, self.momenta], dtype=self.dtype)
@@ -294,7 +274,7 @@ class _Flow:
         q1 = torch.tensor(x1[:, self.positions], dtype=self.dtype)
         p1 = torch.tensor(x1[:, self.momenta], dtype=self.dtype)
         h = torch.tensor(grid.h[:, None], dtype=self.dtype)
-        return [p0, q0, q1, p1, h, self.kinetic.basis.features(p0)]
+        return [p0, q0, q1, p1, h]
 
     def loss(self, theta: Tensor, tables: Sequence[Tensor]) -> Tensor:
         """Mean distance of the ends of the intervals, of q and of p.
@@ -303,17 +283,15 @@ class _Flow:
             theta: coefficients (n_terms,).
             tables: the rows of `tables` that belong to the batch.
         """
-        p, q, q1, p1, h, features = tables
+        p, q, q1, p1, h = tables
         T = self.kinetic.matrix(theta)
         V = self.potential.matrix(theta)
         h = h / self.n_steps
-        velocity = features @ T  # at the samples, of the data alone
-        for i, (drift, kick) in enumerate(self._stages()):
-            if i > 0:
-                velocity = combination(p, None, T, self.kinetic.basis)
+        for drift, kick in self._stages():
+            velocity = self.kinetic.features(_with_one(p)) @ T
             q = q + drift * h * velocity
             if kick:
-                force = combination(q, None, V, self.potential.basis)
+                force = self.potential.features(_with_one(q)) @ V
                 p = p - kick * h * force
         if self.absolute:
             return (q1 - q).abs().mean() + (p1 - p).abs().mean()

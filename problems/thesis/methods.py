@@ -113,13 +113,13 @@ def descent(
         settings: `TUNED` or `THESIS`.
         significance: of the pruning; None: the thesis' rule, size alone.
     """
-    from phsi_opt.baselines.gradient_descent import gradient_descent
+    from problems.thesis.joint_descent import joint_descent
 
-    chosen, force = descent_settings(system, kind, start, settings, significance)
+    chosen, force = descent_settings(system, kind, start, settings)
     model = (
         mass_spring_descent_model() if system.name == "mass_spring" else system.model()
     )
-    return gradient_descent(model, data, chosen, seed, force=force)
+    return joint_descent(model, data, chosen, seed, force, significance)
 
 
 def descent_settings(
@@ -127,13 +127,12 @@ def descent_settings(
     kind: str,
     start: str = "thesis",
     settings: str = TUNED,
-    significance: float | None = None,
 ) -> tuple[Any, Any]:
-    """Settings of `gradient_descent` and of the joint force."""
+    """Settings of the descent, and the force beside it."""
     chosen = system.descent if kind == "clean" else system.descent_noisy
     if settings == THESIS:
         chosen = system.descent_thesis
-    return chosen.settings(start, significance)
+    return chosen.settings(start)
 
 
 def bsi_solver(

@@ -24,7 +24,8 @@ import numpy as np
 import pandas as pd
 
 import phsi_opt as ph
-from phsi_opt.baselines.gradient_descent import gradient_descent
+from phsi_opt.baselines.gradient_descent import DescentRun, gradient_descent
+from phsi_opt.optimization.torch_threads import one_thread
 from problems.thesis.methods import SIGNIFICANCE, descent_settings
 from problems.thesis.systems import SYSTEMS, System, mass_spring_descent_model
 from problems.tools import markdown
@@ -100,31 +101,25 @@ def descent_model(system: System) -> Any:
 
 def schedule_seconds(system: System, data: ph.Measurements) -> float:
     """Of the whole schedule of gradient descent."""
-    settings, force = descent_settings(system, "noisy")
+    settings, _ = descent_settings(system, "noisy")
     began = time.process_time()
-    gradient_descent(descent_model(system), data, settings, 0, force=force)
+    gradient_descent(descent_model(system), data, settings, 0)
     return time.process_time() - began
 
 
 def descent_trace(system: System, data: ph.Measurements) -> Trace:
     """The loss of all terms by gradient descent, after each epoch."""
-    from phsi_opt.baselines import gradient_descent as module
-
-    settings, force = descent_settings(system, "noisy")
+    settings, _ = descent_settings(system, "noisy")
     settings = replace(settings, l1={}, prune_every=None)
     trace = Trace()
-    original = module._Run._prune
 
-    def pruned(self: Any, epoch: int) -> int:
-        tables = self.steps.all_tables()
-        trace.note(lambda: float(self.steps.loss(self.adam.flat, tables).detach()))
-        return original(self, epoch)
+    class Traced(DescentRun):
+        def after_epoch(self, epoch: int) -> int:
+            trace.note(lambda: float(self.loss(self.steps.tables).detach()))
+            return super().after_epoch(epoch)
 
-    module._Run._prune = pruned  # type: ignore[method-assign]
-    try:
-        gradient_descent(descent_model(system), data, settings, 0, force=force)
-    finally:
-        module._Run._prune = original  # type: ignore[method-assign]
+    with one_thread():
+        Traced(descent_model(system), data, settings, 0).result()
     return trace
 
 

@@ -62,32 +62,33 @@ class Descent:
     force_penalty: float = 0.0
     prune_from: int | None = None
 
-    def settings(
-        self, start: str = "thesis", significance: float | None = None
-    ) -> tuple[Any, Any]:
-        """Settings of `gradient_descent` and its joint force (None without one)."""
-        from phsi_opt.baselines.gradient_descent import Descent as Settings
-        from phsi_opt.baselines.gradient_descent import JointForce
+    def settings(self, start: str = "thesis") -> tuple[Any, Any]:
+        """Settings of `joint_descent` and its force (None without one)."""
+        from phsi_opt.baselines.descent_settings import Descent as Settings
+        from problems.peers.joint_force import JointForce
 
         scaled = {slot: weight * self.n_states for slot, weight in self.l1.items()}
         made = Settings(
             self.learning_rate,
             self.epochs,
             decay=self.decay,
-            force_rate=self.force_rate,
             start=start,
             prune_every=self.prune_every,
             prune_from=self.prune_from or 2 * self.prune_every,
             threshold=self.threshold,
             weight_decay=self.weight_decay * self.n_states,
             l1=scaled,
-            significance=significance,
         )
         if not self.network:
             return made, None
         where = (self.network_on,)
         return made, JointForce(
-            where, where, self.network, self.force_penalty * self.n_states, "tanh"
+            where,
+            where,
+            self.network,
+            self.force_penalty * self.n_states,
+            "tanh",
+            self.force_rate,
         )
 
 

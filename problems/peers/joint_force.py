@@ -9,7 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from phsi_opt.baselines.descent_settings import is_count, require, require_size
+from phsi_opt.baselines.descent_settings import (
+    is_count,
+    require,
+    require_positive,
+    require_size,
+)
 from phsi_opt.baselines.result import Baseline
 from phsi_opt.errors import DataError
 from phsi_opt.simulation.simulate import simulate_forced
@@ -32,6 +37,7 @@ class JointForce:
         first: function of the first hidden layer, "relu" (the text of the thesis) or
             "tanh" (its code, which has two hidden layers); with a large learning rate,
             a narrow input and only ReLU, units die.
+        rate: learning rate of the weights; None takes that of the dictionary.
 
     Raises:
         ModelError: if a setting is not possible.
@@ -42,6 +48,7 @@ class JointForce:
     hidden: tuple[int, ...] = (100, 100, 100)
     penalty: float = 0.0
     first: str = "relu"
+    rate: float | None = None
 
     def __post_init__(self) -> None:
         require(self.first in ("relu", "tanh"), "first", self.first, "'relu' or 'tanh'")
@@ -55,6 +62,8 @@ class JointForce:
         require(possible, "hidden", self.hidden, "widths of at least 1")
         object.__setattr__(self, "hidden", tuple(self.hidden))
         require_size("penalty", self.penalty)
+        if self.rate is not None:
+            require_positive("rate", self.rate)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -1,0 +1,197 @@
+"""Gradient descent beside a force network, and with the test of significance."""
+
+import pickle
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import phsi_opt as ph
+from phsi_opt.baselines.gradient_descent import Descent, gradient_descent
+from phsi_opt.baselines.result import Baseline
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.optimization.torch_threads import one_thread
+from problems.peers.joint_force import HybridBaseline, JointForce
+from problems.thesis.joint_descent import _JointRun, joint_descent
+from problems.thesis.systems import SYSTEMS
+
+HENON = SYSTEMS["henon_heiles"]
+FAST = Descent(learning_rate=1e-2, epochs=40, prune_every=10)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread_of_torch() -> Iterator[None]:
+    """Small tensors are slower with more threads."""
+    with one_thread():
+        yield
+
+
+def driven() -> ph.FirstOrder:
+    return ph.FirstOrder(
+        ["q", "p"],
+        {
+            "q": ph.polynomials(["q", "p"], 2, constant=True),
+            "p": ph.polynomials(["p", "t"], 3) + ph.formula("sin(q)*u"),
+        },
+        inputs=["u"],
+        R=ph.damping("p"),
+    )
+
+
+def record() -> ph.Measurements:
+    """Two irregular runs, two states, one input."""
+    rng = np.random.default_rng(0)
+    ts = [np.cumsum(rng.uniform(0.05, 0.2, n)) for n in (9, 6)]
+    xs = [rng.normal(size=(len(t), 2)) for t in ts]
+    us = [rng.normal(size=(len(t), 1)) for t in ts]
+    return ph.Measurements.from_arrays(ts, xs, us, states=["q", "p"], inputs=["u"])
+
+
+def test_the_gradient_of_a_neural_force_is_that_of_finite_differences() -> None:
+    force = JointForce(("q", "p"), ("q", "u", "t"), hidden=(5, 4), penalty=0.3)
+    run = _JointRun(driven(), record(), Descent(), 3, None, force)
+    gradients = torch.autograd.grad(run.loss(run.steps.tables), run.parameters)
+    for parameter, gradient in zip(run.parameters, gradients, strict=True):
+        values = parameter.detach().view(-1)  # writing here moves the parameter
+        for i in range(0, len(values), 3):
+            ends = []
+            for shift in (1e-6, -1e-6):
+                values[i] += shift
+                ends.append(float(run.loss(run.steps.tables).detach()))
+                values[i] -= shift
+            # Central differences: rounding of about 1e-16 / 1e-6 of the loss.
+            slope = (ends[0] - ends[1]) / 2e-6
+            assert float(gradient.view(-1)[i]) == pytest.approx(
+                slope, rel=1e-5, abs=1e-6
+            )
+
+
+def test_significance_removes_what_the_size_keeps_of_noisy_data() -> None:
+    data = HENON.data(0, noise=0.02, n=400)
+    settings = replace(FAST, prune_every=5, threshold=0.05)
+    by_size = gradient_descent(HENON.model(), data, settings)
+    both = joint_descent(HENON.model(), data, settings, significance=0.01)
+    assert set(HENON.truth) <= set(both.values) < set(by_size.values)
+    assert len(both.values) <= len(HENON.truth) + 1
+    first_half = both.history["n_terms"].iloc[: FAST.epochs // 2 - 1].tolist()
+    assert first_half == by_size.history["n_terms"].iloc[: len(first_half)].tolist()
+
+
+@pytest.fixture(scope="module")
+def hybrid() -> HybridBaseline:
+    t = np.linspace(0, 8, 161)
+    rng = np.random.default_rng(0)
+
+    def rhs(x: np.ndarray) -> np.ndarray:
+        return np.array([x[1], -x[0] - 0.5 * np.tanh(3 * x[1])])
+
+    runs = []
+    for _ in range(6):
+        x = [rng.uniform(-1.5, 1.5, 2)]
+        for h in np.diff(t):
+            k1 = rhs(x[-1])
+            k2 = rhs(x[-1] + h / 2 * k1)
+            k3 = rhs(x[-1] + h / 2 * k2)
+            x.append(x[-1] + h / 6 * (k1 + 2 * k2 + 2 * k3 + rhs(x[-1] + h * k3)))
+        runs.append(np.array(x))
+    data = ph.Measurements.from_arrays([t] * 6, runs, states=["q", "p"])
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=Parameter(0.5)),
+    )
+    force = JointForce(("p",), ("p",), hidden=(20, 20), first="tanh")
+    fit = joint_descent(
+        model, data, Descent(learning_rate=5e-3, epochs=15), force=force
+    )
+    assert isinstance(fit, HybridBaseline)
+    return fit
+
+
+def test_the_network_learns_the_force_beside_the_dictionary(
+    hybrid: HybridBaseline,
+) -> None:
+    v = np.linspace(-1, 1, 41)
+    force = hybrid.force(np.column_stack([np.zeros(41), v]))
+    assert force.shape == (41, 1)
+    assert (
+        np.sqrt(np.mean((force[:, 0] + 0.5 * np.tanh(3 * v)) ** 2)) < 0.1
+    )  # a fifth of the force, after 450 steps
+    assert hybrid.values["k"] == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_force_has_a_learning_rate_of_its_own() -> None:
+    start, slow, fast = (
+        joint_descent(
+            driven(),
+            record(),
+            Descent(epochs=1),
+            force=JointForce(("p",), ("p",), hidden=(4,), rate=rate),
+        )
+        for rate in (1e-12, 1e-4, None)
+    )
+    assert all(isinstance(fit, HybridBaseline) for fit in (start, slow, fast))
+    weights = [
+        np.concatenate([w.ravel() for w, _ in fit.layers])  # type: ignore[attr-defined]
+        for fit in (start, slow, fast)
+    ]
+    near, far = (np.abs(w - weights[0]).max() for w in weights[1:])
+    assert near <= 1.01e-4 < 1e-3 < far  # one step of Adam is at most its rate
+
+
+def test_a_hybrid_simulates_with_its_force_and_without(hybrid: HybridBaseline) -> None:
+    t = np.linspace(0, 3, 31)
+    with_force, without = (
+        hybrid.simulate(t, [1.0, 0.0]),
+        hybrid.without_force().simulate(t, [1.0, 0.0]),
+    )
+    energy = [np.sum(x[-1] ** 2) for x in (with_force, without)]
+    assert energy[0] < 0.6 < 0.9 < energy[1]  # only the force takes energy
+    assert "network_p(p)" in hybrid.equations()[1] and "network" not in "".join(
+        hybrid.without_force().equations()
+    )
+    assert type(hybrid.without_force()) is Baseline
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        ({"equations": (), "variables": ("p",)}, r"equations=\(\)"),
+        ({"equations": ("p",), "variables": ("p", "p")}, "variables=.*only once"),
+        ({"equations": ("p",), "variables": ("p",), "hidden": (0,)}, r"hidden=\(0,\)"),
+        ({"equations": ("p",), "variables": ("p",), "first": "sine"}, "first='sine'"),
+        (
+            {"equations": ("p",), "variables": ("p",), "rate": 0.0},
+            "rate=0.0 .* above 0",
+        ),
+        (
+            {"equations": ("p",), "variables": ("v",)},
+            "variable 'v' of the neural force is unknown",
+        ),
+        (
+            {"equations": ("v",), "variables": ("p",)},
+            "equation of the neural force 'v' is not a state",
+        ),
+    ],
+)
+def test_a_force_that_makes_no_sense_is_refused(
+    force: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ph.ModelError, match=message):
+        joint_descent(driven(), record(), Descent(epochs=1), force=JointForce(**force))
+
+
+def test_a_significance_that_makes_no_sense_is_refused() -> None:
+    with pytest.raises(ph.ModelError, match=r"significance=1.0 .* between 0 and 1"):
+        joint_descent(driven(), record(), Descent(epochs=1), significance=1.0)
+
+
+def test_a_hybrid_can_be_printed_and_pickled(hybrid: HybridBaseline) -> None:
+    copy = pickle.loads(pickle.dumps(hybrid))
+    np.testing.assert_array_equal(copy.force([[0.1, 0.2]]), hybrid.force([[0.1, 0.2]]))
+    text = str(hybrid)
+    assert text.startswith("gradient descent with a neural force: loss ")
+    assert "dp/dt" in text
