@@ -36,17 +36,20 @@ class Complaint:
             for the file as a whole.
         value: what stands there, as in the file; "" where nothing does.
         said: what was expected and what to do.
+        line: of the key, or of the table that lacks it; None where it is not known.
     """
 
     key: str
     value: str
     said: str
+    line: int | None = None
 
     def __str__(self) -> str:
         if not self.key:
             return self.said
+        place = f"line {self.line}: " if self.line else ""
         written = f" = {self.value}" if self.value else ""
-        return f"{self.key}{written}: {self.said}"
+        return f"{place}{self.key}{written}: {self.said}"
 
 
 class StudyFileError(DataError):

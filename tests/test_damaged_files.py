@@ -21,7 +21,7 @@ from phsi_opt.command_line.first_study import first_study
 from phsi_opt.data import excel_tables, matlab_process
 from phsi_opt.errors import DataError
 from phsi_opt.study_file.study_file import StudyFile
-from phsi_opt.study_file.toml_tables import toml_tables
+from phsi_opt.study_file.toml_text import toml_tables
 from phsi_opt.sweeps.kept_results import KeptResults
 
 T = np.arange(40.0)

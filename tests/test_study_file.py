@@ -13,9 +13,8 @@ from scipy.io import savemat
 
 import phsi_opt as ph
 from phsi_opt.model.parameters import Scan, Share, Tried
-from phsi_opt.study_file.adding import add_effects, text_with_added
-from phsi_opt.study_file.effect_reading import grown
-from phsi_opt.study_file.keys import KEYS, known_keys
+from phsi_opt.study_file.adding import add_effects
+from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.toml_text import toml_value
 from problems.examples.friction_spring import CSV
 
@@ -365,7 +364,7 @@ def test_wrong_cells_of_several_columns_are_told_with_their_lines(
         ('"k*q**2/2', '"k*q^2/2', "model.H", "Write a power as **"),
         ('p**2/(2*m)"', 'p**2/(2*m) + t"', "model.H", "an energy depends on the states"),
         ('[["q", "p"]]', '[["q", "v"]]', "model.pairs", "not a state"),
-        ('[["q", "p"]]', '["q", "p"]', "model.pairs", "no pair of states"),
+        ('[["q", "p"]]', '["q", "p"]', "model.pairs", "expected pairs of states"),
         ("pairs =", "S = [[0, 1], [1, 0]]  #", "model", "not skew-symmetric"),
         ("pairs =", "#", "model", "exactly one of pairs or S"),
         ('["q", "p"]\npairs', '["q", "q", "p"]\npairs', "model.states", "twice"),
@@ -392,10 +391,35 @@ def test_a_wrong_value_is_refused_by_its_key(
     assert said in found[key]
 
 
+def test_a_fault_is_told_with_its_line_and_a_missing_key_with_that_of_its_table(
+    spring: Path,
+) -> None:
+    path = changed(
+        spring,
+        ("trajectory =", "trajectry ="),
+        ('unit = "m" }', "unit = 3 }"),
+        ('H = "k*q**2/2 + p**2/(2*m)"\n', ""),
+        ("[study]", "[[effects]]\nname = 'a'\n[[effects]]\nslot = 'G'\n[study]"),
+    )
+    with pytest.raises(ph.StudyFileError) as caught:
+        ph.StudyFile.read(path)
+    lines = path.read_text().splitlines()
+    told = {one.key: one.line or 0 for one in caught.value.complaints}
+    for key, written in (
+        ("data.trajectry", "trajectry ="),
+        ("data.states.q.unit", "q = { column"),
+        ("model.H", "[model]"),
+        ("effects[0].slot", "[[effects]]"),
+        ("effects[1].slot", "slot = 'G'"),
+    ):
+        assert lines[told[key] - 1].startswith(written)
+    assert f"line {told['model.H']}: model.H: expected" in str(caught.value)
+
+
 def test_every_key_that_is_read_stands_in_the_list_of_keys() -> None:
     paths = [key.path for key in KEYS]
     assert len(set(paths)) == len(paths)
-    assert "measured" in known_keys("data.states.*")
+    assert "data.states.*.measured" in paths
 
 
 # ---- writing -------------------------------------------------------------------------
@@ -523,7 +547,6 @@ def test_effects_by_name_are_those_that_the_catalogue_adds(spring: Path) -> None
     file = ph.StudyFile.read(spring)
     base = file.model()
     larger = base.add("coulomb friction", "p").add("cubic stiffness", "p")
-    assert grown(file.base, names, (), {}) == larger
     assert file.with_added(*names).model() == larger
     assert larger.n_states == base.n_states and larger.free != base.free
     with pytest.raises(ph.ModelError, match="cubic stiffness"):
@@ -599,33 +622,42 @@ def test_the_script_runs_and_finds_what_the_study_finds(spring: Path) -> None:
 @pytest.mark.parametrize(
     ("before", "after"),
     [
-        ("", "\n# Effects added so far, the oldest first.\n[study]\nadded = [\"x on p\"]\n"),
+        ("a = 1\n", 'a = 1\n\n[study] # effects added so far, the oldest first\nadded = ["x on p"]\n'),
         ("[study]\n", '[study]\nadded = ["x on p"]\n'),
         ("[study]", '[study]\nadded = ["x on p"]\n'),
         ("[study] # mine\nadded = [] # none\n", '[study] # mine\nadded = ["x on p"] # none\n'),
         (
             '[study]\nadded = [\n  "a # ] b", # why\n  # "c"\n]\n[loss]\n',
-            '[study]\nadded = [\n  "a # ] b", "x on p", # why\n  # "c"\n]\n[loss]\n',
+            '[study]\nadded = [\n  "a # ] b", # why\n  # "c"\n  "x on p"\n]\n[loss]\n',
         ),
         ("[study]\r\nadded = ['a']\r\n", "[study]\r\nadded = ['a', \"x on p\"]\r\n"),
-        ("[study]\nwithout = []\n[loss]\n", '[study]\nadded = ["x on p"]\nwithout = []\n[loss]\n'),
+        ("[study]\r\nwithout = []\r\n", '[study]\r\nwithout = []\r\nadded = ["x on p"]\r\n'),
+        ("[study]\nwithout = []\n[loss]\n", '[study]\nwithout = []\nadded = ["x on p"]\n[loss]\n'),
+        ("study = { added = ['a'] } # mine\n", "study = { added = ['a', \"x on p\"] } # mine\n"),
+        ("study.added = ['a']\n", "study.added = ['a', \"x on p\"]\n"),
+        ("[study]\nadded = 'a' # mine\n", '[study]\nadded = ["a", "x on p"] # mine\n'),
     ],
 )  # fmt: skip
 def test_an_effect_is_written_into_the_text_and_nothing_else_changes(
-    before: str, after: str
+    tmp_path: Path, before: str, after: str
 ) -> None:
-    assert text_with_added(before, ["x on p"]) == after
+    path = tmp_path / "study.toml"
+    path.write_bytes(before.encode())
+    backup = add_effects(path, ["x on p"])
+    assert path.read_bytes().decode() == after
+    assert backup.read_bytes().decode() == before
 
 
-def test_a_form_that_cannot_be_changed_safely_is_refused(spring: Path) -> None:
-    path = changed(spring, ("[study]\nadded = []", 'study = { added = ["a"] }'))
-    text = path.read_text().replace("[parameters]", "")
-    path.write_text(f"study = {{ added = ['a'] }}\n{text.split('study =')[0]}")
-    before = path.read_bytes()
+@pytest.mark.parametrize("text", ["[[study]]\na = 1\n", "study = 3\n"])
+def test_a_form_that_cannot_be_changed_safely_is_refused(
+    tmp_path: Path, text: str
+) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(text)
     with pytest.raises(ph.DataError, match="nothing was written"):
         add_effects(path, ["x on p"])
-    assert path.read_bytes() == before
-    assert sorted(spring.parent.glob("*.bak*")) == []
+    assert path.read_text() == text
+    assert sorted(tmp_path.glob("*.bak*")) == []
 
 
 def test_the_file_as_it_was_is_kept_and_no_backup_is_overwritten(spring: Path) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from phsi_opt.command_line.job import Answer
 from phsi_opt.study_file.adding import add_effects
-from phsi_opt.study_file.effect_reading import ON, meant_effect
+from phsi_opt.study_file.effects import ON
 from phsi_opt.study_file.study_file import StudyFile
 
 
@@ -23,18 +23,18 @@ def add_effect(path: Path, name: str, equation: str | None) -> Answer:
     model = file.model()
     if equation is not None:
         model.index(equation, "--equation")
-    effect = meant_effect(model, asked, file.own_effects, file.data.units)
+    effect = file.meant(model, asked)
     larger = model.add(effect)
-    added = add_effects(path, [str(effect)])
+    backup = add_effects(path, [str(effect)])
     free = [one for one in larger.free if one not in model.entries]
     text = (
         f"{effect} is in {path} now, with the unknown {', '.join(free)}.\n"
-        f"The file as it was: {added.backup}\nNext: phsi-opt study {path}"
+        f"The file as it was: {backup}\nNext: phsi-opt study {path}"
     )
     content = {
         "added": str(effect),
         "unknowns": free,
         "study_file": str(path),
-        "backup": str(added.backup),
+        "backup": str(backup),
     }
     return Answer(text, content)

@@ -5,7 +5,7 @@ from pathlib import Path
 from phsi_opt.command_line.job import Answer
 from phsi_opt.errors import Complaint, DataError, StudyFileError
 from phsi_opt.study_file.first_text import first_text
-from phsi_opt.study_file.reading import read_contents
+from phsi_opt.study_file.study_file import StudyFile
 from phsi_opt.study_file.survey import TableSurvey, survey
 from phsi_opt.writing import write_whole
 
@@ -76,7 +76,7 @@ def _seen(table: TableSurvey, study: Path, files: list[Path]) -> list[str]:
 def _needs(study: Path) -> tuple[Complaint, ...]:
     """What is missing in the file that was written."""
     try:
-        read_contents(study)
+        StudyFile.read(study)
     except StudyFileError as error:
         return error.complaints
     return ()

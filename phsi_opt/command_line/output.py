@@ -108,10 +108,10 @@ def _found_effects(job: Job, found: list[str]) -> list[str]:
         commands = [f'phsi-opt add "{name}" {job.study}' for name in found]
         return ["to keep what was found in the study file:", *commands]
     try:
-        added = add_effects(job.study, found)
+        backup = add_effects(job.study, found)
     except PhsiOptError as error:
         return [str(error)]
-    return [f"written into {job.study}: {', '.join(found)}; before: {added.backup}"]
+    return [f"written into {job.study}: {', '.join(found)}; before: {backup}"]
 
 
 def _interrupted(

@@ -22,8 +22,8 @@ from phsi_opt.page.drafts import (
     ModelDraft,
     ParameterDraft,
 )
-from phsi_opt.study_file.study_text import section
-from phsi_opt.study_file.toml_tables import toml_tables
+from phsi_opt.study_file.study_text import text_of
+from phsi_opt.study_file.toml_text import toml_tables
 
 Content = dict[str, Any]
 
@@ -68,13 +68,7 @@ class StudyDraft:
 
     def text(self) -> str:
         """The study file; it calls its data files as their owner does."""
-        content = self.content()
-        parts = []
-        for name in ("data", "held_out", "model", "parameters", "study", "loss"):
-            parts.append(section(name, content.get(name, {})))
-        for effect in content.get("effects", []):
-            parts.append(section("[effects]", effect))
-        return "\n".join(filter(None, parts))
+        return text_of(self.content())
 
     def content(self) -> Content:
         """The tables of the study file."""

@@ -14,7 +14,7 @@ from phsi_opt.data.text_cells import MISSING_CELLS, NUMBER
 from phsi_opt.errors import DataError
 from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
 from phsi_opt.study_file import survey
-from phsi_opt.study_file.file_tables import table_at
+from phsi_opt.study_file.data_files import table_at
 from phsi_opt.study_file.survey import ColumnSurvey
 
 N_EXAMPLES = 3  # cells shown of each column

@@ -24,7 +24,7 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.page.snapshot import Snapshot
 from phsi_opt.page.snapshot_making import snapshot_of
 from phsi_opt.study import Study
-from phsi_opt.study_file.keys import DEFAULT_MAX_STEPS
+from phsi_opt.study_file.sections import DEFAULT_MAX_STEPS
 from phsi_opt.study_file.study_file import StudyFile
 
 FIT = "fit"

@@ -19,7 +19,7 @@ from phsi_opt.study_file.survey import (
     TableSurvey,
 )
 from phsi_opt.study_file.time_look import unit_asked
-from phsi_opt.study_file.toml_text import key_text, text_value, toml_value
+from phsi_opt.study_file.toml_text import key_text, toml_value
 
 HELD_OUT_SHARE = 0.3  # of the runs, or of the time of a single one: the usual
 PHYSICS_SECTION = """\
@@ -100,11 +100,11 @@ def _head(table: TableSurvey) -> str:
 def _data(table: TableSurvey, files: list[str]) -> str:
     lines = ["[data]", f"files = {toml_value(files)}  # {table.n_lines} lines"]
     if len(table.sheets) > 1:
-        others = ", ".join(map(text_value, table.sheets[1:]))
-        lines.append(f"sheet = {text_value(table.sheets[0])}  # others: {others}")
+        others = ", ".join(map(toml_value, table.sheets[1:]))
+        lines.append(f"sheet = {toml_value(table.sheets[0])}  # others: {others}")
     runs = table.of_part(RUN)
     if runs:
-        lines.append(f"trajectory = {text_value(runs[0].column)}  # {runs[0].said}")
+        lines.append(f"trajectory = {toml_value(runs[0].column)}  # {runs[0].said}")
         lines += _to_correct(runs[0])
     if table.of_part(INPUT):
         lines.append(

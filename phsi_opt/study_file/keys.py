@@ -1,11 +1,114 @@
-"""Every key of a study file: where it stands, what it holds, what it means.
+"""Every key of a study file: where it stands, what it holds, what it is for.
 
-The reader knows the keys from here, and the reference in docs/command_line.md is tested
-against this list.
+One table: files are checked by it, messages say what it expects, and the reference in
+docs/command_line.md is tested against it.
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+from phsi_opt.errors import did_you_mean
+from phsi_opt.study_file.complaints import Complaints, path_of
+
+# The key, what it holds, what it is for; "*" stands for a name of the user's own.
+TABLE = """
+data | table | the measurements: files, columns, units, noise
+held_out | table | what is kept from fitting, to judge by; default: none
+model | table | the base model: states, energy, losses, forces
+parameters | table | the numbers in its formulas
+effects | list of tables | effects of your own, as [[effects]]
+study | table | effects added so far, to consider, to leave out
+loss | table | how to fit; default: maximum likelihood as it is
+data.files | list of files | text, .xlsx or .mat, relative to the study file
+data.trajectory | text | column that names each line's run; default: no such
+data.hold | "linear", "zero" or "cubic" | inputs between samples; default linear
+data.time | table | the column of the times
+data.between | list of two numbers | times that are used; default: all
+data.thinned | whole number | so many samples become their mean; default: none
+data.sheet | text | of a workbook (.xlsx); default: the only one
+data.columns | list of texts | names, where there is no header
+data.separator | text | between the cells of a text; default: found
+data.decimal | text | sign before decimals; default: found
+data.states | table | a table for each state
+data.inputs | table | a table for each measured input; default: none
+data.time.column | text or position | numbers, dates, or times of day
+data.time.unit | text | such as "s"; dates are read in seconds
+data.time.step | number | in place of a column: the time between lines
+data.time.start | text | of dates: when t is 0; default: each run's first sample
+data.time.date_format | text | of other dates: "%d.%m.%Y %H:%M"; "": no dates
+data.states.* | table | a state, by the name that it has in the formulas
+data.states.*.column | text or position | its header, or its position from 0
+data.states.*.unit | text | its unit, such as "m"; default: unknown
+data.states.*.measured | true or false | in place of a column: nobody measured it
+data.states.*.noise | number | standard deviation in its unit; default: estimated
+data.inputs.* | table | an input, by its name in the formulas
+data.inputs.*.column | text or position | its header, or its position from 0
+data.inputs.*.unit | text | its unit, such as "m"; default: unknown
+held_out.runs | list of texts | names of the runs held out
+held_out.share | number | or: the last share of the runs (of one run: in time)
+held_out.after | number | or: of every run, what is measured from this time on
+model.type | "PseudoHamiltonian" or "FirstOrder" | default: PseudoHamiltonian
+model.states | list of texts | names of the states
+model.inputs | list of texts | names of the inputs; default: none
+model.pairs | list of pairs | such as [["q", "p"]]: dq/dt = dH/dp
+model.S | list of rows | or: the skew-symmetric structure matrix
+model.H | formula, term, or list of these | the energy, of the states alone
+model.R | table | losses R_ii >= 0 by state: dx_i/dt = ... - R_ii dH/dx_i
+model.F | table | forces by state: of states, inputs, t, efforts dH_dp
+model.sensor | table | by state, what its sensor adds to it
+model.memory | list of texts | states that are an effect's memory
+model.kind | text or table | such as "thermal", or { T1 = "thermal" }
+model.R.* | formula, term, or list of these | by the name of the state
+model.F.* | formula, term, or list of these | by the name of the state
+model.sensor.* | formula, term, or list of these | by the name of the state
+model.kind.* | text | by the name of the state
+term.body | formula | one term with a coefficient of its own
+term.coefficient | parameter | its coefficient; default: free
+term.inner | table of parameters | the parameters inside the body
+term.name | text | of the coefficient; default: from the place
+term.polynomials | list of texts | or: all monomials of these names
+term.degree | whole number | the largest total degree of the monomials
+term.constant | true or false | whether 1 is one of them; default false
+term.trigonometric | list of texts | or: sines and cosines of these
+term.n | whole number | pairs of them for each name; default 1
+term.frequency | number | start in rad per unit; default: scanned
+parameters.* | parameter | a number, which is known, or a table as below
+parameters.*.start | number | where the search begins; default: found in the data
+parameters.*.value | number | in place of start: known, and not estimated
+parameters.*.lower | number | least value; default: none
+parameters.*.upper | number | largest value; default: none
+parameters.*.unit | text | that is printed, such as "N/m"
+parameters.*.per_trajectory | true or false | a value for each run; default false
+parameters.*.fixed | true or false | with a guess: it is not estimated once it is found
+parameters.*.guess | table | how a start is found in the data
+parameters.*.guess.kind | "Scan", "Share" or "Tried" | the recipe
+parameters.*.guess.variable | text | Scan: what the wave runs along
+parameters.*.guess.of | formula | Share, Tried: what the start is a share of
+parameters.*.guess.share | number | Share: of its root mean square
+parameters.*.guess.sharper | list of numbers | Share: factors that sharpen a corner
+parameters.*.guess.shares | list of numbers | Tried: of its largest absolute value
+parameters.*.guess.most | number | Tried: upper bound, as a share
+effects.name | text | what it is called
+effects.slot | "H", "R", "F" or "sensor" | where it acts
+effects.equation | text | the state in whose equation it acts
+effects.term | formula, term, or list of these | what it adds there
+effects.memory | table of terms | further states, each with its rate of change
+effects.family | text | its class in words; default: none
+study.added | list of effects | effects added, such as "coulomb friction on p"
+study.effects | list of effects | those to consider; default: the catalogue
+study.without | list of effects | those never to consider; default: none
+study.max_steps | whole number | effects that --auto adds at most; default 4
+loss.integrator | "euler", "midpoint", "rk4" or "srk4" | of the defects; default srk4
+loss.steps | whole number | intervals between samples; default: as needed
+loss.huber | number | residuals beyond so many deviations count linearly
+loss.starts | whole number | number of starting points; default 1
+loss.model_error | true or false | a random force in the equations
+"""
+
+
+Fits = Callable[[Any], bool]
 
 
 @dataclass(frozen=True)
@@ -13,182 +116,155 @@ class Key:
     """One key.
 
     Attributes:
-        table: where it stands, such as ``"data.states.*"``; "" at the top.
-        name: of the key; ``"*"`` for names of the user's own.
-        form: what it holds.
+        path: such as ``"data.time.column"``.
+        form: what it holds; a choice where this is words in quotes.
         meaning: what it is for, with the default.
     """
 
-    table: str
-    name: str
+    path: str
     form: str
     meaning: str
 
-    @property
-    def path(self) -> str:
-        """The key as in messages, such as ``"data.time.column"``."""
-        return f"{self.table}.{self.name}" if self.table else self.name
+    def refusal(self, value: Any) -> str:
+        """What was expected in place of a value; "" where that is of the form."""
+        options = re.findall(r'"(\w+)"', self.form)
+        if options:
+            hint = did_you_mean(value, options)
+            return "" if value in options else f"expected {self.form}.{hint}"
+        form = FORMS[self.form]
+        return "" if form.fits(value) else f"expected {form.expected}."
 
 
-CHANNEL = (
-    ("column", "text or position", "its header, or its position from 0"),
-    ("unit", "text", 'its unit, such as "m"; default: unknown'),
-)
-TERMS = "formula, term, or list of these"
-DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
+@dataclass(frozen=True)
+class Form:
+    """What a key can hold: a test, the words for it, whose keys tables of it have."""
+
+    fits: Fits
+    expected: str
+    table: str = ""  # "": those below the key itself
 
 
-def _keys(table: str, *rows: tuple[str, str, str]) -> tuple[Key, ...]:
-    return tuple(Key(table, *row) for row in rows)
+def _is(*types: type) -> Fits:
+    """Of one of some types; true and false are no numbers."""
+    is_flag = bool in types
+    return lambda value: isinstance(value, types) and isinstance(value, bool) == is_flag
 
 
-KEYS: tuple[Key, ...] = (
-    *_keys(
-        "",
-        ("data", "table", "the measurements: files, columns, units, noise"),
-        ("held_out", "table", "what is kept from fitting, to judge by; default: none"),
-        ("model", "table", "the base model: states, energy, losses, forces"),
-        ("parameters", "table", "the numbers in its formulas"),
-        ("effects", "list of tables", "effects of your own, as [[effects]]"),
-        ("study", "table", "effects added so far, to consider, to leave out"),
-        ("loss", "table", "how to fit; default: maximum likelihood as it is"),
+def _listed(fits: Fits) -> Fits:
+    """A list of what fits."""
+    return lambda value: isinstance(value, list) and all(map(fits, value))
+
+
+def _or_listed(fits: Fits) -> Fits:
+    """What fits, or a list of it."""
+    return lambda value: fits(value) or _listed(fits)(value)
+
+
+def _is_column(value: Any) -> bool:
+    return _is(str)(value) or (_is(int)(value) and value >= 0)
+
+
+def _is_span(value: Any) -> bool:
+    return _listed(is_number)(value) and len(value) == 2 and value[0] < value[1]
+
+
+def _is_pair(value: Any) -> bool:
+    return _listed(_is(str))(value) and len(value) == 2 and value[0] != value[1]
+
+
+is_number = _is(int, float)
+_are_texts = _or_listed(_is(str))
+_is_parameter = _is(int, float, dict)
+FORMS = {
+    "text": Form(_is(str), 'text in quotes, such as "m"'),
+    "formula": Form(_is(str), 'a formula in quotes, such as "q**2"'),
+    "number": Form(is_number, "a number, such as 0.5, without quotes"),
+    "whole number": Form(
+        lambda value: _is(int)(value) and value > 0, "a whole number of at least 1"
     ),
-    *_keys(
-        "data",
-        (
-            "files",
-            "text or list of texts",
-            "text, .xlsx or .mat, by paths from the study file",
-        ),
-        ("trajectory", "text", "column that names each line's run; default: no such"),
-        (
-            "hold",
-            '"linear", "zero" or "cubic"',
-            "inputs between samples; default linear",
-        ),
-        ("time", "table", "the column of the times"),
-        ("between", "list of two numbers", "times that are used; default: all"),
-        ("thinned", "whole number", "so many samples become their mean; default: none"),
-        ("sheet", "text", "of a workbook (.xlsx); default: the only one"),
-        ("columns", "list of texts", "names, where there is no header"),
-        ("separator", "text", "between the cells of a text; default: found"),
-        ("decimal", "text", "sign before decimals; default: found"),
-        ("states", "table", "a table for each state"),
-        ("inputs", "table", "a table for each measured input; default: none"),
+    "true or false": Form(_is(bool), "true or false, without quotes"),
+    "text or position": Form(
+        _is_column, 'a header in quotes, such as "q", or a position from 0'
     ),
-    *_keys(
-        "data.time",
-        ("column", "text or position", "numbers, dates, or times of day"),
-        ("unit", "text", 'such as "s"; dates are read in seconds'),
-        ("step", "number", "in place of a column: the time between lines"),
-        ("start", "text", "of dates: when t is 0; default: each run's first sample"),
-        ("date_format", "text", 'of other dates: "%d.%m.%Y %H:%M"; "": no dates'),
+    "list of texts": Form(_are_texts, 'a list of texts, such as ["q", "p"]'),
+    "list of files": Form(_are_texts, 'the data file(s), such as ["bench.csv"]'),
+    "list of effects": Form(
+        _are_texts, 'a list of names, such as ["coulomb friction on p"]'
     ),
-    *_keys(
-        "data.states",
-        ("*", "table", "a state, by the name that it has in the formulas"),
+    "list of numbers": Form(
+        _listed(is_number), "a list of numbers, such as [0.25, 0.5]"
     ),
-    *_keys(
-        "data.states.*",
-        *CHANNEL,
-        ("measured", "false", "in place of a column: nobody measured it"),
-        ("noise", "number", "standard deviation in its unit; default: estimated"),
+    "list of two numbers": Form(
+        _is_span, "two times, the first and the last: [20, 80]"
     ),
-    *_keys("data.inputs", ("*", "table", "an input, by its name in the formulas")),
-    *_keys("data.inputs.*", *CHANNEL),
-    *_keys(
-        "held_out",
-        ("runs", "list of texts", "names of the runs held out"),
-        ("share", "number", "or: the last share of the runs (of one run: in time)"),
-        ("after", "number", "or: of every run, what is measured from this time on"),
+    "list of pairs": Form(_listed(_is_pair), 'pairs of states, such as [["q", "p"]]'),
+    "list of rows": Form(_is(list), "a list of rows, such as [[0, 1], [-1, 0]]"),
+    "table": Form(_is(dict), 'a table, such as { unit = "m" }'),
+    "list of tables": Form(
+        _listed(_is(dict)), "sections [[effects]], with two brackets"
     ),
-    *_keys(
-        "model",
-        ("type", "text", '"PseudoHamiltonian" (the default) or "FirstOrder"'),
-        ("states", "list of texts", "names of the states"),
-        ("inputs", "list of texts", "names of the inputs; default: none"),
-        ("pairs", "list of pairs", 'such as [["q", "p"]]: dq/dt = dH/dp'),
-        ("S", "list of rows", "or: the skew-symmetric structure matrix"),
-        ("H", TERMS, "the energy, of the states alone"),
-        ("R", "table", "losses R_ii >= 0 by state: dx_i/dt = ... - R_ii dH/dx_i"),
-        ("F", "table", "forces by state: of states, inputs, t, efforts dH_dp"),
-        ("sensor", "table", "by state, what its sensor adds to it"),
-        ("memory", "list of texts", "states that are an effect's memory"),
-        ("kind", "text or table", 'such as "thermal", or { T1 = "thermal" }'),
-    ),
-    *_keys("model.R", ("*", TERMS, "by the name of the state")),
-    *_keys("model.F", ("*", TERMS, "by the name of the state")),
-    *_keys("model.sensor", ("*", TERMS, "by the name of the state")),
-    *_keys("model.kind", ("*", "text", "by the name of the state")),
-    *_keys(
-        "term",
-        ("body", "formula", "one term with a coefficient of its own"),
-        ("coefficient", "parameter", "its coefficient; default: free"),
-        ("inner", "table of parameters", "the parameters inside the body"),
-        ("name", "text", "of the coefficient; default: from the place"),
-        ("polynomials", "text or list of texts", "or: all monomials of these names"),
-        ("degree", "whole number", "the largest total degree of the monomials"),
-        ("constant", "true or false", "whether 1 is one of them; default false"),
-        ("trigonometric", "text or list of texts", "or: sines and cosines of these"),
-        ("n", "whole number", "pairs of them for each name; default 1"),
-        ("frequency", "number", "start in rad per unit; default: scanned"),
-    ),
-    *_keys(
-        "parameters",
-        ("*", "number or table", "a number is a known value; a table see below"),
-    ),
-    *_keys(
+    "text or table": Form(_is(str, dict), 'text, or a table such as { T = "thermal" }'),
+    "parameter": Form(
+        _is_parameter,
+        "a number, or a table such as { start = 1.0, lower = 0 }",
         "parameters.*",
-        ("start", "number", "where the search begins; default: found in the data"),
-        ("value", "number", "in place of start: known, and not estimated"),
-        ("lower", "number", "least value; default: none"),
-        ("upper", "number", "largest value; default: none"),
-        ("unit", "text", 'that is printed, such as "N/m"'),
-        ("per_trajectory", "true or false", "a value for each run; default false"),
-        ("fixed", "true", "with a guess: it is not estimated once it is found"),
-        ("guess", "table", "how a start is found in the data"),
     ),
-    *_keys(
-        "parameters.*.guess",
-        ("kind", "text", '"Scan", "Share" or "Tried"'),
-        ("variable", "text", "Scan: what the wave runs along"),
-        ("of", "formula", "Share, Tried: what the start is a share of"),
-        ("share", "number", "Share: of its root mean square"),
-        ("sharper", "list of numbers", "Share: factors by which a corner is sharpened"),
-        ("shares", "list of numbers", "Tried: of its largest absolute value"),
-        ("most", "number", "Tried: upper bound, as a share"),
+    "table of parameters": Form(
+        _is(dict), "a table, such as { omega = 2.0 }", "parameters"
     ),
-    *_keys(
-        "effects",
-        ("name", "text", "what it is called"),
-        ("slot", "text", '"H", "R", "F" or "sensor"'),
-        ("equation", "text", "the state in whose equation it acts"),
-        ("term", TERMS, "what it adds there"),
-        ("memory", "table of terms", "further states, each with its rate of change"),
-        ("family", "text", "its class in words; default: none"),
+    "table of terms": Form(_is(dict), 'a table, such as { lag = "-lag/2" }', "model.F"),
+    "formula, term, or list of these": Form(
+        _or_listed(_is(str, int, float, dict)),
+        'a formula in quotes, such as "c*dH_dp", or a list of them',
+        "term",
     ),
-    *_keys(
-        "study",
-        ("added", "list of texts", 'effects added, such as "coulomb friction on p"'),
-        ("effects", "list of texts", "those to consider; default: the catalogue"),
-        ("without", "list of texts", "those never to consider; default: none"),
-        (
-            "max_steps",
-            "whole number",
-            f"effects that --auto adds at most; default {DEFAULT_MAX_STEPS}",
-        ),
-    ),
-    *_keys(
-        "loss",
-        ("integrator", "text", 'scheme of the defects; default "srk4"'),
-        ("steps", "whole number", "intervals between samples; default: as needed"),
-        ("huber", "number", "residuals beyond so many deviations count linearly"),
-        ("starts", "whole number", "number of starting points; default 1"),
-        ("model_error", "true or false", "a random force in the equations"),
-    ),
-)
+}
+NAMED_ANYWAY = ("table", "parameter")  # other sections know these by their names
+
+KEYS = tuple(Key(*row.split(" | ")) for row in TABLE.strip().splitlines())
+KEYS_OF: dict[str, dict[str, Key]] = {}  # by their table and name
+for _key in KEYS:
+    _table, _, _name = _key.path.rpartition(".")
+    KEYS_OF.setdefault(_table, {})[_name] = _key
 
 
-def known_keys(table: str) -> Mapping[str, Key]:
-    """The keys of a table, by name; the user's own stand under ``"*"``."""
-    return {key.name: key for key in KEYS if key.table == table}
+def usable(
+    content: Mapping[str, Any], complaints: Complaints, table: str = "", at: str = ""
+) -> dict[str, Any]:
+    """The entries that are of the form of their keys; the others are complaints.
+
+    Args:
+        content: of a table.
+        complaints: where what is wrong is noted.
+        table: whose keys it has, such as ``"data.states.*"``; "" for the file.
+        at: where it stands, such as ``"data.states.q"``.
+    """
+    known = KEYS_OF[table]
+    kept: dict[str, Any] = {}
+    for name, value in content.items():
+        path = path_of(at, name)
+        key = known.get(name) or known.get("*")
+        if key is None:
+            said = f"this key is unknown here; known are {', '.join(known)}."
+            complaints.add(path, f"{said}{did_you_mean(name, known)}", value)
+        elif key.refusal(value):
+            complaints.add(path, key.refusal(value), value)
+            if key.form in NAMED_ANYWAY and key.path.endswith("*"):
+                kept[name] = {}
+        else:
+            kept[name] = _usable_below(value, key, complaints, path)
+    return kept
+
+
+def _usable_below(value: Any, key: Key, complaints: Complaints, path: str) -> Any:
+    """A value with what is usable of its tables."""
+    form = FORMS.get(key.form)
+    table = key.path if form is None else form.table or key.path
+    if isinstance(value, dict):
+        return usable(value, complaints, table, path)
+    if table not in KEYS_OF or not isinstance(value, list):
+        return value
+    listed = []
+    for number, one in enumerate(value):
+        listed.append(_usable_below(one, key, complaints, f"{path}[{number}]"))
+    return listed

@@ -1,66 +1,48 @@
-"""From the text of a study file to its parts, with everything that is wrong in it.
+"""From the text of a study file to its sections, with everything that is wrong in it.
 
-The order: the text, the model with its formulas, effects and loss, the data files, and
-at last what is held out of them. What depends on a part that is wrong already is not
-looked at, so that one mistake is told once.
+The order: the text and its keys, the model with its formulas, effects and loss, the
+data files, and at last what is held out of them. What depends on a part that is wrong
+already is not looked at, so that one mistake is told once.
 """
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from phsi_opt.data.checks import checked_names
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import Complaint, StudyFileError
-from phsi_opt.model.effect import Effect
-from phsi_opt.model.model import Model
+from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
 from phsi_opt.reading import file_text, why_not_read
-from phsi_opt.study_file.data_reading import (
-    check_held_out,
-    check_measurements,
-    read_data,
-    read_held_out,
+from phsi_opt.study_file.complaints import (
+    Complaints,
+    Part,
+    TooManyComplaintsError,
+    texts,
 )
-from phsi_opt.study_file.effect_reading import (
+from phsi_opt.study_file.data_files import check_held_out, check_measurements
+from phsi_opt.study_file.effects import check_effects, read_own_effects
+from phsi_opt.study_file.keys import usable
+from phsi_opt.study_file.model_reading import ModelReader, check_channels
+from phsi_opt.study_file.sections import (
+    OF_TIME,
+    Channel,
+    DataSection,
+    HeldOut,
+    Sections,
     StudySection,
-    check_effects,
-    read_own_effects,
-    read_study,
 )
-from phsi_opt.study_file.loss_reading import read_loss
-from phsi_opt.study_file.model_reading import check_channels, read_model, read_names
-from phsi_opt.study_file.part import Complaints, Part, TooManyComplaintsError
-from phsi_opt.study_file.sections import DataSection, HeldOut
-from phsi_opt.study_file.toml_tables import LARGEST_STUDY, toml_tables
+from phsi_opt.study_file.toml_text import LARGEST_STUDY, lines_of, toml_tables
 from phsi_opt.transcription.losses import MaximumLikelihood
 
-
-@dataclass(frozen=True)
-class Contents:
-    """What a study file says, with the measurements that it names.
-
-    Attributes:
-        data: the section [data].
-        held_out: the section [held_out]; None where there is none.
-        model: the base model.
-        own_effects: the sections [[effects]].
-        study: the section [study].
-        loss: the section [loss].
-        measurements: of all files, training and held out.
-    """
-
-    data: DataSection
-    held_out: HeldOut | None
-    model: Model
-    own_effects: tuple[Effect, ...]
-    study: StudySection
-    loss: MaximumLikelihood
-    measurements: Measurements
+MORE = "So much is wrong that the rest was not looked at."
 
 
-def read_contents(path: Path, places: Mapping[str, Path] | None = None) -> Contents:
-    """Everything that a study file says.
+def read_sections(
+    path: Path, places: Mapping[str, Path] | None = None
+) -> tuple[Sections, Measurements]:
+    """Everything that a study file says, and all its measurements.
 
     Args:
         path: of the study file.
@@ -70,45 +52,67 @@ def read_contents(path: Path, places: Mapping[str, Path] | None = None) -> Conte
         StudyFileError: something in it, or in its data files, cannot be used; with all
             that is wrong.
     """
+    text, tables = _read(path)
     found = Complaints()
-    file = Part("", tables_of(path), found)
     try:
-        return _contents(file, path, places or {})
+        read = _sections(tables, found, path.parent, places or {})
     except TooManyComplaintsError:
-        more = Complaint("", "", "So much is wrong that the rest was not looked at.")
-        listed = [*_in_order(found.listed, list(file.content)), more]
-        raise StudyFileError(path, listed) from None
+        read = None
+    if read is None or found.listed:
+        raise StudyFileError(path, _told(found, text, list(tables)))
+    return read
 
 
-def _contents(file: Part, path: Path, places: Mapping[str, Path]) -> Contents:
-    found = file.complaints
-    file.check_known("")
-    names = read_names(file)
-    data = replace(read_data(file), places=places)
-    held_out = read_held_out(file)
-    own_effects = read_own_effects(file, names)
-    model = read_model(file, names)
-    study = read_study(file)
-    loss = read_loss(file)
+def _sections(
+    tables: dict[str, Any], found: Complaints, folder: Path, places: Mapping[str, Path]
+) -> tuple[Sections, Measurements] | None:
+    file = Part("", usable(tables, found), found)
+    reader = ModelReader.of(file)
+    data = replace(_data(file), places=places)
+    held_out = _held_out(file)
+    own = read_own_effects(file, reader)
+    model = reader.model(file)
+    steps = _steps(file)
+    loss = _loss(file)
     if model is not None:
         check_channels(model, data, found)
-        check_effects(file, model, own_effects, data.units)
-    measured = check_measurements(data, path.parent, found)
-    if measured is not None and not found.about("held_out"):
-        check_held_out(held_out, measured, file.content, found)
-    if found.listed or model is None or measured is None:
-        raise StudyFileError(path, _in_order(found.listed, list(file.content)))
-    return Contents(data, held_out, model, own_effects, study, loss, measured)
+        if not found.about("effects"):
+            check_effects(steps, model, own, data.units, found)
+    measured = check_measurements(data, folder, found)
+    if measured is not None and held_out is not None and not found.about("held_out"):
+        check_held_out(held_out, measured, file)
+    if model is None or measured is None:
+        return None
+    sections = Sections(
+        base=model,
+        data=data,
+        held_out=held_out,
+        steps=steps,
+        own_effects=own,
+        loss=loss,
+    )
+    return sections, measured
 
 
-def _in_order(listed: list[Complaint], sections: list[str]) -> list[Complaint]:
-    """The complaints in the order of the file's sections; what is missing last."""
+def _told(found: Complaints, text: str, sections: list[str]) -> list[Complaint]:
+    """The complaints with their lines, section by section; what is missing last."""
+    lines = lines_of(text)
 
     def place(complaint: Complaint) -> int:
         section = re.split(r"[.\[]", complaint.key)[0]
         return sections.index(section) if section in sections else len(sections)
 
-    return sorted(listed, key=place)
+    listed = []
+    for complaint in sorted(found.listed, key=place):
+        listed.append(replace(complaint, line=_line(complaint.key, lines)))
+    return [*listed, Complaint("", "", MORE)] if found.is_full else listed
+
+
+def _line(key: str, lines: Mapping[str, int]) -> int | None:
+    """The line of a key, or of the table in which it is missing."""
+    while key and key not in lines:
+        key = key.rpartition(".")[0]
+    return lines.get(key)
 
 
 def tables_of(path: Path) -> dict[str, Any]:
@@ -117,8 +121,14 @@ def tables_of(path: Path) -> dict[str, Any]:
     Raises:
         StudyFileError: it cannot be read, or is no TOML.
     """
+    return _read(path)[1]
+
+
+def _read(path: Path) -> tuple[str, dict[str, Any]]:
+    """The text and the tables of a TOML file."""
     try:
-        return toml_tables(file_text(path, LARGEST_STUDY))
+        text = file_text(path, LARGEST_STUDY)
+        return text, toml_tables(text)
     except FileNotFoundError:
         said = "there is no such file; phsi-opt init DATA.csv writes one."
     except UnicodeDecodeError as error:
@@ -130,3 +140,125 @@ def tables_of(path: Path) -> dict[str, Any]:
     except OSError as error:
         said = f"it cannot be read: {why_not_read(error)}."
     raise StudyFileError(path, [Complaint("", "", said)])
+
+
+# ---- the sections about measurements -------------------------------------------------
+
+
+def _data(file: Part) -> DataSection:
+    data = file.part("data")
+    if not data.content:
+        file.need("data", "there is no section [data]; it names files and columns.")
+    else:
+        data.need("files", 'expected the data file(s), such as ["bench.csv"].')
+        data.need(
+            "states",
+            "expected a table for each state, such as "
+            'q = { column = "q", unit = "m" }.',
+        )
+    plain: dict[str, Any] = {}
+    for name, value in data.content.items():
+        if value and not isinstance(value, dict):
+            plain[name] = tuple(value) if isinstance(value, list) else value
+    for name in ("files", "columns"):
+        plain[name] = texts(plain.get(name, ()))
+    plain["columns"] = plain["columns"] or None
+    return DataSection(
+        **plain,
+        **_time(data),
+        states=_channels(data, "states"),
+        inputs=_channels(data, "inputs"),
+    )
+
+
+def _time(data: Part) -> dict[str, Any]:
+    """What the section says of the times: a column, dates, or a step."""
+    part = data.part("time")
+    step = part.get("step")
+    if step is not None and not 0 < step < float("inf"):
+        part.complain("step", "expected the time between lines, a number above zero.")
+    if part.get("column", "") != "" and part.is_told("step"):
+        part.complain("step", "there is a column too; keep one of the two.")
+    if data.content and not part.is_told("step"):
+        part.need(
+            "column",
+            'expected the column of the times, such as "t_s"; where no column has '
+            "them, the time between lines: time = { step = 0.01 }.",
+        )
+    told = {name: part.content[name] for name in OF_TIME if name in part.content}
+    if not told.get("start", True):
+        told.pop("start")
+    return {"time": _channel(part), **told}
+
+
+def _channel(part: Part) -> Channel:
+    column = part.get("column", "")
+    unmeasured = column == "" or not part.get("measured", True)
+    return Channel(None if unmeasured else column, part.get("unit", ""))
+
+
+def _channels(data: Part, what: str) -> dict[str, Channel]:
+    channels = {}
+    section = data.part(what)
+    for name in section.content:
+        part = section.part(name)
+        try:
+            checked_names([name], what)
+        except DataError as error:
+            data.complaints.add(part.key, error)
+            continue
+        noise = part.get("noise")
+        if noise is not None and not 0 < noise < float("inf"):
+            part.complain(
+                "noise",
+                "expected a positive number; leave it out where the noise is unknown.",
+            )
+        if part.get("measured", True) is True:
+            otherwise = " (or measured = false)" if what == "states" else ""
+            part.need("column", f"expected the name of a column{otherwise}.")
+        elif part.is_told("column"):
+            part.complain("measured", "there is a column too; keep one of the two.")
+        channels[name] = replace(_channel(part), noise=noise)
+    return channels
+
+
+def _held_out(file: Part) -> HeldOut | None:
+    """The section [held_out]; None where there is none, or it cannot be used."""
+    if not file.is_told("held_out"):
+        return None
+    part = file.part("held_out")
+    way = part.exactly_one("runs", "share", "after")
+    value = part.get(way)
+    if way == "share" and value is not None and not 0 < value < 1:
+        part.complain("share", "expected a number between 0 and 1, such as 0.3.")
+    if value is None:
+        return None
+    told: dict[str, Any] = {way: texts(value) if way == "runs" else value}
+    return HeldOut(**told)
+
+
+# ---- how to go on --------------------------------------------------------------------
+
+
+def _steps(file: Part) -> StudySection:
+    plain: dict[str, Any] = dict(file.part("study").content)
+    for name in ("added", "effects", "without"):
+        if name in plain:
+            plain[name] = texts(plain[name])
+    return StudySection(**plain)
+
+
+def _loss(file: Part) -> MaximumLikelihood:
+    """The loss; what is wrong is noted, and the default taken."""
+    part = file.part("loss")
+    for name in part.content:
+        try:  # each by itself: it may be out of its range whatever the others are
+            MaximumLikelihood(**{name: part.content[name]})
+        except ModelError as error:
+            part.complain(name, error)
+    try:
+        return MaximumLikelihood(**part.content)
+    except ModelError as error:  # settings that do not go together
+        if not file.complaints.about("loss"):
+            file.complain("loss", error)
+        return MaximumLikelihood()

@@ -1,11 +1,11 @@
-"""The sections of a study file about measurements, as records.
+"""The sections of a study file as records.
 
 Paths stay as they were written, relative to the folder of the study file.
 """
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,25 @@ from phsi_opt.data.file_opening import DataFile, NamedFile
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
+from phsi_opt.model.effect import Effect
+from phsi_opt.model.model import Model
+from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
 READERS = {".xlsx": "from_excel", ".xlsm": "from_excel", ".mat": "from_mat"}
+OF_TIME = ("step", "start", "date_format")  # keys of the table of the times
 # Settings that readers know by the names that they have here.
 TOLD_TO_READERS = (
-    *("trajectory", "step", "start", "date_format"),
+    *("trajectory", *OF_TIME),
     *("sheet", "columns", "separator", "decimal"),
 )
+DEFAULT_MAX_STEPS = 4  # effects: as many as `Study.auto` adds at most unless told
 SHARE_DIGITS = 12  # of 1 - share, so that 1 - 0.4 reads 0.6
+
+
+def reader_of(path: Path | DataFile) -> str:
+    """The name of the reader of `Measurements` for a file, by its suffix."""
+    return READERS.get(path.suffix.lower(), TEXT_READER)
 
 
 @dataclass(frozen=True)
@@ -89,30 +99,7 @@ class DataSection:
     def units(self) -> dict[str, str]:
         """The units that are known, of the time, the states and the inputs."""
         channels = {"t": self.time, **self.states, **self.inputs}
-        units = {}
-        for name, channel in channels.items():
-            if channel.unit:
-                units[name] = channel.unit
-        return units
-
-    @property
-    def noise(self) -> dict[str, float] | None:
-        """The noise that is known, by state; None where none is."""
-        noise = {}
-        for name, channel in self.states.items():
-            if channel.noise is not None:
-                noise[name] = channel.noise
-        return noise or None
-
-    @property
-    def state_columns(self) -> dict[str, str | int | None]:
-        """The column of each state."""
-        return {name: channel.column for name, channel in self.states.items()}
-
-    @property
-    def input_columns(self) -> dict[str, str | int | None]:
-        """The column of each input."""
-        return {name: channel.column for name, channel in self.inputs.items()}
+        return {name: one.unit for name, one in channels.items() if one.unit}
 
     def paths(self, folder: Path) -> list[DataFile]:
         """The files, from the folder of the study file."""
@@ -132,30 +119,24 @@ class DataSection:
         return replace(self, files=tuple(files))
 
     @property
-    def suffix(self) -> str:
-        """What the first file's name ends in, in lower case, such as ".csv"."""
-        return Path(self.files[0]).suffix.lower() if self.files else ""
-
-    @property
     def reader(self) -> str:
-        """The name of the reader of `Measurements` for such files."""
-        return READERS.get(self.suffix, TEXT_READER)
+        """The name of the reader of `Measurements` for the first file."""
+        return reader_of(Path(self.files[0] if self.files else ""))
 
     def reader_arguments(self) -> dict[str, Any]:
         """What the reader is told beside the files; only what is not the default."""
-        arguments: dict[str, Any] = {"states": self.state_columns}
+        arguments: dict[str, Any] = {"states": _columns(self.states)}
         if self.time.column is not None:
             arguments["time"] = self.time.column
         if self.inputs:
-            arguments["inputs"] = self.input_columns
-            arguments["hold"] = self.hold
+            arguments |= {"inputs": _columns(self.inputs), "hold": self.hold}
         for name in TOLD_TO_READERS:
             if getattr(self, name) is not None:
                 arguments[name] = getattr(self, name)
-        if self.units:
-            arguments["units"] = self.units
-        if self.noise is not None:
-            arguments["noise"] = self.noise
+        noise = {name: one.noise for name, one in self.states.items() if one.noise}
+        for name, known in (("units", self.units), ("noise", noise)):
+            if known:
+                arguments[name] = known
         return arguments
 
     def measurements(self, folder: Path) -> Measurements:
@@ -174,6 +155,10 @@ class DataSection:
         if self.between is not None:
             data = data.between(*self.between)
         return data if self.thinned is None else data.thinned(self.thinned)
+
+
+def _columns(channels: Mapping[str, Channel]) -> dict[str, str | int | None]:
+    return {name: channel.column for name, channel in channels.items()}
 
 
 @dataclass(frozen=True)
@@ -218,19 +203,15 @@ def _by_runs(
     data: Measurements, runs: tuple[str, ...]
 ) -> tuple[Measurements, Measurements]:
     held_out = {data.trajectory_number(run) for run in runs}
-    kept: list[Trajectory] = []
-    judging: list[Trajectory] = []
-    for number, run in enumerate(data.trajectories):
-        (judging if number in held_out else kept).append(run)
+    numbered = list(enumerate(data.trajectories))
+    kept = [run for number, run in numbered if number not in held_out]
+    judging = [run for number, run in numbered if number in held_out]
     if not kept or not judging:
         raise DataError(
             f"{len(judging)} of {data.n_trajectories} runs are held out; expected at "
             "least one, and at least one to fit."
         )
-    return (
-        replace(data, trajectories=tuple(kept)),
-        replace(data, trajectories=tuple(judging)),
-    )
+    return _of_runs(data, kept), _of_runs(data, judging)
 
 
 def _by_time(data: Measurements, after: float) -> tuple[Measurements, Measurements]:
@@ -246,7 +227,59 @@ def _by_time(data: Measurements, after: float) -> tuple[Measurements, Measuremen
             )
         before.append(part_of(run, slice(n_before)))
         later.append(part_of(run, slice(n_before, None)))
-    return (
-        replace(data, trajectories=tuple(before)),
-        replace(data, trajectories=tuple(later)),
-    )
+    return _of_runs(data, before), _of_runs(data, later)
+
+
+def _of_runs(data: Measurements, runs: list[Trajectory]) -> Measurements:
+    return replace(data, trajectories=tuple(runs))
+
+
+@dataclass(frozen=True)
+class StudySection:
+    """The section [study].
+
+    Attributes:
+        added: names of the effects added so far, the oldest first.
+        effects: names of those to consider; None: the catalogue, and the user's own.
+        without: names of those never to consider.
+        max_steps: how many ``--auto`` adds at most.
+    """
+
+    added: tuple[str, ...] = ()
+    effects: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
+    max_steps: int = DEFAULT_MAX_STEPS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sections:
+    """All that a study file says.
+
+    Attributes:
+        base: the model before any effect was added.
+        data: the files, their columns, units and noise.
+        held_out: what is kept from fitting; None: nothing.
+        steps: effects added, to consider and to leave out.
+        own_effects: effects that are not in the catalogue.
+        loss: how to fit.
+    """
+
+    base: Model
+    data: DataSection
+    held_out: HeldOut | None = None
+    steps: StudySection = field(default_factory=StudySection)
+    own_effects: tuple[Effect, ...] = ()
+    loss: MaximumLikelihood = field(default_factory=MaximumLikelihood)
+
+
+def told(record: Any) -> dict[str, Any]:
+    """The fields of a record that say something: neither None nor the default."""
+    plain = {}
+    for one in fields(record):
+        value = getattr(record, one.name)
+        default = one.default
+        if one.default_factory is not MISSING:
+            default = one.default_factory()
+        if value is not None and value != default:
+            plain[one.name] = value
+    return plain

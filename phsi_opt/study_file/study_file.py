@@ -5,7 +5,7 @@ formulas go through the parser of the package.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Self
@@ -17,9 +17,9 @@ from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.study import Study
-from phsi_opt.study_file.effect_reading import StudySection, grown, meant_effect
-from phsi_opt.study_file.reading import read_contents
-from phsi_opt.study_file.sections import DataSection, HeldOut
+from phsi_opt.study_file.effects import meant_effect, own_effect
+from phsi_opt.study_file.reading import read_sections
+from phsi_opt.study_file.sections import DataSection, HeldOut, Sections, StudySection
 from phsi_opt.study_file.study_script import study_script
 from phsi_opt.study_file.study_text import study_text
 from phsi_opt.study_file.written_data import joined, section_of, write_table
@@ -31,7 +31,7 @@ UNWRITTEN = "measurements.csv"  # called so until it is known beside which file 
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyFile:
+class StudyFile(Sections):
     """A study as a file: `read` makes it from TOML, `write` writes it with comments.
 
     Attributes:
@@ -45,12 +45,6 @@ class StudyFile:
         unwritten: measurements that are in no file yet; `write` writes them.
     """
 
-    base: Model
-    data: DataSection
-    held_out: HeldOut | None = None
-    steps: StudySection = field(default_factory=StudySection)
-    own_effects: tuple[Effect, ...] = ()
-    loss: MaximumLikelihood = field(default_factory=MaximumLikelihood)
     folder: Path = Path()
     unwritten: Measurements | None = None
 
@@ -66,18 +60,9 @@ class StudyFile:
         Raises:
             StudyFileError: something cannot be used; with all that is wrong.
         """
-        path = Path(path)
-        contents = read_contents(path, places)
-        file = cls(
-            base=contents.model,
-            data=contents.data,
-            held_out=contents.held_out,
-            steps=contents.study,
-            own_effects=contents.own_effects,
-            loss=contents.loss,
-            folder=path.parent,
-        )
-        file.__dict__["_measured"] = contents.measurements  # they have been read
+        sections, measured = read_sections(Path(path), places)
+        file = cls(**vars(sections), folder=Path(path).parent)
+        file.__dict__["_measured"] = measured  # they have been read
         return file
 
     @classmethod
@@ -145,12 +130,10 @@ class StudyFile:
         Raises:
             ModelError: there is no such effect, or the model has it.
         """
-        larger = self.model()
-        for name in names:
-            effect = meant_effect(larger, name, self.own_effects, self.data.units)
-            larger = larger.add(effect)
         added = (*self.steps.added, *names)
-        return replace(self, steps=replace(self.steps, added=added))
+        file = replace(self, steps=replace(self.steps, added=added))
+        file.model()  # refuses what is unknown, or there already
+        return file
 
     def write(self, path: str | Path) -> Path:
         """Write the file, with comments; return its path.
@@ -185,25 +168,11 @@ class StudyFile:
         Raises:
             ModelError: the model has something that a study file cannot hold.
         """
-        return study_text(
-            self.data,
-            self.held_out,
-            self.base,
-            self.own_effects,
-            self.steps,
-            self.loss,
-        )
+        return study_text(self)
 
     def script(self) -> str:
         """The Python script that does the same; it looks for the data beside itself."""
-        return study_script(
-            self.data,
-            self.held_out,
-            self.base,
-            self.own_effects,
-            self.steps,
-            self.loss,
-        )
+        return study_script(self)
 
     @cached_property
     def _measured(self) -> Measurements:
@@ -247,7 +216,18 @@ class StudyFile:
         Raises:
             ModelError: one of the effects is unknown, or the model has it already.
         """
-        return grown(self.base, self.steps.added, self.own_effects, self.data.units)
+        model = self.base
+        for name in self.steps.added:
+            model = model.add(self.meant(model, name))
+        return model
+
+    def meant(self, model: Model, name: str) -> Effect:
+        """The effect that a name such as ``"coulomb friction on p"`` stands for.
+
+        Raises:
+            ModelError: there is no such effect.
+        """
+        return meant_effect(model, name, self.own_effects, self.data.units)
 
     def effects(self) -> list[Effect | str] | None:
         """The effects to consider, as `Study` takes them; None: the catalogue."""
@@ -257,16 +237,7 @@ class StudyFile:
                 return None
             offered = catalogue(self.base, self.data.units)
             return [*map(str, offered), *self.own_effects]
-        found: list[Effect | str] = []
-        for name in names:
-            found.append(self._own(name) or name)
-        return found
-
-    def _own(self, name: str) -> Effect | None:
-        for effect in self.own_effects:
-            if name in (effect.name, str(effect)):
-                return effect
-        return None
+        return [own_effect(name, self.own_effects) or name for name in names]
 
     def study(self, progress: Callable[[str], None] | None = None) -> Study:
         """The study: the base model fitted, then each effect added.
@@ -322,7 +293,6 @@ class StudyFile:
             SolveError: a model could not be fitted.
         """
         for name in names:
-            units = study.train.units
-            study.add(meant_effect(study.model, name, self.own_effects, units))
+            study.add(self.meant(study.model, name))
             if after_each is not None:
                 after_each()

@@ -1,153 +1,229 @@
-"""The text of a study file: TOML with a comment for each section."""
+"""The text of a study file: TOML with a comment for each section.
 
-from collections.abc import Mapping, Sequence
+The counterpart of the modules that read: records become texts, numbers, lists and
+tables, and what a study file has no form for is refused by name.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from phsi_opt.errors import ModelError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.study_file.content import effect_content, loss_content, model_content
-from phsi_opt.study_file.effect_reading import StudySection
-from phsi_opt.study_file.keys import DEFAULT_MAX_STEPS
-from phsi_opt.study_file.sections import Channel, DataSection, HeldOut
+from phsi_opt.model.parameters import Parameter
+from phsi_opt.model.slots import BY_EQUATION
+from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.study_file.model_reading import WITH_ENERGY, WITHOUT_ENERGY
+from phsi_opt.study_file.sections import OF_TIME, Channel, DataSection, Sections, told
 from phsi_opt.study_file.toml_text import key_text, toml_value
-from phsi_opt.transcription.losses import MaximumLikelihood
 
+Content = dict[str, Any]
 TEXT_WIDTH = 88  # of a line, where a list can be broken
 HEAD = """\
 # A study of phsi_opt: what was measured, what is known, which effects were added.
 # `phsi-opt check` reads it; docs/command_line.md lists every key.
 """
-ABOUT_DATA = "Files and columns; paths are relative to this file."
-ABOUT_STATES = "What was measured: column, unit, and, where it is known, the noise."
-ABOUT_INPUTS = "Inputs, known at every sample."
-ABOUT_HELD_OUT = "Kept from fitting, to judge by."
-ABOUT_MODEL = "dx/dt = (S - R) grad H + F; names in formulas are states, inputs, t,"
-ABOUT_EFFORTS = "efforts such as dH_dp, and the parameters below."
+# The tables with a header of their own, in their order, and what is said of them.
+COMMENTS = {
+    "data": "Files and columns; paths are relative to this file.",
+    "data.states": "What was measured: column, unit, and the noise where it is known.",
+    "data.inputs": "Inputs, known at every sample.",
+    "held_out": "Kept from fitting, to judge by.",
+    "model": "dx/dt = (S - R) grad H + F; names in formulas are states, inputs, t,\n"
+    "# efforts such as dH_dp, and the parameters below.",
+    "model.R": "",
+    "model.F": "",
+    "model.sensor": "",
+    "parameters": "A number is a known value; start is where the search begins.",
+    "effects": "An effect that is not in the catalogue.",
+    "study": "Effects added so far, the oldest first; those to consider, or leave out.",
+    "loss": "How to fit.",
+}
 ABOUT_FIRST_ORDER = "dx/dt = F - R x; names in formulas are states, inputs, t and the"
-ABOUT_PARAMETERS = "A number is a known value; start is where the search begins."
-ABOUT_EFFECT = "An effect that is not in the catalogue."
-ABOUT_STUDY = "Effects added so far, the oldest first; those to consider, or leave out."
-ABOUT_LOSS = "How to fit."
 
 
-def study_text(
-    data: DataSection,
-    held_out: HeldOut | None,
-    model: Model,
-    own_effects: Sequence[Effect],
-    study: StudySection,
-    loss: MaximumLikelihood,
-) -> str:
+def study_text(study: Sections) -> str:
     """The whole file.
 
     Raises:
         ModelError: a part has something that a study file cannot hold.
     """
-    sections = [
-        HEAD,
-        *data_sections(data),
-        _held_out_section(held_out),
-        *_model_sections(model, own_effects),
-    ]
-    for effect in own_effects:
-        sections.append(section("[effects]", effect_content(effect), ABOUT_EFFECT))
-    sections.append(section("study", _study_content(study), ABOUT_STUDY))
-    sections.append(section("loss", loss_content(loss), ABOUT_LOSS))
-    return "\n".join(filter(None, sections))
+    about = dict(COMMENTS)
+    if not study.base.has_energy:
+        about["model"] = f"{ABOUT_FIRST_ORDER}\n# parameters below."
+    return f"{HEAD}\n{text_of(_content(study), about)}"
 
 
-def section(name: str, content: Mapping[str, Any], *about: str) -> str:
-    """A table with its comments; nothing where it is empty."""
-    if not content:
-        return ""
-    lines = [f"# {line}" for line in about]
-    lines.append(f"[{name}]")
-    for key, value in content.items():
-        lines.append(_entry(key, value))
-    return "\n".join(lines) + "\n"
+def text_of(content: Mapping[str, Any], about: Mapping[str, str] | None = None) -> str:
+    """The text of the tables of a study file; those that are empty are left out.
+
+    Args:
+        content: the tables.
+        about: a comment for each; None: no comments.
+    """
+    sections = []
+    for path in COMMENTS:
+        name, _, below = path.partition(".")
+        found = content.get(name) or {}
+        for table in found if isinstance(found, list) else [found]:
+            header = f"[[{path}]]" if isinstance(found, list) else f"[{path}]"
+            entries = table.get(below) if below else table
+            lines = list(_entries(path, entries)) if isinstance(entries, dict) else []
+            if lines:
+                comment = [f"# {about[path]}"] if about and about[path] else []
+                sections.append("\n".join([*comment, header, *lines]) + "\n")
+    return "\n".join(sections)
 
 
-def _entry(key: str, value: Any) -> str:
-    """A key and its value; a list that is too long for a line has lines of its own."""
-    line = f"{key_text(key)} = {toml_value(value)}"
-    if len(line) <= TEXT_WIDTH or not isinstance(value, list):
-        return line
-    items = [f"    {toml_value(one)}," for one in value]
-    return "\n".join([f"{key_text(key)} = [", *items, "]"])
+def _entries(path: str, table: Mapping[str, Any]) -> Iterator[str]:
+    """The lines of a table; a list that is too long for one has lines of its own."""
+    for key, value in table.items():
+        if f"{path}.{key}" in COMMENTS and isinstance(value, dict):
+            continue
+        line = f"{key_text(key)} = {toml_value(value)}"
+        if len(line) > TEXT_WIDTH and isinstance(value, list):
+            items = [f"    {toml_value(one)},\n" for one in value]
+            line = f"{key_text(key)} = [\n{''.join(items)}]"
+        yield line
 
 
-def data_sections(data: DataSection) -> list[str]:
-    """The sections about the measurements."""
-    content: dict[str, Any] = {"files": list(data.files)}
-    if data.trajectory is not None:
-        content["trajectory"] = data.trajectory
+# ---- records as tables ---------------------------------------------------------------
+
+
+def _content(study: Sections) -> Content:
+    """All tables of a study."""
+    if study.loss.noise is not None:
+        raise ModelError(
+            f"loss: noise={dict(study.loss.noise)!r} has its place beside the columns "
+            "of a study file; give it to the channels, and leave it out of the loss."
+        )
+    parameters = shared_parameters(study.base, study.own_effects)
+    return {
+        "data": _data(study.data),
+        "held_out": _plain(told(study.held_out)) if study.held_out else {},
+        "model": _model(study.base),
+        "parameters": {name: _parameter(one) for name, one in parameters.items()},
+        "effects": [_effect(effect) for effect in study.own_effects],
+        "study": {"added": [], **_plain(told(study.steps))},
+        "loss": told(study.loss),
+    }
+
+
+def _plain(content: Content) -> Content:
+    """Tuples as lists."""
+    listed = {}
+    for name, value in content.items():
+        listed[name] = list(value) if isinstance(value, tuple) else value
+    return listed
+
+
+def _data(data: DataSection) -> Content:
+    content = _plain(told(data))
+    content.pop("places", None)
     if data.inputs:
         content["hold"] = data.hold
-    for name in ("sheet", "columns", "separator", "decimal", "between", "thinned"):
-        if getattr(data, name) is not None:
-            content[name] = getattr(data, name)
-    content["time"] = _time_content(data)
-    states = {name: _channel_content(one) for name, one in data.states.items()}
-    inputs = {name: _channel_content(one) for name, one in data.inputs.items()}
-    return [
-        section("data", content, ABOUT_DATA),
-        section("data.states", states, ABOUT_STATES),
-        section("data.inputs", inputs, ABOUT_INPUTS),
-    ]
-
-
-def _time_content(data: DataSection) -> dict[str, Any]:
-    content = {} if data.time.column is None else _channel_content(data.time)
-    if data.time.column is None and data.time.unit:
-        content["unit"] = data.time.unit
-    for name in ("step", "start", "date_format"):
-        if getattr(data, name) is not None:
-            content[name] = getattr(data, name)
+    time = {} if data.time.column is None else {"column": data.time.column}
+    for name, value in (*told(data.time).items(), *content.items()):
+        if name in ("unit", *OF_TIME):
+            time[name] = value
+    content = {name: one for name, one in content.items() if name not in OF_TIME}
+    content["time"] = time
+    for what in ("states", "inputs"):
+        channels = getattr(data, what)
+        content[what] = {name: _channel(one) for name, one in channels.items()}
     return content
 
 
-def _channel_content(channel: Channel) -> dict[str, Any]:
-    content: dict[str, Any] = {"column": channel.column}
-    if channel.column is None:
-        content = {"measured": False}
-    if channel.unit:
-        content["unit"] = channel.unit
-    if channel.noise is not None:
-        content["noise"] = channel.noise
+def _channel(channel: Channel) -> Content:
+    column = {"measured": False} if channel.column is None else {}
+    return {**column, **told(channel)}
+
+
+def _parameter(parameter: Parameter) -> Content | float:
+    """A parameter: a plain number where it is known and nothing else is told of it."""
+    content = told(parameter)
+    guess = content.get("guess")
+    if guess is not None:
+        content["guess"] = {"kind": type(guess).__name__, **_plain(told(guess))}
+    if "value" in content and not content.pop("fixed", False):
+        content = {"start": content.pop("value"), **content}
+    return content["value"] if list(content) == ["value"] else content
+
+
+def _terms(terms: Dictionary) -> Any:
+    """A sum of terms: the term itself where there is one, else a list."""
+    listed = [_term(term) for term in terms]
+    return listed[0] if len(listed) == 1 else listed
+
+
+def _term(term: Term) -> str | Content:
+    """A formula as text; a term with a coefficient as a table."""
+    if term.coefficient is None:
+        return term.body
+    content = told(term)
+    content["coefficient"] = _parameter(term.coefficient)
+    content["inner"] = {name: _parameter(one) for name, one in term.inner.items()}
+    return {name: one for name, one in content.items() if one != {}}
+
+
+def _by_name(sums: Mapping[str, Dictionary]) -> Content:
+    return {name: _terms(terms) for name, terms in sums.items()}
+
+
+def _model(model: Model) -> Content:
+    content: Content = {
+        "type": WITH_ENERGY if model.has_energy else WITHOUT_ENERGY,
+        "states": list(model.states),
+    }
+    for name in ("inputs", "memory"):
+        if getattr(model, name):
+            content[name] = list(getattr(model, name))
+    if model.kind:
+        content["kind"] = dict(model.kind)
+    if model.has_energy:
+        content |= {**_structure(model), "H": _terms(model.H)}
+    return {**content, **{slot: _by_name(getattr(model, slot)) for slot in BY_EQUATION}}
+
+
+def _structure(model: Model) -> Content:
+    """The structure as pairs where it is nothing but pairs, else as a matrix."""
+    S = np.array(model.S)
+    pairs = []
+    for row, column in np.argwhere(S > 0).tolist():
+        pairs.append([model.states[row], model.states[column]])
+    of_pairs = np.all(np.isin(S, (-1.0, 0.0, 1.0)))
+    return {"pairs": pairs} if of_pairs else {"S": S.tolist()}
+
+
+def _effect(effect: Effect) -> Content:
+    content = {**told(effect), "term": _terms(effect.term)}
+    if effect.memory:
+        content["memory"] = _by_name(effect.memory)
     return content
 
 
-def _held_out_section(held_out: HeldOut | None) -> str:
-    if held_out is None:
-        return ""
-    content: dict[str, Any] = {}
-    if held_out.runs is not None:
-        content["runs"] = list(held_out.runs)
-    elif held_out.after is not None:
-        content["after"] = held_out.after
-    else:
-        content["share"] = held_out.share
-    return section("held_out", content, ABOUT_HELD_OUT)
+def shared_parameters(
+    model: Model, own_effects: Sequence[Effect]
+) -> dict[str, Parameter]:
+    """The parameters of all formulas, by name, in the order of the model.
 
-
-def _model_sections(model: Model, own_effects: Sequence[Effect]) -> list[str]:
-    content = model_content(model, own_effects)
-    about = (ABOUT_MODEL, ABOUT_EFFORTS)
-    if not model.has_energy:
-        about = (ABOUT_FIRST_ORDER, "parameters below.")
-    sections = [section("model", content.head, *about)]
-    for slot, by_equation in content.slots.items():
-        sections.append(section(f"model.{slot}", by_equation))
-    sections.append(section("parameters", content.parameters, ABOUT_PARAMETERS))
-    return sections
-
-
-def _study_content(study: StudySection) -> dict[str, Any]:
-    content: dict[str, Any] = {"added": list(study.added)}
-    if study.effects is not None:
-        content["effects"] = list(study.effects)
-    if study.without:
-        content["without"] = list(study.without)
-    if study.max_steps != DEFAULT_MAX_STEPS:
-        content["max_steps"] = study.max_steps
-    return content
+    Raises:
+        ModelError: one name stands for two different parameters.
+    """
+    sums = [model.H]
+    for slot in BY_EQUATION:
+        sums += getattr(model, slot).values()
+    for effect in own_effects:
+        sums += [effect.term, *effect.memory.values()]
+    found: dict[str, Parameter] = {}
+    for term in (term for terms in sums for term in terms if term.is_formula):
+        for name, parameter in term.inner.items():
+            if found.setdefault(name, parameter) != parameter:
+                raise ModelError(
+                    f"parameter {name!r} of one of the effects is another one than "
+                    "that of the model; a study file has one parameter of a name. "
+                    "Rename one."
+                )
+    return found

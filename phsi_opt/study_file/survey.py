@@ -15,7 +15,7 @@ from phsi_opt.data.tables import Variable
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
 from phsi_opt.study_file.column_look import Seen, columns_of
-from phsi_opt.study_file.file_tables import sheets_in, table_at
+from phsi_opt.study_file.data_files import sheets_in, table_at
 from phsi_opt.study_file.headers import (
     TIMES,
     is_input_word,
@@ -121,7 +121,7 @@ def survey(path: DataFile) -> TableSurvey:
         DataError: it cannot be read as a table, or has too few lines.
     """
     sheets = sheets_in(path)
-    table = table_at(path, (), sheet=sheets[0] if sheets else None)
+    table = table_at(path)
     n_lines = len(table.frame)
     if n_lines == 0:
         raise DataError(f"{path} has no line below its header.")

@@ -1,53 +1,101 @@
-"""Values as TOML writes them: texts, numbers, lists, and tables on one line.
+"""TOML: read with bounds, the lines of its keys, and values as it writes them.
 
-Python reads TOML (``tomllib``) and does not write it. What a study file needs is this
-page; a package for it would be one more dependency.
+`tomllib` takes a time that grows with the square of the parts of a dotted key, and what
+follows it walks tables by recursion: what lies too deep is refused before.
 """
 
 import json
 import re
+import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+MOST_NESTED = 32  # tables, lists and parts of a key in each other; a study needs 8
+MOST_SIGNS = 250  # of a name without quotes, or a number: floats go further
+LARGEST_STUDY = 1_000_000  # bytes of a study file, which a person writes
+# A text that is never closed ends where it could; every match is possessive ("+" behind
+# another sign), so that a search takes a time in proportion to the text.
+KEY_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?)"""
+DOTTED = rf"{KEY_PART}(?:[ \t]*+\.[ \t]*+{KEY_PART})*+"
+LONG_TEXT = r'''"""(?:[^"\\]|\\.|"(?!""))*+(?:""")?|''' + (
+    r"""'''(?:[^']|'(?!''))*+(?:''')?"""
+)
+TOML_TOKEN = re.compile(
+    rf"{LONG_TEXT}|#[^\n]*+|(?P<open>[\[{{])|(?P<close>[\]}}])|(?P<key>{DOTTED})",
+    re.DOTALL,
+)
+DOT = re.compile(rf"{KEY_PART}|\.")
+ENTRY = re.compile(rf"[ \t]*+(\[{{0,2}})[ \t]*+({DOTTED})[ \t]*+[=\]]")
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 DELETE = "\x7f"  # the one character that JSON leaves as it is and TOML does not allow
 
 
+def toml_tables(text: str) -> dict[str, Any]:
+    """The tables of a TOML text.
+
+    Raises:
+        ValueError: it is no TOML, or something in it lies too deep or is too large.
+    """
+    _check_tokens(text)
+    return tomllib.loads(text)
+
+
+def _check_tokens(text: str) -> None:
+    depth = 0
+    for token in TOML_TOKEN.finditer(text):
+        parts = DOT.findall(token["key"] or "")
+        if token["open"]:
+            depth += 1
+        elif token["close"]:
+            depth = max(depth - 1, 0)
+        said = ""
+        if max(depth, parts.count(".") + 1) > MOST_NESTED:
+            said = (
+                f"more than {MOST_NESTED} tables, lists or parts of a key in each other"
+            )
+        elif any(len(part) > MOST_SIGNS and part[0] not in "\"'" for part in parts):
+            said = f"a name or number of more than {MOST_SIGNS} signs"
+        if said:
+            line = text.count("\n", 0, token.start()) + 1
+            raise ValueError(f"line {line} has {said}")
+
+
+def lines_of(text: str) -> dict[str, int]:
+    """The line on which each key begins, by its path such as ``"data.time"``."""
+    lines: dict[str, int] = {}
+    n_tables: Counter[str] = Counter()  # of those in two brackets
+    table = ""
+    for number, line in enumerate(text.split("\n"), 1):
+        entry = ENTRY.match(line)
+        if entry is None:
+            continue
+        brackets, path = entry.groups()
+        if brackets == "[[":
+            n_tables[path] += 1
+            path = f"{path}[{n_tables[path] - 1}]"
+        if brackets:
+            table = path
+        elif table:
+            path = f"{table}.{path}"
+        lines.setdefault(path, number)
+    return lines
+
+
 def key_text(name: str) -> str:
     """A key: bare where TOML allows, else in quotes."""
-    return name if BARE_KEY.fullmatch(name) else text_value(name)
-
-
-def text_value(text: str) -> str:
-    """A text in double quotes."""
-    return json.dumps(text, ensure_ascii=False).replace(DELETE, "\\u007f")
+    return name if BARE_KEY.fullmatch(name) else toml_value(name)
 
 
 def toml_value(value: Any) -> str:
-    """A value on one line.
-
-    Raises:
-        TypeError: it is nothing that a study file holds.
-    """
+    """A value on one line; what a study file does not hold, such as a date, as text."""
     if isinstance(value, bool):
-        return "true" if value else "false"
+        return str(value).lower()
     if isinstance(value, str):
-        return text_value(value)
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return repr(float(value))
+        return json.dumps(value, ensure_ascii=False).replace(DELETE, "\\u007f")
     if isinstance(value, Mapping):
-        return _table(value)
+        pairs = [f"{key_text(name)} = {toml_value(one)}" for name, one in value.items()]
+        return f"{{ {', '.join(pairs)} }}" if pairs else "{}"
     if isinstance(value, Sequence):
         return f"[{', '.join(map(toml_value, value))}]"
-    raise TypeError(f"{value!r} has no form in TOML")
-
-
-def _table(content: Mapping[str, Any]) -> str:
-    if not content:
-        return "{}"
-    pairs = []
-    for name, value in content.items():
-        pairs.append(f"{key_text(name)} = {toml_value(value)}")
-    return f"{{ {', '.join(pairs)} }}"
+    return repr(float(value)) if isinstance(value, float) else str(value)
