@@ -34,12 +34,6 @@ from phsi_opt.presentation.forecast import (
     Forecast,
     duration,
 )
-from phsi_opt.study_file.headers import (
-    header_of,
-    is_input_word,
-    is_time_word,
-    name_from,
-)
 from phsi_opt.study_file.keys import KEYS
 from phsi_opt.study_file.survey import survey
 from phsi_opt.study_file.unfilled import unfilled
@@ -281,36 +275,35 @@ def test_a_table_that_cannot_be_read_is_refused_with_its_line(
     assert not (tmp_path / "s.toml").exists()
 
 
-@pytest.mark.parametrize(
-    ("text", "label", "unit"),
-    [
-        ("q [m]", "q", "m"),
-        ("T (degC)", "T", "degC"),
-        ("Time(s)", "Time", "s"),
-        ("Time (sec)", "Time", "s"),
-        ("x / mm", "x", "mm"),
-        ("position_m", "position", "m"),
-        ("Tempo_s", "Tempo", "s"),
-        ("Controle_u", "Controle_u", ""),
-        ("q_1", "q_1", ""),
-        ("flow_rate", "flow_rate", ""),
-        ("force_kN", "force", "kN"),
-    ],
-)
-def test_units_are_read_from_headers(text: str, label: str, unit: str) -> None:
-    header = header_of(text)
-    assert (header.label, header.unit) == (label, unit)
+HEADERS = {  # what a header tells: part, name, unit
+    "q [m]": ("state", "q", "m"),
+    "T (degC)": ("state", "T", "degC"),
+    "T": ("state", "T_2", ""),
+    "x / mm": ("state", "x", "mm"),
+    "position_m": ("state", "position", "m"),
+    "q_1": ("state", "q_1", ""),
+    "flow_rate": ("state", "flow_rate", ""),
+    "Temperature 1": ("state", "Temperature_1", ""),
+    "Controle_u": ("input", "Controle_u", ""),
+    "Heater 1 (%)": ("input", "Heater_1", "%"),
+    "u2": ("input", "u2", ""),
+    "force_kN": ("input", "force", "kN"),
+    "Set Point 1 (degC)": ("left out", "", "degC"),
+    "StepTime": ("state", "StepTime", ""),
+}
 
 
-def test_words_of_headers_tell_times_and_inputs() -> None:
-    assert is_time_word(header_of("Tempo_s"))
-    assert not is_time_word(header_of("StepTime"))
-    assert not is_time_word(header_of("T"))
-    assert not is_time_word(header_of("T (degC)"))
-    assert is_input_word(header_of("Heater 1 (%)").words)
-    assert is_input_word(header_of("u2").words)
-    assert not is_input_word(header_of("Temperature 1").words)
-    assert name_from(header_of("Set Point 1 (degC)")) == "Set_Point_1"
+@pytest.mark.parametrize("time", ["Tempo_s", "Time(s)", "Time (sec)", "t"])
+def test_names_units_and_parts_are_read_from_headers(time: str, tmp_path: Path) -> None:
+    columns = [",".join([*HEADERS, time])]
+    for i in range(9):
+        numbers = [f"{(i * j) % 7 + 0.1 * i:.1f}" for j in range(1, len(HEADERS) + 1)]
+        columns.append(",".join([*numbers, str(i)]))
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(columns))
+    seen = {one.column: (one.part, one.name, one.unit) for one in survey(path).columns}
+    assert seen.pop(time) == ("time", "", "" if time == "t" else "s")
+    assert seen == HEADERS
 
 
 TABLES = {

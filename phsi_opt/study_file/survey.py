@@ -6,35 +6,20 @@ seen here can be read later.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.file_opening import DataFile
 from phsi_opt.data.tables import Variable
+from phsi_opt.data.text_cells import NUMBER
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
-from phsi_opt.study_file.column_look import Seen, columns_of
+from phsi_opt.study_file.columns import Seen, columns_of
 from phsi_opt.study_file.data_files import sheets_in, table_at
-from phsi_opt.study_file.headers import (
-    TIMES,
-    is_input_word,
-    is_run_word,
-    is_set_point,
-    is_step_word,
-    may_be_input_word,
-    name_from,
-)
-from phsi_opt.study_file.thinning_look import is_long, thinning_of
-from phsi_opt.study_file.time_look import (
-    Span,
-    increasing_column,
-    named_time_column,
-    said_of_times,
-    span_of,
-    step_column,
-    step_in,
-)
+from phsi_opt.study_file.headers import TIMES, Header
 
 TIME = "time"
 RUN = "run"
@@ -43,6 +28,15 @@ INPUT = "input"
 UNUSED = "left out"
 MOST_RUNS = 1 / 3  # share of the lines that may be different runs
 PERHAPS_INPUT = "perhaps an input"
+OF_SINGLE_VALUE = "the time between samples"
+EVEN_STEPS = 0.01  # share of the median step by which steps of a regular record differ
+GAP_STEPS = 1.5  # median steps from which a step is a gap
+# Means must keep what the states do: of measured records with some 10,000 lines, means
+# down to 2,000 kept 0.98 of the variance and more; of a fast oscillator (Silverbox,
+# 131,072 lines) they kept 0.005.
+MANY_LINES = 5000  # of a run, from which a study takes long
+FEW_LINES = 2000  # of a run, as many or a little more, that thinning leaves then
+VARIANCE_KEPT = 0.95  # share of a state's variance that must be left in the means
 
 
 @dataclass(frozen=True)
@@ -70,6 +64,18 @@ class ColumnSurvey:
         """Everything that was seen, what is wrong first."""
         return "; ".join(filter(None, [self.wrong, self.said]))
 
+    @property
+    def may_be_input(self) -> bool:
+        """Whether it is a state, or an input."""
+        return self.said.endswith(PERHAPS_INPUT)
+
+
+class Span(NamedTuple):
+    """From the first time to the last."""
+
+    begin: float
+    end: float
+
 
 @dataclass(frozen=True)
 class TableSurvey:
@@ -82,7 +88,7 @@ class TableSurvey:
         said: about the times: where they begin and end, how regular they are.
         step: the time between samples, where a column tells it and none the time.
         n_runs: as the column of the runs tells; 1 where there is none.
-        span: the first and the last time, where they are numbers.
+        span: the first and the last time; None where these are dates, or wrong.
         further: what a MATLAB file holds beside these columns.
         encoding: what was guessed of the text's encoding; "" where nothing was.
         date_format: how dates are written, where it is not as in ISO 8601.
@@ -95,19 +101,19 @@ class TableSurvey:
     columns: tuple[ColumnSurvey, ...]
     n_lines: int
     said: str
-    step: float | None = None
-    n_runs: int = 1
-    span: Span | None = None
-    further: tuple[Variable, ...] = ()
-    encoding: str = ""
-    date_format: str = ""
-    sheets: tuple[str, ...] = ()
-    thinning: int = 1
+    step: float | None
+    n_runs: int
+    span: Span | None
+    further: tuple[Variable, ...]
+    encoding: str
+    date_format: str
+    sheets: tuple[str, ...]
+    thinning: int
 
     @property
     def is_long(self) -> bool:
         """Whether its runs have so many lines that a study takes long."""
-        return is_long(self.n_lines, self.n_runs)
+        return self.n_lines / self.n_runs > MANY_LINES
 
     def of_part(self, part: str) -> list[ColumnSurvey]:
         """The columns that are one thing."""
@@ -120,7 +126,6 @@ def survey(path: DataFile) -> TableSurvey:
     Raises:
         DataError: it cannot be read as a table, or has too few lines.
     """
-    sheets = sheets_in(path)
     table = table_at(path)
     n_lines = len(table.frame)
     if n_lines == 0:
@@ -131,140 +136,197 @@ def survey(path: DataFile) -> TableSurvey:
             "needs many more."
         )
     seen = columns_of(table)
-    run = _run_column(seen)
-    others = [one for one in seen if one is not run]
-    time = named_time_column(others, run)
-    of_step = step_column(others) if time is None else None
-    step = _step(of_step, table.further) if time is None else None
-    if time is None and step is None:
-        time = increasing_column(others, run)
-    n_runs = 1 if run is None else run.cells.nunique()
-    columns = _with_a_state(_named(seen, _Parts(time, run, of_step)))
+    look = _Look(seen, table.further)
+    time = look.time
+    columns = look.columns()
     if not any(one.part == STATE for one in columns):
         listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
         raise DataError(
             f"{path} has no column of numbers that a state could be: {listed}."
         )
+    span = None if look.step is None else Span(0.0, look.step * (n_lines - 1))
+    if time is not None and time.values is not None and not time.wrong:
+        span = Span(float(time.values.min()), float(time.values.max()))
+    n_runs = 1 if look.run is None else look.run.cells.nunique()
+    surely = [c.part == STATE and not c.may_be_input for c in columns]
+    states = [s.values for s, is_state in zip(seen, surely, strict=True) if is_state]
     return TableSurvey(
         path=path,
         columns=columns,
         n_lines=n_lines,
-        said=said_of_times(time, run),
-        step=step,
+        said=look.said_of_times(),
+        step=look.step,
         n_runs=n_runs,
-        span=span_of(time, step, n_lines),
+        span=span,
         further=table.further,
         encoding=table.remark,
         date_format="" if time is None else time.date_format,
-        sheets=tuple(sheets),
-        thinning=thinning_of(_values_of_states(seen, columns), n_lines, n_runs),
+        sheets=tuple(sheets_in(path)),
+        thinning=_thinning(states, n_lines, n_runs),
     )
 
 
-def _values_of_states(
-    seen: list[Seen], columns: tuple[ColumnSurvey, ...]
-) -> list[np.ndarray]:
-    """The values of what is surely no input, (n_lines,) each."""
-    values = []
-    for one, column in zip(seen, columns, strict=True):
-        is_state = column.part == STATE and not column.said.endswith(PERHAPS_INPUT)
-        if is_state and one.values is not None:
-            values.append(one.values)
-    return values
+def _thinning(states: list[np.ndarray | None], n_lines: int, n_runs: int) -> int:
+    """How many samples could become one; 1 where runs are short, or means lose much."""
+    n = n_lines // n_runs // FEW_LINES if n_lines / n_runs > MANY_LINES else 1
+    while n > 1 and not all(_is_kept(one, n) for one in states if one is not None):
+        n //= 2
+    return n
 
 
-def _run_column(seen: list[Seen]) -> Seen | None:
-    """The column that names each line's run."""
-    for one in seen:
-        n_different = one.cells[~one.is_missing].nunique()
-        is_few = 1 < n_different <= MOST_RUNS * len(one.cells)
-        if is_run_word(one.header.words) and is_few:
-            one.said = f"{n_different} runs"
-            if one.n_missing:
-                one.wrong = f"{one.lines[int(np.argmax(one.is_missing))]} names no run"
-            return one
-    return None
-
-
-def _step(of_step: Seen | None, further: tuple[Variable, ...]) -> float | None:
-    """The time between samples: of a column, or of a MATLAB file's variable."""
-    if of_step is not None:
-        return step_in(of_step)
-    for variable in further:
-        is_step = is_step_word([variable.name.lower()])
-        if is_step and variable.value is not None and variable.value > 0:
-            return variable.value
-    return None
-
-
-# ---- parts ---------------------------------------------------------------------------
+def _is_kept(values: np.ndarray, n: int) -> bool:
+    """Whether means of n neighbours have nearly the variance of the samples."""
+    known = values[np.isfinite(values)]
+    n_groups = len(known) // n
+    if n_groups < 2:
+        return False
+    means = known[: n_groups * n].reshape(n_groups, n).mean(axis=1)
+    return bool(np.var(means) >= VARIANCE_KEPT * np.var(known))
 
 
 @dataclass(frozen=True, eq=False)
-class _Parts:
-    """The columns that are found by looking at all of them."""
+class _Look:
+    """What each column is, found by looking at all of them."""
 
-    time: Seen | None
-    run: Seen | None
-    of_step: Seen | None
+    seen: list[Seen]
+    further: tuple[Variable, ...]
 
-    def part_of(self, one: Seen) -> str:
-        """What a column is; what its name says goes into its remark."""
-        words = one.header.words
-        if one is self.time:
-            return TIME
-        if one is self.run:
-            return RUN
-        if one is self.of_step:
-            one.said = "the time between samples"
-            return UNUSED
-        if one.is_left_out:
-            return UNUSED
-        if one.header.unit in TIMES:
-            one.said += "; in a unit of time, and another column has the times"
-            return UNUSED
-        if is_set_point(words):
-            one.said += "; a set point, by its name"
-            return UNUSED
-        if is_input_word(words):
-            if one.n_missing:
-                one.said += "; an input must be known at every sample"
-            return INPUT
-        if may_be_input_word(words):
-            one.said += f"; {PERHAPS_INPUT}"
-        return STATE
+    @cached_property
+    def run(self) -> Seen | None:
+        """The column that names each line's run."""
+        for one in self.seen:
+            n_different = one.cells[~one.is_missing].nunique()
+            is_few = 1 < n_different <= MOST_RUNS * len(one.cells)
+            if one.header.is_run and is_few:
+                one.said = f"{n_different} runs"
+                if one.n_missing:
+                    first = int(np.argmax(one.is_missing))
+                    one.wrong = f"{one.lines[first]} names no run"
+                return one
+        return None
 
+    @cached_property
+    def time(self) -> Seen | None:
+        """The column that is called the time, else the first that increases.
 
-def _named(seen: list[Seen], parts: _Parts) -> tuple[ColumnSurvey, ...]:
-    """The columns with names that formulas can use, each once."""
-    used: set[str] = set()
-    columns = []
-    for one in seen:
-        part = parts.part_of(one)
-        name = ""
-        if part in (STATE, INPUT):
-            name = _free_name(name_from(one.header), used)
-            used.add(name)
+        A column that is called so and has a wrong or late time is still the one: a
+        guess at another one would hide the mistake.
+        """
+        others = [one for one in self.seen if one is not self.run]
+        named = [one for one in others if one.header.is_time]
+        for one in named:
+            if self._increases(one):
+                return one
+        for one in named:
+            if one.values is not None:
+                one.wrong = one.wrong_time(self.run)
+                return one
+        if self._told_step is not None:
+            return None
+        fitting = [one for one in others if one.may_be_time and self._increases(one)]
+        return fitting[0] if fitting else None
+
+    def _increases(self, one: Seen) -> bool:
+        if one.values is None:
+            return one.is_dates
+        return not one.wrong_time(self.run)
+
+    @cached_property
+    def _of_step(self) -> Seen | None:
+        """The column of a single value that is called the time between samples."""
+        for one in self.seen:
+            is_step = one.header.is_step and one is not self.run
+            if is_step and one.only_number is not None:
+                return one
+        return None
+
+    @property
+    def _told_step(self) -> float | None:
+        """The time between samples: of a column, or of a MATLAB file's variable."""
+        if self._of_step is not None:
+            return self._of_step.only_number
+        for variable in self.further:
+            is_step = Header.of(variable.name).is_step
+            if is_step and variable.value is not None and variable.value > 0:
+                return variable.value
+        return None
+
+    @property
+    def step(self) -> float | None:
+        """The time between samples, where no column has the times."""
+        return self._told_step if self.time is None else None
+
+    def columns(self) -> tuple[ColumnSurvey, ...]:
+        """The columns with names that formulas can use, each once."""
+        used: set[str] = set()
+        columns = []
+        for one in self.seen:
+            part, remark = self._part_of(one)
+            said = "; ".join(filter(None, [one.said, remark]))
+            header = one.header
+            name = _free_name(header.name, used) if part in (STATE, INPUT) else ""
+            columns.append(
+                ColumnSurvey(header.text, part, name, header.unit, said, one.wrong)
+            )
+        if any(one.part == STATE for one in columns):
+            return tuple(columns)
+        return tuple(map(_as_state, columns))
+
+    def _part_of(self, one: Seen) -> tuple[str, str]:
+        """What a column is, and what its header says besides."""
         header = one.header
-        columns.append(
-            ColumnSurvey(header.text, part, name, header.unit, one.said, one.wrong)
-        )
-    return tuple(columns)
+        if one is self.time:
+            return TIME, ""
+        if one is self.run:
+            return RUN, ""
+        if one is self._of_step and self.time is None:
+            one.said = OF_SINGLE_VALUE
+        if one.values is None or one.said == OF_SINGLE_VALUE:
+            return UNUSED, ""
+        if header.unit in TIMES:
+            return UNUSED, "in a unit of time, and another column has the times"
+        if header.is_set_point:
+            return UNUSED, "a set point, by its name"
+        if header.is_input:
+            must = "an input must be known at every sample"
+            return INPUT, must if one.n_missing else ""
+        return STATE, PERHAPS_INPUT if header.may_be_input else ""
+
+    def said_of_times(self) -> str:
+        """Where the times begin and end, and how regular they are."""
+        time = self.time
+        if time is None:
+            return "no column increases from line to line: which one is the time?"
+        if time.values is None:
+            first = time.cells.iloc[0]
+            is_number = NUMBER.fullmatch(first) is not None
+            what = (
+                f"numbers such as {first} look like" if is_number else "the times are"
+            )
+            return f"{what} dates"
+        if time.wrong:
+            return time.said
+        steps = np.diff(time.values[time.neighbours(self.run)])
+        typical = float(np.median(steps))
+        n_gaps = int(np.sum(steps > GAP_STEPS * typical))
+        said = f"{time.values.min():g} to {time.values.max():g}, every {typical:.4g}"
+        if np.ptp(steps) <= EVEN_STEPS * typical:
+            return f"{said}, regular"
+        if n_gaps:
+            gaps = "1 gap of" if n_gaps == 1 else f"{n_gaps} gaps, the longest"
+            return f"{said}, {gaps} {steps.max():.4g}"
+        return f"{said}, from {steps.min():.4g} to {steps.max():.4g}"
 
 
-def _with_a_state(columns: tuple[ColumnSurvey, ...]) -> tuple[ColumnSurvey, ...]:
-    """The columns; inputs become states where there is no other."""
-    if any(one.part == STATE for one in columns):
-        return columns
-    changed = []
-    for one in columns:
-        if one.part == INPUT:
-            one = replace(one, part=STATE, said=f"{one.said}; {PERHAPS_INPUT}")
-        changed.append(one)
-    return tuple(changed)
+def _as_state(one: ColumnSurvey) -> ColumnSurvey:
+    """An input as a state, where there is no other."""
+    if one.part != INPUT:
+        return one
+    return replace(one, part=STATE, said=f"{one.said}; {PERHAPS_INPUT}")
 
 
 def _free_name(wanted: str, used: set[str]) -> str:
+    """A name that formulas can use, and none of those that are used; it is then."""
     try:
         checked_names([wanted], "states")
         usable_in_formulas([wanted], "states")
@@ -275,4 +337,5 @@ def _free_name(wanted: str, used: set[str]) -> str:
     while name in used:
         name = f"{wanted}_{number}"
         number += 1
+    used.add(name)
     return name

@@ -14,7 +14,8 @@ from phsi_opt.data.dates_as_numbers import format_of_dates
 from phsi_opt.data.tables import Table
 from phsi_opt.data.text_cells import MISSING_CELLS
 from phsi_opt.data.wording import number_of
-from phsi_opt.study_file.headers import Header, header_of
+from phsi_opt.study_file.data_files import rows_of_runs
+from phsi_opt.study_file.headers import TIMES, Header
 
 DATES = "dates"
 MOSTLY = 0.5  # share of the filled cells above which a column is of numbers, or dates
@@ -37,11 +38,10 @@ class Seen:
         header: what its header tells.
         cells: its cells as text, (n_lines,).
         lines: what messages call its rows: "line 3" or "row 3", (n_lines,).
-        values: (n_lines,), NaN where missing or wrong; None: no numbers.
         is_missing: which cells are empty, (n_lines,).
-        is_left_out: whether nothing can be made of it.
-        is_dates: whether most of its cells are dates.
-        date_format: how they are written, in the signs of strptime, where it is not as
+        values: (n_lines,), NaN where missing or wrong; None: nothing of numbers can be
+            made of it, or they are always the same.
+        date_format: how dates are written, in the signs of strptime, where it is not as
             in ISO 8601; "" where it is, or where the cells do not tell.
         said: what was seen, in words.
         wrong: the first cell that is wrong, in words; "" where none is.
@@ -52,11 +52,19 @@ class Seen:
     lines: list[str]
     is_missing: np.ndarray
     values: np.ndarray | None = None
-    is_left_out: bool = False
-    is_dates: bool = False
     date_format: str = ""
     said: str = ""
     wrong: str = ""
+
+    def left_out(self, why: str) -> None:
+        """Nothing can be made of it."""
+        self.values = None
+        self.said = why
+
+    @property
+    def is_dates(self) -> bool:
+        """Whether most of its cells are dates."""
+        return self.said == DATES
 
     @property
     def n_missing(self) -> int:
@@ -64,15 +72,43 @@ class Seen:
         return int(self.is_missing.sum())
 
     @property
-    def is_counter(self) -> bool:
-        """Whether it counts the lines."""
-        return self.values is not None and bool(np.all(np.diff(self.values) == 1))
+    def only_number(self) -> float | None:
+        """The only number of the column, where it is above zero."""
+        numbers = pd.to_numeric(self.cells, errors="coerce").dropna().unique()
+        is_one = len(numbers) == 1 and 0 < numbers[0] < np.inf
+        return float(numbers[0]) if is_one else None
 
-    def left_out(self, why: str) -> "Seen":
-        """The same, left out."""
-        self.is_left_out = True
-        self.said = why
-        return self
+    @property
+    def may_be_time(self) -> bool:
+        """Whether nothing speaks against a time, if the column increases."""
+        if self.values is None or self.header.unit not in ("", *TIMES):
+            return self.is_dates
+        return not np.all(np.diff(self.values) == 1)  # a counter of lines
+
+    def neighbours(self, run: "Seen | None") -> np.ndarray:
+        """The rows of each sample and of the next one of its run, (n_pairs, 2)."""
+        runs = [np.arange(len(self.lines))]
+        if run is not None:
+            runs = rows_of_runs(run.cells)
+        return np.vstack([np.column_stack([rows[:-1], rows[1:]]) for rows in runs])
+
+    def wrong_time(self, run: "Seen | None") -> str:
+        """The first time that is missing, wrong or not after the one before it."""
+        assert self.values is not None
+        if self.wrong:
+            return self.wrong
+        if self.n_missing:
+            return f"{self.lines[int(np.argmax(self.is_missing))]} has no time"
+        pairs = self.neighbours(run)
+        late = pairs[self.values[pairs[:, 1]] <= self.values[pairs[:, 0]]]
+        if not len(late):
+            return ""
+        before, after = late[0]
+        said = (
+            f"{self.lines[after]} has {self.values[after]:.6g}, not after "
+            f"{self.values[before]:.6g} of {self.lines[before]}"
+        )
+        return _and_more(said, len(late), "more such line")
 
 
 def columns_of(table: Table) -> list[Seen]:
@@ -85,8 +121,9 @@ def columns_of(table: Table) -> list[Seen]:
         if table.decimal == ",":
             cells = cells.str.replace(",", ".", regex=False)
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
-        one = Seen(header_of(header), cells, lines, is_missing)
-        seen.append(_looked_at(one, headers.count(header)))
+        one = Seen(Header.of(header), cells, lines, is_missing)
+        _look_at(one, headers.count(header))
+        seen.append(one)
     return seen
 
 
@@ -94,25 +131,22 @@ def _as_text(cell: Any) -> str:
     return "" if cell is None else str(cell)
 
 
-def _looked_at(one: Seen, n_of_this_name: int) -> Seen:
-    is_missing = one.is_missing
-    filled = one.cells.where(~is_missing)
+def _look_at(one: Seen, n_of_this_name: int) -> None:
+    filled = one.cells.where(~one.is_missing)
     numbers = pd.to_numeric(filled, errors="coerce").to_numpy(float)
     is_number = np.isfinite(numbers)
-    if is_missing.all():
+    if one.is_missing.all():
         return one.left_out("empty")
     if n_of_this_name > 1:
         return one.left_out(f"{n_of_this_name} columns are called so")
     if not one.header.text:
         return one.left_out("no name in the header")
-    if is_number.sum() <= MOSTLY * (~is_missing).sum():
-        return _of_text(one)
+    if is_number.sum() <= MOSTLY * (~one.is_missing).sum():
+        return _look_at_texts(one)
     one.values = np.where(is_number, numbers, np.nan)
-    one.wrong = _wrong_cells(one, np.flatnonzero(~is_number & ~is_missing))
+    one.wrong = _wrong_cells(one, np.flatnonzero(~is_number & ~one.is_missing))
     one.date_format = "" if one.wrong else format_of_dates(one.values)
     if one.date_format:
-        one.values = None
-        one.is_dates = True
         return one.left_out(DATES)
     low = np.nanmin(one.values)
     high = np.nanmax(one.values)
@@ -121,7 +155,6 @@ def _looked_at(one: Seen, n_of_this_name: int) -> Seen:
     one.said = f"{low:.4g} to {high:.4g}"
     if one.n_missing:
         one.said += f", {number_of(one.n_missing, 'cell')} missing"
-    return one
 
 
 def _wrong_cells(one: Seen, places: np.ndarray) -> str:
@@ -130,9 +163,13 @@ def _wrong_cells(one: Seen, places: np.ndarray) -> str:
         return ""
     first = int(places[0])
     said = f"{one.lines[first]} holds {_shown(one.cells.iloc[first])}, no finite number"
-    if places.size == 1:
-        return f"{said}; {OF_UNITS}" if first == 0 else said
-    return f"{said}; {number_of(places.size - 1, 'more such cell')}"
+    if places.size == 1 and first == 0:
+        return f"{said}; {OF_UNITS}"
+    return _and_more(said, places.size, "more such cell")
+
+
+def _and_more(said: str, n_found: int, noun: str) -> str:
+    return said if n_found == 1 else f"{said}; {number_of(n_found - 1, noun)}"
 
 
 def _shown(cell: str) -> str:
@@ -143,34 +180,29 @@ def _shown(cell: str) -> str:
     return f'"{one_line}"'
 
 
-def _of_text(one: Seen) -> Seen:
+def _look_at_texts(one: Seen) -> None:
     """A column of dates, or of texts, which are left out."""
     cells = one.cells[~one.is_missing]
     one.date_format = _date_format(cells)
-    if one.date_format or _are_dates(cells):
-        one.is_dates = True
+    if one.date_format or _share_of_dates(cells[:LOOKED_AT], "mixed") > MOSTLY:
         return one.left_out(DATES)
     different = cells[:LOOKED_AT].unique()
-    shown = ", ".join(_shown(cell) for cell in different[:EXAMPLES])
+    shown = ", ".join(map(_shown, different[:EXAMPLES]))
     more = ", ..." if len(different) > EXAMPLES else ""
     return one.left_out(f"text: {shown}{more}")
 
 
 def _date_format(cells: pd.Series) -> str:
     """The one way of `DATE_FORMATS` in which most of the cells are dates; else ""."""
-    fitting = []
-    for form in DATE_FORMATS:
-        parsed = pd.to_datetime(cells, errors="coerce", format=form)
-        if parsed.notna().mean() > MOSTLY:
-            fitting.append((float(parsed.notna().mean()), form))
-    best = max(fitting, default=(0.0, ""))
-    is_clear = [share for share, _ in fitting].count(best[0]) == 1
-    return best[1] if is_clear else ""
+    shares = {form: _share_of_dates(cells, form) for form in DATE_FORMATS}
+    best = max(shares, key=shares.__getitem__)
+    is_clear = list(shares.values()).count(shares[best]) == 1
+    return best if is_clear and shares[best] > MOSTLY else ""
 
 
-def _are_dates(cells: pd.Series) -> bool:
+def _share_of_dates(cells: pd.Series, form: str) -> float:
     try:
-        parsed = pd.to_datetime(cells[:LOOKED_AT], errors="coerce", format="mixed")
+        parsed = pd.to_datetime(cells, errors="coerce", format=form)
     except (ValueError, TypeError):
-        return False
-    return bool(parsed.notna().mean() > MOSTLY)
+        return 0.0
+    return float(parsed.notna().mean())
