@@ -20,8 +20,15 @@ from typer.testing import CliRunner
 import phsi_opt as ph
 from phsi_opt.command_line import app as commands
 from phsi_opt.command_line.app import app, with_report_name
-from phsi_opt.command_line.exit_codes import MEANINGS, ExitCode
-from phsi_opt.command_line.job import GO_THROUGH, Finished, Job, Message
+from phsi_opt.command_line.job import (
+    FIT,
+    GO_THROUGH,
+    MEANINGS,
+    ExitCode,
+    Finished,
+    Job,
+    Message,
+)
 from phsi_opt.command_line.jobs import plain
 from phsi_opt.command_line.jobs import run as run_job
 from phsi_opt.command_line.worker import answer_to
@@ -896,6 +903,16 @@ def test_a_study_that_breaks_off_says_so_in_its_report(
     report = kept.files[demo.with_name("report.html")].read_text(encoding="utf-8")
     assert "the study broke off: a mistake on the way. So far: held-out error" in report
     assert "base model" in kept.text
+
+
+def test_effects_of_the_study_file_are_not_found_again(demo: Path) -> None:
+    text = demo.read_text().replace("[]", '["coulomb friction on p"]')
+    demo.write_text(text)
+    told: list[Message] = []
+    run_job(Job(FIT, demo), told.append)
+    finished = [one for one in told if isinstance(one, Finished)]
+    assert len(finished) == 3
+    assert [one.found for one in finished] == [(), (), ()]
 
 
 # ---- small parts ---------------------------------------------------------------------

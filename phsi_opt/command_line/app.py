@@ -6,6 +6,7 @@ and completion come at once.
 
 import signal
 import sys
+from dataclasses import replace
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -15,8 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from phsi_opt.command_line import job as kinds
-from phsi_opt.command_line.exit_codes import MEANINGS, ExitCode
-from phsi_opt.command_line.job import Job
+from phsi_opt.command_line.job import MEANINGS, ExitCode, Job
 from phsi_opt.command_line.output import do, finish, told_errors
 from phsi_opt.errors import DataError
 
@@ -90,20 +90,18 @@ def init(
 ) -> None:
     """Look at a table and write a study file for it, to be filled in."""
     with told_errors(as_json):
-        from phsi_opt.command_line.first_study import first_study
+        from phsi_opt.command_line.file_commands import first_study
 
-        answer = first_study(data, study, force)
-    finish(answer, as_json)
+        finish(first_study(data, study, force), as_json)
 
 
 @app.command()
 def check(study: StudyPath = Path(STUDY_NAME), as_json: AsJson = False) -> None:
     """Check a study file, its data and its model; say everything that is wrong."""
     with told_errors(as_json):
-        from phsi_opt.command_line.checking import checked
+        from phsi_opt.command_line.file_commands import checked
 
-        answer = checked(study)
-    finish(answer, as_json)
+        finish(checked(study), as_json)
 
 
 @app.command()
@@ -145,10 +143,9 @@ def add(
 ) -> None:
     """Write an effect into the study file; its text and comments stay."""
     with told_errors(as_json):
-        from phsi_opt.command_line.added_effect import add_effect
+        from phsi_opt.command_line.file_commands import add_effect
 
-        answer = add_effect(study, effect, equation)
-    finish(answer, as_json)
+        finish(add_effect(study, effect, equation), as_json)
 
 
 @app.command(name="study")
@@ -175,17 +172,8 @@ def study_(
     as_json: AsJson = False,
 ) -> None:
     """Go through the steps of a study: the base model, then each effect."""
-    job = Job(
-        kinds.GO_THROUGH,
-        study,
-        is_auto=auto,
-        max_steps=max_steps,
-        save=save,
-        report=report,
-        exit_code=exit_code,
-        write=write,
-    )
-    do(job, as_json)
+    job = Job(kinds.GO_THROUGH, study, None, auto, max_steps, save, report)
+    do(replace(job, exit_code=exit_code, write=write), as_json)
 
 
 @app.command()
@@ -199,8 +187,7 @@ def page(
 ) -> None:
     """The same in a browser."""
     with told_errors():
-        serve = page_server()
-        serve(study, host=host, port=port, show=show)
+        page_server()(study, host=host, port=port, show=show)
 
 
 def page_server() -> Any:
@@ -238,11 +225,9 @@ def demo(
 def with_report_name(arguments: list[str]) -> list[str]:
     """The arguments with the report's name after a ``--report`` without one."""
     completed = []
-    for number, argument in enumerate(arguments):
+    for argument, following in zip(arguments, [*arguments[1:], "-"], strict=True):
         completed.append(argument)
-        following = arguments[number + 1 : number + 2]
-        is_alone = not following or following[0].startswith("-")
-        if argument == "--report" and is_alone:
+        if argument == "--report" and following.startswith("-"):
             completed.append(REPORT_NAME)
     return completed
 

@@ -1,4 +1,4 @@
-"""What the working process is asked to do, and what it tells while it works.
+"""What the working process is asked to do, what it tells, and how a command ends.
 
 Records of texts and numbers alone: the process that waits needs none of the libraries
 of the one that works.
@@ -7,6 +7,7 @@ of the one that works.
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,25 @@ FIT = "fit"
 COMPARE = "compare"
 DIAGNOSE = "diagnose"
 GO_THROUGH = "study"
+
+
+class ExitCode(IntEnum):
+    """How a command ended, for the shell."""
+
+    DONE = 0
+    MISSING = 1
+    BAD_INPUT = 2
+    FAILED = 3
+    INTERRUPTED = 130
+
+
+MEANINGS = {
+    ExitCode.DONE: "what was asked for was done",
+    ExitCode.MISSING: "with --exit-code alone: the model lacks something",
+    ExitCode.BAD_INPUT: "the arguments, the study file or the data cannot be used",
+    ExitCode.FAILED: "no solution was found, or the work broke off",
+    ExitCode.INTERRUPTED: "stopped by Ctrl-C; what was finished is kept",
+}
 
 
 @dataclass(frozen=True)
@@ -44,6 +64,11 @@ class Job:
     write: bool = False
     tag: str = field(default_factory=lambda: str(os.getpid()))
 
+    @property
+    def places(self) -> list[Path]:
+        """The files that it writes."""
+        return [path for path in (self.save, self.report) if path is not None]
+
     def half_written(self, path: Path) -> Path:
         """Where a file is while it is written."""
         return path.with_name(f".{path.stem}.{self.tag}.half{path.suffix}")
@@ -51,13 +76,6 @@ class Job:
     def kept_aside(self, path: Path) -> Path:
         """Where a file of a finished step lies until the work ends."""
         return path.with_name(f".{path.stem}.{self.tag}.kept{path.suffix}")
-
-
-@dataclass(frozen=True)
-class Progress:
-    """A line about what is being done."""
-
-    line: str
 
 
 @dataclass(frozen=True)
@@ -79,17 +97,11 @@ class Finished:
 
 @dataclass(frozen=True)
 class Answer:
-    """The end of the work.
-
-    Attributes:
-        text: for a person.
-        content: for ``--json``.
-        code: the exit code.
-    """
+    """The end of the work: for a person, for ``--json``, and the exit code."""
 
     text: str
     content: Mapping[str, Any]
-    code: int = 0
+    code: int = ExitCode.DONE
 
 
-Message = Progress | Finished | Answer
+Message = str | Finished | Answer  # a text is a line about what is being done

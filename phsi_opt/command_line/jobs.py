@@ -11,21 +11,13 @@ import numpy as np
 import pandas as pd
 
 from phsi_opt.command_line import job as kinds
-from phsi_opt.command_line.exit_codes import ExitCode
-from phsi_opt.command_line.job import (
-    Answer,
-    Finished,
-    Job,
-    Message,
-    Progress,
-)
+from phsi_opt.command_line.job import Answer, ExitCode, Finished, Job, Message
 from phsi_opt.comparison.compare import Comparison, compare
 from phsi_opt.diagnosis.diagnose import diagnose
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
-from phsi_opt.model.effect import Effect
 from phsi_opt.study import Study
 from phsi_opt.study_file.study_file import StudyFile
 
@@ -42,15 +34,15 @@ def run(job: Job, tell: Tell) -> Answer:
     Raises:
         PhsiOptError: something cannot be used, or no solution was found.
     """
-    tell(Progress("reading the study file and its data"))
+    tell("reading the study file and its data")
     file = StudyFile.read(job.study)
     if job.fit is not None:
         return _of_saved_fit(job, file, tell)
-    keeper = _Keeper(job, tell)
+    keeper = _Keeper(job, tell, len(file.steps.added))
     study = file.base_study(keeper.progress)
-    keeper.watch(study)
+    keeper.study = study
+    keeper.step_finished()
     file.add_to(study, file.steps.added, keeper.step_finished)
-    keeper.known = study.added
     if job.kind == kinds.FIT:
         answer = _fit_answer(study.fit)
     elif job.kind == kinds.COMPARE:
@@ -81,7 +73,7 @@ def _of_saved_fit(job: Job, file: StudyFile, tell: Tell) -> Answer:
         effects=file.effects(),
         without=file.steps.without,
         loss=file.loss,
-        progress=lambda line: tell(Progress(line)),
+        progress=tell,
     )
     return _diagnose_answer(found, job)
 
@@ -95,18 +87,14 @@ class _Keeper:
 
     job: Job
     tell: Tell
+    n_known: int  # effects that the study file has
     study: Study | None = None
     n_kept: int = 0
-    known: tuple[Effect, ...] = ()  # those that the study file has
-
-    def watch(self, study: Study) -> None:
-        self.study = study
-        self.step_finished()
 
     def progress(self, line: str) -> None:
         if self.study is not None and len(self.study.steps) != self.n_kept:
             self.step_finished()
-        self.tell(Progress(line))
+        self.tell(line)
 
     def step_finished(self, is_last: bool = False) -> None:
         study = self.study
@@ -116,22 +104,15 @@ class _Keeper:
         if self.job.save is not None:
             files[self.job.save] = self._aside(self.job.save, study.fit.save)
         if self.job.report is not None:
-            self._keep_report(self.job.report, study, files, is_last)
-        found = tuple(str(one) for one in study.added if one not in self.known)
-        history = table_content(study.history)
-        content = {"history": history, "found": list(found)}
+            try:
+                files[self.job.report] = self._aside(self.job.report, study.report)
+            except SolveError as error:
+                if is_last:  # on the way it does not end the study
+                    raise
+                self.tell(f"no report of this step: {error}")
+        found = tuple(map(str, study.added[self.n_known :]))
+        content = {"history": table_content(study.history), "found": list(found)}
         self.tell(Finished(str(study.history), content, files, found))
-
-    def _keep_report(
-        self, path: Path, study: Study, files: dict[Path, Path], is_last: bool
-    ) -> None:
-        """A report that fails on the way does not end the study; the last one does."""
-        try:
-            files[path] = self._aside(path, study.report)
-        except SolveError as error:
-            if is_last:
-                raise
-            self.tell(Progress(f"no report of this step: {error}"))
 
     def _aside(self, path: Path, write: Callable[[Path], object]) -> Path:
         """A file beside its place; that of the step before stays until it is whole."""

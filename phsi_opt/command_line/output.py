@@ -8,13 +8,12 @@ import json
 import shutil
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, NoReturn, TextIO
 
 import typer
 
-from phsi_opt.command_line.exit_codes import ExitCode
-from phsi_opt.command_line.job import Answer, Job
+from phsi_opt.command_line.job import Answer, ExitCode, Job
 from phsi_opt.command_line.supervision import Supervised, supervise
 from phsi_opt.command_line.worker import answer_to
 from phsi_opt.errors import DataError, PhsiOptError
@@ -31,11 +30,11 @@ def finish(answer: Answer, as_json: bool, **further: Any) -> NoReturn:
     """
     is_done = answer.code in (ExitCode.DONE, ExitCode.MISSING)
     if as_json:
-        _print_json({**answer.content, **further}, answer.code)
-    elif is_done:
-        typer.echo(_fitted(answer.text, sys.stdout))
-    if not is_done:
-        typer.echo(_fitted(answer.text, sys.stderr), err=True)
+        content = {"exit_code": int(answer.code), **answer.content, **further}
+        typer.echo(json.dumps(content, indent=1, allow_nan=False, default=str))
+    if not (is_done and as_json):
+        stream = sys.stdout if is_done else sys.stderr
+        typer.echo(_fitted(answer.text, stream), file=stream)
     raise typer.Exit(int(answer.code))
 
 
@@ -52,11 +51,6 @@ def _fitted(text: str, stream: TextIO) -> str:
     return "\n".join(lines)
 
 
-def _print_json(content: Mapping[str, Any], code: int) -> None:
-    everything = {"exit_code": int(code), **content}
-    typer.echo(json.dumps(everything, indent=1, allow_nan=False, default=str))
-
-
 @contextlib.contextmanager
 def told_errors(as_json: bool = False) -> Iterator[None]:
     """Say what the package refuses, without a trace, and end with the exit code."""
@@ -71,20 +65,21 @@ def do(job: Job, as_json: bool) -> NoReturn:
     with told_errors(as_json):
         check_places(job)
     ended = supervise(job)
+    kept = ended.kept
+    found = [] if kept is None else list(kept.found)
     files = [str(path) for path in ended.files]
     notes = [f"written: {file}" for file in files]
-    found = [] if ended.kept is None else list(ended.kept.found)
     if found:
         notes += _found_effects(job, found)
     further = {"written": files, "seconds": round(ended.seconds, 2), "found": found}
     if ended.answer is None:
-        _interrupted(ended, as_json, notes, further)
+        finish(_interrupted(ended, notes), as_json, **further)
     if not as_json:
         typer.echo("\n".join(notes), err=True, nl=bool(notes))
-    if ended.answer.code == ExitCode.FAILED and ended.kept is not None:
-        further = {**ended.kept.content, **further}
+    if ended.answer.code == ExitCode.FAILED and kept is not None:
+        further = {**kept.content, **further}
         if not as_json:
-            typer.echo(f"The steps that were finished are kept:\n{ended.kept.text}")
+            typer.echo(f"The steps that were finished are kept:\n{kept.text}")
     finish(ended.answer, as_json, **further)
 
 
@@ -94,8 +89,8 @@ def check_places(job: Job) -> None:
     Raises:
         DataError: a folder is not there.
     """
-    for path in (job.save, job.report):
-        if path is not None and (path.is_dir() or not path.parent.is_dir()):
+    for path in job.places:
+        if path.is_dir() or not path.parent.is_dir():
             raise DataError(
                 f"{path} cannot be written: {path.parent} is no folder, or {path} is "
                 "one. Give the name of a file in a folder that is there."
@@ -114,18 +109,13 @@ def _found_effects(job: Job, found: list[str]) -> list[str]:
     return [f"written into {job.study}: {', '.join(found)}; before: {backup}"]
 
 
-def _interrupted(
-    ended: Supervised, as_json: bool, notes: list[str], further: dict[str, Any]
-) -> NoReturn:
-    """Say what was kept, and how to go on from it."""
+def _interrupted(ended: Supervised, notes: list[str]) -> Answer:
+    """What was kept, and how to go on from it."""
     said = [f"stopped after {ended.seconds:.0f} s."]
-    content: dict[str, Any] = {"interrupted": True, **further}
+    content: dict[str, Any] = {"interrupted": True}
     if ended.kept is None:
         said.append("No step was finished; nothing was written.")
     else:
-        content = {**content, **ended.kept.content}
+        content |= ended.kept.content
         said += ["The steps that were finished are kept:", ended.kept.text, *notes]
-    if as_json:
-        _print_json(content, ExitCode.INTERRUPTED)
-    typer.echo("\n".join(said), err=True)
-    raise typer.Exit(int(ExitCode.INTERRUPTED))
+    return Answer("\n".join(said), content, ExitCode.INTERRUPTED)

@@ -9,28 +9,21 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from phsi_opt.command_line.exit_codes import ExitCode
-from phsi_opt.command_line.job import (
-    DIAGNOSE,
-    GO_THROUGH,
-    Answer,
-    Finished,
-    Job,
-    Progress,
-)
-from phsi_opt.command_line.progress_display import ProgressDisplay
+from phsi_opt.command_line.job import DIAGNOSE, Answer, ExitCode, Finished, Job
 from phsi_opt.command_line.worker import work
 from phsi_opt.presentation.forecast import Forecast
 
 REFRESH = 0.2  # s between looks at the pipe; the clock on the screen goes by it
 END_WAIT = 0.5  # s for the system to take a process away that was killed
+Show = Callable[[str | None], None]
 
 
 @dataclass
@@ -53,54 +46,73 @@ class Supervised:
 def supervise(job: Job) -> Supervised:
     """Have a job done by a process of its own; Ctrl-C ends it at once."""
     ended = Supervised()
-    forecast = Forecast(_expected_diagnoses(job))
+    # One effect is added as a rule, and a last diagnosis finds nothing.
+    forecast = Forecast(2 if job.is_auto else int(job.kind == DIAGNOSE))
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()  # both ways: each end sees that the other is gone
     process = context.Process(target=work, args=(there, job), daemon=True)
     with _ignored_interrupts():  # inherited: the work never hears of Ctrl-C
         process.start()
     there.close()
-    try:
-        with ProgressDisplay(forecast) as display:
-            ended.answer = _listen(here, process, display, ended)
-    except KeyboardInterrupt:
-        pass
+    with contextlib.suppress(KeyboardInterrupt), _shown(forecast) as show:
+        ended.answer = _listen(here, process, show, ended)
     with _ignored_interrupts():
-        _end(process)
+        process.kill()
+        process.join(END_WAIT)
         here.close()
         ended.files = _put_into_place(job, ended.kept)
     ended.seconds = forecast.elapsed
     return ended
 
 
-def _expected_diagnoses(job: Job) -> int:
-    """One effect is added as a rule, and a last diagnosis finds nothing."""
-    if job.kind == GO_THROUGH:
-        return 2 if job.is_auto else 0
-    return 1 if job.kind == DIAGNOSE else 0
+@contextlib.contextmanager
+def _shown(forecast: Forecast) -> Iterator[Show]:
+    """Shows lines with the time that is left, None: the last one again.
+
+    On standard error: a line that changes in a terminal, plain lines elsewhere.
+    """
+    if not sys.stderr.isatty():
+
+        def tell(line: str | None) -> None:
+            if line is not None:
+                forecast.said(line)
+                text = f"[{forecast.words}] {' '.join(line.split())}"
+                print(text, file=sys.stderr, flush=True)
+
+        yield tell
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    last = "starting"
+    with Console(stderr=True).status("") as status:
+
+        def show(line: str | None) -> None:
+            nonlocal last
+            if line is not None:
+                forecast.said(line)
+                last = " ".join(line.split())
+            text = f"[{forecast.words}] {last}"
+            status.update(Text(text, no_wrap=True, overflow="ellipsis"))
+
+        yield show
 
 
 def _listen(
-    pipe: Connection,
-    process: BaseProcess,
-    display: ProgressDisplay,
-    ended: Supervised,
+    pipe: Connection, process: BaseProcess, show: Show, ended: Supervised
 ) -> Answer:
     """The answer; progress is shown, and finished steps are remembered."""
     while True:
         try:
-            if not pipe.poll(REFRESH):
-                display.refresh()
-                continue
-            message = pipe.recv()
+            message = pipe.recv() if pipe.poll(REFRESH) else None
         except EOFError:
             return _died(process)
         if isinstance(message, Answer):
             return message
         if isinstance(message, Finished):
             ended.kept = message
-        if isinstance(message, Progress):
-            display.say(message.line)
+        else:
+            show(message)
 
 
 def _died(process: BaseProcess) -> Answer:
@@ -112,19 +124,10 @@ def _died(process: BaseProcess) -> Answer:
     return Answer(text, {"error": text}, ExitCode.FAILED)
 
 
-def _end(process: BaseProcess) -> None:
-    if process.is_alive():
-        process.join(END_WAIT if process.exitcode is not None else 0)
-        process.kill()
-    process.join(END_WAIT)
-
-
 def _put_into_place(job: Job, kept: Finished | None) -> list[Path]:
     """Fit and report of the last finished step; what is half written is removed."""
     placed = []
-    for path in (job.save, job.report):
-        if path is None:
-            continue
+    for path in job.places:
         written = None if kept is None else kept.files.get(path)
         if written is not None and written.exists():
             os.replace(written, path)

@@ -10,8 +10,7 @@ import sys
 import traceback
 from multiprocessing.connection import Connection
 
-from phsi_opt.command_line.exit_codes import ExitCode
-from phsi_opt.command_line.job import Answer, Job, Message
+from phsi_opt.command_line.job import Answer, ExitCode, Job
 from phsi_opt.errors import PhsiOptError, SolveError, StudyFileError
 from phsi_opt.sweeps.local_workers import begin_worker
 
@@ -22,20 +21,16 @@ def work(pipe: Connection, job: Job) -> None:
     # Standard output belongs to the answer; what libraries print goes to the errors.
     sys.stdout = sys.stderr
     os.dup2(2, 1)
-
-    def tell(message: Message) -> None:
-        pipe.send(message)
-
     try:
         from phsi_opt.command_line.jobs import run  # the solver's libraries
 
-        tell(run(job, tell))
+        pipe.send(run(job, pipe.send))
     except PhsiOptError as error:
-        tell(answer_to(error))
+        pipe.send(answer_to(error))
     except BrokenPipeError:
         pass  # nobody is waiting any more
     except Exception as error:
-        tell(_unexpected(error))
+        pipe.send(_unexpected(error))
 
 
 def answer_to(error: PhsiOptError) -> Answer:

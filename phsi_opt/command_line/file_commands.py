@@ -1,0 +1,175 @@
+"""The commands about the study file itself: init, check and add."""
+
+from pathlib import Path
+
+from phsi_opt.command_line.job import Answer
+from phsi_opt.command_line.worker import answer_to
+from phsi_opt.data.wording import number_of
+from phsi_opt.errors import Complaint, DataError, ModelError, StudyFileError
+from phsi_opt.model.catalogue import catalogue
+from phsi_opt.study_file.adding import add_effects
+from phsi_opt.study_file.effects import ON
+from phsi_opt.study_file.first_text import first_text
+from phsi_opt.study_file.study_file import StudyFile
+from phsi_opt.study_file.survey import TableSurvey, survey
+from phsi_opt.study_file.unfilled import unfilled
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.writing import write_whole
+
+
+def first_study(files: list[Path], study: Path, force: bool) -> Answer:
+    """Write a study file; nothing that is there is overwritten unless forced.
+
+    Raises:
+        DataError: the table cannot be read, or the study file is there already.
+    """
+    if study.exists() and not force:
+        raise DataError(
+            f"{study} is there already; nothing was written. Give another name with "
+            "--study, or overwrite it with --force."
+        )
+    table = survey(files[0])
+    for further in files[1:]:
+        _check_alike(table, survey(further))
+    write_whole(study, first_text(table, files, study.parent))
+    needs: tuple[Complaint, ...] = ()
+    try:
+        StudyFile.read(study)
+    except StudyFileError as error:
+        needs = error.complaints
+    lines = [f"{study} is written, for {table.n_lines} lines of {files[0]}:"]
+    lines += [f"  {line}" for line in _seen(table, study)]
+    lines += ["", "It needs:", *[f"  {need}" for need in needs]]
+    lines += ["", f"Then: phsi-opt check {study}"]
+    content = {
+        "study_file": str(study),
+        "columns": [vars(column) for column in table.columns],
+        "further": [vars(variable) for variable in table.further],
+        "needs": [vars(need) for need in needs],
+    }
+    return Answer("\n".join(lines), content)
+
+
+def _check_alike(first: TableSurvey, other: TableSurvey) -> None:
+    """Refuse a further file that is no further run of the same measurement."""
+    known = [column.column for column in first.columns]
+    found = [column.column for column in other.columns]
+    if sorted(known) != sorted(found):
+        differ = sorted(set(known) ^ set(found))
+        raise DataError(
+            f"{other.path} has other columns than {first.path}: {', '.join(differ)} "
+            "stand in one of them alone. Files of one study are runs of the same "
+            "machine with the same columns; give one kind of file, or rename them."
+        )
+
+
+def _seen(table: TableSurvey, study: Path) -> list[str]:
+    """What was seen in the table, a line for each column."""
+    lines = []
+    if len(table.sheets) > 1:
+        first, *others = table.sheets
+        lines.append(f"(of its sheet {first}; there are {', '.join(others)} too)")
+    if table.encoding:
+        lines.append(f"({table.encoding})")
+    for column in table.columns:
+        if column.column:
+            unit = f" [{column.unit}]" if column.unit else ""
+            name = " ".join(column.column.split())  # a header may have lines
+            lines.append(f"{name}{unit}: {column.part}; {column.remark}")
+    for variable in table.further:
+        lines.append(f"{variable.name}: left out; {variable.said}")
+    if table.is_long:
+        keys = "between" if table.thinning == 1 else "between and thinned"
+        lines.append(f"So many lines take long: see {keys} in {study}.")
+    return lines
+
+
+def checked(path: Path) -> Answer:
+    """A summary of a study file, or everything that is wrong, and what stands empty.
+
+    Raises:
+        StudyFileError: it cannot be read, or is no TOML.
+    """
+    empty = unfilled(path)
+    try:
+        file = StudyFile.read(path)
+        file.check_formulas()
+        answer = _summary(path, file)
+        has_dates = any(run.origin is not None for run in file.measurements())
+        empty = unfilled(path, has_dates)
+    except StudyFileError as error:
+        answer = answer_to(error)
+    except ModelError as error:
+        wrong = StudyFileError(path, [Complaint("model", "", str(error))])
+        answer = answer_to(wrong)
+    lines = [answer.text]
+    if empty:
+        lines += ["", "Also empty; fill in what applies:"]
+        lines += [f"  {one}" for one in empty]
+    content = {**answer.content, "empty": list(empty)}
+    return Answer("\n".join(lines), content, answer.code)
+
+
+def _summary(path: Path, file: StudyFile) -> Answer:
+    """What a study file that can be used holds."""
+    train, held_out = file.split()
+    model = file.model()
+    notes = AlignedData.of(model, train).notes
+    n_effects = len(catalogue(model, file.data.units))
+    judged = "nothing is held out: the training data judge"
+    if held_out is not None:
+        n_runs = number_of(held_out.n_trajectories, "run")
+        judged = f"held out: {n_runs}, {held_out.n_samples} samples"
+    text = [
+        f"{path} can be used.",
+        str(file.measurements()),
+        f"to fit: {number_of(train.n_trajectories, 'run')}, {train.n_samples} samples; "
+        f"{judged}",
+        f"model: {type(model).__name__} with states {', '.join(model.states)}",
+        f"unknown parameters: {', '.join(model.free) or 'none, all values are known'}",
+        f"effects added: {', '.join(file.steps.added) or 'none'}; "
+        f"{n_effects} more in the catalogue",
+        *notes,
+    ]
+    content = {
+        "states": list(model.states),
+        "inputs": list(model.inputs),
+        "measured": list(train.measured),
+        "free": list(model.free),
+        "added": list(file.steps.added),
+        "n_runs": file.measurements().n_trajectories,
+        "n_samples": file.measurements().n_samples,
+        "n_held_out": 0 if held_out is None else held_out.n_samples,
+        "warnings": list(notes),
+    }
+    return Answer("\n".join(text), content)
+
+
+def add_effect(path: Path, name: str, equation: str | None) -> Answer:
+    """Write an effect into a study file, if the model can have it.
+
+    Raises:
+        StudyFileError: the file cannot be used as it is.
+        DataError: the file is written in a way that cannot be changed safely.
+        ModelError: there is no such effect, or the model has it.
+    """
+    file = StudyFile.read(path)
+    model = file.model()
+    if equation is not None:
+        model.index(equation, "--equation")
+        name = f"{name.removesuffix(f'{ON}{equation}')}{ON}{equation}"
+    effect = file.meant(model, name)
+    larger = model.add(effect)
+    backup = add_effects(path, [str(effect)])
+    free = [one for one in larger.free if one not in model.entries]
+    text = (
+        f"{effect} is in {path} now, with the unknown {', '.join(free)}.\n"
+        f"The file as it was: {backup}\nNext: phsi-opt study {path}"
+    )
+    content = {
+        "added": str(effect),
+        "unknowns": free,
+        "study_file": str(path),
+        "backup": str(backup),
+    }
+    return Answer(text, content)
