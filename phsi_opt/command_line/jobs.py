@@ -39,10 +39,7 @@ def run(job: Job, tell: Tell) -> Answer:
     if job.fit is not None:
         return _of_saved_fit(job, file, tell)
     keeper = _Keeper(job, tell, len(file.steps.added))
-    study = file.base_study(keeper.progress)
-    keeper.study = study
-    keeper.step_finished()
-    file.add_to(study, file.steps.added, keeper.step_finished)
+    study = file.study(keeper.progress, keeper.step_finished)
     if job.kind == kinds.FIT:
         answer = _fit_answer(study.fit)
     elif job.kind == kinds.COMPARE:
@@ -54,9 +51,9 @@ def run(job: Job, tell: Tell) -> Answer:
             answer = _study_answer(study, job, file)
         except Exception as error:
             study.stopped = f"the study broke off: {error}"
-            keeper.step_finished()
+            keeper.step_finished(study)
             raise
-    keeper.step_finished(is_last=True)
+    keeper.step_finished(study, is_last=True)
     return answer
 
 
@@ -93,12 +90,11 @@ class _Keeper:
 
     def progress(self, line: str) -> None:
         if self.study is not None and len(self.study.steps) != self.n_kept:
-            self.step_finished()
+            self.step_finished(self.study)
         self.tell(line)
 
-    def step_finished(self, is_last: bool = False) -> None:
-        study = self.study
-        assert study is not None
+    def step_finished(self, study: Study, is_last: bool = False) -> None:
+        self.study = study
         self.n_kept = len(study.steps)
         files: dict[Path, Path] = {}
         if self.job.save is not None:

@@ -7,17 +7,25 @@ from typing import Any
 LONGEST = 10**12  # whole numbers beyond it are not written out
 
 
-def short_repr(record: Any) -> str:
-    """``Class(field=value, ...)`` of a dataclass, without fields at their defaults."""
-    parts = []
+def chosen_fields(record: Any) -> dict[str, Any]:
+    """The fields of a dataclass that are not at their defaults."""
+    chosen = {}
     for one in fields(record):
         value = getattr(record, one.name)
         default = one.default
         if one.default_factory is not MISSING:
             default = one.default_factory()
         if value != default:
-            shown = dict(value) if isinstance(value, Mapping) else value
-            parts.append(f"{one.name}={shown!r}")
+            chosen[one.name] = value
+    return chosen
+
+
+def short_repr(record: Any) -> str:
+    """``Class(field=value, ...)`` of a dataclass, without fields at their defaults."""
+    parts = []
+    for name, value in chosen_fields(record).items():
+        shown = dict(value) if isinstance(value, Mapping) else value
+        parts.append(f"{name}={shown!r}")
     return f"{type(record).__name__}({', '.join(parts)})"
 
 

@@ -19,7 +19,7 @@ from phsi_opt.data.text_cells import TextFormat
 from phsi_opt.data.times import Times, times_in
 from phsi_opt.errors import DataError, did_you_mean
 from phsi_opt.study_file.complaints import Complaints, Part
-from phsi_opt.study_file.sections import DataSection, HeldOut, reader_of
+from phsi_opt.study_file.sections import Channel, DataSection, HeldOut, reader_of
 
 TIME_KEY = "data.time.column"
 RUN_KEY = "data.trajectory"
@@ -40,22 +40,17 @@ def table_at(
     Raises:
         DataError: it cannot be read as such a table.
     """
-    columns = separator = decimal = sheet = None
-    if section is not None:
-        columns = section.columns
-        separator = section.separator
-        decimal = section.decimal
-        sheet = section.sheet
-    reader = reader_of(path)
-    if reader == "from_csv":
+    told = section or DataSection((), Channel(None), {})
+    separator = None if reader_of(path) == "from_excel" else told.separator
+    form = TextFormat(told.columns, separator, told.decimal)
+    if reader_of(path) == "from_csv":
         (text,) = text_files(path)
-        return table_of_csv(text, wanted, TextFormat(columns, separator, decimal))
+        return table_of_csv(text, wanted, form)
     (file,) = binary_files(path)
-    if reader == "from_mat":
-        return table_of_vectors(file) if section is None else table_of_mat(file, wanted)
-    if section is None:
-        sheet = next(iter(sheets_in(path)), None)
-    return table_of_excel(file, wanted, sheet, TextFormat(columns, None, decimal))
+    if reader_of(path) == "from_excel":
+        first = next(iter(sheets_in(path)), None) if section is None else told.sheet
+        return table_of_excel(file, wanted, first, form)
+    return table_of_vectors(file) if section is None else table_of_mat(file, wanted)
 
 
 def sheets_in(path: DataFile) -> list[str]:

@@ -35,19 +35,19 @@ data.states | table | a table for each state
 data.inputs | table | a table for each measured input; default: none
 data.time.column | text or position | numbers, dates, or times of day
 data.time.unit | text | such as "s"; dates are read in seconds
-data.time.step | number | in place of a column: the time between lines
+data.time.step | positive number | in place of a column: the time between lines
 data.time.start | text | of dates: when t is 0; default: each run's first sample
 data.time.date_format | text | of other dates: "%d.%m.%Y %H:%M"; "": no dates
 data.states.* | table | a state, by the name that it has in the formulas
 data.states.*.column | text or position | its header, or its position from 0
 data.states.*.unit | text | its unit, such as "m"; default: unknown
 data.states.*.measured | true or false | in place of a column: nobody measured it
-data.states.*.noise | number | standard deviation in its unit; default: estimated
+data.states.*.noise | positive number | in its unit (standard deviation); default: found
 data.inputs.* | table | an input, by its name in the formulas
 data.inputs.*.column | text or position | its header, or its position from 0
 data.inputs.*.unit | text | its unit, such as "m"; default: unknown
 held_out.runs | list of texts | names of the runs held out
-held_out.share | number | or: the last share of the runs (of one run: in time)
+held_out.share | number from 0 to 1 | or: the last share of the runs, or of a single run
 held_out.after | number | or: of every run, what is measured from this time on
 model.type | "PseudoHamiltonian" or "FirstOrder" | default: PseudoHamiltonian
 model.states | list of texts | names of the states
@@ -179,6 +179,14 @@ FORMS = {
     "text": Form(_is(str), 'text in quotes, such as "m"'),
     "formula": Form(_is(str), 'a formula in quotes, such as "q**2"'),
     "number": Form(is_number, "a number, such as 0.5, without quotes"),
+    "positive number": Form(
+        lambda value: is_number(value) and 0 < value < float("inf"),
+        "a positive number, such as 0.1, or nothing where it is not known",
+    ),
+    "number from 0 to 1": Form(
+        lambda value: is_number(value) and 0 < value < 1,
+        "a number between 0 and 1, such as 0.3",
+    ),
     "whole number": Form(
         lambda value: _is(int)(value) and value > 0, "a whole number of at least 1"
     ),

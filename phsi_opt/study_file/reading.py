@@ -174,9 +174,6 @@ def _data(file: Part) -> DataSection:
 def _time(data: Part) -> dict[str, Any]:
     """What the section says of the times: a column, dates, or a step."""
     part = data.part("time")
-    step = part.get("step")
-    if step is not None and not 0 < step < float("inf"):
-        part.complain("step", "expected the time between lines, a number above zero.")
     if part.get("column", "") != "" and part.is_told("step"):
         part.complain("step", "there is a column too; keep one of the two.")
     if data.content and not part.is_told("step"):
@@ -207,18 +204,12 @@ def _channels(data: Part, what: str) -> dict[str, Channel]:
         except DataError as error:
             data.complaints.add(part.key, error)
             continue
-        noise = part.get("noise")
-        if noise is not None and not 0 < noise < float("inf"):
-            part.complain(
-                "noise",
-                "expected a positive number; leave it out where the noise is unknown.",
-            )
         if part.get("measured", True) is True:
             otherwise = " (or measured = false)" if what == "states" else ""
             part.need("column", f"expected the name of a column{otherwise}.")
         elif part.is_told("column"):
             part.complain("measured", "there is a column too; keep one of the two.")
-        channels[name] = replace(_channel(part), noise=noise)
+        channels[name] = replace(_channel(part), noise=part.get("noise"))
     return channels
 
 
@@ -228,13 +219,10 @@ def _held_out(file: Part) -> HeldOut | None:
         return None
     part = file.part("held_out")
     way = part.exactly_one("runs", "share", "after")
-    value = part.get(way)
-    if way == "share" and value is not None and not 0 < value < 1:
-        part.complain("share", "expected a number between 0 and 1, such as 0.3.")
-    if value is None:
-        return None
-    told: dict[str, Any] = {way: texts(value) if way == "runs" else value}
-    return HeldOut(**told)
+    told = {name: value for name, value in part.content.items() if name == way}
+    if "runs" in told:
+        told["runs"] = texts(told["runs"])
+    return HeldOut(**told) if told else None
 
 
 # ---- how to go on --------------------------------------------------------------------

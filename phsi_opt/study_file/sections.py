@@ -5,7 +5,7 @@ Paths stay as they were written, relative to the folder of the study file.
 
 import os
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from phsi_opt.data.trajectory import Trajectory, part_of
 from phsi_opt.errors import DataError
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
+from phsi_opt.presentation.short_repr import chosen_fields
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 TEXT_READER = "from_csv"
@@ -253,16 +254,7 @@ class StudySection:
 
 @dataclass(frozen=True, kw_only=True)
 class Sections:
-    """All that a study file says.
-
-    Attributes:
-        base: the model before any effect was added.
-        data: the files, their columns, units and noise.
-        held_out: what is kept from fitting; None: nothing.
-        steps: effects added, to consider and to leave out.
-        own_effects: effects that are not in the catalogue.
-        loss: how to fit.
-    """
+    """All that a study file says, with the names of `StudyFile`."""
 
     base: Model
     data: DataSection
@@ -274,12 +266,5 @@ class Sections:
 
 def told(record: Any) -> dict[str, Any]:
     """The fields of a record that say something: neither None nor the default."""
-    plain = {}
-    for one in fields(record):
-        value = getattr(record, one.name)
-        default = one.default
-        if one.default_factory is not MISSING:
-            default = one.default_factory()
-        if value is not None and value != default:
-            plain[one.name] = value
-    return plain
+    chosen = chosen_fields(record)
+    return {name: value for name, value in chosen.items() if value is not None}

@@ -4,7 +4,7 @@ A study file is TOML; docs/command_line.md lists its keys. Reading one never run
 formulas go through the parser of the package.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -239,33 +239,24 @@ class StudyFile(Sections):
             return [*map(str, offered), *self.own_effects]
         return [own_effect(name, self.own_effects) or name for name in names]
 
-    def study(self, progress: Callable[[str], None] | None = None) -> Study:
+    def study(
+        self,
+        progress: Callable[[str], None] | None = None,
+        after_each: Callable[[Study], None] | None = None,
+    ) -> Study:
         """The study: the base model fitted, then each effect added.
 
         Args:
             progress: called with a line of text as the work goes on, such as ``print``.
+            after_each: called with the study after each of these steps.
 
         Raises:
             DataError: something in the files cannot be used.
             ModelError: one of the effects is unknown.
             SolveError: a model could not be fitted.
         """
-        study = self.base_study(progress)
-        self.add_to(study, self.steps.added)
-        return study
-
-    def base_study(self, progress: Callable[[str], None] | None = None) -> Study:
-        """The study with the base model alone.
-
-        Args:
-            progress: called with a line of text as the work goes on.
-
-        Raises:
-            DataError: something in the files cannot be used.
-            SolveError: the base model could not be fitted.
-        """
         train, held_out = self.split()
-        return Study(
+        study = Study(
             self.base,
             train,
             held_out,
@@ -274,25 +265,9 @@ class StudyFile(Sections):
             loss=self.loss,
             progress=progress,
         )
-
-    def add_to(
-        self,
-        study: Study,
-        names: Sequence[str],
-        after_each: Callable[[], None] | None = None,
-    ) -> None:
-        """Add effects to a study, one after the other.
-
-        Args:
-            study: to which they are added.
-            names: of the effects, such as ``"coulomb friction on p"``.
-            after_each: called after each of them.
-
-        Raises:
-            ModelError: one of the effects is unknown.
-            SolveError: a model could not be fitted.
-        """
-        for name in names:
+        tell = after_each or (lambda study: None)
+        tell(study)
+        for name in self.steps.added:
             study.add(self.meant(study.model, name))
-            if after_each is not None:
-                after_each()
+            tell(study)
+        return study
