@@ -43,7 +43,7 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
     lines += ["", f"Then: phsi-opt check {study}"]
     content = {
         "study_file": str(study),
-        "columns": [vars(column) for column in table.columns],
+        "columns": [column.content for column in table.columns],
         "further": [vars(variable) for variable in table.further],
         "needs": [vars(need) for need in needs],
     }

@@ -10,15 +10,13 @@ from pathlib import Path
 
 from phsi_opt.data.file_opening import NamedFile
 from phsi_opt.data.tables import Table, numbers_in
-from phsi_opt.data.text_cells import MISSING_CELLS, NUMBER
 from phsi_opt.errors import DataError
 from phsi_opt.page.drafts import NOT_USED, RUN, ColumnDraft, DataDraft
-from phsi_opt.study_file import survey
+from phsi_opt.study_file.columns import UNUSED, Column
 from phsi_opt.study_file.data_files import table_at
-from phsi_opt.study_file.survey import ColumnSurvey
+from phsi_opt.study_file.survey import survey
 
 N_EXAMPLES = 3  # cells shown of each column
-MOSTLY = 0.5  # share of numbers above which a column is meant to be numeric
 
 
 def look_at(places: Mapping[str, Path]) -> DataDraft:
@@ -38,14 +36,13 @@ def look_at(places: Mapping[str, Path]) -> DataDraft:
 
 
 def _take_file(draft: DataDraft, file: NamedFile) -> None:
-    table = table_at(file, ())
+    table = table_at(file)
     _check_header(table)
-    for name in table.frame.columns:
-        _check_numbers(table, str(name))
-    columns = []
-    surveyed = survey.survey(file)
-    for seen in surveyed.columns:
-        columns.append(_column(table, seen))
+    surveyed = survey(file)
+    for column in surveyed.columns:
+        if column.is_numeric:
+            numbers_in(table, column.column, may_be_missing=True)
+    columns = list(map(_draft_of, surveyed.columns))
     if surveyed.step is not None:
         draft.step = f"{surveyed.step:g}"
     if not draft.columns:
@@ -65,42 +62,13 @@ def _check_header(table: Table) -> None:
             )
 
 
-def _check_numbers(table: Table, name: str) -> None:
-    """Refuse a column of numbers with a cell that is none.
-
-    Raises:
-        DataError: with the file, the column and the line.
-    """
-    if _share_of_numbers(_cells(table, name)) > MOSTLY:
-        numbers_in(table, name, may_be_missing=True)
-
-
-def _cells(table: Table, name: str) -> list[str]:
-    return [str(cell) for cell in table.frame[name]]
-
-
-def _share_of_numbers(cells: list[str]) -> float:
-    n_numbers = 0
-    n_filled = 0
-    for cell in cells:
-        n_filled += cell.strip().lower() not in MISSING_CELLS
-        n_numbers += _is_number(cell.strip())
-    return n_numbers / max(n_filled, 1)
-
-
-def _is_number(cell: str) -> bool:
-    """Whether it is one with a decimal point or comma."""
-    return NUMBER.fullmatch(cell) is not None
-
-
-def _column(table: Table, seen: ColumnSurvey) -> ColumnDraft:
+def _draft_of(seen: Column) -> ColumnDraft:
     """The draft of a column; parts have the same words here and there but for one."""
-    cells = _cells(table, seen.column)
-    is_numeric = _share_of_numbers(cells) > MOSTLY
-    role = NOT_USED if seen.part == survey.UNUSED else seen.part
-    examples = tuple(cells[:N_EXAMPLES])
-    name = seen.name
-    return ColumnDraft(seen.column, role, name, seen.unit, "", examples, is_numeric)
+    role = NOT_USED if seen.part == UNUSED else seen.part
+    examples = tuple(seen.cells[:N_EXAMPLES])
+    return ColumnDraft(
+        seen.column, role, seen.name, seen.unit, "", examples, seen.is_numeric
+    )
 
 
 def _check_same_columns(

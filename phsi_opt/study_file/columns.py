@@ -17,6 +17,12 @@ from phsi_opt.data.wording import number_of
 from phsi_opt.study_file.data_files import rows_of_runs
 from phsi_opt.study_file.headers import TIMES, Header
 
+TIME = "time"
+RUN = "run"
+STATE = "state"
+INPUT = "input"
+UNUSED = "left out"
+PERHAPS_INPUT = "perhaps an input"
 DATES = "dates"
 MOSTLY = 0.5  # share of the filled cells above which a column is of numbers, or dates
 LOOKED_AT = 50  # cells that tell whether a column holds dates
@@ -31,8 +37,8 @@ CELL_CHARACTERS = 20  # of a cell
 
 
 @dataclass(eq=False)
-class Seen:
-    """A column as it was seen.
+class Column:
+    """A column as it was seen, and what it may be.
 
     Attributes:
         header: what its header tells.
@@ -41,10 +47,13 @@ class Seen:
         is_missing: which cells are empty, (n_lines,).
         values: (n_lines,), NaN where missing or wrong; None: nothing of numbers can be
             made of it, or they are always the same.
+        is_numeric: whether most of its cells are numbers.
         date_format: how dates are written, in the signs of strptime, where it is not as
             in ISO 8601; "" where it is, or where the cells do not tell.
-        said: what was seen, in words.
-        wrong: the first cell that is wrong, in words; "" where none is.
+        said: what was seen, in words: its range, missing cells, why it is left out.
+        wrong: the first cell that cannot be used, with its line; "" where none is.
+        part: `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`.
+        name: what it could be called in formulas; "" where it is in none.
     """
 
     header: Header
@@ -52,9 +61,43 @@ class Seen:
     lines: list[str]
     is_missing: np.ndarray
     values: np.ndarray | None = None
+    is_numeric: bool = False
     date_format: str = ""
     said: str = ""
     wrong: str = ""
+    part: str = UNUSED
+    name: str = ""
+
+    @property
+    def column(self) -> str:
+        """Its header, as it stands in the table."""
+        return self.header.text
+
+    @property
+    def unit(self) -> str:
+        """As in the header; "" where it does not tell."""
+        return self.header.unit
+
+    @property
+    def remark(self) -> str:
+        """Everything that was seen, what is wrong first."""
+        return "; ".join(filter(None, [self.wrong, self.said]))
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What is told of it as JSON."""
+        told = ("column", "part", "name", "unit", "said", "wrong")
+        return {name: getattr(self, name) for name in told}
+
+    @property
+    def may_be_input(self) -> bool:
+        """Whether it is a state, or an input."""
+        return self.said.endswith(PERHAPS_INPUT)
+
+    def becomes(self, part: str, remark: str = "") -> None:
+        """Take a part, and say why."""
+        self.part = part
+        self.said = "; ".join(filter(None, [self.said, remark]))
 
     def left_out(self, why: str) -> None:
         """Nothing can be made of it."""
@@ -85,14 +128,14 @@ class Seen:
             return self.is_dates
         return not np.all(np.diff(self.values) == 1)  # a counter of lines
 
-    def neighbours(self, run: "Seen | None") -> np.ndarray:
+    def neighbours(self, run: "Column | None") -> np.ndarray:
         """The rows of each sample and of the next one of its run, (n_pairs, 2)."""
         runs = [np.arange(len(self.lines))]
         if run is not None:
             runs = rows_of_runs(run.cells)
         return np.vstack([np.column_stack([rows[:-1], rows[1:]]) for rows in runs])
 
-    def wrong_time(self, run: "Seen | None") -> str:
+    def wrong_time(self, run: "Column | None") -> str:
         """The first time that is missing, wrong or not after the one before it."""
         assert self.values is not None
         if self.wrong:
@@ -111,7 +154,7 @@ class Seen:
         return _and_more(said, len(late), "more such line")
 
 
-def columns_of(table: Table) -> list[Seen]:
+def columns_of(table: Table) -> list[Column]:
     """All columns of a table, in its order."""
     headers = [str(column) for column in table.frame.columns]
     lines = [table.row(i) for i in range(len(table.frame))]
@@ -121,7 +164,7 @@ def columns_of(table: Table) -> list[Seen]:
         if table.decimal == ",":
             cells = cells.str.replace(",", ".", regex=False)
         is_missing = cells.str.lower().isin(MISSING_CELLS).to_numpy()
-        one = Seen(Header.of(header), cells, lines, is_missing)
+        one = Column(Header.of(header), cells, lines, is_missing)
         _look_at(one, headers.count(header))
         seen.append(one)
     return seen
@@ -131,7 +174,7 @@ def _as_text(cell: Any) -> str:
     return "" if cell is None else str(cell)
 
 
-def _look_at(one: Seen, n_of_this_name: int) -> None:
+def _look_at(one: Column, n_of_this_name: int) -> None:
     filled = one.cells.where(~one.is_missing)
     numbers = pd.to_numeric(filled, errors="coerce").to_numpy(float)
     is_number = np.isfinite(numbers)
@@ -141,7 +184,8 @@ def _look_at(one: Seen, n_of_this_name: int) -> None:
         return one.left_out(f"{n_of_this_name} columns are called so")
     if not one.header.text:
         return one.left_out("no name in the header")
-    if is_number.sum() <= MOSTLY * (~one.is_missing).sum():
+    one.is_numeric = bool(is_number.sum() > MOSTLY * (~one.is_missing).sum())
+    if not one.is_numeric:
         return _look_at_texts(one)
     one.values = np.where(is_number, numbers, np.nan)
     one.wrong = _wrong_cells(one, np.flatnonzero(~is_number & ~one.is_missing))
@@ -157,7 +201,7 @@ def _look_at(one: Seen, n_of_this_name: int) -> None:
         one.said += f", {number_of(one.n_missing, 'cell')} missing"
 
 
-def _wrong_cells(one: Seen, places: np.ndarray) -> str:
+def _wrong_cells(one: Column, places: np.ndarray) -> str:
     """The first cell that is no finite number, and how many more there are."""
     if not places.size:
         return ""
@@ -180,7 +224,7 @@ def _shown(cell: str) -> str:
     return f'"{one_line}"'
 
 
-def _look_at_texts(one: Seen) -> None:
+def _look_at_texts(one: Column) -> None:
     """A column of dates, or of texts, which are left out."""
     cells = one.cells[~one.is_missing]
     one.date_format = _date_format(cells)

@@ -7,17 +7,16 @@ import os
 from pathlib import Path
 from typing import Any
 
-from phsi_opt.study_file.columns import DATES
-from phsi_opt.study_file.survey import (
+from phsi_opt.study_file.columns import (
+    DATES,
     INPUT,
     RUN,
     STATE,
     TIME,
     UNUSED,
-    ColumnSurvey,
-    Span,
-    TableSurvey,
+    Column,
 )
+from phsi_opt.study_file.survey import Span, TableSurvey
 from phsi_opt.study_file.toml_text import key_text, toml_value
 
 TEMPLATE = Path(__file__).with_name("templates") / "first_study.toml.jinja"
@@ -40,7 +39,7 @@ def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
     """
     from jinja2 import Environment, StrictUndefined
 
-    def described(column: ColumnSurvey) -> str:
+    def described(column: Column) -> str:
         content = {"column": column.column, "unit": column.unit}
         if column.part == TIME:
             content["unit"] = "s" if column.said == DATES else column.unit

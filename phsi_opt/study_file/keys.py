@@ -42,7 +42,7 @@ data.states.* | table | a state, by the name that it has in the formulas
 data.states.*.column | text or position | its header, or its position from 0
 data.states.*.unit | text | its unit, such as "m"; default: unknown
 data.states.*.measured | true or false | in place of a column: nobody measured it
-data.states.*.noise | positive number | in its unit (standard deviation); default: found
+data.states.*.noise | positive number | standard deviation, in its unit; default: found
 data.inputs.* | table | an input, by its name in the formulas
 data.inputs.*.column | text or position | its header, or its position from 0
 data.inputs.*.unit | text | its unit, such as "m"; default: unknown

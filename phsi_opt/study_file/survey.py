@@ -5,7 +5,7 @@ is decided by them. The reader of ``phsi_opt.data`` reads the table, so that wha
 seen here can be read later.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,18 +17,20 @@ from phsi_opt.data.tables import Variable
 from phsi_opt.data.text_cells import NUMBER
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
-from phsi_opt.study_file.columns import Seen, columns_of
+from phsi_opt.study_file.columns import (
+    INPUT,
+    PERHAPS_INPUT,
+    RUN,
+    STATE,
+    TIME,
+    UNUSED,
+    Column,
+    columns_of,
+)
 from phsi_opt.study_file.data_files import sheets_in, table_at
 from phsi_opt.study_file.headers import TIMES, Header
 
-TIME = "time"
-RUN = "run"
-STATE = "state"
-INPUT = "input"
-UNUSED = "left out"
 MOST_RUNS = 1 / 3  # share of the lines that may be different runs
-PERHAPS_INPUT = "perhaps an input"
-OF_SINGLE_VALUE = "the time between samples"
 EVEN_STEPS = 0.01  # share of the median step by which steps of a regular record differ
 GAP_STEPS = 1.5  # median steps from which a step is a gap
 # Means must keep what the states do: of measured records with some 10,000 lines, means
@@ -37,37 +39,6 @@ GAP_STEPS = 1.5  # median steps from which a step is a gap
 MANY_LINES = 5000  # of a run, from which a study takes long
 FEW_LINES = 2000  # of a run, as many or a little more, that thinning leaves then
 VARIANCE_KEPT = 0.95  # share of a state's variance that must be left in the means
-
-
-@dataclass(frozen=True)
-class ColumnSurvey:
-    """A column.
-
-    Attributes:
-        column: its header.
-        part: `TIME`, `RUN`, `STATE`, `INPUT` or `UNUSED`.
-        name: what it could be called in formulas.
-        unit: as in the header; "" where it does not tell.
-        said: what else was seen: its range, missing cells, why it is left out.
-        wrong: the first cell that cannot be used, with its line; "" where none is.
-    """
-
-    column: str
-    part: str
-    name: str
-    unit: str
-    said: str
-    wrong: str = ""
-
-    @property
-    def remark(self) -> str:
-        """Everything that was seen, what is wrong first."""
-        return "; ".join(filter(None, [self.wrong, self.said]))
-
-    @property
-    def may_be_input(self) -> bool:
-        """Whether it is a state, or an input."""
-        return self.said.endswith(PERHAPS_INPUT)
 
 
 class Span(NamedTuple):
@@ -98,7 +69,7 @@ class TableSurvey:
     """
 
     path: DataFile
-    columns: tuple[ColumnSurvey, ...]
+    columns: list[Column]
     n_lines: int
     said: str
     step: float | None
@@ -115,7 +86,7 @@ class TableSurvey:
         """Whether its runs have so many lines that a study takes long."""
         return self.n_lines / self.n_runs > MANY_LINES
 
-    def of_part(self, part: str) -> list[ColumnSurvey]:
+    def of_part(self, part: str) -> list[Column]:
         """The columns that are one thing."""
         return [column for column in self.columns if column.part == part]
 
@@ -135,10 +106,10 @@ def survey(path: DataFile) -> TableSurvey:
             f"{path} has 1 line below its header; at least 2 are needed, and a study "
             "needs many more."
         )
-    seen = columns_of(table)
-    look = _Look(seen, table.further)
+    columns = columns_of(table)
+    look = _Look(columns, table.further)
     time = look.time
-    columns = look.columns()
+    look.take_parts()
     if not any(one.part == STATE for one in columns):
         listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
         raise DataError(
@@ -148,8 +119,7 @@ def survey(path: DataFile) -> TableSurvey:
     if time is not None and time.values is not None and not time.wrong:
         span = Span(float(time.values.min()), float(time.values.max()))
     n_runs = 1 if look.run is None else look.run.cells.nunique()
-    surely = [c.part == STATE and not c.may_be_input for c in columns]
-    states = [s.values for s, is_state in zip(seen, surely, strict=True) if is_state]
+    states = [c for c in columns if c.part == STATE and not c.may_be_input]
     return TableSurvey(
         path=path,
         columns=columns,
@@ -162,7 +132,7 @@ def survey(path: DataFile) -> TableSurvey:
         encoding=table.remark,
         date_format="" if time is None else time.date_format,
         sheets=tuple(sheets_in(path)),
-        thinning=_thinning(states, n_lines, n_runs),
+        thinning=_thinning([c.values for c in states], n_lines, n_runs),
     )
 
 
@@ -188,11 +158,11 @@ def _is_kept(values: np.ndarray, n: int) -> bool:
 class _Look:
     """What each column is, found by looking at all of them."""
 
-    seen: list[Seen]
+    seen: list[Column]
     further: tuple[Variable, ...]
 
     @cached_property
-    def run(self) -> Seen | None:
+    def run(self) -> Column | None:
         """The column that names each line's run."""
         for one in self.seen:
             n_different = one.cells[~one.is_missing].nunique()
@@ -206,7 +176,7 @@ class _Look:
         return None
 
     @cached_property
-    def time(self) -> Seen | None:
+    def time(self) -> Column | None:
         """The column that is called the time, else the first that increases.
 
         A column that is called so and has a wrong or late time is still the one: a
@@ -226,13 +196,13 @@ class _Look:
         fitting = [one for one in others if one.may_be_time and self._increases(one)]
         return fitting[0] if fitting else None
 
-    def _increases(self, one: Seen) -> bool:
+    def _increases(self, one: Column) -> bool:
         if one.values is None:
             return one.is_dates
         return not one.wrong_time(self.run)
 
     @cached_property
-    def _of_step(self) -> Seen | None:
+    def _of_step(self) -> Column | None:
         """The column of a single value that is called the time between samples."""
         for one in self.seen:
             is_step = one.header.is_step and one is not self.run
@@ -256,41 +226,38 @@ class _Look:
         """The time between samples, where no column has the times."""
         return self._told_step if self.time is None else None
 
-    def columns(self) -> tuple[ColumnSurvey, ...]:
-        """The columns with names that formulas can use, each once."""
-        used: set[str] = set()
-        columns = []
+    def take_parts(self) -> None:
+        """Say of each column what it is, and give names that formulas can use."""
         for one in self.seen:
-            part, remark = self._part_of(one)
-            said = "; ".join(filter(None, [one.said, remark]))
-            header = one.header
-            name = _free_name(header.name, used) if part in (STATE, INPUT) else ""
-            columns.append(
-                ColumnSurvey(header.text, part, name, header.unit, said, one.wrong)
-            )
-        if any(one.part == STATE for one in columns):
-            return tuple(columns)
-        return tuple(map(_as_state, columns))
+            self._take_part(one)
+        if not any(one.part == STATE for one in self.seen):
+            for one in self.seen:
+                if one.part == INPUT:
+                    one.becomes(STATE, PERHAPS_INPUT)
+        used: set[str] = set()
+        for one in self.seen:
+            if one.part in (STATE, INPUT):
+                one.name = _free_name(one.header.name, used)
 
-    def _part_of(self, one: Seen) -> tuple[str, str]:
-        """What a column is, and what its header says besides."""
+    def _take_part(self, one: Column) -> None:
         header = one.header
         if one is self.time:
-            return TIME, ""
-        if one is self.run:
-            return RUN, ""
-        if one is self._of_step and self.time is None:
-            one.said = OF_SINGLE_VALUE
-        if one.values is None or one.said == OF_SINGLE_VALUE:
-            return UNUSED, ""
-        if header.unit in TIMES:
-            return UNUSED, "in a unit of time, and another column has the times"
-        if header.is_set_point:
-            return UNUSED, "a set point, by its name"
-        if header.is_input:
+            one.becomes(TIME)
+        elif one is self.run:
+            one.becomes(RUN)
+        elif one is self._of_step and self.time is None:
+            one.said = "the time between samples"
+        elif one.values is None:
+            pass  # its remark says why
+        elif header.unit in TIMES:
+            one.becomes(UNUSED, "in a unit of time, and another column has the times")
+        elif header.is_set_point:
+            one.becomes(UNUSED, "a set point, by its name")
+        elif header.is_input:
             must = "an input must be known at every sample"
-            return INPUT, must if one.n_missing else ""
-        return STATE, PERHAPS_INPUT if header.may_be_input else ""
+            one.becomes(INPUT, must if one.n_missing else "")
+        else:
+            one.becomes(STATE, PERHAPS_INPUT if header.may_be_input else "")
 
     def said_of_times(self) -> str:
         """Where the times begin and end, and how regular they are."""
@@ -316,13 +283,6 @@ class _Look:
             gaps = "1 gap of" if n_gaps == 1 else f"{n_gaps} gaps, the longest"
             return f"{said}, {gaps} {steps.max():.4g}"
         return f"{said}, from {steps.min():.4g} to {steps.max():.4g}"
-
-
-def _as_state(one: ColumnSurvey) -> ColumnSurvey:
-    """An input as a state, where there is no other."""
-    if one.part != INPUT:
-        return one
-    return replace(one, part=STATE, said=f"{one.said}; {PERHAPS_INPUT}")
 
 
 def _free_name(wanted: str, used: set[str]) -> str:
