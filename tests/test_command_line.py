@@ -609,7 +609,7 @@ def test_check_tells_all_errors_at_once_without_a_trace(demo: Path) -> None:
     content = json.loads(said("check", demo, "--json").out)
     assert content["exit_code"] == ExitCode.BAD_INPUT
     keys = [one["key"] for one in content["complaints"]]
-    assert keys == ["data.time.column", "held_out.shar", "held_out"]
+    assert keys == ["data.time.column", "held_out", "held_out.shar"]
 
 
 def test_add_writes_an_effect_and_keeps_what_the_user_wrote(demo: Path) -> None:

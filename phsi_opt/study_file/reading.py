@@ -5,7 +5,6 @@ data files, and at last what is held out of them. What depends on a part that is
 already is not looked at, so that one mistake is told once.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -59,7 +58,7 @@ def read_sections(
     except TooManyComplaintsError:
         read = None
     if read is None or found.listed:
-        raise StudyFileError(path, _told(found, text, list(tables)))
+        raise StudyFileError(path, _told(found, lines_of(text)))
     return read
 
 
@@ -94,25 +93,16 @@ def _sections(
     return sections, measured
 
 
-def _told(found: Complaints, text: str, sections: list[str]) -> list[Complaint]:
-    """The complaints with their lines, section by section; what is missing last."""
-    lines = lines_of(text)
-
-    def place(complaint: Complaint) -> int:
-        section = re.split(r"[.\[]", complaint.key)[0]
-        return sections.index(section) if section in sections else len(sections)
-
+def _told(found: Complaints, lines: Mapping[str, int]) -> list[Complaint]:
+    """The complaints with their lines, in the order of the file."""
     listed = []
-    for complaint in sorted(found.listed, key=place):
-        listed.append(replace(complaint, line=_line(complaint.key, lines)))
+    for complaint in found.listed:
+        key = complaint.key
+        while key and key not in lines:  # of the table that lacks it
+            key = key.rpartition(".")[0]
+        listed.append(replace(complaint, line=lines.get(key)))
+    listed.sort(key=lambda complaint: complaint.line or LARGEST_STUDY)
     return [*listed, Complaint("", "", MORE)] if found.is_full else listed
-
-
-def _line(key: str, lines: Mapping[str, int]) -> int | None:
-    """The line of a key, or of the table in which it is missing."""
-    while key and key not in lines:
-        key = key.rpartition(".")[0]
-    return lines.get(key)
 
 
 def tables_of(path: Path) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Measurements that lie in no file yet: the table, and the section that reads it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,20 +33,17 @@ def section_of(data: Measurements, file: str) -> DataSection:
     )
 
 
-def table_text(data: Measurements) -> str:
-    """The measurements as CSV, every number with all its digits."""
-    unmeasured = [name for name in data.states if name not in data.measured]
-    frame = data.to_dataframe().drop(columns=unmeasured)
-    return str(frame.to_csv(index=False, lineterminator="\n"))
-
-
 def write_table(data: Measurements, path: Path) -> None:
     """Write the measurements as CSV.
 
     Raises:
         DataError: another file is there.
     """
-    text = table_text(data)
+    unmeasured = [name for name in data.states if name not in data.measured]
+    frame = data.to_dataframe().drop(columns=unmeasured)
+    text = frame.to_csv(
+        index=False, lineterminator="\n"
+    )  # every number with all digits
     if path.exists() and not _holds(path, text):
         raise DataError(
             f"{path} is there already and holds something else; move it, or write the "
@@ -77,7 +75,7 @@ def joined(
     judging = [run.name for run in held_out.trajectories]
     if not set(names) & set(judging):
         both = (*train.trajectories, *held_out.trajectories)
-        return _with(train, both), HeldOut(runs=tuple(judging))
+        return replace(train, trajectories=both), HeldOut(runs=tuple(judging))
     cut = min(float(run.t[0]) for run in held_out.trajectories)
     ends = max(float(run.t[-1]) for run in train.trajectories)
     if names != judging or ends >= cut:
@@ -87,7 +85,7 @@ def joined(
         )
     pairs = zip(train.trajectories, held_out.trajectories, strict=True)
     whole = tuple(_continued(first, then) for first, then in pairs)
-    return _with(train, whole), HeldOut(after=cut)
+    return replace(train, trajectories=whole), HeldOut(after=cut)
 
 
 def _check_channels(train: Measurements, held_out: Measurements) -> None:
@@ -101,17 +99,7 @@ def _check_channels(train: Measurements, held_out: Measurements) -> None:
             )
 
 
-def _with(data: Measurements, runs: tuple[Trajectory, ...]) -> Measurements:
-    return Measurements(
-        runs, data.states, data.inputs, data.units, data.hold, data.noise
-    )
-
-
 def _continued(first: Trajectory, then: Trajectory) -> Trajectory:
-    return Trajectory(
-        first.name,
-        np.concatenate([first.t, then.t]),
-        np.concatenate([first.x, then.x]),
-        np.concatenate([first.u, then.u]),
-        first.origin,
-    )
+    t = np.concatenate([first.t, then.t])
+    x = np.concatenate([first.x, then.x])
+    return replace(first, t=t, x=x, u=np.concatenate([first.u, then.u]))
