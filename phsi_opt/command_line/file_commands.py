@@ -44,7 +44,7 @@ def first_study(files: list[Path], study: Path, force: bool) -> Answer:
     content = {
         "study_file": str(study),
         "columns": [column.content for column in table.columns],
-        "further": [vars(variable) for variable in table.further],
+        "further": [vars(variable) for variable in table.table.further],
         "needs": [vars(need) for need in needs],
     }
     return Answer("\n".join(lines), content)
@@ -69,14 +69,14 @@ def _seen(table: TableSurvey, study: Path) -> list[str]:
     if len(table.sheets) > 1:
         first, *others = table.sheets
         lines.append(f"(of its sheet {first}; there are {', '.join(others)} too)")
-    if table.encoding:
-        lines.append(f"({table.encoding})")
+    if table.table.remark:
+        lines.append(f"({table.table.remark})")
     for column in table.columns:
         if column.column:
             unit = f" [{column.unit}]" if column.unit else ""
             name = " ".join(column.column.split())  # a header may have lines
             lines.append(f"{name}{unit}: {column.part}; {column.remark}")
-    for variable in table.further:
+    for variable in table.table.further:
         lines.append(f"{variable.name}: left out; {variable.said}")
     if table.is_long:
         keys = "between" if table.thinning == 1 else "between and thinned"

@@ -43,7 +43,7 @@ def first_text(table: TableSurvey, files: list[Path], folder: Path) -> str:
         content = {"column": column.column, "unit": column.unit}
         if column.part == TIME:
             content["unit"] = "s" if column.said == DATES else column.unit
-            content["date_format"] = table.date_format
+            content["date_format"] = column.date_format
         return toml_value({name: told for name, told in content.items() if told})
 
     environment = Environment(
@@ -68,7 +68,7 @@ def _parts(table: TableSurvey) -> dict[str, Any]:
     times = table.of_part(TIME)
     states = table.of_part(STATE)
     left_out = [(one.column, one.said) for one in table.of_part(UNUSED) if one.column]
-    left_out += [(variable.name, variable.said) for variable in table.further]
+    left_out += [(variable.name, variable.said) for variable in table.table.further]
     n_lines = table.n_lines // table.n_runs
     dated = any(time.said == DATES for time in times)
     is_asked = bool(times) and not dated and not times[0].unit

@@ -13,7 +13,7 @@ import numpy as np
 
 from phsi_opt.data.checks import checked_names
 from phsi_opt.data.file_opening import DataFile
-from phsi_opt.data.tables import Variable
+from phsi_opt.data.tables import Table
 from phsi_opt.data.text_cells import NUMBER
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.model.checks import checked_names as usable_in_formulas
@@ -48,123 +48,65 @@ class Span(NamedTuple):
     end: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TableSurvey:
-    """A table.
+    """A table, and what its columns may be.
 
     Attributes:
         path: of the file.
+        table: as it was read; its ``remark`` tells a guessed encoding, ``further`` what
+            a MATLAB file holds beside the columns.
         columns: in the order of the table.
-        n_lines: below the header.
-        said: about the times: where they begin and end, how regular they are.
-        step: the time between samples, where a column tells it and none the time.
-        n_runs: as the column of the runs tells; 1 where there is none.
-        span: the first and the last time; None where these are dates, or wrong.
-        further: what a MATLAB file holds beside these columns.
-        encoding: what was guessed of the text's encoding; "" where nothing was.
-        date_format: how dates are written, where it is not as in ISO 8601.
         sheets: those of a workbook with content; the first was looked at.
-        thinning: how many samples could become their mean, where runs are long and the
-            means keep what the states do; 1 where not.
     """
 
     path: DataFile
+    table: Table
     columns: list[Column]
-    n_lines: int
-    said: str
-    step: float | None
-    n_runs: int
-    span: Span | None
-    further: tuple[Variable, ...]
-    encoding: str
-    date_format: str
-    sheets: tuple[str, ...]
-    thinning: int
+    sheets: list[str]
+
+    def of_part(self, part: str) -> list[Column]:
+        """The columns that are one thing."""
+        return [column for column in self.columns if column.part == part]
+
+    @property
+    def n_lines(self) -> int:
+        """The lines below the header."""
+        return len(self.table.frame)
+
+    @property
+    def n_runs(self) -> int:
+        """The runs that a column tells; 1 where there is none."""
+        return 1 if self.run is None else int(self.run.cells.nunique())
 
     @property
     def is_long(self) -> bool:
         """Whether its runs have so many lines that a study takes long."""
         return self.n_lines / self.n_runs > MANY_LINES
 
-    def of_part(self, part: str) -> list[Column]:
-        """The columns that are one thing."""
-        return [column for column in self.columns if column.part == part]
+    @property
+    def span(self) -> Span | None:
+        """The first and the last time; None where these are dates, or wrong."""
+        if self.step is not None:
+            return Span(0.0, self.step * (self.n_lines - 1))
+        time = self.time
+        if time is None or time.values is None or time.wrong:
+            return None
+        return Span(float(time.values.min()), float(time.values.max()))
 
-
-def survey(path: DataFile) -> TableSurvey:
-    """Look at a table.
-
-    Raises:
-        DataError: it cannot be read as a table, or has too few lines.
-    """
-    table = table_at(path)
-    n_lines = len(table.frame)
-    if n_lines == 0:
-        raise DataError(f"{path} has no line below its header.")
-    if n_lines == 1:
-        raise DataError(
-            f"{path} has 1 line below its header; at least 2 are needed, and a study "
-            "needs many more."
-        )
-    columns = columns_of(table)
-    look = _Look(columns, table.further)
-    time = look.time
-    look.take_parts()
-    if not any(one.part == STATE for one in columns):
-        listed = "; ".join(f"{one.column}: {one.remark}" for one in columns)
-        raise DataError(
-            f"{path} has no column of numbers that a state could be: {listed}."
-        )
-    span = None if look.step is None else Span(0.0, look.step * (n_lines - 1))
-    if time is not None and time.values is not None and not time.wrong:
-        span = Span(float(time.values.min()), float(time.values.max()))
-    n_runs = 1 if look.run is None else look.run.cells.nunique()
-    states = [c for c in columns if c.part == STATE and not c.may_be_input]
-    return TableSurvey(
-        path=path,
-        columns=columns,
-        n_lines=n_lines,
-        said=look.said_of_times(),
-        step=look.step,
-        n_runs=n_runs,
-        span=span,
-        further=table.further,
-        encoding=table.remark,
-        date_format="" if time is None else time.date_format,
-        sheets=tuple(sheets_in(path)),
-        thinning=_thinning([c.values for c in states], n_lines, n_runs),
-    )
-
-
-def _thinning(states: list[np.ndarray | None], n_lines: int, n_runs: int) -> int:
-    """How many samples could become one; 1 where runs are short, or means lose much."""
-    n = n_lines // n_runs // FEW_LINES if n_lines / n_runs > MANY_LINES else 1
-    while n > 1 and not all(_is_kept(one, n) for one in states if one is not None):
-        n //= 2
-    return n
-
-
-def _is_kept(values: np.ndarray, n: int) -> bool:
-    """Whether means of n neighbours have nearly the variance of the samples."""
-    known = values[np.isfinite(values)]
-    n_groups = len(known) // n
-    if n_groups < 2:
-        return False
-    means = known[: n_groups * n].reshape(n_groups, n).mean(axis=1)
-    return bool(np.var(means) >= VARIANCE_KEPT * np.var(known))
-
-
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """What each column is, found by looking at all of them."""
-
-    seen: list[Column]
-    further: tuple[Variable, ...]
+    @cached_property
+    def thinning(self) -> int:
+        """How many samples could become their mean; 1 where that would lose much."""
+        n = self.n_lines // self.n_runs // FEW_LINES if self.is_long else 1
+        surely = [one for one in self.of_part(STATE) if not one.may_be_input]
+        while n > 1 and not all(_is_kept(one.values, n) for one in surely):
+            n //= 2
+        return n
 
     @cached_property
     def run(self) -> Column | None:
         """The column that names each line's run."""
-        for one in self.seen:
+        for one in self.columns:
             n_different = one.cells[~one.is_missing].nunique()
             is_few = 1 < n_different <= MOST_RUNS * len(one.cells)
             if one.header.is_run and is_few:
@@ -182,7 +124,7 @@ class _Look:
         A column that is called so and has a wrong or late time is still the one: a
         guess at another one would hide the mistake.
         """
-        others = [one for one in self.seen if one is not self.run]
+        others = [one for one in self.columns if one is not self.run]
         named = [one for one in others if one.header.is_time]
         for one in named:
             if self._increases(one):
@@ -204,7 +146,7 @@ class _Look:
     @cached_property
     def _of_step(self) -> Column | None:
         """The column of a single value that is called the time between samples."""
-        for one in self.seen:
+        for one in self.columns:
             is_step = one.header.is_step and one is not self.run
             if is_step and one.only_number is not None:
                 return one
@@ -215,7 +157,7 @@ class _Look:
         """The time between samples: of a column, or of a MATLAB file's variable."""
         if self._of_step is not None:
             return self._of_step.only_number
-        for variable in self.further:
+        for variable in self.table.further:
             is_step = Header.of(variable.name).is_step
             if is_step and variable.value is not None and variable.value > 0:
                 return variable.value
@@ -228,14 +170,14 @@ class _Look:
 
     def take_parts(self) -> None:
         """Say of each column what it is, and give names that formulas can use."""
-        for one in self.seen:
+        for one in self.columns:
             self._take_part(one)
-        if not any(one.part == STATE for one in self.seen):
-            for one in self.seen:
+        if not any(one.part == STATE for one in self.columns):
+            for one in self.columns:
                 if one.part == INPUT:
                     one.becomes(STATE, PERHAPS_INPUT)
         used: set[str] = set()
-        for one in self.seen:
+        for one in self.columns:
             if one.part in (STATE, INPUT):
                 one.name = _free_name(one.header.name, used)
 
@@ -259,7 +201,8 @@ class _Look:
         else:
             one.becomes(STATE, PERHAPS_INPUT if header.may_be_input else "")
 
-    def said_of_times(self) -> str:
+    @property
+    def said(self) -> str:
         """Where the times begin and end, and how regular they are."""
         time = self.time
         if time is None:
@@ -283,6 +226,42 @@ class _Look:
             gaps = "1 gap of" if n_gaps == 1 else f"{n_gaps} gaps, the longest"
             return f"{said}, {gaps} {steps.max():.4g}"
         return f"{said}, from {steps.min():.4g} to {steps.max():.4g}"
+
+
+def survey(path: DataFile) -> TableSurvey:
+    """Look at a table.
+
+    Raises:
+        DataError: it cannot be read as a table, or has too few lines.
+    """
+    table = table_at(path)
+    seen = TableSurvey(path, table, columns_of(table), sheets_in(path))
+    if seen.n_lines == 0:
+        raise DataError(f"{path} has no line below its header.")
+    if seen.n_lines == 1:
+        raise DataError(
+            f"{path} has 1 line below its header; at least 2 are needed, and a study "
+            "needs many more."
+        )
+    seen.take_parts()
+    if not seen.of_part(STATE):
+        listed = "; ".join(f"{one.column}: {one.remark}" for one in seen.columns)
+        raise DataError(
+            f"{path} has no column of numbers that a state could be: {listed}."
+        )
+    return seen
+
+
+def _is_kept(values: np.ndarray | None, n: int) -> bool:
+    """Whether means of n neighbours have nearly the variance of the samples."""
+    if values is None:
+        return True
+    known = values[np.isfinite(values)]
+    n_groups = len(known) // n
+    if n_groups < 2:
+        return False
+    means = known[: n_groups * n].reshape(n_groups, n).mean(axis=1)
+    return bool(np.var(means) >= VARIANCE_KEPT * np.var(known))
 
 
 def _free_name(wanted: str, used: set[str]) -> str:
