@@ -368,6 +368,37 @@ a = { start = 1.0 }
     assert again.text() == ph.StudyFile.read(path).text()
 
 
+def test_one_text_stands_for_a_list_of_it_in_the_drafts_too(tmp_path: Path) -> None:
+    lines = [f"{run},{t},{t % 3}" for run in ("one", "two") for t in range(9)]
+    (tmp_path / "a.csv").write_text("\n".join(["run,t,level", *lines]))
+    path = tmp_path / "study.toml"
+    path.write_text(
+        """
+[data]
+files = "a.csv"
+trajectory = "run"
+time = { column = "t" }
+states = { level = { column = "level" } }
+[held_out]
+runs = "two"
+[model]
+type = "FirstOrder"
+states = "level"
+F = { level = "-a*level" }
+[parameters]
+a = { start = 1.0 }
+[study]
+added = "constant force on level"
+"""
+    )
+    session = Session(tmp_path / "session", path)
+    assert session.complaints == ()
+    assert session.draft.model.state_names == ["level"]
+    (tmp_path / "again.toml").write_text(session.draft.text())
+    again = ph.StudyFile.read(tmp_path / "again.toml")
+    assert again.text() == ph.StudyFile.read(path).text()
+
+
 # ---- the work ------------------------------------------------------------------------
 
 

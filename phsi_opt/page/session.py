@@ -17,14 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from phsi_opt.errors import Complaint, DataError, PhsiOptError, StudyFileError
-from phsi_opt.page.draft_reading import draft_of, told_columns
 from phsi_opt.page.drafts import INPUT, ColumnDraft, DataDraft
 from phsi_opt.page.file_names import name_refusal, suffix_of, without_path
 from phsi_opt.page.gallery import GALLERY, BaseModel
 from phsi_opt.page.limits import MOST_FILES, MOST_LINES, MOST_UPLOADED, in_megabytes
 from phsi_opt.page.matching import left_over, match_states
 from phsi_opt.page.snapshot import Snapshot
-from phsi_opt.page.study_draft import Drafted, StudyDraft
+from phsi_opt.page.study_draft import Drafted, StudyDraft, told_columns
 from phsi_opt.page.table_look import look_at
 from phsi_opt.page.worker import (
     ADD,
@@ -184,7 +183,7 @@ class Session:
         data = DataDraft(places, n_samples=measured.n_samples)
         data.runs = [run.name for run in measured.trajectories]
         data.columns = _columns_of(data, told_columns(content["data"]))
-        self.draft = draft_of(content, data)
+        self.draft = StudyDraft.of(content, data)
         self.check()
 
     def upload(self, name: str, content: bytes) -> bool:

@@ -1,17 +1,22 @@
-"""Drafts as the text of a study file.
+"""Drafts as the tables of a study file, and back.
 
-``draft_reading`` goes the other way.
+Each part goes both ways here, side by side. What the page does not show (own effects,
+the loss, kinds of states) is kept as it was.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from phsi_opt.page.drafts import (
     AFTER,
+    DEFAULT_SHARE,
     FIRST_ORDER,
     INPUT,
+    NOT_USED,
+    NOTHING,
     RUN,
     RUNS,
     SHARE,
@@ -19,13 +24,18 @@ from phsi_opt.page.drafts import (
     TIME,
     ColumnDraft,
     DataDraft,
+    HeldOutDraft,
     ModelDraft,
     ParameterDraft,
 )
+from phsi_opt.study_file.complaints import texts
 from phsi_opt.study_file.study_text import text_of
-from phsi_opt.study_file.toml_text import toml_tables
+from phsi_opt.study_file.toml_text import toml_tables, toml_value
 
 Content = dict[str, Any]
+KEPT = ("effects", "loss")  # sections that the page neither shows nor changes
+# Keys of [data] that it shows.
+SHOWN = ("files", "trajectory", "hold", "thinned", "time", "states", "inputs")
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,26 @@ class StudyDraft:
     added: list[str] = field(default_factory=list)
     kept: Content = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, content: Mapping[str, Any], data: DataDraft) -> "StudyDraft":
+        """The drafts of a study file that has been read without complaint.
+
+        Args:
+            content: its tables.
+            data: its files, looked at.
+        """
+        _take_data(content["data"], data)
+        data.held_out = _held_out_draft(content.get("held_out", {}))
+        study = dict(content.get("study", {}))
+        added = list(texts(study.pop("added", ())))
+        kept = {name: content[name] for name in KEPT if name in content}
+        if study:
+            kept["study"] = study
+        model = _model_draft(content["model"])
+        for name, parameter in content.get("parameters", {}).items():
+            model.parameters.append(_parameter_draft(name, parameter))
+        return cls(data, model, added, kept)
+
     def as_it_is(self) -> Drafted:
         """What is filled in now."""
         return Drafted(self.text(), self.places)
@@ -75,16 +105,32 @@ class StudyDraft:
         content: Content = dict(self.kept)
         if self.data is not None:
             content["data"] = _data(self.data, self.model)
-            content["held_out"] = _held_out(self.data)
+            content["held_out"] = _held_out(self.data.held_out)
         content["model"] = _model(self.model)
-        parameters = {}
-        for one in self.model.parameters:
-            if one.name:
-                parameters[one.name] = _parameter(one)
-        content["parameters"] = parameters
-        study = dict(self.kept.get("study", {}))
-        content["study"] = {**study, "added": list(self.added)}
+        named = [one for one in self.model.parameters if one.name]
+        content["parameters"] = {one.name: _parameter(one) for one in named}
+        content["study"] = {**self.kept.get("study", {}), "added": list(self.added)}
         return content
+
+
+def _number(text: str, kind: type[float] = float) -> Any:
+    """The number; the text itself where it is none, so that reading refuses it."""
+    try:
+        return kind(text.strip())
+    except ValueError:
+        return text
+
+
+def _written(value: Any) -> str:
+    return "" if value is None else f"{value:.12g}"
+
+
+def _filled(**told: Any) -> Content:
+    """What is filled in."""
+    return {name: value for name, value in told.items() if value not in ("", None)}
+
+
+# ---- the measurements ----------------------------------------------------------------
 
 
 def _data(draft: DataDraft, model: ModelDraft) -> Content:
@@ -93,28 +139,56 @@ def _data(draft: DataDraft, model: ModelDraft) -> Content:
         content["trajectory"] = column.column
     inputs = _channels(draft, INPUT)
     if inputs:
-        content["hold"] = draft.hold
+        content |= {"hold": draft.hold, "inputs": inputs}
     if draft.averaged:
-        content["thinned"] = _whole(draft.averaged)
-    content["time"] = _time(draft)
+        content["thinned"] = _number(draft.averaged, int)
+    time = _filled(step=_number(draft.step))
+    for column in draft.with_role(TIME):
+        time = _channel(column)
+    content["time"] = {**time, **draft.further_of_time}
     states = _channels(draft, STATE)
     for name in model.state_names:
         if name not in states:
-            states[name] = {"measured": False}
-            if draft.unmeasured.get(name):
-                states[name]["unit"] = draft.unmeasured[name]
-    content["states"] = states
-    if inputs:
-        content["inputs"] = inputs
-    return content
+            unit = draft.unmeasured.get(name, "")
+            states[name] = {"measured": False, **_filled(unit=unit)}
+    return {**content, "states": states}
 
 
-def _time(draft: DataDraft) -> Content:
-    """The column of the times, or the time between lines."""
-    for column in draft.with_role(TIME):
-        return {**_channel(column), **draft.further_of_time}
-    step = {"step": _number(draft.step)} if draft.step else {}
-    return {**step, **draft.further_of_time}
+def _take_data(content: Mapping[str, Any], data: DataDraft) -> None:
+    for column in data.columns:
+        column.role = NOT_USED
+    data.hold = content.get("hold", data.hold)
+    data.averaged = _written(content.get("thinned"))
+    data.further = {name: content[name] for name in content if name not in SHOWN}
+    by_column = {column.column: column for column in data.columns}
+    if "trajectory" in content:
+        by_column[content["trajectory"]].role = RUN
+    time = dict(content["time"])
+    if "column" in time:
+        column = by_column[time.pop("column")]
+        column.role = TIME
+        column.unit = time.pop("unit", "")
+    data.step = _written(time.pop("step", None))
+    data.further_of_time = time
+    for role, key in ((STATE, "states"), (INPUT, "inputs")):
+        for name, channel in content.get(key, {}).items():
+            if "column" not in channel:
+                data.unmeasured[name] = channel.get("unit", "")
+                continue
+            column = by_column[channel["column"]]
+            column.role = role
+            column.name = name
+            column.unit = channel.get("unit", "")
+            column.noise = _written(channel.get("noise"))
+
+
+def told_columns(content: Mapping[str, Any]) -> list[str | int]:
+    """The columns that a section [data] names, each once."""
+    named = [content.get("trajectory"), content["time"].get("column")]
+    for key in ("states", "inputs"):
+        for channel in content.get(key, {}).values():
+            named.append(channel.get("column"))
+    return list(dict.fromkeys(one for one in named if one is not None))
 
 
 def _channels(draft: DataDraft, role: str) -> Content:
@@ -122,39 +196,28 @@ def _channels(draft: DataDraft, role: str) -> Content:
 
 
 def _channel(column: ColumnDraft) -> Content:
-    content: Content = {"column": column.column}
-    if column.unit:
-        content["unit"] = column.unit
-    if column.noise and column.role == STATE:
-        content["noise"] = _number(column.noise)
-    return content
+    noise = _number(column.noise) if column.role == STATE else ""
+    return {"column": column.column, **_filled(unit=column.unit, noise=noise)}
 
 
-def _number(text: str) -> Any:
-    """The number; the text itself where it is none, so that reading refuses it."""
-    try:
-        return float(text.strip())
-    except ValueError:
-        return text
+def _held_out(draft: HeldOutDraft) -> Content:
+    if draft.way == RUNS:
+        return {"runs": list(draft.runs)}
+    if draft.way == AFTER:
+        return {"after": _number(draft.after)}
+    return {"share": _number(draft.share)} if draft.way == SHARE else {}
 
 
-def _whole(text: str) -> Any:
-    """The whole number; the text itself where it is none, as reading refuses that."""
-    try:
-        return int(text.strip())
-    except ValueError:
-        return text
+def _held_out_draft(content: Mapping[str, Any]) -> HeldOutDraft:
+    if "runs" in content:
+        return HeldOutDraft(RUNS, runs=list(texts(content["runs"])))
+    if "after" in content:
+        return HeldOutDraft(AFTER, after=_written(content["after"]))
+    share = _written(content.get("share")) or DEFAULT_SHARE
+    return HeldOutDraft(SHARE if content else NOTHING, share)
 
 
-def _held_out(draft: DataDraft) -> Content:
-    held_out = draft.held_out
-    if held_out.way == SHARE:
-        return {"share": _number(held_out.share)}
-    if held_out.way == AFTER:
-        return {"after": _number(held_out.after)}
-    if held_out.way == RUNS:
-        return {"runs": list(held_out.runs)}
-    return {}
+# ---- the model -----------------------------------------------------------------------
 
 
 def _model(draft: ModelDraft) -> Content:
@@ -164,28 +227,37 @@ def _model(draft: ModelDraft) -> Content:
     content.update(draft.further)
     if draft.type != FIRST_ORDER:
         if "S" not in draft.further:
-            content["pairs"] = pairs_in(draft.pairs)
-        content["H"] = terms_in(draft.H)
+            content["pairs"] = _pairs_in(draft.pairs)
+        content["H"] = _terms_in(draft.H)
     for slot, formulas in (("R", draft.R), ("F", draft.F)):
-        terms = {}
-        for name, text in formulas.items():
-            if text.strip() and name in draft.state_names:
-                terms[name] = terms_in(text)
-        if terms:
-            content[slot] = terms
+        filled = {name: text for name, text in formulas.items() if text.strip()}
+        known = [name for name in filled if name in draft.state_names]
+        if known:
+            content[slot] = {name: _terms_in(filled[name]) for name in known}
     return content
 
 
-def pairs_in(text: str) -> list[list[str]]:
+def _model_draft(content: Mapping[str, Any]) -> ModelDraft:
+    further = dict(content)
+    return ModelDraft(
+        type=further.pop("type", ModelDraft.type),
+        states=", ".join(texts(further.pop("states"))),
+        inputs=", ".join(texts(further.pop("inputs", ()))),
+        pairs=", ".join("-".join(pair) for pair in further.pop("pairs", [])),
+        H=_terms_text(further.pop("H", "")),
+        R={name: _terms_text(one) for name, one in further.pop("R", {}).items()},
+        F={name: _terms_text(one) for name, one in further.pop("F", {}).items()},
+        further=further,
+    )
+
+
+def _pairs_in(text: str) -> list[list[str]]:
     """The pairs of states of a text such as "q-p, r-s"."""
-    pairs = []
-    for pair in re.split(r"[,;\n]", text):
-        if pair.strip():
-            pairs.append(pair.replace("-", " ").split())
-    return pairs
+    pairs = [pair.replace("-", " ").split() for pair in re.split(r"[,;\n]", text)]
+    return [pair for pair in pairs if pair]
 
 
-def terms_in(text: str) -> Any:
+def _terms_in(text: str) -> Any:
     """A formula as it is; a table or list of terms as TOML has it."""
     stripped = text.strip()
     if not stripped.startswith(("{", "[")):
@@ -196,15 +268,32 @@ def terms_in(text: str) -> Any:
         return stripped
 
 
+def _terms_text(terms: Any) -> str:
+    return terms if isinstance(terms, str) else toml_value(terms)
+
+
 def _parameter(draft: ParameterDraft) -> Any:
-    content: Content = dict(draft.further)
-    if draft.value:
-        content["value" if draft.is_known else "start"] = _number(draft.value)
-    elif draft.is_known:
+    content = dict(draft.further)
+    if draft.is_known and not draft.value:
         content["fixed"] = True
-    for name, bound in (("lower", draft.lower), ("upper", draft.upper)):
-        if bound:
-            content[name] = _number(bound)
-    if draft.unit:
-        content["unit"] = draft.unit
-    return content
+    numbers = _filled(
+        **{"value" if draft.is_known else "start": draft.value},
+        lower=draft.lower,
+        upper=draft.upper,
+    )
+    content |= {name: _number(text) for name, text in numbers.items()}
+    return {**content, **_filled(unit=draft.unit)}
+
+
+def _parameter_draft(name: str, content: Any) -> ParameterDraft:
+    if not isinstance(content, Mapping):
+        return ParameterDraft(name, _written(content), is_known=True)
+    further = dict(content)
+    is_known = "value" in further or bool(further.pop("fixed", False))
+    value = further.pop("value", further.pop("start", None))
+    lower = _written(further.pop("lower", None))
+    upper = _written(further.pop("upper", None))
+    unit = further.pop("unit", "")
+    return ParameterDraft(
+        name, _written(value), is_known, lower, upper, unit, further=further
+    )
