@@ -71,21 +71,9 @@ def _shown(forecast: Forecast) -> Iterator[Show]:
 
     On standard error: a line that changes in a terminal, plain lines elsewhere.
     """
-    if not sys.stderr.isatty():
-
-        def tell(line: str | None) -> None:
-            if line is not None:
-                forecast.said(line)
-                text = f"[{forecast.words}] {' '.join(line.split())}"
-                print(text, file=sys.stderr, flush=True)
-
-        yield tell
-        return
-    from rich.console import Console
-    from rich.text import Text
-
     last = "starting"
-    with Console(stderr=True).status("") as status:
+    terminal = _terminal_line() if sys.stderr.isatty() else contextlib.nullcontext()
+    with terminal as update:
 
         def show(line: str | None) -> None:
             nonlocal last
@@ -93,9 +81,21 @@ def _shown(forecast: Forecast) -> Iterator[Show]:
                 forecast.said(line)
                 last = " ".join(line.split())
             text = f"[{forecast.words}] {last}"
-            status.update(Text(text, no_wrap=True, overflow="ellipsis"))
+            if update is not None:
+                update(text)
+            elif line is not None:
+                print(text, file=sys.stderr, flush=True)
 
         yield show
+
+
+@contextlib.contextmanager
+def _terminal_line() -> Iterator[Callable[[str], None]]:
+    from rich.console import Console
+    from rich.text import Text
+
+    with Console(stderr=True).status("") as status:
+        yield lambda text: status.update(Text(text, no_wrap=True, overflow="ellipsis"))
 
 
 def _listen(

@@ -160,8 +160,16 @@ def _or_listed(fits: Fits) -> Fits:
     return lambda value: fits(value) or _listed(fits)(value)
 
 
+def _within(low: float, high: float) -> Fits:
+    return lambda value: is_number(value) and low < value < high
+
+
+def _is_count(value: Any) -> bool:
+    return _is(int)(value) and bool(value > 0)
+
+
 def _is_column(value: Any) -> bool:
-    return _is(str)(value) or (_is(int)(value) and value >= 0)
+    return isinstance(value, str) or (_is(int)(value) and value >= 0)
 
 
 def _is_span(value: Any) -> bool:
@@ -174,37 +182,24 @@ def _is_pair(value: Any) -> bool:
 
 is_number = _is(int, float)
 _are_texts = _or_listed(_is(str))
-_is_parameter = _is(int, float, dict)
+_are_terms = _or_listed(_is(str, int, float, dict))
+A_PARAMETER = "a number, or a table such as { start = 1.0, lower = 0 }"
+A_TERM = 'a formula in quotes, such as "c*dH_dp", or a list of them'
+A_POSITIVE_NUMBER = "a positive number, such as 0.1, or nothing where it is not known"
 FORMS = {
     "text": Form(_is(str), 'text in quotes, such as "m"'),
     "formula": Form(_is(str), 'a formula in quotes, such as "q**2"'),
     "number": Form(is_number, "a number, such as 0.5, without quotes"),
-    "positive number": Form(
-        lambda value: is_number(value) and 0 < value < float("inf"),
-        "a positive number, such as 0.1, or nothing where it is not known",
-    ),
-    "number from 0 to 1": Form(
-        lambda value: is_number(value) and 0 < value < 1,
-        "a number between 0 and 1, such as 0.3",
-    ),
-    "whole number": Form(
-        lambda value: _is(int)(value) and value > 0, "a whole number of at least 1"
-    ),
+    "positive number": Form(_within(0, float("inf")), A_POSITIVE_NUMBER),
+    "number from 0 to 1": Form(_within(0, 1), "a number between 0 and 1, such as 0.3"),
+    "whole number": Form(_is_count, "a whole number of at least 1"),
     "true or false": Form(_is(bool), "true or false, without quotes"),
-    "text or position": Form(
-        _is_column, 'a header in quotes, such as "q", or a position from 0'
-    ),
+    "text or position": Form(_is_column, 'a header, such as "q", or a position from 0'),
     "list of texts": Form(_are_texts, 'a list of texts, such as ["q", "p"]'),
     "list of files": Form(_are_texts, 'the data file(s), such as ["bench.csv"]'),
-    "list of effects": Form(
-        _are_texts, 'a list of names, such as ["coulomb friction on p"]'
-    ),
-    "list of numbers": Form(
-        _listed(is_number), "a list of numbers, such as [0.25, 0.5]"
-    ),
-    "list of two numbers": Form(
-        _is_span, "two times, the first and the last: [20, 80]"
-    ),
+    "list of effects": Form(_are_texts, 'names, such as ["coulomb friction on p"]'),
+    "list of numbers": Form(_listed(is_number), "numbers, such as [0.25, 0.5]"),
+    "list of two numbers": Form(_is_span, "two times, first and last: [20, 80]"),
     "list of pairs": Form(_listed(_is_pair), 'pairs of states, such as [["q", "p"]]'),
     "list of rows": Form(_is(list), "a list of rows, such as [[0, 1], [-1, 0]]"),
     "table": Form(_is(dict), 'a table, such as { unit = "m" }'),
@@ -212,20 +207,10 @@ FORMS = {
         _listed(_is(dict)), "sections [[effects]], with two brackets"
     ),
     "text or table": Form(_is(str, dict), 'text, or a table such as { T = "thermal" }'),
-    "parameter": Form(
-        _is_parameter,
-        "a number, or a table such as { start = 1.0, lower = 0 }",
-        "parameters.*",
-    ),
-    "table of parameters": Form(
-        _is(dict), "a table, such as { omega = 2.0 }", "parameters"
-    ),
+    "parameter": Form(_is(int, float, dict), A_PARAMETER, "parameters.*"),
+    "table of parameters": Form(_is(dict), "a table: { omega = 2.0 }", "parameters"),
     "table of terms": Form(_is(dict), 'a table, such as { lag = "-lag/2" }', "model.F"),
-    "formula, term, or list of these": Form(
-        _or_listed(_is(str, int, float, dict)),
-        'a formula in quotes, such as "c*dH_dp", or a list of them',
-        "term",
-    ),
+    "formula, term, or list of these": Form(_are_terms, A_TERM, "term"),
 }
 NAMED_ANYWAY = ("table", "parameter")  # other sections know these by their names
 
