@@ -8,7 +8,6 @@ from phsi_opt.force_analysis.cross_validation import (
     CrossValidation,
     explained_share,
     fold_numbers,
-    fold_numbers_of_holds,
 )
 from phsi_opt.force_analysis.piecewise_linear import (
     odd_basis,
@@ -79,7 +78,7 @@ def test_a_held_and_a_slow_input_together_do_not_tell_the_time() -> None:
         )
         w = np.sin(phases).sum(axis=1)
         inputs = np.column_stack([held, slow])
-        validation = CrossValidation.of_inputs(w, run, inputs)
+        validation = CrossValidation.of(w, run, inputs)
         bases = [piecewise_linear_basis(u) for u in inputs.T]
         bases.append(product_basis(held, slow))
         share = explained_share(validation.leave_out_error(bases), validation.total)
@@ -90,7 +89,7 @@ def test_a_true_function_of_a_held_input_is_found() -> None:
     held = np.repeat(np.random.default_rng(5).uniform(0, 900, 24), 30)
     run = np.zeros(720, dtype=int)
     w = (held / 900) ** 2 - 0.3
-    validation = CrossValidation.of_inputs(w, run, held[:, None])
+    validation = CrossValidation.of(w, run, held[:, None])
     error = validation.leave_out_error([piecewise_linear_basis(held)])
     assert explained_share(error, validation.total) > 0.9
 
@@ -102,7 +101,7 @@ def test_inputs_that_move_or_are_switched_once_leave_the_stretches_as_they_are()
     t = np.arange(400) / 200
     alone = fold_numbers(run)
     for u in (np.sin(7 * t), np.where(t < 0.1, 0.0, 1.0), np.ones(400)):
-        np.testing.assert_array_equal(fold_numbers_of_holds(run, u[:, None]), alone)
+        np.testing.assert_array_equal(fold_numbers(run, u[:, None]), alone)
 
 
 def test_bases_given_apart_are_fitted_together() -> None:

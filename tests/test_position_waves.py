@@ -10,10 +10,9 @@ from scipy.integrate import solve_ivp
 
 import phsi_opt as ph
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import step_without_name
 from phsi_opt.force_analysis.place_words import place_answer
-from phsi_opt.force_analysis.state_plots import plot_dependence
+from phsi_opt.force_analysis.state_plots import draw_dependence
 from phsi_opt.screening.score_test import ScoreTest
 
 INERTIA = 0.02  # kg m^2
@@ -80,7 +79,8 @@ def analysed(torque: Callable[[float], float], unit: str = "rad") -> ForceAnalys
 
 def test_cogging_follows_the_angle_and_repeats_six_times_a_turn() -> None:
     analysis = analysed(cogging)
-    wave = analysis.waves["p"]
+    wave = analysis.force_in("p").wave
+    assert wave is not None
     assert wave.position == "q"
     assert wave.period == pytest.approx(2 * np.pi / 6, rel=0.02)
     first = analysis.follows.iloc[0]
@@ -118,21 +118,24 @@ def test_turns_are_told_in_the_unit_of_the_angle() -> None:
 
 def test_a_law_of_the_position_that_does_not_repeat_is_no_wave() -> None:
     analysis = analysed(stop)
-    assert analysis.waves == {}
+    assert analysis.force_in("p").wave is None
     assert analysis.follows.iloc[0]["variable"] == "q"
 
 
 def test_the_picture_is_folded_to_the_period() -> None:
     analysis = analysed(cogging)
-    ax = plot_dependence(analysis)
+    force = analysis.force_in("p")
+    assert force.wave is not None
+    _, ax = plt.subplots()
+    draw_dependence(ax, force)
     assert "folded to the period of 1.0" in ax.get_xlabel()
     dots = ax.lines[0].get_xdata()
-    assert np.ptp(np.asarray(dots, dtype=float)) <= analysis.waves["p"].period
+    assert np.ptp(np.asarray(dots, dtype=float)) <= force.wave.period
     plt.close("all")
 
 
 def test_the_report_says_what_it_repeats_along() -> None:
-    force = EquationForce.of(analysed(cogging), "p")
+    force = analysed(cogging).force_in("p")
     answer = place_answer(force, is_named=False, is_known=False)
     told = "It depends on the position q and repeats every 1.0"
     assert told in answer.lead
@@ -149,7 +152,9 @@ def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
     )
     fit = ph.identify(drive, data)
     analysis = ForceAnalysis.of(ph.compare(fit, data).record)
-    assert analysis.waves["p"].period == pytest.approx(60, rel=0.02)
+    wave = analysis.force_in("p").wave
+    assert wave is not None
+    assert wave.period == pytest.approx(60, rel=0.02)
     told = step_without_name(analysis, data.units)
     assert told.lead == "Write a term of your own in dp/dt that repeats along q."
     # The waves that are tried are those along the angle, in rad per degree.

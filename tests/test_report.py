@@ -19,7 +19,7 @@ import pandas as pd
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.force_analysis.causes import CAUSES
+from phsi_opt.force_analysis.causes import Causes
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import (
     advice_of_cause,
@@ -31,7 +31,6 @@ from phsi_opt.force_analysis.units import (
     RateScale,
     frequency_words,
     scale_of_rate,
-    with_units,
 )
 from phsi_opt.presentation.durations import date_words, dates_words, times_words
 from phsi_opt.presentation.html_report import html_report, script_json
@@ -394,7 +393,7 @@ def test_samples_that_are_missing_where_it_is_strongest_are_told(
         states=named.data.states,
         measured=named.data.measured,
     )
-    force = EquationForce.of(named.analysis, None)
+    force = named.analysis.force_in()
     told = _gap_words(SimpleNamespace(data=data), force)  # type: ignore[arg-type]
     assert told == "Samples of q are missing where it is strongest."
 
@@ -451,10 +450,7 @@ def test_what_comes_and_goes_is_said_to() -> None:
     t = np.arange(400.0)
     bursts = np.where((t // 50) % 2 == 1, 3.0, 0.2)
     for w, expected in ((bursts, True), (0 * t + 3.0, False), (0.3 * bursts, False)):
-        posterior = SimpleNamespace(deviation=np.full((len(t), 1), 0.5))
-        estimate = SimpleNamespace(posterior=posterior)
-        record = SimpleNamespace(estimate=estimate)
-        force = SimpleNamespace(w=w, number=0, record=record)
+        force = SimpleNamespace(w=w, deviation=np.full(len(t), 0.5))
         found = _comes_and_goes(force, np.arange(400))  # type: ignore[arg-type]
         assert found is expected
 
@@ -462,8 +458,8 @@ def test_what_comes_and_goes_is_said_to() -> None:
 @pytest.mark.parametrize(
     ("shares", "kind", "expected"),
     [
-        ({"unexplained": 0.9}, "thermal", "a further store of heat"),
-        ({"unexplained": 0.9}, "", "a part that moves by itself (play"),
+        ({}, "thermal", "a further store of heat"),
+        ({}, "", "a part that moves by itself (play"),
         ({"parameters": 0.8}, "electrical", "Fit each half of the record by itself"),
         ({"parameters": 0.8}, "electrical", "second resistor and capacitor"),
         (
@@ -473,11 +469,7 @@ def test_what_comes_and_goes_is_said_to() -> None:
         ),
         ({"time": 0.8}, "", "Repeat the run"),
         ({"conserved": 0.8}, "", "depends on q and p"),
-        (
-            {"dissipated": 0.4, "unexplained": 0.6},
-            "",
-            "follows nothing that was measured",
-        ),
+        ({"dissipated": 0.4}, "", "follows nothing that was measured"),
     ],
 )
 def test_what_to_do_follows_from_what_the_force_looks_like(
@@ -487,16 +479,12 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
     model: ph.Model = replace(spring(), inputs=("u",), kind=kinds)
     if kind == "thermal":
         model = ph.FirstOrder(["p"], {"p": ph.formula("-a*p", a=1.0)}, kind=kind)
-    causes = ("parameters", "inputs", "time", "conserved", "dissipated", "constant")
-    row = dict.fromkeys((*causes, "unexplained"), 0.0) | shares
-    fit = SimpleNamespace(model=model)
     follows = pd.DataFrame({"equation": ["p"], "variable": ["p"], "share": [0.0]})
     force = SimpleNamespace(
         wave=None,
         equation="p",
-        shares=row,
-        cause="",
-        record=SimpleNamespace(fit=fit),
+        causes=Causes(shares, {}),
+        record=SimpleNamespace(model=model),
         follows=follows,
     )
     said = advice_of_cause({}, force)  # type: ignore[arg-type]
@@ -510,13 +498,11 @@ def test_what_to_do_follows_from_what_the_force_looks_like(
 def test_a_term_of_ones_own_depends_on_what_predicts_the_force(
     variable: str, expected: str
 ) -> None:
-    row = dict.fromkeys(("parameters", *CAUSES, "unexplained"), 0.0)
     force = SimpleNamespace(
         equation="p",
-        shares=row | {"conserved": 0.8},
-        cause="",
+        causes=Causes({"conserved": 0.8}, {}),
         wave=None,
-        record=SimpleNamespace(fit=SimpleNamespace(model=spring())),
+        record=SimpleNamespace(model=spring()),
         follows=pd.DataFrame(
             {"equation": ["p"], "variable": [variable], "share": [0.93]}
         ),
@@ -527,7 +513,7 @@ def test_a_term_of_ones_own_depends_on_what_predicts_the_force(
 @pytest.mark.parametrize(
     ("shares", "expected"),
     [
-        ({"unexplained": 0.9}, "A store or an input of heat seems to be missing"),
+        ({}, "A store or an input of heat seems to be missing"),
         ({"inputs": 0.8}, "The way the input enters dTi/dt seems to be wrong"),
         ({"time": 0.8}, "Something that changes with the time seems to be missing"),
         ({"dissipated": 0.8}, ""),
@@ -539,10 +525,10 @@ def test_the_likely_cause_comes_before_the_symptom(
     model = ph.FirstOrder(
         ["Ti"], {"Ti": ph.formula("-a*Ti", a=1.0)}, kind="thermal", inputs=["Q"]
     )
-    row = dict.fromkeys(("parameters", *CAUSES, "unexplained"), 0.0) | shares
-    fit = SimpleNamespace(model=model)
     force = SimpleNamespace(
-        equation="Ti", shares=row, cause="", record=SimpleNamespace(fit=fit)
+        equation="Ti",
+        causes=Causes(shares, {}),
+        record=SimpleNamespace(model=model),
     )
     assert likely_cause({}, force) == expected  # type: ignore[arg-type]
 
@@ -672,7 +658,6 @@ def test_a_period_of_a_day_is_told_as_one() -> None:
     assert frequency_words(1.157e-5, {"t": "s"}) == "with a period of 24 h"
     assert frequency_words(1 / 24, {"t": "h"}) == "with a period of 24 h"
     assert frequency_words(51.1, {"t": "s"}) == "at 51.1 Hz"
-    assert with_units("q -1 to 0, p 2 to 3", {"q": "m"}) == "q -1 to 0 m, p 2 to 3"
 
 
 def test_a_long_reason_does_not_fill_the_first_screen(study: ph.Study) -> None:

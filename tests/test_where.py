@@ -3,7 +3,6 @@
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,14 +14,10 @@ from phsi_opt.errors import ModelError
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.record import Record
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.energy_wording import NO_PATTERN, TOGETHER
+from phsi_opt.force_analysis.cause_words import cause_words
+from phsi_opt.force_analysis.causes import Causes
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.force_plots import (
-    plot_force,
-    plot_spectrum,
-    plot_where,
-)
-from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.force_analysis.force_plots import plot_where
 from phsi_opt.force_analysis.localization import StrongRange
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.place_words import (
@@ -32,8 +27,7 @@ from phsi_opt.force_analysis.place_words import (
     range_words,
 )
 from phsi_opt.force_analysis.spectrum import spectrum
-from phsi_opt.force_analysis.state_plots import plot_dependence, plot_map
-from phsi_opt.force_analysis.wording import sentences
+from phsi_opt.force_analysis.wording import sentence
 from phsi_opt.model.model import FirstOrder, PseudoHamiltonian
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
@@ -41,6 +35,7 @@ from phsi_opt.model.terms import formula
 from phsi_opt.simulation.simulate import simulate
 
 M, K, D = 2.5, 40.0, 0.8
+MAP = 1  # place of the map among the panels of a figure
 UNITS = {"q": "m", "p": "kg m/s", "t": "s", "u": "N"}
 Force = Callable[[float, float, float, float], float]  # of t, q, v, u
 Number = Parameter | float
@@ -222,21 +217,23 @@ def test_the_variable_that_the_hidden_force_follows_is_named(
 def test_what_the_hidden_force_does_with_energy_is_named(
     cases: dict[str, Case], name: str, cause: str, words: str
 ) -> None:
-    found = ForceAnalysis.of(cases[name]).energy
-    shares = found.table.drop(columns=["equation", "mean_power"]).iloc[0]
+    found = ForceAnalysis.of(cases[name])
+    shares = found.energy.table.drop(columns=["equation", "mean_power"]).iloc[0]
     assert shares.drop("unexplained").idxmax() == cause
     assert shares.sum() == pytest.approx(1.0, abs=1e-12)
-    assert words in found.sentences[0]
+    assert words in cause_words(found.force_in("p"))
 
 
 def test_friction_takes_energy_out_of_a_model_whose_damping_is_known() -> None:
     case = spring_with(friction, model=spring(D))
-    found = ForceAnalysis.of(case).energy
+    found = ForceAnalysis.of(case)
     assert "takes energy out (it opposes the velocity dq/dt)" in found.sentences[0]
     speed = np.abs(case.estimate.x[:, 1] / M).mean()
     # Minus friction times speed, but for what smoothing takes off where the velocity
     # turns.
-    assert found.table["mean_power"].iloc[0] == pytest.approx(-3 * speed, rel=0.15)
+    assert found.energy.table["mean_power"].iloc[0] == pytest.approx(
+        -3 * speed, rel=0.15
+    )
 
 
 def test_a_short_push_is_placed_in_its_time(cases: dict[str, Case]) -> None:
@@ -299,7 +296,7 @@ def test_a_leak_follows_its_own_level_and_the_rest_is_laid_to_the_parameters(
     # The outlets of the second tank are right but for a1 and a2, which the leak has
     # moved.
     assert lower["parameters"] > 0.8
-    assert "other values of the model's own parameters" in found.energy.sentences[1]
+    assert "other values of the model's own parameters" in found.sentences[1]
 
 
 def test_a_parameter_of_small_numbers_is_not_taken_for_one_at_its_bound() -> None:
@@ -310,8 +307,8 @@ def test_a_parameter_of_small_numbers_is_not_taken_for_one_at_its_bound() -> Non
         H=formula("1e9*k*q**2/2 + p**2/(2*m)", k=Parameter(3e-8, lower=0), m=M),
         F={"p": formula("u")},
     )
-    force = ForceRecord.of(spring_with(cubic, model=small, n=41))
-    assert force.by_parameters("p").shape[1] == 1
+    force = ForceAnalysis.of(spring_with(cubic, model=small, n=41)).force_in("p")
+    assert force.by_parameters.shape[1] == 1
 
 
 def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:
@@ -322,7 +319,7 @@ def test_noise_without_a_pattern_earns_no_share(cases: dict[str, Case]) -> None:
     found = analysis.follows
     # 2 to 49 coefficients for 400 values, none of them earned.
     assert found["share"].max() < 0.1
-    assert analysis.energy.sentences == ("no clear pattern",)
+    assert cause_words(analysis.force_in("p")) == "no clear pattern"
 
 
 def test_shares_do_not_depend_on_the_unit_of_the_force(cases: dict[str, Case]) -> None:
@@ -371,7 +368,7 @@ def test_sentences_say_size_place_and_cause_with_units(cases: dict[str, Case]) -
 
 
 def test_a_place_is_told_as_people_say_it(cases: dict[str, Case]) -> None:
-    force = EquationForce.of(ForceAnalysis.of(cases["cubic"]), None)
+    force = ForceAnalysis.of(cases["cubic"]).force_in()
     assert re.search(r"where q is highest \(above 0\.\d+ m\)", place_words(force))
     assert plain_name(force, "dH_dp") == "the velocity of q"
     ends = [StrongRange(-2.0, -1.0, True, False), StrongRange(1.0, 2.0, False, True)]
@@ -384,16 +381,11 @@ def test_a_place_is_told_as_people_say_it(cases: dict[str, Case]) -> None:
     assert range_words(force, "q", [inside]) == "where q is 0.1 to 0.2 m"
 
 
-def with_energy(
-    force: EquationForce, cause: str, shares: dict[str, float]
-) -> EquationForce:
-    """The force, said to have another cause."""
-    row = force.shares.copy()
-    row[list(shares)] = list(shares.values())
-    energy = SimpleNamespace(table=row.to_frame().T, sentences=[cause], causes=[cause])
-    analysis = replace(force.analysis)
-    analysis.__dict__["energy"] = energy
-    return EquationForce(analysis, force.equation)
+def with_found(force: EquationForce, **found: object) -> EquationForce:
+    """The force, of which something else was found."""
+    other = replace(force)
+    other.__dict__.update(found)
+    return other
 
 
 def test_a_place_never_contradicts_what_the_force_follows(
@@ -401,7 +393,7 @@ def test_a_place_never_contradicts_what_the_force_follows(
 ) -> None:
     told = {}
     for name in ("friction", "wave", "cubic"):
-        force = EquationForce.of(ForceAnalysis.of(cases[name]), None)
+        force = ForceAnalysis.of(cases[name]).force_in()
         told[name] = str(place_answer(force, is_named=False, is_known=False))
     assert told["friction"].startswith(
         "In dp/dt, the force on q. It depends on the velocity dq/dt. It changes how "
@@ -412,8 +404,8 @@ def test_a_place_never_contradicts_what_the_force_follows(
     assert told["cubic"].startswith(
         f"{on}. It depends on the position q; largest where q is highest"
     )
-    force = EquationForce.of(ForceAnalysis.of(cases["cubic"]), None)
-    nothing = with_energy(force, NO_PATTERN, {"conserved": 0.0, "unexplained": 1.0})
+    force = ForceAnalysis.of(cases["cubic"]).force_in()
+    nothing = with_found(force, causes=Causes({}, {}))
     told["nothing"] = str(place_answer(nothing, is_named=False, is_known=False))
     assert re.fullmatch(
         r"In dp/dt, the force on q; no state, input or time explains it\. "
@@ -426,9 +418,13 @@ def test_a_place_never_contradicts_what_the_force_follows(
 def test_what_moves_together_is_said_not_to_be_separable(
     cases: dict[str, Case],
 ) -> None:
-    force = EquationForce.of(ForceAnalysis.of(cases["friction"]), None)
-    shares = {"inputs": 0.82, "dissipated": 0.0, "unexplained": 0.18}
-    closed_loop = with_energy(force, f"follows the input u, {TOGETHER} here", shares)
+    force = ForceAnalysis.of(cases["friction"]).force_in()
+    driven = Causes({"inputs": 0.82}, {"inputs": 0.82}, goes_together=True)
+    closed_loop = with_found(force, causes=driven)
+    assert cause_words(closed_loop) == (
+        "follows the input u, which explains 82 % of it; not told apart from the "
+        "velocity dq/dt, which moves together with the input here"
+    )
     said = str(place_answer(closed_loop, is_named=True, is_known=False))
     assert "It depends on the velocity dq/dt or on the input u" in said
     assert (
@@ -440,23 +436,14 @@ def test_what_moves_together_is_said_not_to_be_separable(
 def test_a_force_far_faster_than_the_motion_is_called_a_vibration(
     cases: dict[str, Case],
 ) -> None:
-    analysis = ForceAnalysis.of(cases["wave"])
-    assert not analysis.paces["p"].is_vibration
-    row = analysis.where.iloc[0].copy()
-    row["frequency"] = 20 * analysis.paces["p"].motion
-    pace = Pace.of(analysis.force, row)
+    force = ForceAnalysis.of(cases["wave"]).force_in("p")
+    assert not force.pace.is_vibration
+    pace = replace(force.pace, frequency=20 * force.pace.motion)
     assert pace.is_vibration
     assert "20 times as fast as the motion" in pace.speed_words({"t": "s"})
     assert pace.samples_per_cycle >= 2
-    said = sentences(
-        analysis.force.units,
-        row.to_frame().T,
-        analysis.follows,
-        analysis.energy,
-        {"p": pace},
-        dict.fromkeys(analysis.force.trajectories),
-    )
-    assert "a vibration or an error of a sensor" in said[0]
+    said = sentence(with_found(force, pace=pace))
+    assert "a vibration or an error of a sensor" in said
 
 
 def test_what_follows_the_quick_parts_of_a_slow_motion_is_no_vibration(
@@ -466,7 +453,7 @@ def test_what_follows_the_quick_parts_of_a_slow_motion_is_no_vibration(
     stepped = Pace(0.08, 0.002, 4.0, 0.1, 0.6, 1.4)
     assert not stepped.is_vibration
     assert replace(stepped, time=20.0).is_vibration
-    pace = ForceAnalysis.of(cases["wave"]).paces["p"]
+    pace = ForceAnalysis.of(cases["wave"]).force_in("p").pace
     # Of a sine, the deviation over that of its rate is a period over two pi.
     assert pace.time == pytest.approx(1 / (2 * np.pi * pace.motion), rel=0.3)
 
@@ -505,7 +492,7 @@ def test_the_four_panels_name_what_they_show(cases: dict[str, Case]) -> None:
 def test_cells_that_were_not_visited_are_blank_and_colours_are_symmetric(
     cases: dict[str, Case],
 ) -> None:
-    ax = plot_map(ForceAnalysis.of(cases["friction"]))
+    ax = plot_where(ForceAnalysis.of(cases["friction"])).axes[MAP]
     (mesh,) = ax.collections
     values: np.ma.MaskedArray = np.ma.asarray(mesh.get_array())
     assert 0 < np.ma.count_masked(values) < values.size
@@ -537,22 +524,20 @@ def test_a_force_between_two_masses_is_mapped_over_both_positions() -> None:
     fit = identify(model, data)
     case = Record.of(fit, data)
     assert best(case, "p1")[0] == "q1, q2"
-    assert "positions q1, q2" in ForceAnalysis.of(case).energy.sentences[0]
-    ax = plot_map(ForceAnalysis.of(case), "p1")
+    analysis = ForceAnalysis.of(case)
+    assert "positions q1, q2" in cause_words(analysis.force_in("p1"))
+    ax = plot_where(analysis, "p1").axes[MAP]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "q2")
 
 
 @pytest.mark.usefixtures("closing")
 def test_tanks_are_drawn_over_the_states_that_matter(tanks: Case) -> None:
     analysis = ForceAnalysis.of(tanks)
-    ax = plot_map(analysis, "h1")
-    assert {ax.get_xlabel(), ax.get_ylabel()} == {"h1", "h2"}
-    assert "follows h1" in plot_dependence(analysis, equation="h1").get_title()
-    assert (
-        plot_spectrum(analysis, "h2").get_xlabel()
-        == "frequency (cycles per unit of time)"
-    )
-    assert plot_force(analysis, "h2").get_ylabel() == "missing force"
+    over_time, over_states, beside, spectrum, *_ = plot_where(analysis, "h1").axes
+    assert {over_states.get_xlabel(), over_states.get_ylabel()} == {"h1", "h2"}
+    assert "follows h1" in beside.get_title()
+    assert spectrum.get_xlabel() == "frequency (cycles per unit of time)"
+    assert over_time.get_ylabel() == "missing force"
 
 
 @pytest.mark.usefixtures("closing")
@@ -566,18 +551,16 @@ def test_a_model_of_one_state_has_bars_in_place_of_a_map() -> None:
     data = Measurements.from_arrays(t, y, u[:, None], states=["h"], inputs=["u"])
     outlet = formula("u - a*h", a=Parameter(0.4, lower=0))
     fit = identify(FirstOrder(["h"], {"h": outlet}, ["u"]), data)
-    ax = plot_map(ForceAnalysis.of(Record.of(fit, data)))
+    ax = plot_where(ForceAnalysis.of(Record.of(fit, data))).axes[MAP]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("h", "missing force")
     labels = ax.get_legend_handles_labels()[1]
     assert labels == ["mean and spread"]
 
 
 @pytest.mark.usefixtures("closing")
-def test_a_variable_or_equation_that_is_not_there_is_refused_by_name(
+def test_an_equation_that_is_not_there_is_refused_by_name(
     cases: dict[str, Case],
 ) -> None:
     analysis = ForceAnalysis.of(cases["wave"])
-    with pytest.raises(ModelError, match=r"variable='velocity'.*known are q, p, u, t"):
-        plot_dependence(analysis, "velocity")
     with pytest.raises(ModelError, match=r"equation='q' has no missing force.*are p\."):
-        plot_map(analysis, "q")
+        plot_where(analysis, "q")

@@ -7,90 +7,106 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN
+from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.dependence import depends_on
-from phsi_opt.force_analysis.energy import EnergyExchange, energy_exchange
+from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.localization import located
-from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.position_waves import PositionWave, position_wave
-from phsi_opt.force_analysis.wording import sentences
+from phsi_opt.force_analysis.wording import sentence
+from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
-class ForceAnalysis:
-    """The missing force of a record and what is said of it.
+class EnergyExchange:
+    """What missing forces do with energy.
 
     Attributes:
-        force: the force along the record, beside everything that it may depend on.
+        table: a row per equation: equation, mean_power (force times effort, averaged
+            over the time; negative: taken out), parameters, constant, dissipated,
+            conserved, inputs, time and unexplained. These shares are parts of the
+            force's mean square on stretches of time left out, each what its cause adds
+            to the stronger ones; they sum to one.
     """
 
-    force: ForceRecord
+    table: "pd.DataFrame"
+
+
+@dataclass(frozen=True, eq=False)
+class ForceAnalysis:
+    """The missing forces of a record and what is said of them.
+
+    Attributes:
+        record: the forces, beside everything that they may depend on.
+        forces: of every equation that may lack one.
+    """
+
+    record: ForceRecord
+    forces: tuple[EquationForce, ...]
 
     @classmethod
     def of(cls, record: Record) -> "ForceAnalysis":
-        """The analysis of a record's missing force."""
-        return cls(ForceRecord.of(record))
+        """The analysis of a record's missing forces."""
+        found = ForceRecord.of(record)
+        forces = [EquationForce(found, equation) for equation in found.equations]
+        return cls(found, tuple(forces))
+
+    def force_in(self, equation: str | None = None) -> EquationForce:
+        """The missing force of an equation.
+
+        Args:
+            equation: None: the one whose force is strongest over its uncertainty.
+
+        Raises:
+            ModelError: the equation has no missing force.
+        """
+        if equation is None:
+            return max(self._strongest_first, key=lambda f: f.where["times_noise"])
+        for force in self.forces:
+            if force.equation == equation:
+                return force
+        forced = self.record.equations
+        raise ModelError(
+            f"equation={equation!r} has no missing force; "
+            f"those that may lack one are {', '.join(forced)}."
+            f"{did_you_mean(equation, forced)}"
+        )
+
+    @property
+    def _strongest_first(self) -> list[EquationForce]:
+        return sorted(self.forces, key=lambda force: -force.where["strength"])
 
     @cached_property
     def where(self) -> "pd.DataFrame":
-        """Where the force is strong, strongest first (see `located`)."""
-        return located(self.force)
+        """Where the forces are strong, strongest first.
+
+        A row per equation that may lack one: equation; trajectory (its name) and
+        time_window where it is strongest; state_region where it is strong; frequency
+        (cycles per unit of time; 0 for a force that is mostly constant); strength
+        (rms); times_noise (strength over the typical standard deviation of the
+        estimate: below 1 it is not sure).
+        """
+        return printed_table([force.where for force in self._strongest_first])
 
     @cached_property
     def follows(self) -> "pd.DataFrame":
-        """What the force depends on, best first (see `depends_on`)."""
-        return depends_on(self.force, self.waves)
+        """What the forces depend on, best first (see `dependence`)."""
+        import pandas as pd
+
+        tables = [force.follows for force in self.forces]
+        return pd.concat(tables, ignore_index=True)
 
     @cached_property
     def energy(self) -> EnergyExchange:
-        """Whether the force dissipates, stores or supplies energy."""
-        if not self.waves:
-            return self._energy_by_knots
-        return energy_exchange(self.force, self.waves)
-
-    @cached_property
-    def _energy_by_knots(self) -> EnergyExchange:
-        """The same by functions with a few knots alone."""
-        return energy_exchange(self.force, {})
-
-    @cached_property
-    def waves(self) -> dict[str, PositionWave]:
-        """Waves along positions, by equation.
-
-        They are sought in a force that is sure, and of which the rest leaves much.
-        """
-        left = self._energy_by_knots.table.set_index("equation")["unexplained"]
-        sure = self.where.set_index("equation")["times_noise"] >= CERTAIN_FORCE
-        waves = {}
-        for equation in self.force.equations:
-            if sure[equation] and left[equation] > CLEAR_PATTERN:
-                wave = position_wave(self.force, equation)
-                if wave is not None:
-                    waves[equation] = wave
-        return waves
+        """Whether the forces dissipate, store or supply energy."""
+        rows = []
+        for force in self.forces:
+            known = {"equation": force.equation, "mean_power": force.mean_power}
+            rows.append({**known, **force.causes.shares})
+        return EnergyExchange(printed_table(rows))
 
     @cached_property
     def sentences(self) -> list[str]:
         """Where the model fails, in plain words, an equation each; strongest first."""
-        return sentences(
-            self.force.units,
-            self.where,
-            self.follows,
-            self.energy,
-            self.paces,
-            dict(zip(self.force.trajectories, self.force.origins, strict=True)),
-            float(self.force.t.max()),
-        )
-
-    @cached_property
-    def paces(self) -> dict[str, Pace]:
-        """How fast and how large each force is beside motion and model, by equation."""
-        paces = {}
-        for _, row in self.where.iterrows():
-            paces[str(row["equation"])] = Pace.of(self.force, row)
-        return paces
+        return [sentence(force) for force in self._strongest_first]

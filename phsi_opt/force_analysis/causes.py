@@ -1,147 +1,184 @@
-"""Kinds of causes that may explain a missing force, and what each of them explains.
+"""Causes that may explain a missing force, and what each of them explains.
 
-A kind is a set of functions: a constant, odd functions of the equation's effort,
-functions of the states that it exchanges energy with, of the inputs, of the time.
+A cause is a set of functions: a constant, odd functions of the equation's effort
+(dissipated), functions of the states that it exchanges energy with (conserved: what
+goes in comes back on the same way), of the inputs, of the time.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phsi_opt.criteria import SECOND_CAUSE, TIED_CAUSES
-from phsi_opt.force_analysis.cross_validation import CrossValidation, explained_share
-from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.criteria import (
+    CLEAR_PATTERN,
+    GOING_TOGETHER,
+    MOSTLY_PARAMETERS,
+    NAMED_CAUSE,
+    SECOND_CAUSE,
+    TIED_CAUSES,
+)
+from phsi_opt.force_analysis.cross_validation import explained_share
+from phsi_opt.force_analysis.dependence import PARAMETERS, sought_in_time
+from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.piecewise_linear import (
     odd_basis,
     piecewise_linear_basis,
     product_basis,
 )
-from phsi_opt.force_analysis.position_waves import PositionWave
-from phsi_opt.force_analysis.time_basis import leave_out_error_with_time
+from phsi_opt.force_analysis.waves import PositionWave
+from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import exchange_partners
 
-# Of two kinds that are alike, the first is named.
+# Of two causes that are alike, the first is named.
 CAUSES = ("constant", "dissipated", "conserved", "inputs", "time")
 
 
 @dataclass(frozen=True, eq=False)
 class Causes:
-    """Functions of every kind that may explain the force of one equation.
+    """What explains a missing force, judged on stretches of time that were left out.
 
     Attributes:
-        force: the record.
-        equation: the state in whose equation the force acts.
-        validation: the force with the stretches that are left out; ``of_inputs``: with
-            those where inputs are among the functions.
-        bases: functions (n_intervals, k) by kind, as the estimate would show them;
-            'parameters' are the slopes in the model's parameters. Those of the time are
-            not among them: their frequency differs from fold to fold.
-        wave: along a position, among what is 'conserved'; None where there is none.
+        contributions: part of the force's mean square that each cause adds to the
+            stronger ones, strongest first. The model's parameters come before all
+            others; further ones are there while they add a fifth.
+        gains: what each cause adds to other values of the parameters alone.
+        goes_together: whether inputs and effort are not told apart, as it is where a
+            controller is at work.
     """
 
-    force: ForceRecord
-    equation: str
-    validation: CrossValidation
-    of_inputs: CrossValidation
-    bases: Mapping[str, np.ndarray]
-    wave: PositionWave | None = None
+    contributions: Mapping[str, float]
+    gains: Mapping[str, float]
+    goes_together: bool = False
 
-    @classmethod
-    def of(
-        cls, force: ForceRecord, equation: str, wave: PositionWave | None = None
-    ) -> "Causes":
-        """The kinds that an equation has; inputs and exchange where there are any."""
-        model = force.fit.model
-        functions = {
-            "constant": np.ones((len(force.t), 1)),
-            "dissipated": odd_basis(force.effort_of(equation)),
-        }
-        partners = exchange_partners(model, equation)
-        if partners:
-            functions["conserved"] = _joint_basis(force, partners)
-        if model.inputs:
-            functions["inputs"] = _joint_basis(force, model.inputs)
-        bases = {}
-        for kind, columns in functions.items():
-            bases[kind] = force.as_estimated(equation, columns)
-        if wave is not None:
-            bases["conserved"] = np.hstack([bases["conserved"], wave.waves])
-        bases["parameters"] = force.by_parameters(equation)
-        w = force.force_on(equation)
-        validation = CrossValidation.of(w, force.run)
-        of_inputs = CrossValidation.of_inputs(w, force.run, force.inputs)
-        return cls(force, equation, validation, of_inputs, bases, wave)
+    @property
+    def shares(self) -> dict[str, float]:
+        """The contribution of every cause, and what is unexplained; they sum to one."""
+        causes = (PARAMETERS, *CAUSES)
+        shares = {cause: self.contributions.get(cause, 0.0) for cause in causes}
+        return {**shares, "unexplained": 1 - sum(shares.values())}
 
-    def joint_share(self, kinds: Sequence[str]) -> float:
-        """Part of the force's mean square that these kinds predict together.
+    @property
+    def named(self) -> list[str]:
+        """The causes worth naming, strongest first."""
+        if sum(self.contributions.values()) < CLEAR_PATTERN:
+            return []
+        named = []
+        for cause, share in self.contributions.items():
+            if share > (NAMED_CAUSE if cause in CAUSES else MOSTLY_PARAMETERS):
+                named.append(cause)
+        return named
 
-        It is judged on stretches of time that were left out.
-        """
-        bases = [self.bases[kind] for kind in kinds if kind != "time"]
-        validation = self.of_inputs if "inputs" in kinds else self.validation
-        if "time" in kinds:
-            error = leave_out_error_with_time(self.force, validation, bases)
-        else:
-            error = validation.leave_out_error(bases)
-        return explained_share(error, validation.total)
+    @property
+    def first(self) -> str:
+        """The strongest cause beside the parameters, where it is worth naming."""
+        first = next((cause for cause in self.contributions if cause in CAUSES), "")
+        return first if first in self.named else ""
 
-    @cached_property
-    def gains(self) -> dict[str, float]:
-        """What each kind adds to other values of the model's parameters."""
-        by_parameters = self.joint_share(("parameters",))
-        gains = {}
-        for kind in CAUSES:
-            if kind in self.bases or kind == "time":
-                together = self.joint_share(("parameters", kind))
-                gains[kind] = together - by_parameters
-        return gains
+    @property
+    def alike(self) -> list[str]:
+        """The other causes that would explain as much as the first one."""
+        if self.first in ("", "constant"):
+            return []
+        least = self.gains[self.first] - TIED_CAUSES
+        others = [cause for cause, gain in self.gains.items() if gain > least]
+        return [cause for cause in others if cause not in self.contributions]
 
-    @cached_property
-    def contributions(self) -> dict[str, float]:
-        """What each kind adds to the stronger ones, strongest first.
 
-        The model's parameters come before all kinds. Further kinds are there while they
-        add what is worth naming.
-        """
-        by_parameters = self.joint_share(("parameters",))
-        contributions = {"parameters": by_parameters}
-        shares = {kind: by_parameters + gain for kind, gain in self.gains.items()}
-        strongest = _strongest(shares, by_parameters)
-        while strongest is not None:
-            contributions[strongest] = shares[strongest] - sum(contributions.values())
-            shares = self._shares_beside(contributions)
-            least = sum(contributions.values()) + SECOND_CAUSE
-            strongest = _strongest(shares, least)
-        return contributions
+def causes_of(force: Force, wave: PositionWave | None = None) -> Causes:
+    """Whether a force w dissipates power w dH/dx, conserves it, or is driven.
 
-    def _shares_beside(self, known: Collection[str]) -> dict[str, float]:
-        """What known kinds and one further kind predict together, by that kind."""
-        shares = {}
-        for kind in self.gains:
-            if kind not in known:
-                shares[kind] = self.joint_share((*known, kind))
-        return shares
+    Args:
+        force: of one equation.
+        wave: along a position, which counts to what is 'conserved'.
+    """
+    bases = _bases(force, wave)
+    least = _share(force, bases, [PARAMETERS])
+    contributions = {PARAMETERS: least}
+    shares = _shares_beside(force, bases, contributions)
+    gains = {cause: share - least for cause, share in shares.items()}
+    strongest = _strongest(shares, least)
+    while strongest is not None:
+        contributions[strongest] = shares[strongest] - sum(contributions.values())
+        shares = _shares_beside(force, bases, contributions)
+        strongest = _strongest(shares, sum(contributions.values()) + SECOND_CAUSE)
+    causes = Causes(contributions, gains)
+    is_driven = causes.first == "inputs" and "dissipated" not in contributions
+    return replace(causes, goes_together=is_driven and _is_closed_loop(force))
+
+
+def _bases(force: Force, wave: PositionWave | None) -> dict[str, np.ndarray]:
+    """Functions (n_intervals, k) by cause, as the estimate would show them.
+
+    Those of the time are not among them: their frequency differs from fold to fold.
+    """
+    model = force.record.model
+    functions = {
+        "constant": np.ones((len(force.w), 1)),
+        "dissipated": odd_basis(force.effort),
+    }
+    partners = exchange_partners(model, force.equation)
+    if partners:
+        functions["conserved"] = _joint_basis(force, partners)
+    if model.inputs:
+        functions["inputs"] = _joint_basis(force, model.inputs)
+    bases = {cause: force.shown(columns) for cause, columns in functions.items()}
+    if wave is not None:
+        bases["conserved"] = np.hstack([bases["conserved"], wave.waves])
+    return {**bases, PARAMETERS: force.by_parameters}
+
+
+def _joint_basis(force: Force, names: Sequence[str]) -> np.ndarray:
+    """Functions of each variable; of two variables also those of both."""
+    values = [force.record.variable(name) for name in names]
+    bases = [piecewise_linear_basis(z) for z in values]
+    if len(values) == 2:
+        bases.append(product_basis(*values))
+    return np.hstack(bases)
+
+
+def _share(
+    force: Force, bases: Mapping[str, np.ndarray], causes: Sequence[str]
+) -> float:
+    """Part of the force's mean square that causes predict together."""
+    judge = force.validation_of_inputs if "inputs" in causes else force.validation
+    sought = sought_in_time(force) if "time" in causes else None
+    functions = [bases[cause] for cause in causes if cause != "time"]
+    return explained_share(judge.leave_out_error(functions, sought), judge.total)
+
+
+def _shares_beside(
+    force: Force, bases: Mapping[str, np.ndarray], known: Collection[str]
+) -> dict[str, float]:
+    """What known causes and one further cause predict together, by that cause."""
+    shares = {}
+    for cause in CAUSES:
+        if cause not in known and (cause in bases or cause == "time"):
+            shares[cause] = _share(force, bases, [*known, cause])
+    return shares
 
 
 def _strongest(shares: Mapping[str, float], least: float) -> str | None:
-    """The kind of the largest share, the first of those that are as good.
+    """The cause of the largest share, the first of those that are as good.
 
     None where no share is above ``least``.
     """
-    above = {kind: share for kind, share in shares.items() if share > least}
+    above = {cause: share for cause, share in shares.items() if share > least}
     best = max(above.values(), default=0.0)
-    for kind, share in above.items():
+    for cause, share in above.items():
         if share >= best - TIED_CAUSES / 2:
-            return kind
+            return cause
     return None
 
 
-def _joint_basis(force: ForceRecord, names: Sequence[str]) -> np.ndarray:
-    """Functions of each variable; of two variables also those of both."""
-    values = [force.variable(name) for name in names]
-    bases = [piecewise_linear_basis(z) for z in values]
-    if len(names) == 2:
-        bases.append(product_basis(values[0], values[1]))
-    return np.hstack(bases)
+def _is_closed_loop(force: Force) -> bool:
+    """Whether input and effort go together, as where a controller is at work."""
+    model = force.record.model
+    inputs = [force.record.variable(name) for name in model.inputs]
+    bases = [piecewise_linear_basis(u) for u in inputs if np.ptp(u) > 0]
+    variance = np.var(force.effort)
+    if isinstance(model, FirstOrder) or not bases or not variance > 0:
+        return False
+    functions = np.hstack(bases)
+    fitted = functions @ np.linalg.lstsq(functions, force.effort, rcond=None)[0]
+    return bool(1 - np.var(force.effort - fitted) / variance >= GOING_TOGETHER)

@@ -1,129 +1,95 @@
-"""The missing force of one equation, as its pictures need it: values, labels, words."""
+"""The missing force of one equation with all that is found of it, and its labels."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from phsi_opt.criteria import CERTAIN_FORCE, MOSTLY_CONSTANT
-from phsi_opt.errors import ModelError, did_you_mean
-from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.dependence import CONSTANT, variables
-from phsi_opt.force_analysis.force_record import ForceRecord
-from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.position_waves import PositionWave
-from phsi_opt.force_analysis.units import (
-    RateScale,
-    force_unit,
-    scale_of_rate,
-    with_units,
+from phsi_opt.criteria import CERTAIN_FORCE, CLEAR_PATTERN, MOSTLY_CONSTANT
+from phsi_opt.force_analysis.causes import Causes, causes_of
+from phsi_opt.force_analysis.dependence import CONSTANT, NO_VARIABLES, dependence
+from phsi_opt.force_analysis.force_record import Force
+from phsi_opt.force_analysis.localization import (
+    Region,
+    region_words,
+    rms,
+    strong_region,
+    strongest_window,
 )
+from phsi_opt.force_analysis.pace import Pace
+from phsi_opt.force_analysis.units import RateScale, force_unit, scale_of_rate
+from phsi_opt.force_analysis.waves import PositionWave, position_wave
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.axes import label
 
 if TYPE_CHECKING:
     import pandas as pd
 
+EVERYWHERE = "everywhere"  # the region where none stands out
+
 
 @dataclass(frozen=True, eq=False)
-class EquationForce:
-    """An analysis, seen from one of its equations.
+class EquationForce(Force):
+    """The missing force of one equation: where, how fast, what it follows."""
 
-    Attributes:
-        analysis: of all missing forces.
-        equation: the state in whose equation the force acts.
-    """
+    @cached_property
+    def where(self) -> dict[str, Any]:
+        """The equation's row of `ForceAnalysis.where`."""
+        window = strongest_window(self)
+        return {
+            "equation": self.equation,
+            "trajectory": window.trajectory,
+            "time_window": window.times,
+            "state_region": region_words(self.region, {}) or EVERYWHERE,
+            "frequency": self.pace.frequency,
+            "strength": rms(self.w),
+            "times_noise": self.record.estimate.posterior.times_noise[self.number],
+        }
 
-    analysis: ForceAnalysis
-    equation: str
+    @cached_property
+    def region(self) -> Region:
+        """Where among the states, those of an effect's memory left out."""
+        model = self.record.model
+        own = [name for name in model.states if name not in model.memory]
+        return strong_region(self, own)
 
-    @classmethod
-    def of(cls, analysis: ForceAnalysis, equation: str | None) -> "EquationForce":
-        """The force of an equation.
-
-        Args:
-            analysis: of all missing forces.
-            equation: None: the one whose force is strongest over its uncertainty.
-
-        Raises:
-            ModelError: the equation has no missing force.
-        """
-        if equation is None:
-            table = analysis.where
-            surest = int(table["times_noise"].argmax())
-            return cls(analysis, str(table["equation"][surest]))
-        forced = analysis.force.equations
-        if equation not in forced:
-            raise ModelError(
-                f"equation={equation!r} has no missing force; "
-                f"those that may lack one are {', '.join(forced)}."
-                f"{did_you_mean(equation, forced)}"
-            )
-        return cls(analysis, equation)
-
-    @property
-    def record(self) -> ForceRecord:
-        """The forces of all equations along the record."""
-        return self.analysis.force
-
-    @property
-    def number(self) -> int:
-        """Place of the force among those of all equations."""
-        return self.record.equations.index(self.equation)
-
-    @property
-    def w(self) -> np.ndarray:
-        """The force, (n_intervals,)."""
-        return self.record.force_on(self.equation)
-
-    @property
-    def where(self) -> "pd.Series":
-        """The equation's row of `located`."""
-        table = self.analysis.where
-        return table[table["equation"] == self.equation].iloc[0]
-
-    @property
+    @cached_property
     def pace(self) -> Pace:
         """How fast and how large the force is beside the motion and the model."""
-        return self.analysis.paces[self.equation]
+        return Pace.of(self)
 
-    @property
-    def shares(self) -> "pd.Series":
-        """The equation's row of `energy_exchange`: what each cause explains."""
-        table = self.analysis.energy.table
-        return table[table["equation"] == self.equation].iloc[0]
-
-    @property
-    def cause(self) -> str:
-        """The end of a sentence on what the force follows and does with energy."""
-        energy = self.analysis.energy
-        causes = dict(zip(energy.table["equation"], energy.sentences, strict=True))
-        return causes[self.equation]
-
-    @property
-    def cause_in_brief(self) -> str:
-        """The same without shares."""
-        energy = self.analysis.energy
-        causes = dict(zip(energy.table["equation"], energy.causes, strict=True))
-        return causes[self.equation]
-
-    @property
+    @cached_property
     def wave(self) -> PositionWave | None:
-        """Along a position, where the force repeats along one."""
-        return self.analysis.waves.get(self.equation)
+        """Along a position, where the force repeats along one.
+
+        It is sought in a force that is sure, and of which the rest leaves much.
+        """
+        left = self._causes_by_knots.shares["unexplained"]
+        if self.is_uncertain or left <= CLEAR_PATTERN:
+            return None
+        return position_wave(self)
+
+    @cached_property
+    def causes(self) -> Causes:
+        """What explains the force."""
+        if self.wave is None:
+            return self._causes_by_knots
+        return causes_of(self, self.wave)
+
+    @cached_property
+    def _causes_by_knots(self) -> Causes:
+        """The same by functions with a few knots alone."""
+        return causes_of(self)
 
     @property
+    def mean_power(self) -> float:
+        """Force times effort, averaged over the time."""
+        h = self.record.h
+        return float((self.w * self.effort) @ h / h.sum())
+
+    @cached_property
     def follows(self) -> "pd.DataFrame":
-        """The equation's rows of `depends_on`, best first."""
-        table = self.analysis.follows
-        return table[table["equation"] == self.equation]
-
-    @property
-    def sentence(self) -> str:
-        """What is said of the force."""
-        begin = f"d{self.equation}/dt"
-        texts = self.analysis.sentences
-        return next(text for text in texts if text.startswith(begin))
+        """The variables that predict the force, best first (see `dependence`)."""
+        return dependence(self, self.wave)
 
     @property
     def is_uncertain(self) -> bool:
@@ -140,30 +106,14 @@ class EquationForce:
         """Share of the force that a variable predicts."""
         return float(self.follows.set_index("variable")["share"][variable])
 
-    def single_variable(self, variable: str | None) -> str:
-        """A variable that the force was compared with, no pair.
-
-        Args:
-            variable: None: the one that predicts the force best, or the time for a
-                constant force.
-
-        Raises:
-            ModelError: the force was not compared with the variable.
-        """
-        listed = variables(self.record, self.equation)
-        single = [name for name in listed if "," not in name]
-        if variable is None:
-            if self.is_constant:
-                return "t"
-            is_single = self.follows["variable"].isin(single)
-            return str(self.follows[is_single]["variable"].iloc[0])
-        if variable not in single:
-            raise ModelError(
-                f"variable={variable!r} is not one that the force was compared with; "
-                f"known are {', '.join(single)}."
-                f"{did_you_mean(variable, single)}"
-            )
-        return variable
+    @property
+    def single_variable(self) -> str:
+        """The variable, no pair, that predicts the force best; a constant's: time."""
+        if self.is_constant:
+            return "t"
+        listed = self.follows["variable"]
+        single = ~listed.str.contains(",") & ~listed.isin(NO_VARIABLES)
+        return str(listed[single].iloc[0])
 
     @property
     def scale(self) -> RateScale:
@@ -180,29 +130,29 @@ class EquationForce:
         """Label of an axis for the force in the unit in which it is told."""
         return label("missing force", self.scale.unit)
 
-    def variable_label(self, name: str) -> str:
-        """Name and unit of a variable; a velocity has that of its position by time."""
-        model = self.record.fit.model
-        units = self.record.units
-        if name not in model.efforts:
-            return label(name, units.get(name, ""))
-        state = model.states[model.efforts.index(name)]
-        positions = position_of_momentum(model)
-        if state not in positions:
-            return f"effort {name}"
-        position = positions[state]
-        return label(f"velocity {name} = d{position}/dt", force_unit(position, units))
+    @property
+    def position(self) -> str:
+        """The position whose rate the effort of the equation is; "" where none is."""
+        return position_of_momentum(self.record.model).get(self.equation, "")
 
-    def region_words(self, region: str) -> str:
-        """A region of `strong_region` with units, velocities called by that name."""
-        model = self.record.fit.model
-        units = dict(self.record.units)
-        velocities = []
-        for momentum, position in position_of_momentum(model).items():
-            effort = model.efforts[model.states.index(momentum)]
-            units[effort] = force_unit(position, units)
-            velocities.append(effort)
-        told = with_units(region, units)
-        for velocity in velocities:
-            told = told.replace(f"{velocity} ", f"velocity {velocity} ")
-        return told
+    def position_of(self, variable: str) -> str:
+        """The position whose velocity an effort is; "" for other variables."""
+        model = self.record.model
+        states = dict(zip(model.efforts, model.states, strict=True))
+        return position_of_momentum(model).get(states.get(variable, ""), "")
+
+    def unit_of(self, variable: str) -> str:
+        """Unit of a variable; a velocity has that of its position by time."""
+        units = self.record.units
+        position = self.position_of(variable)
+        return force_unit(position, units) if position else units.get(variable, "")
+
+    def variable_label(self, name: str) -> str:
+        """Label of an axis for a variable, with its unit."""
+        position = self.position_of(name)
+        if position:
+            name = f"velocity {name} = d{position}/dt"
+            return label(name, force_unit(position, self.record.units))
+        if name in self.record.model.efforts:
+            return f"effort {name}"
+        return label(name, self.unit_of(name))

@@ -1,7 +1,6 @@
 """Pictures of a missing force: over time, its frequencies, and all four in one figure.
 
-Each takes an analysis and an equation (default: the one whose missing force is surest)
-and says in its title what to see. Those over states stand in `state_plots`.
+Each panel says in its title what to see. Those over states stand in `state_plots`.
 """
 
 from textwrap import fill
@@ -12,15 +11,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from phsi_opt.criteria import SPECTRUM_LEVEL, SURE_DEVIATIONS
-from phsi_opt.errors import ModelError, did_you_mean
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import is_mostly_constant
-from phsi_opt.force_analysis.plot_parts import draw_band, draw_title, draw_zero
+from phsi_opt.force_analysis.pace import is_mostly_constant
 from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
-from phsi_opt.force_analysis.state_plots import plot_dependence, plot_map
+from phsi_opt.force_analysis.state_plots import (
+    draw_band,
+    draw_dependence,
+    draw_map,
+    draw_title,
+    draw_zero,
+)
 from phsi_opt.force_analysis.units import frequency_unit
-from phsi_opt.presentation.axes import MEASURED, MODEL, axes_of, label
+from phsi_opt.force_analysis.wording import sentence
+from phsi_opt.presentation.axes import MEASURED, MODEL, label
 from phsi_opt.statistics import TINY
 
 SENTENCE_LETTERS = 120  # in a line of the sentence over four panels
@@ -42,105 +46,61 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> Figure:
     Raises:
         ModelError: the equation has no missing force.
     """
-    force = EquationForce.of(analysis, equation)
-    equation = force.equation
+    force = analysis.force_in(equation)
     figure, axes = plt.subplots(2, 2, figsize=(12.0, 8.4), layout="constrained")
-    plot_force(analysis, equation, ax=axes[0, 0])
-    plot_map(analysis, equation, ax=axes[0, 1])
-    plot_dependence(analysis, equation=equation, ax=axes[1, 0])
-    plot_spectrum(analysis, equation, ax=axes[1, 1])
-    figure.suptitle(fill(force.sentence, SENTENCE_LETTERS), fontsize=11)
+    draw_force(axes[0, 0], force)
+    draw_map(axes[0, 1], force)
+    draw_dependence(axes[1, 0], force)
+    draw_spectrum(axes[1, 1], force)
+    figure.suptitle(fill(sentence(force), SENTENCE_LETTERS), fontsize=11)
     return figure
 
 
-def plot_force(
-    analysis: ForceAnalysis,
-    equation: str | None = None,
-    trajectory: str | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """The missing force along one trajectory, with two standard deviations.
-
-    Args:
-        analysis: of the missing force.
-        equation: default: the one whose missing force is surest.
-        trajectory: its name; default: the one where the force is strongest.
-        ax: axes to draw on; None: a new figure.
-
-    Raises:
-        ModelError: the equation has no missing force, or the trajectory is not there.
-    """
-    force = EquationForce.of(analysis, equation)
-    name = trajectory or str(force.where["trajectory"])
-    shown = _is_in_trajectory(force, name)
-    ax = axes_of(ax, (8.0, 3.6))
-    t = force.record.t[shown]
+def draw_force(ax: Axes, force: EquationForce) -> None:
+    """The force where it is strongest: one trajectory, two standard deviations."""
+    name = force.where["trajectory"]
+    record = force.record
+    shown = record.run == record.trajectories.index(name)
+    t = record.t[shown]
     w = force.w[shown]
-    deviation = force.record.estimate.posterior.deviation[shown, force.number]
-    half_width = SURE_DEVIATIONS * deviation
+    half_width = SURE_DEVIATIONS * force.deviation[shown]
     ax.plot(t, w, color=MODEL, lw=1.2, label="missing force")
-    draw_band(ax, t, w - half_width, w + half_width, "two standard deviations")
+    draw_band(ax, t, w, half_width, "two standard deviations")
     draw_zero(ax)
-    ax.set_xlabel(label("t", force.record.units.get("t", "")))
+    ax.set_xlabel(label("t", record.units.get("t", "")))
     ax.set_ylabel(force.force_label())
     ax.margins(y=0.25)
     ax.legend(loc="upper right", frameon=False, ncols=2)
     percent = f"{100 * np.mean(np.abs(w) > half_width):.0f} %"
     begin = f"{name}: d{force.equation}/dt"
     draw_title(ax, f"{begin} surely lacks a force during {percent} of the time")
-    return ax
 
 
-def _is_in_trajectory(force: EquationForce, name: str) -> np.ndarray:
-    """Which intervals belong to a trajectory, (n_intervals,) of bool."""
-    names = force.record.trajectories
-    if name not in names:
-        raise ModelError(
-            f"trajectory={name!r} is not one of the record; "
-            f"expected one of {', '.join(names)}.{did_you_mean(name, names)}"
-        )
-    return np.asarray(force.record.run == names.index(name))
-
-
-def plot_spectrum(
-    analysis: ForceAnalysis, equation: str | None = None, ax: Axes | None = None
-) -> Axes:
-    """Amplitude of the missing force by frequency, and what its uncertainty explains.
+def draw_spectrum(ax: Axes, force: EquationForce) -> None:
+    """Amplitude of the force by frequency, and what its uncertainty explains.
 
     The mean of the force is taken off.
-
-    Args:
-        analysis: of the missing force.
-        equation: default: the one whose missing force is surest.
-        ax: axes to draw on; None: a new figure.
-
-    Raises:
-        ModelError: the equation has no missing force.
     """
-    force = EquationForce.of(analysis, equation)
-    ax = axes_of(ax, (6.0, 4.0))
-    w = force.w
-    found = spectrum(force.record.t, force.record.run, w - w.mean())
+    record = force.record
+    found = spectrum(record.t, record.run, force.w - force.w.mean())
+    frequencies = found.frequencies
     level = _level(force)
-    unit = frequency_unit(force.record.units)
-    ax.plot(
-        found.frequencies, found.amplitudes, color=MODEL, lw=1.4, label="missing force"
-    )
-    ax.fill_between(
-        found.frequencies,
-        0,
-        level,
-        color=MEASURED,
-        alpha=0.35,
-        lw=0,
-        label="what its uncertainty explains",
-    )
+    ax.plot(frequencies, found.amplitudes, color=MODEL, lw=1.4, label="missing force")
+    text = "what its uncertainty explains"
+    ax.fill_between(frequencies, 0, level, color=MEASURED, alpha=0.35, lw=0, label=text)
     ax.set_xlim(0, _last_shown(found))
     ax.set_ylim(0, 1.3 * max(found.amplitudes.max(), level.max(), TINY))
+    unit = frequency_unit(record.units)
     ax.set(xlabel=f"frequency ({unit})", ylabel=force.force_label("amplitude"))
     ax.legend(frameon=False, loc="upper right")
-    draw_title(ax, _spectrum_title(force, found, level))
-    return ax
+    constant = is_mostly_constant(force.w)
+    what = "mostly constant; what varies" if constant else "the missing force"
+    seen = "nowhere above its uncertainty"
+    is_above = found.amplitudes > level
+    if is_above.any():
+        above = Spectrum(frequencies[is_above], found.amplitudes[is_above])
+        seen = f"strongest at {above.peak:.3g} {unit}"
+    draw_title(ax, f"d{force.equation}/dt: {what} is {seen}")
 
 
 def _level(force: EquationForce) -> np.ndarray:
@@ -166,16 +126,3 @@ def _last_shown(found: Spectrum) -> float | None:
     if not len(visible) or last < 1:
         return None
     return float(found.frequencies[min(visible[-1] + 1, last)])
-
-
-def _spectrum_title(force: EquationForce, found: Spectrum, level: np.ndarray) -> str:
-    what = "the missing force"
-    if is_mostly_constant(force.w):
-        what = "mostly constant; what varies"
-    begin = f"d{force.equation}/dt: {what} is"
-    is_above = found.amplitudes > level
-    if not is_above.any():
-        return f"{begin} nowhere above its uncertainty"
-    above = Spectrum(found.frequencies[is_above], found.amplitudes[is_above])
-    unit = frequency_unit(force.record.units)
-    return f"{begin} strongest at {above.peak:.3g} {unit}"

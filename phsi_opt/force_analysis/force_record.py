@@ -1,20 +1,18 @@
-"""The missing force along a record, beside everything that it may depend on.
+"""The missing forces of a record, beside everything that they may depend on.
 
-It stands at the middle of every interval, where the estimate has it; states, efforts,
-inputs and the slopes of the model in its parameters are taken there as well. What the
-force depends on is judged elsewhere (`dependence`, `energy`, `localization`).
+All stands at the middle of every interval, where the estimate has the force.
 """
 
 import datetime as dt
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
-from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.cross_validation import CrossValidation
+from phsi_opt.force_analysis.points import Points
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
 from phsi_opt.statistics import TINY
@@ -26,203 +24,106 @@ AT_BOUND = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ForceRecord:
-    """The missing force and what it may depend on, at the middle of every interval.
+    """The missing forces and what they may depend on.
 
     Attributes:
-        fit: the fit whose model lacks the force.
-        estimate: the force with its prior and the linearised problem.
-        trajectories: their names.
-        origins: the moments at which their times are 0; None where these are no dates.
-        units: by name of the state or input, and of ``t``.
-        equations: states in whose equations a force was estimated, (n_forced,).
-        t: time, (n_intervals,).
-        h: length of the interval, (n_intervals,).
-        run: number of the trajectory, (n_intervals,).
-        w: missing force, (n_intervals, n_forced).
-        states: (n_intervals, n_states).
-        efforts: dH/dx, (n_intervals, n_states).
-        inputs: (n_intervals, n_inputs).
-        losses: -R dH/dx of the model, (n_intervals, n_states).
-        rates: dx/dt of the model, (n_intervals, n_states).
-        slopes: of dx/dt in the parameters that are free to move, each of rms one,
-            (n_intervals, n_states, n_moving).
+        along: the fit whose model lacks the forces, along measurements.
+        model: that model, with the values beside which the forces were estimated.
+        points: states, inputs, times and parameters, n_intervals of each.
     """
 
-    fit: Fit
-    estimate: ForceEstimate
-    trajectories: tuple[str, ...]
-    origins: tuple[dt.datetime | None, ...]
-    units: Mapping[str, str]
-    equations: tuple[str, ...]
-    t: np.ndarray
-    h: np.ndarray
-    run: np.ndarray
-    w: np.ndarray
-    states: np.ndarray
-    efforts: np.ndarray
-    inputs: np.ndarray
-    losses: np.ndarray
-    rates: np.ndarray
-    slopes: np.ndarray
+    along: Record
+    model: Model
+    points: Points
 
     @classmethod
     def of(cls, record: Record) -> "ForceRecord":
-        """The missing force of a record with states, efforts, inputs and slopes."""
-        estimate = record.estimate
-        grid = estimate.grid
-        model = record.model.with_values(estimate.rounded)
-        middles = _Middles.of(record)
-        rates = middles.values(model.rhs())
-        return cls(
-            fit=record.fit,
-            estimate=estimate,
-            trajectories=record.trajectories,
-            origins=tuple(run.origin for run in record.data.trajectories),
-            units={**record.data.units, **state_units(model, record.data.units)},
-            equations=tuple(model.states[row] for row in estimate.rows),
-            t=middles.t,
-            h=grid.h,
-            run=grid.trajectory[grid.begin],
-            w=estimate.w,
-            states=middles.states,
-            efforts=middles.values(model.function(*model.efforts)),
-            inputs=middles.inputs,
-            losses=_losses(model, middles),
-            rates=rates,
-            slopes=_slopes(model, middles, rates),
-        )
+        """The missing forces of a record."""
+        model = record.model.with_values(record.estimate.rounded)
+        return cls(record, model, Points.middles(record))
+
+    @property
+    def estimate(self) -> ForceEstimate:
+        """The forces with their prior and the linearised problem."""
+        return self.along.estimate
+
+    @property
+    def trajectories(self) -> tuple[str, ...]:
+        """Their names."""
+        return self.along.trajectories
 
     def origin_of(self, trajectory: str) -> dt.datetime | None:
         """The moment at which the time of a trajectory is 0, where it is a date."""
-        return self.origins[self.trajectories.index(trajectory)]
+        number = self.trajectories.index(trajectory)
+        return self.along.data.trajectories[number].origin
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Of states and inputs by name, and of ``t``."""
+        units = self.along.data.units
+        return {**units, **state_units(self.model, units)}
+
+    @property
+    def equations(self) -> tuple[str, ...]:
+        """States in whose equations a force was estimated."""
+        return tuple(self.model.states[row] for row in self.estimate.rows)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Time, (n_intervals,)."""
+        return self.points.t
+
+    @property
+    def h(self) -> np.ndarray:
+        """Length of each interval, (n_intervals,)."""
+        return self.estimate.grid.h
+
+    @cached_property
+    def run(self) -> np.ndarray:
+        """Number of the trajectory, (n_intervals,)."""
+        grid = self.estimate.grid
+        return grid.trajectory[grid.begin]
+
+    @cached_property
+    def efforts(self) -> np.ndarray:
+        """dH/dx, (n_intervals, n_states)."""
+        return self.points.values(self.model.function(*self.model.efforts))
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """dx/dt of the model, (n_intervals, n_states)."""
+        return self.points.values(self.model.rhs())
+
+    @cached_property
+    def losses(self) -> np.ndarray:
+        """-R dH/dx of the model, (n_intervals, n_states)."""
+        known = replace(self.points, theta=np.zeros((0, len(self.t))))
+        frozen = self.model.frozen()
+        lossless = replace(frozen, R={})
+        return known.values(frozen.rhs()) - known.values(lossless.rhs())
+
+    @cached_property
+    def slopes(self) -> np.ndarray:
+        """Slopes of dx/dt in the parameters that do not stand at a bound, of rms one.
+
+        (n_intervals, n_states, n_moving).
+        """
+        slopes = np.nan_to_num(self.points.slopes(self.model))
+        size = np.sqrt(np.mean(slopes**2, axis=0))
+        rate = np.sqrt(np.mean(np.nan_to_num(self.rates) ** 2, axis=0))
+        strength = np.max(size / np.maximum(rate, TINY)[:, None], axis=0, initial=0.0)
+        is_moving = _to_bounds(self.model) > AT_BOUND / np.maximum(strength, TINY)
+        scaled = slopes / np.where(size > 0, size, 1.0)
+        return np.asarray(scaled[:, :, is_moving])
 
     def variable(self, name: str) -> np.ndarray:
         """Values of a state, an effort, an input or the time ``t``, (n_intervals,)."""
-        model = self.fit.model
+        model = self.model
         known = {"t": self.t}
         known |= zip(model.efforts, self.efforts.T, strict=True)
-        known |= zip(model.states, self.states.T, strict=True)
-        known |= zip(model.inputs, self.inputs.T, strict=True)
+        known |= zip(model.states, self.points.x.T, strict=True)
+        known |= zip(model.inputs, self.points.u.T, strict=True)
         return known[name]
-
-    def effort_of(self, equation: str) -> np.ndarray:
-        """The effort of an equation, (n_intervals,): the velocity, for a momentum."""
-        return self.efforts[:, self.fit.model.states.index(equation)]
-
-    def loss_in(self, equation: str) -> np.ndarray:
-        """-R dH/dx of the model in an equation, (n_intervals,)."""
-        return self.losses[:, self.fit.model.states.index(equation)]
-
-    def force_on(self, equation: str) -> np.ndarray:
-        """The missing force of an equation, (n_intervals,)."""
-        return self.w[:, self.equations.index(equation)]
-
-    def as_estimated(self, equation: str, forces: np.ndarray) -> np.ndarray:
-        """What the estimate would show of forces on an equation, (n_intervals, k).
-
-        It is less than the forces by what noise and prior hide::
-
-            w_shown = w - C P^-1 w
-
-        with the force's covariance P before and C after the measurements.
-
-        Args:
-            equation: on which the forces act.
-            forces: (n_intervals, k).
-        """
-        number = self.equations.index(equation)
-        return self.estimate.posterior.shown(number, forces)
-
-    def by_parameters(self, equation: str) -> np.ndarray:
-        """Slopes of an equation in its parameters, as the estimate would show them.
-
-        Returns:
-            (n_intervals, n_acting), for the parameters that act in the equation.
-        """
-        slopes = self.slopes[:, self.fit.model.states.index(equation)]
-        is_acting = np.any(slopes != 0, axis=0)
-        return self.as_estimated(equation, slopes[:, is_acting])
-
-
-@dataclass(frozen=True, eq=False)
-class _Middles:
-    """Arguments of the model's functions at the middle of every interval.
-
-    Attributes:
-        states: (n_intervals, n_states).
-        inputs: (n_intervals, n_inputs).
-        t: (n_intervals,).
-        theta: free parameters, (n_free, n_intervals).
-    """
-
-    states: np.ndarray
-    inputs: np.ndarray
-    t: np.ndarray
-    theta: np.ndarray | ca.DM
-
-    @classmethod
-    def of(cls, record: Record) -> "_Middles":
-        estimate = record.estimate
-        grid = estimate.grid
-        x = estimate.x
-        states = (x[grid.begin] + x[grid.begin + 1]) / 2
-        inputs = (grid.u0 + grid.u1) / 2
-        t = grid.t[grid.begin] + grid.h / 2
-        run = grid.trajectory[grid.begin]
-        theta = record.theta
-        of_interval = theta[:, run] if len(theta) else ca.DM(0, len(t))
-        return cls(states, inputs, t, of_interval)
-
-    def without_parameters(self) -> "_Middles":
-        """The arguments of a model whose parameters are all fixed."""
-        return replace(self, theta=ca.DM(0, len(self.t)))
-
-    def values(self, function: ca.Function) -> np.ndarray:
-        """Values of a function of states, inputs, time and parameters.
-
-        Returns:
-            (n_intervals, n_out).
-        """
-        mapped = function.map(len(self.t))
-        columns = mapped(self.states.T, self.inputs.T, self.t[None, :], self.theta)
-        return np.array(columns).T
-
-
-def _losses(model: Model, middles: _Middles) -> np.ndarray:
-    """-R dH/dx, (n_intervals, n_states): what dx/dt has more with R than without."""
-    known = middles.without_parameters()
-    frozen = model.frozen()
-    with_loss = known.values(frozen.rhs())
-    without_loss = known.values(replace(frozen, R={}).rhs())
-    return with_loss - without_loss
-
-
-def _slopes(model: Model, middles: _Middles, rates: np.ndarray) -> np.ndarray:
-    """Slopes of dx/dt in the parameters that do not stand at a bound, of rms one.
-
-    Args:
-        model: with the values of the fit.
-        middles: where the slopes are taken.
-        rates: dx/dt there, (n_intervals, n_states).
-
-    Returns:
-        (n_intervals, n_states, n_moving).
-    """
-    rhs = model.rhs()
-    arguments = [ca.SX.sym(rhs.name_in(i), rhs.size1_in(i)) for i in range(4)]
-    theta = arguments[-1]
-    jacobian = ca.jacobian(rhs(*arguments), theta)
-    columns = ca.densify(jacobian)
-    # Row by row, so that reshaping gives back states and parameters.
-    flat = middles.values(ca.Function("slopes", arguments, [ca.vec(columns.T)]))
-    shaped = flat.reshape(len(middles.t), model.n_states, -1)
-    slopes = np.nan_to_num(shaped)
-    size = np.sqrt(np.mean(slopes**2, axis=0))
-    rate = np.sqrt(np.mean(np.nan_to_num(rates) ** 2, axis=0))
-    strength = np.max(size / np.maximum(rate, TINY)[:, None], axis=0, initial=0.0)
-    is_moving = _to_bounds(model) > AT_BOUND / np.maximum(strength, TINY)
-    scaled = slopes / np.where(size > 0, size, 1.0)
-    return np.asarray(scaled[:, :, is_moving])
 
 
 def _to_bounds(model: Model) -> np.ndarray:
@@ -233,3 +134,74 @@ def _to_bounds(model: Model) -> np.ndarray:
         value = model.values[name]
         distances.append(min(value - parameter.lower, parameter.upper - value))
     return np.abs(np.array(distances))
+
+
+@dataclass(frozen=True, eq=False)
+class Force:
+    """The missing force of one equation.
+
+    Attributes:
+        record: all forces.
+        equation: the state in whose equation it acts.
+    """
+
+    record: ForceRecord
+    equation: str
+
+    @property
+    def number(self) -> int:
+        """Place among the forces of all equations."""
+        return self.record.equations.index(self.equation)
+
+    @property
+    def row(self) -> int:
+        """Place of the equation among those of the model."""
+        return self.record.model.states.index(self.equation)
+
+    @property
+    def w(self) -> np.ndarray:
+        """The force, (n_intervals,)."""
+        return self.record.estimate.w[:, self.number]
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """Its standard deviation, (n_intervals,)."""
+        return self.record.estimate.posterior.deviation[:, self.number]
+
+    @property
+    def effort(self) -> np.ndarray:
+        """The effort of the equation, (n_intervals,): the velocity, for a momentum."""
+        return self.record.efforts[:, self.row]
+
+    def shown(self, forces: np.ndarray) -> np.ndarray:
+        """What the estimate would show of forces on the equation, (n_intervals, k).
+
+        It is less than the forces by what noise and prior hide::
+
+            w_shown = w - C P^-1 w
+
+        with the force's covariance P before and C after the measurements.
+
+        Args:
+            forces: (n_intervals, k).
+        """
+        return self.record.estimate.posterior.shown(self.number, forces)
+
+    @cached_property
+    def by_parameters(self) -> np.ndarray:
+        """Slopes in the parameters that act in the equation, as they would be shown.
+
+        (n_intervals, n_acting).
+        """
+        slopes = self.record.slopes[:, self.row]
+        return self.shown(slopes[:, np.any(slopes != 0, axis=0)])
+
+    @cached_property
+    def validation(self) -> CrossValidation:
+        """The force on stretches of time that are left out in turn."""
+        return CrossValidation.of(self.w, self.record.run)
+
+    @cached_property
+    def validation_of_inputs(self) -> CrossValidation:
+        """The same where functions of the inputs are judged."""
+        return CrossValidation.of(self.w, self.record.run, self.record.points.u)

@@ -7,50 +7,67 @@ state or an input that the model and the data lack.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.causes import CAUSES
+from phsi_opt.force_analysis.cause_words import inputs_words
 from phsi_opt.force_analysis.dependence import leading
-from phsi_opt.force_analysis.energy_wording import TOGETHER
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import Pace
-from phsi_opt.force_analysis.position_waves import PositionWave
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
 from phsi_opt.model.structure import exchange_partners, kind_of, with_kinds_of_units
 from phsi_opt.presentation.report_content import Answer
 
-# A part that moves or stores by itself, as the field calls it.
-FURTHER_STATE = {
-    THERMAL: "a further store of heat (walls beside the air)",
-    HYDRAULIC: "a further vessel",
-    ELECTRICAL: "a further storage (a second resistor and capacitor)",
-    MECHANICAL: "a part that moves by itself (play, a soft shaft, a second mass)",
-    "": "one more state (a second inertia or storage, an elastic part, a lag)",
-}
-# What else may be sought, in the same words.
-FURTHER_INPUT = {
-    THERMAL: "another input of heat (people, ventilation)",
-    HYDRAULIC: "another inflow or outflow",
-    ELECTRICAL: "another source or load",
-    MECHANICAL: "another force from outside",
-    "": "another input",
-}
-# What an input is where it acts.
-ARRIVES = {
-    THERMAL: "the heat that reaches",
-    HYDRAULIC: "the flow that reaches",
-    ELECTRICAL: "the voltage or current at",
-    MECHANICAL: "the force on",
-    "": "what drives",
-}
-# What is missing where most of a force follows nothing that was measured.
-UNSEEN = {
-    THERMAL: "A store or an input of heat",
-    HYDRAULIC: "A vessel, a pipe or an inflow",
-    ELECTRICAL: "A storage or a source",
-    MECHANICAL: "A part that moves by itself, or a force from outside,",
-    "": "A storage, or an input that was not measured,",
+
+@dataclass(frozen=True)
+class FieldWords:
+    """What a field calls what a model may lack.
+
+    Attributes:
+        state: a part that moves or stores by itself.
+        input: what else may be sought.
+        arrives: what an input is where it acts.
+        unseen: what is missing where most of a force follows nothing that was measured.
+    """
+
+    state: str
+    input: str
+    arrives: str
+    unseen: str
+
+
+FIELDS = {
+    THERMAL: FieldWords(
+        "a further store of heat (walls beside the air)",
+        "another input of heat (people, ventilation)",
+        "the heat that reaches",
+        "A store or an input of heat",
+    ),
+    HYDRAULIC: FieldWords(
+        "a further vessel",
+        "another inflow or outflow",
+        "the flow that reaches",
+        "A vessel, a pipe or an inflow",
+    ),
+    ELECTRICAL: FieldWords(
+        "a further storage (a second resistor and capacitor)",
+        "another source or load",
+        "the voltage or current at",
+        "A storage or a source",
+    ),
+    MECHANICAL: FieldWords(
+        "a part that moves by itself (play, a soft shaft, a second mass)",
+        "another force from outside",
+        "the force on",
+        "A part that moves by itself, or a force from outside,",
+    ),
+    "": FieldWords(
+        "one more state (a second inertia or storage, an elastic part, a lag)",
+        "another input",
+        "what drives",
+        "A storage, or an input that was not measured,",
+    ),
 }
 NO_EFFECT = "No effect of the catalogue fits."
 
@@ -62,7 +79,7 @@ def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answ
         analysis: of the missing forces.
         units: as in `Measurements`.
     """
-    force = EquationForce.of(analysis, None)
+    force = analysis.force_in()
     if force.is_uncertain:
         return Answer(
             "Record longer, or with less noise, and diagnose again.",
@@ -94,15 +111,13 @@ def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
         units: as in `Measurements`; they tell of which field the equation is.
         force: that is missing.
     """
-    strongest, share = _strongest(force)
-    if share < float(force.shares["unexplained"]):
-        known = with_kinds_of_units(force.record.fit.model, units)
-        unseen = UNSEEN[kind_of(known, force.equation)]
-        return f"{unseen} seems to be missing"
-    inputs = force.record.fit.model.inputs
-    if strongest == "inputs" and TOGETHER not in force.cause:
-        several = "inputs enter" if len(inputs) > 1 else "input enters"
-        return f"The way the {several} d{force.equation}/dt seems to be wrong"
+    strongest = _strongest(force)
+    if strongest == "unexplained":
+        return f"{_field(units, force).unseen} seems to be missing"
+    if strongest == "inputs" and not force.causes.goes_together:
+        is_one = len(force.record.model.inputs) == 1
+        enters = "input enters" if is_one else "inputs enter"
+        return f"The way the {enters} d{force.equation}/dt seems to be wrong"
     if strongest == "time":
         return "Something that changes with the time seems to be missing"
     if strongest == "parameters":
@@ -110,11 +125,17 @@ def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
     return ""
 
 
-def _strongest(force: EquationForce) -> tuple[str, float]:
-    """The cause that explains most of a force, and its share."""
-    causes = ("parameters", *CAUSES)
-    strongest = max(causes, key=lambda cause: float(force.shares[cause]))
-    return strongest, float(force.shares[strongest])
+def _strongest(force: EquationForce) -> str:
+    """The cause that explains most of a force, unless less than is 'unexplained'."""
+    shares = force.causes.shares
+    left = shares.pop("unexplained")
+    strongest = max(shares, key=shares.__getitem__)
+    return "unexplained" if shares[strongest] < left else strongest
+
+
+def _field(units: Mapping[str, str], force: EquationForce) -> FieldWords:
+    known = with_kinds_of_units(force.record.model, units)
+    return FIELDS[kind_of(known, force.equation)]
 
 
 def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
@@ -124,71 +145,31 @@ def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
         units: as in `Measurements`; they tell of which field the equation is.
         force: that is missing.
     """
-    strongest, share = _strongest(force)
-    kind = kind_of(with_kinds_of_units(force.record.fit.model, units), force.equation)
-    further = FURTHER_STATE[kind]
-    causes = {
-        "parameters": _of_parameters,
-        "inputs": lambda one: _of_inputs(one, ARRIVES[kind]),
-        "time": _of_time,
-        "conserved": _of_states,
-        "dissipated": _of_states,
-        "constant": _of_states,
-    }
-    if share < float(force.shares["unexplained"]):
+    field = _field(units, force)
+    strongest = _strongest(force)
+    if strongest == "unexplained":
         return Answer(
-            f"Give the model {further}.",
+            f"Give the model {field.state}.",
             "Most of what is missing follows nothing that was measured at the same "
-            f"time. If that does not help, record {FURTHER_INPUT[kind]}.",
+            f"time. If that does not help, record {field.input}.",
         )
     # Parameters are bent to imitate what repeats.
     if force.wave is not None and strongest in ("conserved", "parameters"):
-        return _of_wave(force.equation, force.wave)
-    told = causes[strongest](force)
+        return _of_wave(force.equation, force.wave.position)
     if strongest == "parameters":
-        return Answer(told.lead, f"{told.detail} They may make up for {further}.")
-    return told
-
-
-def _of_parameters(force: EquationForce) -> Answer:
-    return Answer(
-        "Fit each half of the record by itself, and compare the parameters.",
-        "Changing them helps on parts of the record, but no one set of values fits "
-        "all of it.",
-    )
-
-
-def _of_inputs(force: EquationForce, arrives: str) -> Answer:
-    inputs = force.record.fit.model.inputs
-    names = f"{'the inputs' if len(inputs) > 1 else 'the input'} {', '.join(inputs)}"
-    if TOGETHER in force.cause:
-        told = f"Record data in which {names} and what it moves with go apart."
-        return Answer(told, NO_EFFECT)
-    return Answer(
-        f"Measure {arrives} {force.equation} directly, or give the model a store, a "
-        f"delay or a limit between {names} and {force.equation}.",
-        NO_EFFECT,
-    )
-
-
-def _of_time(force: EquationForce) -> Answer:
-    return Answer(
-        "Repeat the run, and record what may have changed with the time as an input.",
-        f"{NO_EFFECT} What changes may be a load, a temperature, a supply.",
-    )
-
-
-def _of_wave(equation: str, wave: PositionWave) -> Answer:
-    return Answer(
-        f"Write a term of your own in d{equation}/dt that repeats along "
-        f"{wave.position}.",
-        f"{NO_EFFECT} Cogging, the teeth of a gear or a wheel off centre look so. "
-        f'In Python, study.add(ph.Effect("ripple", "F", "{equation}", '
-        f'ph.trigonometric("{wave.position}"))) finds the period with the size.',
-    )
-
-
-def _of_states(force: EquationForce) -> Answer:
+        return Answer(
+            "Fit each half of the record by itself, and compare the parameters.",
+            "Changing them helps on parts of the record, but no one set of values fits "
+            f"all of it. They may make up for {field.state}.",
+        )
+    if strongest == "inputs":
+        return _of_inputs(force, field)
+    if strongest == "time":
+        return Answer(
+            "Repeat the run, and record what may have changed with the time as an "
+            "input.",
+            f"{NO_EFFECT} What changes may be a load, a temperature, a supply.",
+        )
     return Answer(
         f"Write a term of your own in d{force.equation}/dt that depends on "
         f"{' and '.join(_followed(force))}.",
@@ -196,9 +177,30 @@ def _of_states(force: EquationForce) -> Answer:
     )
 
 
+def _of_inputs(force: EquationForce, field: FieldWords) -> Answer:
+    names = inputs_words(force)
+    if force.causes.goes_together:
+        told = f"Record data in which {names} and what it moves with go apart."
+        return Answer(told, NO_EFFECT)
+    return Answer(
+        f"Measure {field.arrives} {force.equation} directly, or give the model a "
+        f"store, a delay or a limit between {names} and {force.equation}.",
+        NO_EFFECT,
+    )
+
+
+def _of_wave(equation: str, position: str) -> Answer:
+    return Answer(
+        f"Write a term of your own in d{equation}/dt that repeats along {position}.",
+        f"{NO_EFFECT} Cogging, the teeth of a gear or a wheel off centre look so. "
+        f'In Python, study.add(ph.Effect("ripple", "F", "{equation}", '
+        f'ph.trigonometric("{position}"))) finds the period with the size.',
+    )
+
+
 def _followed(force: EquationForce) -> list[str]:
     """What predicts a force best, if clearly; else all states that it may follow."""
-    model = force.record.fit.model
+    model = force.record.model
     best = leading(force.follows, force.equation)
     if best is None or best["share"] < CLEAR_PATTERN:
         partners = exchange_partners(model, force.equation)

@@ -7,18 +7,16 @@ bends the motion itself.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from phsi_opt.force_analysis.force_record import ForceRecord
+from phsi_opt.criteria import MOSTLY_CONSTANT
+from phsi_opt.force_analysis.force_record import Force, ForceRecord
+from phsi_opt.force_analysis.localization import rms
 from phsi_opt.force_analysis.spectrum import spectrum
 from phsi_opt.force_analysis.units import frequency_words
 from phsi_opt.presentation.numbers import number
 from phsi_opt.statistics import TINY
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Times the frequency of the motion from which a force is a vibration beside it.
 VIBRATION = 10.0
@@ -50,22 +48,16 @@ class Pace:
     own: float
 
     @classmethod
-    def of(cls, record: ForceRecord, where: "pd.Series") -> "Pace":
-        """The pace of a missing force.
-
-        Args:
-            record: the forces of all equations.
-            where: the row of `located` of the one.
-        """
-        equation = record.fit.model.states.index(str(where["equation"]))
-        own = record.rates[:, equation]
+    def of(cls, force: Force) -> "Pace":
+        """The pace of a missing force."""
+        record = force.record
         return cls(
-            float(where["frequency"]),
-            _frequency_of_motion(record),
+            0.0 if is_mostly_constant(force.w) else _frequency(record, force.w),
+            _frequency(record, record.points.x),
             _time_of_motion(record),
             float(np.median(record.h)),
-            float(where["strength"]),
-            float(np.sqrt(np.mean(own**2))),
+            rms(force.w),
+            rms(record.rates[:, force.row]),
         )
 
     @property
@@ -118,16 +110,20 @@ class Pace:
         return f"{100 * ratio:.2g} % of the model's own {rate}"
 
 
-def _time_of_motion(record: ForceRecord) -> float:
-    """Shortest ratio of a state's standard deviation to the rms of its rate."""
-    sizes = np.std(record.states, axis=0)
-    rates = np.sqrt(np.mean(record.rates**2, axis=0))
-    return float(np.min(sizes / np.maximum(rates, TINY), initial=np.inf))
+def is_mostly_constant(w: np.ndarray) -> bool:
+    """Whether most of the mean square of a force (n_intervals,) is that of its mean."""
+    return bool(np.mean(w) ** 2 > MOSTLY_CONSTANT * np.mean(w**2))
 
 
-def _frequency_of_motion(record: ForceRecord) -> float:
-    """Frequency of the state whose strongest part is fastest."""
-    moving = record.states - np.mean(record.states, axis=0)
-    found = spectrum(record.t, record.run, moving)
+def _frequency(record: ForceRecord, signals: np.ndarray) -> float:
+    """At which a signal, or the fastest of several, is strongest about its mean."""
+    found = spectrum(record.t, record.run, signals - np.mean(signals, axis=0))
     strongest = np.argmax(found.amplitudes, axis=0)
     return float(np.max(found.frequencies[strongest]))
+
+
+def _time_of_motion(record: ForceRecord) -> float:
+    """Shortest ratio of a state's standard deviation to the rms of its rate."""
+    sizes = np.std(record.points.x, axis=0)
+    rates = np.sqrt(np.mean(record.rates**2, axis=0))
+    return float(np.min(sizes / np.maximum(rates, TINY), initial=np.inf))

@@ -16,22 +16,14 @@ def piecewise_linear_basis(z: np.ndarray, n_knots: int = N_KNOTS) -> np.ndarray:
     """Functions of a variable z (n,) that are linear between knots, (n, n_knots).
 
     Each is one at its knot and zero at the others; beyond the outer knots all are
-    constant. There are fewer columns where knots fall together.
+    constant. Knots stand half way between even spacing and even occupation; there are
+    fewer columns where they fall together.
     """
-    knots = _knots(z, n_knots)
-    if len(knots) < 2:
-        return np.ones((len(z), 1))
-    above = np.searchsorted(knots, z)
-    right = np.clip(above, 1, len(knots) - 1)
-    left = right - 1
-    width = knots[right] - knots[left]
-    from_left = z - knots[left]
-    fraction = np.clip(from_left / width, 0, 1)
-    rows = np.arange(len(z))
-    columns = np.zeros((len(z), len(knots)))
-    columns[rows, left] = 1 - fraction
-    columns[rows, right] += fraction
-    return columns
+    quantiles = np.quantile(z, np.linspace(*OUTER_QUANTILES, n_knots))
+    even = np.linspace(quantiles[0], quantiles[-1], n_knots)
+    knots = np.unique((quantiles + even) / 2)
+    peaks = np.eye(len(knots))
+    return np.column_stack([np.interp(z, knots, peak) for peak in peaks])
 
 
 def product_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -46,11 +38,3 @@ def odd_basis(z: np.ndarray) -> np.ndarray:
     """Odd piecewise linear functions of a variable z (n,); they jump at zero."""
     of_size = piecewise_linear_basis(np.abs(z), N_KNOTS // 2)
     return np.asarray(np.sign(z)[:, None] * of_size)
-
-
-def _knots(z: np.ndarray, n_knots: int) -> np.ndarray:
-    """Knots half way between even spacing and even occupation."""
-    shares = np.linspace(*OUTER_QUANTILES, n_knots)
-    quantiles = np.quantile(z, shares)
-    even = np.linspace(quantiles[0], quantiles[-1], n_knots)
-    return np.asarray(np.unique((quantiles + even) / 2))

@@ -6,11 +6,11 @@ per trajectory.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy.fft import next_fast_len
 
+POINTS_PER_FREQUENCY = 4  # points of a spectrum per resolved frequency
 # Points to which a trajectory is resampled at most: one short step among millions of
 # long ones does not decide the size of the transform.
 MOST_POINTS = 2**18
@@ -40,10 +40,16 @@ class Spectrum:
             return 0.0
         return float(self.frequencies[np.argmax(self.amplitudes)])
 
+    @property
+    def resolved(self) -> float:
+        """Distance of frequencies that the record tells apart; 0 where it is short."""
+        if len(self.frequencies) < 2:
+            return 0.0
+        step = self.frequencies[1] - self.frequencies[0]
+        return float(POINTS_PER_FREQUENCY * step)
 
-def spectrum(
-    t: np.ndarray, run: np.ndarray, signal: np.ndarray, n_points: int = 4
-) -> Spectrum:
+
+def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     """Amplitude spectrum of one signal or several along trajectories.
 
     Trajectories are resampled to even steps, tapered (Hann), and averaged in the mean
@@ -53,37 +59,23 @@ def spectrum(
         t: times, (n,), increasing along each trajectory.
         run: number of the trajectory of each time, (n,); each trajectory is contiguous.
         signal: (n,), or (n, k) for k signals.
-        n_points: frequencies per resolved one.
     """
-    runs = _runs(run)
-    times = [t[part] for part in runs]
-    durations = [float(each[-1] - each[0]) for each in times]
-    duration = max(durations, default=0.0)
+    runs = np.split(np.arange(len(t)), np.flatnonzero(np.diff(run)) + 1)
+    runs = [inside for inside in runs if len(inside) >= SHORTEST_RUN]
+    duration = max((float(np.ptp(t[inside])) for inside in runs), default=0.0)
     if duration == 0.0:
         return Spectrum(np.zeros(1), np.zeros((1, *signal.shape[1:])))
-    typical_steps = [float(np.median(np.diff(each))) for each in times]
+    typical_steps = [float(np.median(np.diff(t[inside]))) for inside in runs]
     step = max(min(typical_steps), duration / MOST_POINTS)
     n_steps = int(duration / step + 2)
-    n_fft = next_fast_len(n_points * n_steps, real=True)
+    n_fft = next_fast_len(POINTS_PER_FREQUENCY * n_steps, real=True)
     frequencies = np.fft.rfftfreq(n_fft, step)
     mean_square = np.zeros((len(frequencies), *signal.shape[1:]))
-    for part in runs:
-        weight = (part.stop - part.start) / len(t)
-        amplitude = _amplitude(t[part], signal[part], step, n_fft)
-        mean_square += weight * amplitude**2
+    for inside in runs:
+        amplitude = _amplitude(t[inside], signal[inside], step, n_fft)
+        mean_square += len(inside) / len(t) * amplitude**2
     kept = frequencies >= LEAST_CYCLES / duration
     return Spectrum(frequencies[kept], np.sqrt(mean_square[kept]))
-
-
-def _runs(run: np.ndarray) -> list[slice]:
-    """Where each trajectory stands that is long enough."""
-    begins = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
-    edges = [*begins, len(run)]
-    runs = []
-    for begin, end in pairwise(edges):
-        if end - begin >= SHORTEST_RUN:
-            runs.append(slice(begin, end))
-    return runs
 
 
 def _amplitude(
@@ -94,7 +86,6 @@ def _amplitude(
     taper = np.hanning(len(even) + 2)[1:-1]
     columns = signal.reshape(len(t), -1).T
     sampled = np.array([np.interp(even, t, column) for column in columns]).T
-    tapered = sampled * taper[:, None]
-    transform = np.fft.rfft(tapered, n_fft, axis=0)
+    transform = np.fft.rfft(sampled * taper[:, None], n_fft, axis=0)
     amplitude = 2 * np.abs(transform) / taper.sum()
     return amplitude.reshape(-1, *signal.shape[1:])

@@ -1,76 +1,120 @@
 """Pictures of a missing force over the states, and against what it follows."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from phsi_opt.criteria import CLEAR_PATTERN
-from phsi_opt.force_analysis.analysis import ForceAnalysis
-from phsi_opt.force_analysis.dependence import leading, without_parameters
+from phsi_opt.force_analysis.dependence import TIME_NAME, leading, without_parameters
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import EVERYWHERE, strong_region
-from phsi_opt.force_analysis.plot_parts import Bins, draw_band, draw_title, draw_zero
-from phsi_opt.force_analysis.time_basis import period_of
-from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.presentation.axes import BASELINE, MODEL, axes_of
+from phsi_opt.force_analysis.localization import region_words, strong_region
+from phsi_opt.force_analysis.waves import period_of
+from phsi_opt.presentation.axes import BASELINE, MODEL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+PANEL_TITLE_LETTERS = 62  # in a line of the title over a single panel
+N_SHOWN_BINS = 16  # of a variable in which mean and spread are shown
+FEWEST_IN_BIN = 3  # intervals in a bin that is shown
 N_CELLS = 14  # of a map, along each axis
 MOST_DOTS = 4000  # values that are shown as dots
 DOTS = "0.75"  # light grey: values behind their mean
 
 
-def plot_map(
-    analysis: ForceAnalysis, equation: str | None = None, ax: "Axes | None" = None
-) -> "Axes":
+# ---- shared by all panels
+
+
+def draw_title(ax: "Axes", text: str) -> None:
+    """The title, in lines that are as long as a panel is wide."""
+    ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
+
+
+def draw_zero(ax: "Axes") -> None:
+    """A line where there is no force."""
+    ax.axhline(0, color=BASELINE, lw=0.8)
+
+
+def draw_band(
+    ax: "Axes", z: np.ndarray, middle: np.ndarray, half: np.ndarray, text: str
+) -> None:
+    """What is about a curve over z, by its half width; all are (n,)."""
+    ax.fill_between(
+        z, middle - half, middle + half, color=MODEL, alpha=0.2, lw=0, label=text
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """Mean and spread of a force in bins of a variable that hold enough values.
+
+    Attributes:
+        centre: of the bins, (n_bins,).
+        mean: of the force, (n_bins,).
+        std: standard deviation of the force, (n_bins,).
+        width: of each bin.
+    """
+
+    centre: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+    width: float
+
+    @classmethod
+    def of(cls, z: np.ndarray, w: np.ndarray) -> "Bins":
+        """Bins of even width over a variable z (n,), of a force w (n,)."""
+        edges = np.linspace(z.min(), z.max(), N_SHOWN_BINS + 1)
+        below = np.searchsorted(edges, z, "right") - 1
+        part = np.clip(below, 0, N_SHOWN_BINS - 1)
+        count = np.bincount(part, minlength=N_SHOWN_BINS)
+        at_least_one = np.maximum(count, 1)
+        mean = np.bincount(part, w, N_SHOWN_BINS) / at_least_one
+        squares = np.bincount(part, (w - mean[part]) ** 2, N_SHOWN_BINS)
+        std = np.sqrt(squares / at_least_one)
+        centre = (edges[:-1] + edges[1:]) / 2
+        shown = count >= FEWEST_IN_BIN
+        width = float(edges[1] - edges[0])
+        return cls(centre[shown], mean[shown], std[shown], width)
+
+
+# ---- over the states
+
+
+def draw_map(ax: "Axes", force: EquationForce) -> None:
     """Mean missing force over position and velocity, or over two states.
 
     The states are those that predict the force best; cells that were not visited are
     blank. Where only one state predicts the force, or there is only one, there are bars
     over that state.
-
-    Args:
-        analysis: of the missing force.
-        equation: default: the one whose missing force is surest.
-        ax: axes to draw on; None: a new figure.
-
-    Raises:
-        ModelError: the equation has no missing force.
     """
-    force = EquationForce.of(analysis, equation)
-    ax = axes_of(ax, (6.0, 4.6))
     names = map_variables(force)
     if len(names) < 2:
         _draw_bars(ax, force, names[0])
     else:
-        _draw_map(ax, force, names)
+        _draw_cells(ax, force, names)
+    ax.set_xlabel(force.variable_label(names[0]))
     draw_title(ax, map_title(force, names))
-    return ax
 
 
-def map_variables(force: EquationForce) -> tuple[str, ...]:
+def map_variables(force: EquationForce) -> Sequence[str]:
     """Variables of a map: position and velocity of a momentum, else the best states.
 
     There may be only one state. Another pair of states takes their place where the
     force follows only that pair.
     """
-    model = force.record.fit.model
-    equation = force.equation
-    positions = position_of_momentum(model)
-    if equation in positions:
-        usual = [positions[equation], f"dH_d{equation}"]
-    else:
-        listed = force.follows["variable"]
-        usual = [name for name in listed if name in model.states][:2]
-    best = leading(force.follows, equation)
+    model = force.record.model
+    listed = force.follows["variable"]
+    usual = [name for name in listed if name in model.states][:2]
+    if force.position:
+        usual = [force.position, f"dH_d{force.equation}"]
+    best = leading(force.follows, force.equation)
     if best is None or "," not in best["variable"] or best["share"] < CLEAR_PATTERN:
-        return tuple(usual)
+        return usual
     pair = best["variable"].split(", ")
-    is_usual = equation in pair and usual[0] in pair
-    return tuple(usual if is_usual else pair)
+    return usual if {force.equation, usual[0]} <= set(pair) else pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +132,7 @@ class ForceMap:
     mean: np.ma.MaskedArray
 
     @classmethod
-    def of(cls, force: EquationForce, names: tuple[str, ...]) -> "ForceMap":
+    def of(cls, force: EquationForce, names: Sequence[str]) -> "ForceMap":
         """The map over the first two of the names."""
         a = force.record.variable(names[0])
         b = force.record.variable(names[1])
@@ -97,27 +141,20 @@ class ForceMap:
         mean = np.ma.masked_where(count == 0, total / np.maximum(count, 1))
         return cls(edges_a, edges_b, mean)
 
-    @property
-    def limit(self) -> float:
-        """The largest size of the force."""
-        if not self.mean.count():
-            return 1.0
-        return float(np.ma.max(np.ma.abs(self.mean)))
 
-
-def _draw_map(ax: "Axes", force: EquationForce, names: tuple[str, ...]) -> None:
+def _draw_cells(ax: "Axes", force: EquationForce, names: Sequence[str]) -> None:
     """Mean force in cells of two variables; red is positive, blue negative."""
     found = ForceMap.of(force, names)
+    limit = float(np.ma.max(np.ma.abs(found.mean)))
     mesh = ax.pcolormesh(
         found.edges_a,
         found.edges_b,
         found.mean.T,
         cmap="RdBu_r",
-        vmin=-found.limit,
-        vmax=found.limit,
+        vmin=-limit,
+        vmax=limit,
     )
     ax.figure.colorbar(mesh, ax=ax, label=force.force_label("mean missing force"))
-    ax.set_xlabel(force.variable_label(names[0]))
     ax.set_ylabel(force.variable_label(names[1]))
 
 
@@ -134,51 +171,36 @@ def _draw_bars(ax: "Axes", force: EquationForce, name: str) -> None:
         label="mean and spread",
     )
     draw_zero(ax)
-    ax.set_xlabel(force.variable_label(name))
     ax.set_ylabel(force.force_label())
     ax.legend(frameon=False)
 
 
-def map_title(force: EquationForce, names: tuple[str, ...]) -> str:
+def map_title(force: EquationForce, names: Sequence[str]) -> str:
     """Where over the variables the force is strong, in a sentence."""
     begin = f"d{force.equation}/dt:"
     if force.is_uncertain:
         return f"{begin} no missing force is sure"
-    region = strong_region(force.record, force.w, names)
-    if region == EVERYWHERE:
+    region = {}
+    units = {}
+    for name, ranges in strong_region(force, names).items():
+        called = f"velocity {name}" if force.position_of(name) else name
+        region[called] = ranges
+        units[called] = force.unit_of(name)
+    if not region:
         return f"{begin} the missing force acts all over the visited states"
-    return f"{begin} the missing force is strong where {force.region_words(region)}"
+    told = region_words(region, units)
+    return f"{begin} the missing force is strong where {told}"
 
 
-def plot_dependence(
-    analysis: ForceAnalysis,
-    variable: str | None = None,
-    equation: str | None = None,
-    ax: "Axes | None" = None,
-) -> "Axes":
-    """The missing force against a variable: mean and spread in bins.
+# ---- against what it follows
 
-    What other values of the model's parameters would explain is taken off (see
-    `without_parameters`), but not against time.
 
-    Args:
-        analysis: of the missing force.
-        variable: default: the one that predicts the force best.
-        equation: default: the one whose missing force is surest.
-        ax: axes to draw on; None: a new figure.
-
-    Raises:
-        ModelError: the equation has no missing force, or the force was not compared
-            with the variable.
-    """
-    force = EquationForce.of(analysis, equation)
-    variable = force.single_variable(variable)
-    ax = axes_of(ax, (6.0, 4.6))
-    found = Dependence.of(force, variable)
-    draw_dependence(ax, found.z, found.w)
-    ax.set(xlabel=found.label, ylabel=force.force_label())
+def draw_dependence(ax: "Axes", force: EquationForce) -> None:
+    """The missing force against the variable that predicts it best."""
+    variable = force.single_variable
+    draw_beside(ax, Dependence.of(force, variable))
+    ax.set_ylabel(force.force_label())
     draw_title(ax, dependence_title(force, variable))
-    return ax
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +209,8 @@ class Dependence:
 
     Attributes:
         z: the variable, (n_intervals,); folded where the force is a wave along it.
-        w: the force, (n_intervals,), less what other values of the parameters explain.
+        w: the force, (n_intervals,), less what other values of the parameters explain
+            (see `without_parameters`), but not against time.
         label: of the variable, with its unit.
     """
 
@@ -202,38 +225,33 @@ class Dependence:
         label = force.variable_label(variable)
         period = _folding_period(force, variable)
         if period is not None:
-            z = (z - force.record.t[0] if variable == "t" else z) % period
+            z = (z - force.record.t[0] if variable == TIME_NAME else z) % period
             label = f"{label}, folded to the period of {period:.3g}"
-        if variable == "t":
+        if variable == TIME_NAME:
             return cls(z, force.w, label)
-        w = without_parameters(force.record, force.equation, variable, force.wave)
-        return cls(z, w, label)
+        return cls(z, without_parameters(force, variable, force.wave), label)
 
 
 def _folding_period(force: EquationForce, variable: str) -> float | None:
     """Period of a force that follows a variable as a wave."""
-    if variable != "t":
-        wave = force.wave
-        if wave is None or wave.position != variable:
-            return None
-        return wave.period
-    if force.share_of("t") < CLEAR_PATTERN:
-        return None
-    return period_of(force.record, force.equation)
+    if variable == TIME_NAME:
+        is_clear = force.share_of(TIME_NAME) >= CLEAR_PATTERN
+        return period_of(force) if is_clear else None
+    wave = force.wave
+    return None if wave is None or wave.position != variable else wave.period
 
 
-def draw_dependence(ax: "Axes", z: np.ndarray, w: np.ndarray) -> None:
-    """Draw dots, and mean and standard deviation in bins, of w (n,) over z (n,)."""
-    bins = Bins.of(z, w)
-    step = max(1, len(z) // MOST_DOTS)
-    ax.plot(z[::step], w[::step], ".", ms=3, color=DOTS, label="force")
-    ax.plot(
-        bins.centre, bins.mean, "o-", color=MODEL, ms=4, lw=1.4, label="mean in bins"
-    )
-    lower = bins.mean - bins.std
-    upper = bins.mean + bins.std
-    draw_band(ax, bins.centre, lower, upper, "std. deviation")
+def draw_beside(ax: "Axes", found: Dependence) -> None:
+    """A force beside a variable: dots, and mean and standard deviation in bins."""
+    bins = Bins.of(found.z, found.w)
+    step = max(1, len(found.z) // MOST_DOTS)
+    dots = (found.z[::step], found.w[::step])
+    ax.plot(*dots, ".", ms=3, color=DOTS, label="force")
+    line = (bins.centre, bins.mean)
+    ax.plot(*line, "o-", color=MODEL, ms=4, lw=1.4, label="mean in bins")
+    draw_band(ax, bins.centre, bins.mean, bins.std, "std. deviation")
     draw_zero(ax)
+    ax.set_xlabel(found.label)
     ax.margins(y=0.25)
     ax.legend(
         frameon=False,
@@ -246,17 +264,17 @@ def draw_dependence(ax: "Axes", z: np.ndarray, w: np.ndarray) -> None:
 
 def dependence_title(force: EquationForce, variable: str) -> str:
     """Whether the force follows the variable, in a sentence."""
-    equation = force.equation
+    equation = f"d{force.equation}/dt"
     if force.is_uncertain:
-        return f"d{equation}/dt: no missing force is sure"
-    share = force.share_of(variable)
-    predicted = f"{variable}, which predicts {100 * max(share, 0.0):.0f} % of it"
+        return f"{equation}: no missing force is sure"
+    share = max(force.share_of(variable), 0.0)
     if share >= CLEAR_PATTERN:
-        return f"The force in d{equation}/dt follows {predicted}"
+        predicted = f"which predicts {100 * share:.0f} % of it"
+        return f"The force in {equation} follows {variable}, {predicted}"
     if force.is_constant:
-        begin = f"The force in d{equation}/dt is constant; what varies hardly follows"
+        begin = f"The force in {equation} is constant; what varies hardly follows"
         return f"{begin} {variable}"
     return (
-        f"The force in d{equation}/dt follows no single variable clearly: the best, "
-        f"{variable}, predicts {100 * max(share, 0.0):.0f} % of it"
+        f"The force in {equation} follows no single variable clearly: the best, "
+        f"{variable}, predicts {100 * share:.0f} % of it"
     )

@@ -26,15 +26,6 @@ def frequency_words(frequency: float, units: Mapping[str, str]) -> str:
     return f"at {frequency:.3g} {frequency_unit(units)}"
 
 
-def with_units(region: str, units: Mapping[str, str]) -> str:
-    """A region in words with the unit behind each range: 'q -1 to -0.6 m, p 2 to 3'."""
-    told = []
-    for part in region.split(", "):
-        name, _, _ = part.partition(" ")
-        told.append(f"{part}{spaced(units.get(name, ''))}")
-    return ", ".join(told)
-
-
 def force_unit(equation: str, units: Mapping[str, str]) -> str:
     """Unit of the missing force of an equation, "" where units are not known."""
     return rate_unit(units.get(equation, ""), units.get("t", ""))

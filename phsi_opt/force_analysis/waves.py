@@ -1,14 +1,40 @@
-"""Waves along a variable, and how much of a force one of them explains."""
+"""Forces that repeat: along the time, or along a position.
+
+A wave with its second harmonic has a frequency that is sought on the stretches of time
+that a fit sees, so that it earns nothing by being sought. Along a position such forces
+are cogging, the teeth of a gear, a wheel off centre: a shaft that turns passes the same
+places again and again, and functions with a few knots along its angle cannot show that.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from phsi_opt.statistics import TINY
+from phsi_opt.criteria import CLEAR_PATTERN, NAMED_CAUSE
+from phsi_opt.force_analysis.force_record import Force
+from phsi_opt.force_analysis.piecewise_linear import piecewise_linear_basis
+from phsi_opt.force_analysis.spectrum import spectrum
+from phsi_opt.model.structure import exchange_partners
+from phsi_opt.statistics import TINY, local_maxima
 
 # Intervals (drawn at random where there are more) on which a frequency is refined.
 MOST_REFINED = 3000
 # Determinant of sine and cosine over the product of their squares: smaller ones are one
 # function, to rounding.
 LEAST_DETERMINANT = 1e-9
+N_TRIED = 21  # frequencies that are tried about a good one
+N_TIME_KNOTS = 6  # of piecewise linear functions of the time
+N_PEAKS = 3  # peaks of the spectrum, about which the frequency is sought
+# Half the width about the best that is looked at again, in resolved frequencies.
+SECOND_WIDTH = 0.1
+# Periods within the positions that were visited: fewer are a curve, which knots show.
+LEAST_REPEATS = 2
+MOST_REPEATS = 200
+TRIED_PER_REPEAT = 4  # frequencies that are tried for each period more
+
+
+# ---- one wave
 
 
 def harmonics(phase: np.ndarray) -> np.ndarray:
@@ -16,14 +42,6 @@ def harmonics(phase: np.ndarray) -> np.ndarray:
     twice = 2 * phase
     waves = [np.sin(phase), np.cos(phase), np.sin(twice), np.cos(twice)]
     return np.column_stack(waves)
-
-
-def drawn(places: np.ndarray) -> np.ndarray:
-    """All places (n,), or a random choice in their order where there are many."""
-    if len(places) <= MOST_REFINED:
-        return places
-    rng = np.random.default_rng(0)
-    return np.sort(rng.choice(places, MOST_REFINED, replace=False))
 
 
 def explained_by_wave(
@@ -43,3 +61,186 @@ def explained_by_wave(
     both = 2 * sy * cy * sc
     fall = sy**2 * cc - both + cy**2 * ss
     return np.asarray(fall / determinant)
+
+
+def _refined(
+    z: np.ndarray, y: np.ndarray, tried: np.ndarray, widths: Sequence[float]
+) -> float:
+    """Frequency of the wave of y along z that fits best.
+
+    The best of those tried, then the best of its neighbourhood, in ever smaller widths.
+    """
+    for width in widths:
+        best = tried[[np.argmax(explained_by_wave(z, y, tried))]]
+        tried = _near(best, width)
+    return float(tried[np.argmax(explained_by_wave(z, y, tried))])
+
+
+def _near(candidates: np.ndarray, width: float) -> np.ndarray:
+    """Frequencies about the candidates; the candidates if none is positive."""
+    tried = np.add.outer(candidates, width * np.linspace(-1, 1, N_TRIED)).ravel()
+    is_positive = tried > 0
+    return tried[is_positive] if is_positive.any() else candidates
+
+
+def _drawn(is_fitted: np.ndarray) -> np.ndarray:
+    """Places of all that is fitted, or a random choice of them where there are many."""
+    places = np.flatnonzero(is_fitted)
+    if len(places) <= MOST_REFINED:
+        return places
+    rng = np.random.default_rng(0)
+    return np.sort(rng.choice(places, MOST_REFINED, replace=False))
+
+
+# ---- along the time
+
+
+def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
+    """Slow changes, and the wave that fits best, (n_intervals, n_slow + 4).
+
+    Args:
+        force: of one equation.
+        is_fitted: where the wave has to fit, (n_intervals,) of bool.
+    """
+    frequency = _frequency_in_time(force, is_fitted)
+    slow = piecewise_linear_basis(force.record.t, N_TIME_KNOTS)
+    return np.hstack([slow, _waves_in_time(force, frequency)])
+
+
+def period_of(force: Force) -> float | None:
+    """Period of the wave in a force that depends on time.
+
+    None where slow changes are larger than the wave.
+    """
+    everywhere = np.ones(len(force.w), dtype=bool)
+    functions = functions_of_time(force, everywhere)
+    coefficients = np.linalg.lstsq(functions, force.w, rcond=None)[0]
+    wave = functions[:, -4:] @ coefficients[-4:]
+    slow = functions[:, :-4] @ coefficients[:-4]
+    if np.var(slow) > np.var(wave):
+        return None
+    return 1 / _frequency_in_time(force, everywhere)
+
+
+def _waves_in_time(force: Force, frequency: float) -> np.ndarray:
+    """Of one phase in all trajectories, (n_intervals, 4)."""
+    t = force.record.t
+    return harmonics(2 * np.pi * frequency * (t - t[0]))
+
+
+def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:
+    """Frequency of the wave that fits best, in cycles per unit of time."""
+    t = force.record.t
+    varying = np.where(is_fitted, force.w - force.w[is_fitted].mean(), 0.0)
+    found = spectrum(t, force.record.run, varying)
+    height = found.amplitudes * local_maxima(found.amplitudes)
+    peaks = found.frequencies[np.argsort(-height)[:N_PEAKS]]
+    places = _drawn(is_fitted)
+    tried = _near(peaks, found.resolved)
+    widths = [SECOND_WIDTH * found.resolved]
+    return _refined(t[places] - t[0], varying[places], tried, widths)
+
+
+# ---- along a position
+
+
+@dataclass(frozen=True, eq=False)
+class PositionWave:
+    """A force that repeats along a position.
+
+    Attributes:
+        position: the name of the state.
+        period: after which the force comes again, in the unit of the position.
+        waves: both harmonics, as the estimate of the force shows them, (n_intervals,
+            4).
+    """
+
+    position: str
+    period: float
+    waves: np.ndarray
+
+
+def position_wave(force: Force) -> PositionWave | None:
+    """The wave along a state that the equation exchanges energy with.
+
+    None where it does not predict a tenth of the force's mean square more than
+    functions of that state with a few knots do.
+    """
+    best = None
+    least = np.inf
+    for name in exchange_partners(force.record.model, force.equation):
+        if np.ptp(force.record.variable(name)) > 0:
+            search = _PositionSearch.of(force, name)
+            error = search.left_out_error()
+            if error < least:
+                best = search
+                least = error
+    return None if best is None else best.found
+
+
+@dataclass(frozen=True, eq=False)
+class _PositionSearch:
+    """The wave along one state, beside functions of the state with a few knots.
+
+    Attributes:
+        z: the state, (n_intervals,).
+        functions: of the state, and slopes in the parameters, (n_intervals, k).
+    """
+
+    force: Force
+    name: str
+    z: np.ndarray
+    functions: np.ndarray
+
+    @classmethod
+    def of(cls, force: Force, name: str) -> "_PositionSearch":
+        z = force.record.variable(name)
+        of_state = force.shown(piecewise_linear_basis(z))
+        return cls(force, name, z, np.hstack([force.by_parameters, of_state]))
+
+    @property
+    def found(self) -> PositionWave:
+        """The wave that fits the whole force best."""
+        everywhere = np.ones(len(self.z), dtype=bool)
+        frequency, _ = self._best(everywhere)
+        return PositionWave(self.name, 1 / frequency, self._waves(everywhere))
+
+    def left_out_error(self) -> float:
+        """Sum of squares on the stretches left out; infinite where that is no less.
+
+        The wave has to be seen in the whole force first, which costs less.
+        """
+        _, share = self._best(np.ones(len(self.z), dtype=bool))
+        if share < CLEAR_PATTERN:
+            return np.inf
+        validation = self.force.validation
+        error = validation.leave_out_error([self.functions], self._waves)
+        without = validation.leave_out_error([self.functions])
+        clear = NAMED_CAUSE * validation.total
+        return error if error < without - clear else np.inf
+
+    def _waves(self, is_fitted: np.ndarray) -> np.ndarray:
+        """Those that fit best, as the estimate shows them, (n_intervals, 4)."""
+        frequency, _ = self._best(is_fitted)
+        return self.force.shown(harmonics(2 * np.pi * frequency * self.z))
+
+    def _best(self, is_fitted: np.ndarray) -> tuple[float, float]:
+        """Frequency of the wave that fits best what the functions leave.
+
+        In cycles per unit of the state, 0 where that stands still; and the share of
+        what the functions leave that the wave explains.
+        """
+        w = self.force.w
+        fitted = self.functions[is_fitted]
+        coefficients = np.linalg.lstsq(fitted, w[is_fitted], rcond=None)[0]
+        places = _drawn(is_fitted)
+        left = w[places] - self.functions[places] @ coefficients
+        z = self.z[places]
+        visited = np.ptp(z)
+        if not visited > 0:
+            return 0.0, 0.0
+        repeats = np.arange(LEAST_REPEATS, MOST_REPEATS, 1 / TRIED_PER_REPEAT)
+        apart = 1 / (TRIED_PER_REPEAT * visited)
+        frequency = _refined(z, left, repeats / visited, [apart, apart / N_TRIED])
+        fall = explained_by_wave(z, left, np.array([frequency]))[0]
+        return frequency, float(fall / max(float(np.sum(left**2)), TINY))

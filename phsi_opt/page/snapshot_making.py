@@ -9,7 +9,6 @@ from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit_report import equation_lines
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.localization import window_of
 from phsi_opt.force_analysis.units import scale_of_rate
 from phsi_opt.page.snapshot import (
@@ -135,7 +134,7 @@ def _diagnosed(diagnosis: Diagnosis, step: Step) -> Diagnosed:
 
 def _strongest(diagnosis: Diagnosis) -> dict[str, Any]:
     """Equation, run and window of the surest missing force; empty where none is."""
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return {"equation": "", "run": "", "window": None}
     return {

@@ -41,7 +41,7 @@ def missing_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     """
     if diagnosis.findings:
         return Answer(_missing_words(diagnosis), _gain_words(diagnosis, is_held_out))
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         lead = f"{no_noise_words(diagnosis)}; no missing force is sure"
     elif force.pace.is_vibration:
@@ -115,7 +115,7 @@ def _speed(force: EquationForce) -> str:
 def wrong_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     """How far the simulated model is off, and how large the missing force is."""
     worst, *others = off_words(diagnosis.base)
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     told = f"Simulated on {judged_words(is_held_out)}"
     told += f"; it also misses {' and '.join(others)}." if others else "."
     lacking = "" if force.is_uncertain else _lacking(force)
@@ -131,7 +131,7 @@ def _lacking(force: EquationForce) -> str:
 
 def was_wrong_words(diagnosis: Diagnosis, whose: str) -> str:
     """What a model lacked, and how much of it, told when it was added."""
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     size = strength_words(force)
     if force.is_uncertain:
         return f"The residuals showed it; no missing force was sure: {size}."
@@ -162,7 +162,7 @@ def where_answer(diagnosis: Diagnosis, is_past: bool = False) -> Answer:
     What a cause explains is told where nothing has a name; the effect that is found, or
     was added, says it better.
     """
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return Answer("No equation, time or region stands out.")
     is_known = is_past or diagnosis.verdict == Verdict.NAMED
@@ -215,7 +215,7 @@ def samples_to_average(diagnosis: Diagnosis) -> int:
     """How many samples hide a force that shakes in their mean; 0 where none does."""
     if not disturbance_word(diagnosis):
         return 0
-    return EquationForce.of(diagnosis.analysis, None).pace.samples_per_cycle
+    return diagnosis.analysis.force_in().pace.samples_per_cycle
 
 
 def nearest_effects(diagnosis: Diagnosis) -> tuple[Effect, ...]:

@@ -5,7 +5,6 @@ import pandas as pd
 
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
-from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import likely_cause
 from phsi_opt.presentation.numbers import number
 
@@ -53,7 +52,7 @@ def _cause(diagnosis: Diagnosis) -> str:
         return "Which of them it is, the data do not tell." if is_class else ""
     if disturbance_word(diagnosis):
         return "It is a fast disturbance; its source is not found yet."
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     if not force.is_uncertain and likely_cause(diagnosis.record.data.units, force):
         return "The cause is suspected, not proven."
     return "The cause is not known."
@@ -82,7 +81,7 @@ def undetermined_words(parameters: pd.DataFrame) -> str:
 
 def disturbance_word(diagnosis: Diagnosis) -> str:
     """What stands beside a verdict whose force shakes; "" for others."""
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     is_open = not diagnosis.findings and not force.is_uncertain
     is_missing = diagnosis.verdict != Verdict.NOTHING_MISSING
     is_fast = is_missing and is_open and force.pace.is_vibration

@@ -81,8 +81,8 @@ def effect_law(
     frozen = model.with_values(known).frozen()
     fit = identify_aligned(frozen, data, MaximumLikelihood())
     analysis = ForceAnalysis.of(Record.of_aligned(fit, data))
-    force = EquationForce.of(analysis, effect.equation)
+    force = analysis.force_in(effect.equation)
     if effect.slot == LOSS_SLOT:
         variable = model.efforts[model.states.index(effect.equation)]
         return EffectLaw(effect, force, variable)
-    return EffectLaw(effect, force, force.single_variable(None))
+    return EffectLaw(effect, force, force.single_variable)

@@ -7,8 +7,8 @@ import pandas as pd
 
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.plot_parts import Bins
 from phsi_opt.force_analysis.state_plots import (
+    Bins,
     Dependence,
     dependence_title,
     map_title,
@@ -16,6 +16,7 @@ from phsi_opt.force_analysis.state_plots import (
 )
 from phsi_opt.force_analysis.state_plots import ForceMap as MeanForce
 from phsi_opt.force_analysis.units import spaced
+from phsi_opt.force_analysis.wording import sentence
 from phsi_opt.presentation.axes import label
 from phsi_opt.presentation.durations import date_words, scale_of_time
 from phsi_opt.presentation.numbers import number, proper_names, with_error
@@ -69,7 +70,7 @@ def failure_of(diagnosis: Diagnosis, heading: str, unit: str, told: str) -> Fail
 def _sure_forces(diagnosis: Diagnosis) -> list[Force]:
     forces: list[Force] = []
     for equation in diagnosis.where["equation"]:
-        force = EquationForce.of(diagnosis.analysis, str(equation))
+        force = diagnosis.analysis.force_in(str(equation))
         if not force.is_uncertain and len(forces) < MOST_FORCES:
             forces.append(_force(force))
     return forces
@@ -84,7 +85,7 @@ def _force(force: EquationForce) -> Force:
         f"d{force.equation}/dt",
         force.told_label,
         t_label,
-        force.sentence,
+        sentence(force),
         _force_runs(force, scale.size),
         names.index(str(force.where["trajectory"])),
         _map(force),
@@ -95,7 +96,7 @@ def _force(force: EquationForce) -> Force:
 def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
     """The force along each trajectory, times in a unit of so many of the user's."""
     record = force.record
-    deviation = record.estimate.posterior.deviation[:, force.number]
+    deviation = force.deviation
     share = MOST_FORCE_SAMPLES / len(record.trajectories)
     most = int(np.clip(share, FEWEST_PER_CURVE, MOST_PER_CURVE))
     runs = []
@@ -105,7 +106,7 @@ def _force_runs(force: EquationForce, size: float) -> list[ForceRun]:
         t = rounded(record.t[kept] / size, DIGITS_OF_TIME)
         rate = force.scale.size
         w = rounded(force.w[kept] / rate)
-        since = date_words(0.0, record.origins[number_of_run])
+        since = date_words(0.0, record.origin_of(name))
         runs.append(ForceRun(name, t, w, rounded(deviation[kept] / rate), since))
     return runs
 
@@ -131,7 +132,7 @@ def _map(force: EquationForce) -> ForceMap | None:
 def _follows(force: EquationForce) -> Follows | None:
     if not len(force.follows):
         return None
-    variable = force.single_variable(None)
+    variable = force.single_variable
     found = Dependence.of(force, variable)
     return _beside(found, dependence_title(force, variable), force.scale.size)
 

@@ -47,7 +47,7 @@ def glance_of(diagnosis: Diagnosis, failure: Failure, runs: Runs) -> Glance | No
         diagnosis: that the verdict tells of; ``failure``: what is told of it.
         runs: that are drawn.
     """
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return None
     name = str(force.where["trajectory"])

@@ -50,7 +50,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
         diagnosis: of a model.
         trained: the model on its training data.
     """
-    force = EquationForce.of(diagnosis.analysis, None)
+    force = diagnosis.analysis.force_in()
     if force.is_uncertain:
         return Answer("At no time surely.")
     runs = _runs(force)
@@ -143,7 +143,7 @@ def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
     stretches = np.array_split(inside, min(STRETCHES, len(inside)))
     sizes = np.array([_rms(force.w[stretch]) for stretch in stretches])
     least = STRONG_STRETCH * np.max(sizes)
-    deviation = force.record.estimate.posterior.deviation[inside, force.number]
+    deviation = force.deviation[inside]
     if least < float(np.median(deviation)):
         return False
     is_strong = (sizes > least).astype(int)
@@ -171,7 +171,7 @@ def _runs(force: EquationForce) -> list[np.ndarray]:
 
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
     """Whether a part of the force exceeds its standard deviation."""
-    deviation = force.record.estimate.posterior.deviation[inside, force.number]
+    deviation = force.deviation[inside]
     return _rms(force.w[inside]) > CERTAIN_FORCE * float(np.median(deviation))
 
 
