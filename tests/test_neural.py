@@ -120,7 +120,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None
     )
     assert a.values == b.values and all(
         np.array_equal(u, v)
-        for x, y in zip(a.force.layers, b.force.layers, strict=True)
+        for x, y in zip(a.force.network.layers, b.force.network.layers, strict=True)
         for u, v in zip(x, y, strict=True)
     )
     assert a.values != c.values

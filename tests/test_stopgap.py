@@ -12,9 +12,8 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.estimation.record import Record
 from phsi_opt.learning.distillation import short_form
-from phsi_opt.learning.force_response import Response
+from phsi_opt.learning.force_samples import Response
 from phsi_opt.learning.learned_force import LearnedForce, distil, learned_force
-from phsi_opt.learning.orthogonal_network import OutputLayer
 
 TIMES = np.arange(0.0, 12.01, 0.08)
 PULSE = "-1.5*exp(-((q - 0.6)/0.2)**2)"
@@ -49,6 +48,10 @@ def measured(
             )
         )
     return ph.Measurements.from_arrays([TIMES] * len(runs), runs, states=["q", "p"])
+
+
+def free_run_rmse(learned: LearnedForce, data: ph.Measurements) -> float:
+    return ph.compare(learned.fit, data).rmse
 
 
 class Case:
@@ -86,7 +89,7 @@ def test_a_force_pulse_outside_the_catalogue_is_learned_and_the_held_out_error_f
 ) -> None:
     assert pulse.before.rmse > 10 * pulse.before.noise_floor
     assert pulse.learned.explains > 0.9
-    assert pulse.learned.free_run_rmse(pulse.held_out) < 0.2 * pulse.before.rmse
+    assert free_run_rmse(pulse.learned, pulse.held_out) < 0.2 * pulse.before.rmse
 
 
 def test_the_learned_force_is_orthogonal_to_what_the_free_parameters_can_produce(
@@ -111,14 +114,14 @@ def test_less_is_missing_beside_the_learned_force_and_parameters_take_their_part
     # The free run needs both: with the parameters of the first fit, which had stood in
     # for the force, it is worse.
     without = replace(pulse.learned, physics=pulse.fit)
-    assert pulse.learned.free_run_rmse(pulse.held_out) < 0.6 * without.free_run_rmse(
-        pulse.held_out
+    assert free_run_rmse(pulse.learned, pulse.held_out) < 0.6 * free_run_rmse(
+        without, pulse.held_out
     )
 
 
 def test_with_nothing_hidden_it_explains_nothing_and_says_so(nothing: Case) -> None:
     assert nothing.learned.explains < 0.05
-    error = nothing.learned.free_run_rmse(nothing.held_out)
+    error = free_run_rmse(nothing.learned, nothing.held_out)
     assert error == pytest.approx(
         nothing.before.rmse, rel=0.01
     )  # noise of 151 samples moves it by 5 %
@@ -169,11 +172,10 @@ def test_a_force_without_a_short_formula_is_not_distilled(
     pulse: Case, nothing: Case
 ) -> None:
     assert distil(pulse.learned, pulse.train, most=1, share=0.999999999) == []
-    silent = replace(
-        nothing.learned,
-        output=OutputLayer(np.zeros_like(nothing.learned.output.weights), 0.0),
-    )
-    assert distil(silent, nothing.train) == []
+    network = nothing.learned.network
+    hidden, (weights, bias) = network.layers
+    silent = replace(network, layers=(hidden, (0 * weights, 0 * bias)))
+    assert distil(replace(nothing.learned, network=silent), nothing.train) == []
 
 
 def test_distilled_terms_take_names_that_are_free_in_the_model(pulse: Case) -> None:
@@ -204,10 +206,9 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(
         learned_force(pulse.fit, short, equation="p", on=["q"], epochs=2, seed=seed)
         for seed in (3, 3, 4)
     )
-    assert np.array_equal(a.hidden.weights, b.hidden.weights) and np.array_equal(
-        a.output.weights, b.output.weights
-    )
-    assert not np.array_equal(a.hidden.weights, c.hidden.weights)
+    for own, other in zip(a.network.layers, b.network.layers, strict=True):
+        assert np.array_equal(own[0], other[0]) and np.array_equal(own[1], other[1])
+    assert not np.array_equal(a.network.layers[0][0], c.network.layers[0][0])
 
 
 def test_a_force_of_an_input_is_learned_in_a_drive_with_held_input() -> None:
@@ -231,7 +232,7 @@ def test_a_force_of_an_input_is_learned_in_a_drive_with_held_input() -> None:
     train, test = data.split(0.7)
     fit = ph.identify(drive(b=ph.Parameter(1.0), c=0.0), train)
     learned = learned_force(fit, train, equation="v", on=["u"], epochs=20)
-    assert learned.free_run_rmse(test) < 0.3 * ph.compare(fit, test).rmse
+    assert free_run_rmse(learned, test) < 0.3 * ph.compare(fit, test).rmse
     assert learned.simulate(t, [0.0], u).shape == (400, 1)
     assert learned.force(v, u).shape == (400,)
     with pytest.raises(ph.DataError, match="do not fit the 1 states and 1 inputs"):

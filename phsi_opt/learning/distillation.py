@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from phsi_opt.learning.force_response import Response
-from phsi_opt.learning.force_samples import RANK_TOLERANCE, ForceSamples
+from phsi_opt.learning.force_samples import RANK_TOLERANCE, ForceSamples, Response
 from phsi_opt.learning.term_candidates import WIDTHS, candidates
 from phsi_opt.model.backends import NUMPY
 from phsi_opt.model.expressions import evaluate
@@ -51,91 +50,54 @@ def short_form(
         The terms; [] if there are none.
     """
     target = response.traces(curve[:, None])[:, 0]
-    problem = _Problem(names, samples, response, target, _criterion(response, target))
+    problem = _Problem(names, samples, response, target, *_counted(response, target))
     listed = problem.listed()
-    empty = np.zeros((len(target), 0))
-    nothing = float(target @ target)
-    chosen = _Selection((), empty, nothing, problem.criterion.of(nothing, 0))
-    while len(chosen.terms) < most:
-        best = min(listed, key=lambda trial: problem.bic(chosen, trial))
-        further = problem.with_term(chosen, problem.refined(chosen, best))
-        if further.bic >= chosen.bic:
+    chosen: list[_Trial] = []
+    while len(chosen) < most:
+        best = min(listed, key=lambda trial: problem.bic([*chosen, trial]))
+        further = [*chosen, problem.refined(chosen, best)]
+        if problem.bic(further) >= problem.bic(chosen):
             break
         chosen = further
-    if not chosen.terms or chosen.left > (1 - share) * nothing:
+    if not chosen or problem.left(chosen) > (1 - share) * problem.left([]):
         return []
     terms = []
-    coefficients = _least_squares(chosen.traces, target).tolist()
-    for term, coefficient in zip(chosen.terms, coefficients, strict=True):
-        terms.append(replace(term, coefficient=Parameter(coefficient)))
+    sizes = problem.coefficients(chosen).tolist()
+    for trial, size in zip(chosen, sizes, strict=True):
+        terms.append(replace(trial.term, coefficient=Parameter(size)))
     return terms
-
-
-@dataclass(frozen=True)
-class _Criterion:
-    """BIC of squares that are left.
-
-    Attributes:
-        unit: the squares of which each counts as one: variance of the residuals, times
-            how many of them are worth one that is independent.
-        price: of a parameter: log of the number of independent residuals.
-    """
-
-    unit: float
-    price: float
-
-    def of(self, squares: float, n_parameters: int) -> float:
-        """The criterion; less is better."""
-        return squares / self.unit + self.price * n_parameters
-
-
-def _criterion(response: Response, target: np.ndarray) -> _Criterion:
-    rest = response.residual - target
-    together = autocorrelation_time([rest])
-    # Residuals are in units of the noise: less than one is luck.
-    unit = max(float(np.mean(rest**2)), 1.0) * together
-    return _Criterion(unit, float(np.log(max(len(rest) / together, 2.0))))
 
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A term and its trace (n_values,) in the residuals."""
+    """A term without its coefficient, and its trace (n_values,) in the residuals."""
 
     term: Term
     trace: np.ndarray
 
-
-@dataclass(frozen=True, eq=False)
-class _Selection:
-    """The terms so far.
-
-    Attributes:
-        terms: without coefficients.
-        traces: (n_values, n_terms), theirs.
-        left: sum of the squares of the target that they do not explain.
-        bic: the criterion.
-    """
-
-    terms: tuple[Term, ...]
-    traces: np.ndarray
-    left: float
-    bic: float
-
     @property
-    def n_parameters(self) -> int:
-        """Of all terms, their coefficients included."""
-        return sum(_n_parameters(term) for term in self.terms)
+    def free(self) -> list[str]:
+        """Names of the inner parameters that may move."""
+        inner = self.term.inner
+        return [name for name, parameter in inner.items() if not parameter.fixed]
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What is explained, by what, and by which criterion."""
+    """What is explained, and by what.
+
+    Attributes:
+        target: (n_values,), what is explained.
+        unit: the squares of which each counts as one.
+        price: of a parameter.
+    """
 
     names: Sequence[str]
     samples: ForceSamples
     response: Response
     target: np.ndarray
-    criterion: _Criterion
+    unit: float
+    price: float
 
     def listed(self) -> list[_Trial]:
         """The candidates that the physics has not, with their traces."""
@@ -146,8 +108,8 @@ class _Problem:
             if values is not None:
                 terms.append(term)
                 columns.append(values)
-        traces = self.response.traces(np.column_stack(columns))
-        return [_Trial(term, traces[:, i]) for i, term in enumerate(terms)]
+        traces = self.response.traces(np.column_stack(columns)).T
+        return [_Trial(*found) for found in zip(terms, traces, strict=True)]
 
     def values(self, term: Term) -> np.ndarray | None:
         """The term along the record, (n,).
@@ -160,59 +122,51 @@ class _Problem:
         with np.errstate(all="ignore"):
             values = evaluate(term.body, known, NUMPY)
             values = np.broadcast_to(values, self.samples.w.shape)
-        physics = self.samples.physics
-        scaled = values / self.samples.std
-        beyond = np.linalg.norm(scaled - physics @ (physics.T @ scaled))
-        if np.isfinite(beyond) and beyond > SPANNED * np.linalg.norm(scaled):
-            return values
-        return None
+            beyond = np.linalg.norm(self.samples.without_physics(values))
+            size = np.linalg.norm(values / self.samples.std)
+        is_new = np.isfinite(beyond) and beyond > SPANNED * size
+        return values if is_new else None
 
-    def left(self, chosen: _Selection, trace: np.ndarray) -> float:
-        """Squares of the target that the chosen terms and one more leave."""
-        traces = np.column_stack([chosen.traces, trace])
-        explained = traces @ _least_squares(traces, self.target)
-        return float(np.sum((self.target - explained) ** 2))
+    def coefficients(self, chosen: Sequence[_Trial]) -> np.ndarray:
+        """Those with which the terms explain the target best, (n_terms,)."""
+        traces = np.column_stack([trial.trace for trial in chosen])
+        found = np.linalg.lstsq(traces, self.target, rcond=RANK_TOLERANCE)
+        return np.asarray(found[0])
 
-    def bic(self, chosen: _Selection, trial: _Trial) -> float:
-        """The criterion of the chosen terms and one more."""
-        n_parameters = chosen.n_parameters + _n_parameters(trial.term)
-        return self.criterion.of(self.left(chosen, trial.trace), n_parameters)
+    def left(self, chosen: Sequence[_Trial]) -> float:
+        """Squares of the target that the chosen terms leave."""
+        left = self.target
+        if chosen:
+            traces = np.column_stack([trial.trace for trial in chosen])
+            left = left - traces @ self.coefficients(chosen)
+        return float(left @ left)
 
-    def with_term(self, chosen: _Selection, trial: _Trial) -> _Selection:
-        """The chosen terms and one more."""
-        return _Selection(
-            (*chosen.terms, trial.term),
-            np.column_stack([chosen.traces, trial.trace]),
-            self.left(chosen, trial.trace),
-            self.bic(chosen, trial),
-        )
+    def bic(self, chosen: Sequence[_Trial]) -> float:
+        """The criterion of the chosen terms; less is better."""
+        n_parameters = sum(1 + len(trial.free) for trial in chosen)
+        return self.left(chosen) / self.unit + self.price * n_parameters
 
-    def refined(self, chosen: _Selection, trial: _Trial) -> _Trial:
+    def refined(self, chosen: Sequence[_Trial], trial: _Trial) -> _Trial:
         """The term with the place and width, near those tried, that leave least."""
-        free = [name for name, p in trial.term.inner.items() if not p.fixed]
-        if not free:
+        names = trial.free
+        if not names:
             return trial
-        start = np.array([trial.term.inner[name].start for name in free])
+        start = np.array([trial.term.inner[name].start for name in names])
         scale = WIDTHS[0] * float(np.max(np.ptp(self.samples.v, axis=0)))
-        best = trial
-        least = self.left(chosen, trial.trace)
+        tried = [trial]
 
         def left(step: np.ndarray) -> float:
-            nonlocal best, least
-            values = dict(zip(free, (start + scale * step).tolist(), strict=True))
+            values = dict(zip(names, (start + scale * step).tolist(), strict=True))
             moved = self._moved(trial.term, values)
             if moved is None:
                 return float(self.target @ self.target)
-            squares = self.left(chosen, moved.trace)
-            if squares < least:
-                best = moved
-                least = squares
-            return squares
+            tried.append(moved)
+            return self.left([*chosen, moved])
 
-        simplex = np.vstack([np.zeros(len(free)), np.eye(len(free))])
+        simplex = np.vstack([np.zeros(len(names)), np.eye(len(names))])
         options = {"maxfev": N_REFINING, "initial_simplex": simplex}
         minimize(left, simplex[0], method="Nelder-Mead", options=options)
-        return best
+        return min(tried, key=lambda one: self.left([*chosen, one]))
 
     def _moved(self, term: Term, values: dict[str, float]) -> _Trial | None:
         """The term at other inner values; None where they or it are not possible."""
@@ -229,10 +183,14 @@ class _Problem:
         return _Trial(moved, self.response.traces(curve[:, None])[:, 0])
 
 
-def _n_parameters(term: Term) -> int:
-    """The coefficient and the free inner parameters."""
-    return 1 + sum(not parameter.fixed for parameter in term.inner.values())
+def _counted(response: Response, target: np.ndarray) -> tuple[float, float]:
+    """Unit of the squares, and price of a parameter.
 
-
-def _least_squares(traces: np.ndarray, target: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.lstsq(traces, target, rcond=RANK_TOLERANCE)[0])
+    The variance of the residuals, times how many of them are worth one that is
+    independent; and the logarithm of the number of these.
+    """
+    rest = response.residual - target
+    together = autocorrelation_time([rest])
+    # Residuals are in units of the noise: less than one is luck.
+    unit = max(float(np.mean(rest**2)), 1.0) * together
+    return unit, float(np.log(max(len(rest) / together, 2.0)))

@@ -1,44 +1,28 @@
-"""The missing force of one equation along a record, as samples to learn from."""
+"""The missing force of one equation along a record, as samples to learn from.
+
+And what a force along the record does to the residuals of the measurements.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.points import Points
+from phsi_opt.learning.ridge import N_FOLDS
 from phsi_opt.model.model import Model
+from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.parameter_vector import Theta
 
 MIN_INTERVALS = 50  # so that every stretch of time that is left out holds a few
+# Stretches in a fold: with two, a fold sees the beginning and the end of what decays.
+STRETCHES_PER_FOLD = 2
 # Singular value, as a share of the largest, below which a direction is one that others
 # explain.
 RANK_TOLERANCE = 1e-8
-
-
-@dataclass(frozen=True, eq=False)
-class Points:
-    """Points at which a model is evaluated.
-
-    Attributes:
-        x: (n, n_states).
-        u: (n, n_inputs).
-        t: (n,).
-        theta: (n_free, n), the parameters at each point.
-    """
-
-    x: np.ndarray
-    u: np.ndarray
-    t: np.ndarray
-    theta: np.ndarray
-
-    def values(self, function: ca.Function) -> np.ndarray:
-        """A CasADi function (x, u, t, theta) at every point, (n, n_values)."""
-        times = np.reshape(self.t, (1, -1))
-        columns = function.map(len(self.t))(self.x.T, self.u.T, times, self.theta)
-        return np.array(columns).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,51 +69,80 @@ class ForceSamples:
                 f"{n_intervals} intervals are too few to learn a force; "
                 f"at least {MIN_INTERVALS} are needed."
             )
-        points = _midpoints(record)
+        points = Points.middles(record)
         column = estimate.rows.index(row)
         std = np.maximum(estimate.posterior.deviation[:, column], TINY)
-        columns = _force_by_parameters(record, model, row, points)
-        scaled = columns / std[:, None]
-        basis, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-        largest = np.max(sizes, initial=0.0)
-        physics = basis[:, sizes > RANK_TOLERANCE * largest]
+        columns = _by_unknown(record, model, points.slopes(model)[:, row])
+        basis, sizes, _ = np.linalg.svd(columns / std[:, None], full_matrices=False)
+        physics = basis[:, sizes > RANK_TOLERANCE * np.max(sizes, initial=0.0)]
         v = points.values(model.function(*on))
         return cls(v, estimate.w[:, column], std, physics)
 
-    @property
-    def beyond_physics(self) -> np.ndarray:
-        """The force less what the physics explains of it, (n,).
-
-        By least squares, weighted with the standard deviation.
-        """
-        scaled = self.w / self.std
-        explained = self.physics @ (self.physics.T @ scaled)
-        return np.asarray(scaled - explained) * self.std
+    def without_physics(self, force: np.ndarray) -> np.ndarray:
+        """A force (n,) over ``std``, less what the physics explains of it, (n,)."""
+        scaled = force / self.std
+        return np.asarray(scaled - self.physics @ (self.physics.T @ scaled))
 
 
-def _midpoints(record: Record) -> Points:
-    """The middle of every interval of the estimate."""
-    estimate = record.estimate
-    grid = estimate.grid
-    x = (estimate.x[grid.begin] + estimate.x[grid.begin + 1]) / 2
-    u = (grid.u0 + grid.u1) / 2
-    t = grid.t[grid.begin] + grid.h / 2
-    trajectory = grid.trajectory[grid.begin]
-    return Points(x, u, t, record.theta[:, trajectory])
-
-
-def _force_by_parameters(
-    record: Record, model: Model, row: int, points: Points
-) -> np.ndarray:
-    """Slopes of one rate in the parameters, (n, n_theta)."""
+def _by_unknown(record: Record, model: Model, slopes: np.ndarray) -> np.ndarray:
+    """Slopes (n, n_free) of a rate, in the parameters of each trajectory, (n, k)."""
     grid = record.estimate.grid
-    sizes = (model.n_states, model.n_inputs, 1, len(model.free))
-    symbols = [ca.SX.sym("s", size) for size in sizes]
-    rate = model.rhs()(*symbols)[row]
-    slope = ca.densify(ca.jacobian(rate, symbols[-1]).T)
-    slopes = points.values(ca.Function("slope", symbols, [slope]))
     unknown = Theta.of(model, record.trajectories)
-    columns = np.zeros((len(points.t), len(unknown)))
+    columns = np.zeros((len(slopes), len(unknown)))
     places = unknown.table[:, grid.trajectory[grid.begin]].T
     np.put_along_axis(columns, places, slopes, axis=1)
     return columns
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """The linearised response of the residuals to a force in one equation.
+
+    Attributes:
+        linearized: the likelihood of the record, at the states of its missing force.
+        row: of the equation.
+        residual: (n_values,), what the fit leaves, in units of the noise.
+    """
+
+    linearized: LinearizedRecord
+    row: int
+    residual: np.ndarray
+
+    @classmethod
+    def of(cls, record: Record, row: int) -> "Response":
+        """The response of a record."""
+        linearized = LinearizedRecord.of(record)
+        return cls(linearized, row, linearized.residual)
+
+    @property
+    def fold(self) -> np.ndarray:
+        """(n_intervals,), the group of stretches of time of an interval."""
+        return self._fold_of_nodes[self.linearized.grid.begin]
+
+    @property
+    def value_fold(self) -> np.ndarray:
+        """(n_values,), the same of a measured value."""
+        return self._fold_of_nodes[np.nonzero(self.linearized.grid.measured)[0]]
+
+    @property
+    def _fold_of_nodes(self) -> np.ndarray:
+        n_nodes = self.linearized.grid.n_nodes
+        n_stretches = STRETCHES_PER_FOLD * N_FOLDS
+        return np.arange(n_nodes) * n_stretches // n_nodes % N_FOLDS
+
+    def traces(self, forces: np.ndarray) -> np.ndarray:
+        """What forces change of the explained values, in units of the noise.
+
+        Args:
+            forces: (n_intervals, n_forces).
+
+        Returns:
+            (n_values, n_forces).
+        """
+        grid = self.linearized.grid
+        n_states = self.linearized.model.n_states
+        n_forces = forces.shape[1]
+        of_defects = np.zeros((grid.n_intervals, n_states, n_forces))
+        of_defects[:, self.row] = -forces
+        of_outputs = np.zeros((grid.n_nodes * n_states, n_forces))
+        return self.linearized.traces(of_defects.reshape(-1, n_forces), of_outputs)

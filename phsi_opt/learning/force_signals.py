@@ -18,24 +18,11 @@ from phsi_opt.transcription.stages import StageRule, stage_rule
 NODES_OF_A_LINE = 2
 # c (1 - c) at the middle of a step is a quarter.
 MIDDLE_OF_A_BEND = 1 / 4
-
-
-def signal(equation: str) -> str:
-    """Name of the input that carries the force in an equation."""
-    return f"network_{equation}"
-
-
-def _rise(equation: str) -> str:
-    return f"{signal(equation)}_rise"
-
-
-def _fall(equation: str) -> str:
-    return f"{signal(equation)}_fall"
-
-
-def _bend(equation: str) -> str:
-    """The formula of what the force has beside a straight line."""
-    return f"{_rise(equation)}*{_fall(equation)}"
+# Inputs that carry the force in an equation: the line, and what makes the bend.
+LINE = "network_{}"
+RISE = "network_{}_rise"
+FALL = "network_{}_fall"
+BEND = f"{RISE}*{FALL}"
 
 
 def is_bent(rule: StageRule) -> bool:
@@ -46,24 +33,20 @@ def is_bent(rule: StageRule) -> bool:
 def with_signals(model: Model, equations: Sequence[str], scheme: str = "srk4") -> Model:
     """The model with the force's inputs, each added to its equation."""
     bent = is_bent(stage_rule(scheme))
+    bodies = [LINE, BEND] if bent else [LINE]
     F = dict(model.F)
     for equation in equations:
-        terms = [*model.F.get(equation, Dictionary()), Term(signal(equation))]
-        if bent:
-            terms.append(Term(_bend(equation)))
-        F[equation] = Dictionary(tuple(terms))
-    names = [signal(equation) for equation in equations]
-    if bent:
-        names += [_rise(equation) for equation in equations]
-        names += [_fall(equation) for equation in equations]
+        added = [Term(body.format(equation, equation)) for body in bodies]
+        F[equation] = Dictionary((*model.F.get(equation, ()), *added))
+    carriers = [LINE, RISE, FALL] if bent else [LINE]
+    names = [name.format(equation) for name in carriers for equation in equations]
     return replace(model, inputs=(*model.inputs, *names), F=F)
 
 
 def without_signals(model: Model, equations: Sequence[str]) -> Model:
     """The inverse of `with_signals`, with the values that the model has now."""
-    added = set()
-    for equation in equations:
-        added |= {signal(equation), _rise(equation), _fall(equation), _bend(equation)}
+    forms = (LINE, RISE, FALL, BEND)
+    added = {form.format(name, name) for form in forms for name in equations}
     F = {}
     for equation, terms in model.F.items():
         kept = tuple(term for term in terms if term.body not in added)
@@ -85,36 +68,25 @@ def with_force(grid: Grid, force: np.ndarray, scheme: str = "srk4") -> Grid:
         scheme: name of the integrator.
     """
     rule = stage_rule(scheme)
-    at_nodes = _at_nodes(force, rule)
-    first = at_nodes[:, 0]
-    slope = np.zeros_like(first)
-    if len(rule.nodes) > 1:
-        slope = (at_nodes[:, -1] - first) / (rule.nodes[-1] - rule.nodes[0])
-    begin = first - rule.nodes[0] * slope
-    u0 = [begin]
-    u1 = [begin + slope]
-    if is_bent(rule):
-        nothing = np.zeros_like(begin)
-        whole = np.ones_like(begin)
-        line_in_the_middle = (first + at_nodes[:, -1]) / 2
-        u0 += [nothing, whole]
-        u1 += [(at_nodes[:, 1] - line_in_the_middle) / MIDDLE_OF_A_BEND, nothing]
-    return _with_inputs(grid, np.hstack(u0), np.hstack(u1))
-
-
-def _at_nodes(force: np.ndarray, rule: StageRule) -> np.ndarray:
-    """The force at the distinct nodes, (n_intervals, n_nodes, n_equations)."""
     shares = np.array(rule.shares)
-    values = [force[:, shares == node].mean(axis=1) for node in rule.nodes]
-    return np.stack(values, axis=1)
-
-
-def _with_inputs(grid: Grid, u0: np.ndarray, u1: np.ndarray) -> Grid:
-    at_nodes = np.zeros((grid.n_nodes, u0.shape[1]))
-    at_nodes[grid.begin] = u0
+    nodes = rule.nodes
+    at_nodes = [force[:, shares == node].mean(axis=1) for node in nodes]
+    first = at_nodes[0]
+    last = at_nodes[-1]
+    width = nodes[-1] - nodes[0] or 1.0  # through one node the line is level
+    slope = (last - first) / width
+    u0 = [first - nodes[0] * slope]
+    u1 = [u0[0] + slope]
+    if is_bent(rule):
+        nothing = np.zeros_like(first)
+        u0 += [nothing, np.ones_like(first)]
+        u1 += [(at_nodes[1] - (first + last) / 2) / MIDDLE_OF_A_BEND, nothing]
+    at_begin = np.hstack(u0)
+    u = np.zeros((grid.n_nodes, at_begin.shape[1]))
+    u[grid.begin] = at_begin
     return replace(
         grid,
-        u0=np.hstack([grid.u0, u0]),
-        u1=np.hstack([grid.u1, u1]),
-        u=np.hstack([grid.u, at_nodes]),
+        u0=np.hstack([grid.u0, at_begin]),
+        u1=np.hstack([grid.u1, *u1]),
+        u=np.hstack([grid.u, u]),
     )

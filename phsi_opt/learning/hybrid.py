@@ -8,20 +8,19 @@ an integrator. A turn is
 
 1. the program for H and R, with the force of the network as an input at the stages of
    every step (`transcription.stages`);
-2. the network on what is left of the forced equations at these stages (Adam);
+2. the network on what is left of the forced equations at these stages (AdamW);
 3. its last layer once more, exactly, by least squares together with every coefficient
    of H and R: what the dictionary can explain is shared out as the joint loss wants it,
    whichever of the two was fitted first.
 
-The network itself is in `network`, its training in `network_training`, and what one
-turn computes in `hybrid_problem`.
+The network itself is in `hybrid_network`, its training in `hybrid_training`, and what
+one turn computes in `hybrid_problem`.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
 import pandas as pd
 
 from phsi_opt.data.measurements import Measurements
@@ -32,9 +31,10 @@ from phsi_opt.interrupts import interruptible
 from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
-from phsi_opt.learning.hybrid_training import Schedule, train, untrained
+from phsi_opt.learning.hybrid_training import Schedule, train
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.alignment import aligned_once
+from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import PHSILoss
 
 __all__ = ["Hybrid", "NeuralForce", "TrainedForce", "hybrid"]
@@ -85,96 +85,54 @@ def hybrid(
     """
     began = time.perf_counter()
     record = aligned_once(model, data)
-    problem = HybridProblem.of(model, record, force, integrator)
-    estimate = _Estimate(model, problem.no_force())
+    trained = TrainedForce.of(model, force.equations, force.variables)
+    problem = HybridProblem.of(model, record, trained, integrator)
+    at_stages = problem.no_force()
+    loss = PHSILoss(integrator)
+    fit: Fit | None = None
     turns = []
     converged = False
     for turn in range(max_turns):
+        at_begin = (model, at_stages)
         prune = pruning if turn >= FIRST_PRUNED_TURN else None
-        before = estimate
-        fit = _dictionary_fit(problem, before, record, l1, prune)
-        estimate = _with_force(problem, before, fit, _schedule(force, turn, seed))
-        row = problem.changes(
-            before.model, estimate.model, before.at_stages, estimate.at_stages
-        )
+        laid_out = partial(_given, problem.with_force(at_stages))
+        forced = problem.forced(model)
+        fit = identify_forced(forced, record, loss, l1, prune, laid_out, fit)
+        model = problem.unforced(fit.model)
+        stages = problem.training_set(model, at_stages)
+        trained = train(force, trained, stages, _schedule(force, turn, seed))
+        trained = problem.with_best_output(trained, model, stages)
+        at_stages = trained.at(stages.stages)
+        row = problem.changes(*at_begin, model, at_stages)
         turns.append({"turn": turn + 1, **row})
         if progress is not None:
-            progress(
-                ", ".join(f"{key} {value:.4g}" for key, value in turns[-1].items())
-            )
+            told = [f"{key} {value:.4g}" for key, value in turns[-1].items()]
+            progress(", ".join(told))
         converged = (
             row["coefficient_change"] < tolerance
             and row["force_change"] < FORCE_TOLERANCE * tolerance
         )
         if converged and turn > (FIRST_PRUNED_TURN if pruning else 0):
             break
-    assert estimate.fit is not None and estimate.force is not None
+    assert fit is not None
     return Hybrid(
-        model=estimate.model,
+        model=model,
         hold=record.hold,
         seconds=time.perf_counter() - began,
-        removed=estimate.fit.removed,
-        fit=estimate.fit,
-        force=estimate.force,
+        removed=fit.removed,
+        fit=fit,
+        force=trained,
         convergence=pd.DataFrame(turns),
         converged=converged,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Estimate:
-    """Where the two stand after a turn.
-
-    Attributes:
-        model: the dictionary's, without the force, with its latest values.
-        at_stages: (n_intervals, n_stages, n_equations), the force at the stages.
-        fit: of the dictionary beside the force; None before the first turn.
-        force: the network; None before the first turn.
-    """
-
-    model: Model
-    at_stages: np.ndarray
-    fit: Fit | None = None
-    force: TrainedForce | None = None
-
-
-def _dictionary_fit(
-    problem: HybridProblem,
-    before: _Estimate,
-    data: Measurements,
-    l1: dict[str, float] | float | None,
-    pruning: Pruning | None,
-) -> Fit:
-    """The program for H and R with the force as it is."""
-    return identify_forced(
-        problem.forced(before.model),
-        data,
-        PHSILoss(problem.scheme),
-        l1,
-        pruning,
-        layout=lambda grid: problem.with_force(before.at_stages),
-        start=before.fit,
-    )
+def _given(grid: Grid, _: Grid) -> Grid:
+    """The grid with the force, in place of the one that the measurements have."""
+    return grid
 
 
 def _schedule(force: NeuralForce, turn: int, seed: int) -> Schedule:
-    epochs = force.epochs
-    if turn > 0:
-        epochs = max(int(force.epochs * LATER_EPOCHS), 1)
+    share = LATER_EPOCHS if turn > 0 else 1.0
+    epochs = max(int(force.epochs * share), 1)
     return Schedule(epochs, force.learning_rate * RATE_DECAY**turn, seed)
-
-
-def _with_force(
-    problem: HybridProblem, before: _Estimate, fit: Fit, schedule: Schedule
-) -> _Estimate:
-    """The network on what the fit leaves, its last layer together with the fit."""
-    model = problem.unforced(fit.model)
-    data = problem.training_set(model, before.at_stages)
-    start = before.force
-    if start is None:
-        start = untrained(
-            model, problem.settings, problem.rows, problem.columns, data.stages
-        )
-    trained = train(problem.settings, start, data, schedule)
-    trained = problem.with_best_output(trained, model, data)
-    return _Estimate(model, problem.at_stages(trained, data.stages), fit, trained)

@@ -1,22 +1,19 @@
-"""A force by a network of ReLU layers: its settings, and its values once trained.
+"""A force by a network of ReLU layers beside a dictionary: its settings and its values.
 
-A trained force is a list of matrices and needs no torch. Its training is in
-`network_training`.
+Its training is in `hybrid_training`.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from phsi_opt.errors import DataError, ModelError, did_you_mean
+from phsi_opt.learning.network import Network
 from phsi_opt.model.model import Model
 
 TIME_NAME = "t"  # of the time among the variables
-
-# (weight (n_out, n_in), bias (n_out,)) of every layer
-Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+UNTRAINED = Network(np.zeros(0), np.zeros(0), np.zeros((2, 0)), "relu")
 
 
 @dataclass(frozen=True)
@@ -78,35 +75,50 @@ class NeuralForce:
 class TrainedForce:
     """A trained network: force(x, t, u) for states x, times t and inputs u.
 
-    It knows nothing beyond the data: outside the range of its training its variables,
-    the time included, are held at the edge.
-
     Attributes:
         equations: states in whose equations it acts.
-        columns: numbers of its variables among ``names``.
-        rows: numbers of the equations.
-        names: states, inputs and "t", of the model.
+        variables: states, inputs and "t" that it depends on.
+        names: all states, inputs and "t" of the model.
         n_states: number of the states among the names.
-        shift: (n_variables,), subtracted from the variables.
-        spread: (n_variables,), by which they are then divided.
-        seen: (2, n_variables), least and largest value in training.
-        layers: of the network.
+        network: of the variables.
     """
 
     equations: tuple[str, ...]
-    columns: tuple[int, ...]
-    rows: tuple[int, ...]
+    variables: tuple[str, ...]
     names: tuple[str, ...]
     n_states: int
-    shift: np.ndarray
-    spread: np.ndarray
-    seen: np.ndarray
-    layers: Layers
+    network: Network
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        equations: tuple[str, ...],
+        variables: tuple[str, ...] | None,
+        network: Network = UNTRAINED,
+    ) -> "TrainedForce":
+        """The force in a model; variables None: all states.
+
+        Raises:
+            ModelError: a name is not one of the model.
+        """
+        for name in equations:
+            model.index(name, "equation of NeuralForce")
+        names = (*model.states, *model.inputs, TIME_NAME)
+        on = tuple(variables or model.states)
+        for name in on:
+            if name not in names:
+                raise ModelError(
+                    f"variable of NeuralForce {name!r} is not a state, an input or "
+                    f"the time 't' of the model; expected one of {', '.join(names)}."
+                    f"{did_you_mean(str(name), names)}"
+                )
+        return cls(tuple(equations), on, names, model.n_states, network)
 
     @property
-    def variables(self) -> tuple[str, ...]:
-        """Names of what it depends on."""
-        return tuple(self.names[column] for column in self.columns)
+    def rows(self) -> list[int]:
+        """Numbers of the equations."""
+        return [self.names.index(name) for name in self.equations]
 
     def __call__(self, x: Any, t: Any = None, u: Any = None) -> np.ndarray:
         """The force, (n_samples, n_equations).
@@ -119,7 +131,10 @@ class TrainedForce:
         Raises:
             DataError: if t or u is needed and not given, or has another shape.
         """
-        return self.at(self._rows_of(np.atleast_2d(x), t, u))
+        x = np.atleast_2d(x)
+        u = self._given(u, "u", self.names[self.n_states : -1], len(x))
+        t = self._given(t, TIME_NAME, (TIME_NAME,), len(x))
+        return self.at(np.hstack([x, u, t]))
 
     def at(self, rows: np.ndarray) -> np.ndarray:
         """The force, (n_samples, n_equations), at rows of states, inputs and time.
@@ -127,22 +142,17 @@ class TrainedForce:
         Args:
             rows: (n_samples, n_names), a column per name.
         """
-        weights, bias = self.layers[-1]
-        return self.features(rows) @ weights.T + bias
+        return self.network.at(self.values_in(rows))
 
-    def _rows_of(self, x: np.ndarray, t: Any, u: Any) -> np.ndarray:
-        n_inputs = len(self.names) - self.n_states - 1
-        parts = [
-            x,
-            self._given(u, "u", self.names[self.n_states : -1], (len(x), n_inputs)),
-            self._given(t, TIME_NAME, (TIME_NAME,), (len(x), 1)),
-        ]
-        return np.hstack(parts)
+    def values_in(self, rows: np.ndarray) -> np.ndarray:
+        """Those of the variables in rows (..., n_names), (..., n_variables)."""
+        return rows[..., [self.names.index(name) for name in self.variables]]
 
     def _given(
-        self, values: Any, argument: str, names: Sequence[str], shape: tuple[int, int]
+        self, values: Any, argument: str, names: tuple[str, ...], n_samples: int
     ) -> np.ndarray:
         """Inputs or times in the shape of rows; zeros where nothing depends on them."""
+        shape = (n_samples, len(names))
         needed = [name for name in self.variables if name in names]
         if values is None and needed:
             raise DataError(
@@ -156,40 +166,3 @@ class TrainedForce:
                 "row of x."
             )
         return np.reshape(np.asarray(values, dtype=float), shape)
-
-    def features(self, rows: np.ndarray) -> np.ndarray:
-        """Output of the last hidden layer, (n_samples, n_features).
-
-        Args:
-            rows: (n_samples, n_names), as those of `at`.
-        """
-        variables = rows[:, self.columns]
-        inside = np.clip(variables, *self.seen)
-        z = (inside - self.shift) / self.spread
-        for weights, bias in self.layers[:-1]:
-            z = np.maximum(z @ weights.T + bias, 0.0)
-        return z
-
-
-def known_names(model: Model) -> tuple[str, ...]:
-    """What a force of a model may depend on: states, inputs, and the time "t"."""
-    return (*model.states, *model.inputs, TIME_NAME)
-
-
-def variable_columns(model: Model, variables: Sequence[str]) -> tuple[int, ...]:
-    """Numbers of variables among `known_names`.
-
-    Raises:
-        ModelError: if one is none of them.
-    """
-    names = known_names(model)
-    columns = []
-    for variable in variables:
-        if variable not in names:
-            raise ModelError(
-                f"variable of NeuralForce {variable!r} is not a state, an input or the "
-                f"time 't' of the model; expected one of {', '.join(names)}."
-                f"{did_you_mean(str(variable), names)}"
-            )
-        columns.append(names.index(variable))
-    return tuple(columns)

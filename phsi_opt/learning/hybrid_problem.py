@@ -5,18 +5,13 @@ coefficients of the dictionary.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.force_analysis.points import Points
 from phsi_opt.learning.force_signals import with_force, with_signals, without_signals
-from phsi_opt.learning.hybrid_network import (
-    NeuralForce,
-    TrainedForce,
-    variable_columns,
-)
+from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
 from phsi_opt.learning.ridge import N_FOLDS, cross_validated
 from phsi_opt.model.model import Model
@@ -35,48 +30,28 @@ class HybridProblem:
     """What stays the same in all turns.
 
     Attributes:
-        model: the dictionary's, without the force.
         grid: the intervals, without the force.
-        settings: of the force.
-        rows: numbers of the equations in which it acts.
-        columns: numbers of its variables, as those of `TrainedForce`.
-        scheme: name of the integrator.
+        equations: in which the force acts; ``rows``: their numbers.
+        scheme: name of the integrator; ``rule``: where it averages.
     """
 
-    model: Model
     grid: Grid
-    settings: NeuralForce
-    rows: tuple[int, ...]
-    columns: tuple[int, ...]
+    equations: tuple[str, ...]
+    rows: list[int]
     scheme: str
+    rule: StageRule
 
-    @staticmethod
+    @classmethod
     def of(
-        model: Model, data: Measurements, force: NeuralForce, scheme: str = "srk4"
+        cls, model: Model, data: Measurements, force: TrainedForce, scheme: str
     ) -> "HybridProblem":
         """The problem of a model and data in its order.
 
         Raises:
-            ModelError: if the force names what the model has not, or there is no such
-                integrator.
+            ModelError: there is no such integrator.
         """
-        stage_rule(scheme)
-        what = "equation of NeuralForce"
-        rows = tuple(model.index(name, what) for name in force.equations)
-        variables = model.states if force.variables is None else force.variables
-        columns = variable_columns(model, variables)
         grid = complete_intervals(model, grid_of(data))
-        return HybridProblem(model, grid, force, rows, columns, scheme)
-
-    @property
-    def rule(self) -> StageRule:
-        """Where the integrator averages the right-hand side."""
-        return stage_rule(self.scheme)
-
-    @property
-    def equations(self) -> list[str]:
-        """States in whose equations the force acts."""
-        return [self.model.states[row] for row in self.rows]
+        return cls(grid, force.equations, force.rows, scheme, stage_rule(scheme))
 
     def forced(self, model: Model) -> Model:
         """A model with the network's force as an input."""
@@ -95,10 +70,6 @@ class HybridProblem:
         n_stages = len(self.rule.shares)
         return np.zeros((self.grid.n_intervals, n_stages, len(self.rows)))
 
-    def at_stages(self, trained: TrainedForce, stages: np.ndarray) -> np.ndarray:
-        """The force (n_intervals, n_stages, n_equations) at the stages."""
-        return np.stack([trained.at(rows) for rows in _by_stage(stages)], axis=1)
-
     def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
         """The stages of the integrator, and what the force must add there on average.
 
@@ -107,29 +78,32 @@ class HybridProblem:
             force: as it was when they were found, (n_intervals, n_stages, n_equations).
         """
         forced = self.forced(model)
+        rhs = forced.rhs()
         grid = self.with_force(force)
-        rule = self.rule
+        theta = np.repeat(forced.theta[:, None], grid.n_intervals, axis=1)
+
+        def rates(x: np.ndarray, share: float) -> np.ndarray:
+            points = Points(x.T, *_inputs_and_times(grid, share), theta)
+            return points.values(rhs).T
+
         x0 = grid.y[grid.begin].T
         x1 = grid.y[grid.begin + 1].T
         h = grid.h[None, :]
-        rhs = _over_intervals(forced, grid)
         left = (x1 - x0) / h
         stages = []
-        for x, share, weight in zip(
-            rule.states(rhs, x0, x1, h), rule.shares, rule.weights, strict=True
-        ):
-            left = left - weight * rhs(x, share)
-            stages.append(self._rows_of(x.T, share))
-        weights = np.array(rule.weights)
-        target = left.T[:, list(self.rows)] + _mean(force, weights)
-        return TrainingSet(np.stack(stages, axis=1), weights, target, self.folds())
-
-    def _rows_of(self, x: np.ndarray, share: float) -> np.ndarray:
-        """States, inputs and time (n_intervals, n_names) at a share of the steps."""
-        grid = self.grid
-        u = grid.u0 + share * (grid.u1 - grid.u0)
-        t = grid.t[grid.begin] + share * grid.h
-        return np.hstack([x, u, t[:, None]])
+        found = self.rule.states(rates, x0, x1, h)
+        averaged = zip(found, self.rule.shares, self.rule.weights, strict=True)
+        for x, share, weight in averaged:
+            left = left - weight * rates(x, share)
+            u, t = _inputs_and_times(self.grid, share)
+            stages.append(np.column_stack([x.T, u, t]))
+        data = TrainingSet(
+            np.stack(stages, axis=1),
+            np.array(self.rule.weights),
+            left.T[:, self.rows],
+            self.folds(),
+        )
+        return replace(data, target=data.target + data.mean(force))
 
     def with_best_output(
         self, trained: TrainedForce, model: Model, data: TrainingSet
@@ -144,26 +118,27 @@ class HybridProblem:
             data: what the force was trained on.
         """
         forced = self.forced(model)
-        grid = self.with_force(self.at_stages(trained, data.stages))
+        grid = self.with_force(trained.at(data.stages))
         theta = forced.theta
         n_theta = len(theta)
-        n_intervals = grid.n_intervals
+        n = grid.n_intervals
         slopes = np.array(defect_jacobian(forced, grid, self.scheme)(grid.y.T, theta))
         d = np.array(defects(forced, grid, self.scheme, grid.y.T, theta)).T
-        d[:, list(self.rows)] = data.target  # without the force
-        features = _mean_features(trained, data)
+        d[:, self.rows] = data.target  # without the force
+        units = data.mean(trained.network.features(trained.values_in(data.stages)))
+        features = np.hstack([units, np.ones((n, 1))])
         n_features = features.shape[1]
-        n_columns = n_theta + len(self.rows) * n_features
-        columns = np.zeros((n_intervals, d.shape[1], n_columns))
-        columns[:, :, :n_theta] = slopes.reshape(n_intervals, -1, n_theta)
+        columns = np.zeros((n, d.shape[1], n_theta + len(self.rows) * n_features))
+        columns[:, :, :n_theta] = slopes.reshape(n, -1, n_theta)
         for k, row in enumerate(self.rows):
             first = n_theta + k * n_features
             columns[:, row, first : first + n_features] = -features
-        ridged = np.arange(n_columns) >= n_theta
+        ridged = np.arange(columns.shape[2]) >= n_theta
         step = cross_validated(columns, d, data.folds, ridged)
         output = step[n_theta:].reshape(len(self.rows), n_features)
-        last = (output[:, :-1], output[:, -1])
-        return replace(trained, layers=(*trained.layers[:-1], last))
+        hidden = trained.network.layers[:-1]
+        layers = (*hidden, (output[:, :-1], output[:, -1]))
+        return replace(trained, network=replace(trained.network, layers=layers))
 
     def folds(self) -> np.ndarray:
         """Number of the fold of every interval, (n_intervals,).
@@ -171,25 +146,24 @@ class HybridProblem:
         Whole trajectories, or blocks where there are fewer than `N_FOLDS` of them.
         """
         trajectory = self.grid.trajectory[self.grid.begin]
-        n_trajectories = int(trajectory[-1]) + 1
-        if n_trajectories >= N_FOLDS:
+        if trajectory[-1] + 1 >= N_FOLDS:
             return trajectory % N_FOLDS
         return np.arange(len(trajectory)) * N_FOLDS // len(trajectory)
 
     def changes(
         self,
         before: Model,
-        after: Model,
         old_force: np.ndarray,
+        after: Model,
         new_force: np.ndarray,
     ) -> dict[str, float]:
         """A row of the table of convergence; see `Hybrid.convergence`.
 
         Args:
             before: the dictionary's model at the begin of the turn.
-            after: at its end.
             old_force: (n_intervals, n_stages, n_equations) at the begin of the turn.
-            new_force: at its end.
+            after: the model at its end.
+            new_force: the force at its end, in the same shape.
         """
         forced = self.forced(after)
         grid = self.with_force(new_force)
@@ -203,51 +177,22 @@ class HybridProblem:
         }
 
 
-def _by_stage(stages: np.ndarray) -> list[np.ndarray]:
-    """The rows (n_intervals, n_names) of each stage."""
-    return [stages[:, k] for k in range(stages.shape[1])]
-
-
-def _mean(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Mean over the stages of values (n_intervals, n_stages, ...)."""
-    return np.tensordot(values, weights, axes=(1, 0))
-
-
-def _mean_features(trained: TrainedForce, data: TrainingSet) -> np.ndarray:
-    """Mean of the last hidden layer over the stages, and ones for the bias."""
-    at_stages = [trained.features(rows) for rows in _by_stage(data.stages)]
-    features = _mean(np.stack(at_stages, axis=1), data.weights)
-    return np.hstack([features, np.ones((len(features), 1))])
-
-
-def _over_intervals(model: Model, grid: Grid) -> Any:
-    """The right-hand side g(x, c) of all intervals at the share c of their steps."""
-    rhs = model.rhs().map(grid.n_intervals)
-    theta = ca.repmat(ca.DM(model.theta), 1, grid.n_intervals)
-    t0 = grid.t[grid.begin][None, :]
-    h = grid.h[None, :]
-
-    def g(x: np.ndarray, c: float) -> np.ndarray:
-        u = (grid.u0 + c * (grid.u1 - grid.u0)).T
-        return np.array(rhs(x, u, t0 + c * h, theta))
-
-    return g
+def _inputs_and_times(grid: Grid, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """At a share of the steps, (n_intervals, n_inputs) and (n_intervals,)."""
+    u = grid.u0 + share * (grid.u1 - grid.u0)
+    return u, grid.t[grid.begin] + share * grid.h
 
 
 def _coefficient_change(before: Model, after: Model) -> float:
     """Largest change of a coefficient, relative to the largest of its slot."""
-    change = 0.0
+    changes = []
     for slot in ("H", "R", "F"):
-        old = []
-        new = []
-        for name, entry in before.entries.items():
-            if entry.slot == slot:
-                old.append(before.values[name])
-                new.append(after.values.get(name, 0.0))
-        moved = np.max(np.abs(np.array(new) - np.array(old)), initial=0.0)
-        size = max(np.max(np.abs(np.array(new)), initial=0.0), LEAST_SIZE)
-        change = max(change, float(moved / size))
-    return change
+        names = [name for name, e in before.entries.items() if e.slot == slot]
+        old = np.array([before.values[name] for name in names])
+        new = np.array([after.values.get(name, 0.0) for name in names])
+        size = max(np.max(np.abs(new), initial=0.0), LEAST_SIZE)
+        changes.append(np.max(np.abs(new - old), initial=0.0) / size)
+    return float(max(changes))
 
 
 def _root_mean_square(values: np.ndarray) -> float:

@@ -14,12 +14,8 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.json_file import read_json
 from phsi_opt.learning.force_signals import without_signals
-from phsi_opt.learning.hybrid_network import (
-    TrainedForce,
-    known_names,
-    variable_columns,
-)
-from phsi_opt.model.model import Model
+from phsi_opt.learning.hybrid_network import UNTRAINED, TrainedForce
+from phsi_opt.learning.network import Network, numbers
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate_forced
@@ -27,6 +23,7 @@ from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.writing import write_whole
 
 FORMAT = "phsi_opt hybrid 1"
+SCALES = ("shift", "spread", "seen")  # of a network, in a file
 HINGE_DECIMALS = 6  # of places and widths in the text of a distilled force
 DEPENDENT = 1e-10  # share of the largest singular value below which hinges are the same
 
@@ -77,7 +74,7 @@ class Hybrid(Identified):
         """What the network adds to dx/dt, (n_states,)."""
         inputs = np.asarray(u)[: self.model.n_inputs]
         total = np.zeros(self.model.n_states)
-        total[list(self.force.rows)] = self.force.at(np.r_[x, inputs, t][None])[0]
+        total[self.force.rows] = self.force.at(np.r_[x, inputs, t][None])[0]
         return total
 
     def without_force(self) -> Fit:
@@ -110,29 +107,25 @@ class Hybrid(Identified):
         Raises:
             ModelError: if the network has more than one variable.
         """
-        if len(self.force.columns) != 1:
+        if len(self.force.variables) != 1:
             raise ModelError(
-                f"the network depends on {len(self.force.columns)} variables; "
+                f"the network depends on {len(self.force.variables)} variables; "
                 "only a force of one can be distilled. "
                 "Give NeuralForce(variables=...) one name."
             )
-        column = self.force.columns[0]
         runs = aligned_once(self.model, data).trajectories
-        known = [np.column_stack([run.x, run.u, run.t]) for run in runs]
-        visited = np.concatenate(known)
+        visited = np.vstack([np.column_stack([r.x, r.u, r.t]) for r in runs])
         visited = visited[np.isfinite(visited).all(axis=1)]
-        name = self.force.variables[0]
-        bodies, terms = _hinges(name, visited[:, column], knots)
+        v = self.force.values_in(visited)[:, 0]
+        bodies, terms = _hinges(self.force.variables[0], v, knots)
         scale = np.sqrt(np.mean(terms**2, axis=0))
-        scaled = np.linalg.lstsq(
-            terms / scale, self.force.at(visited), rcond=DEPENDENT
-        )[0]
-        coefficients = scaled / scale[:, None]
+        force = self.force.at(visited)
+        scaled = np.linalg.lstsq(terms / scale, force, rcond=DEPENDENT)[0]
         found = {}
-        for equation, column_of in zip(
-            self.force.equations, coefficients.T, strict=True
-        ):
-            found[equation] = _dictionary(bodies, column_of)
+        for equation, sizes in zip(self.force.equations, scaled.T, strict=True):
+            pairs = zip(bodies, (sizes / scale).tolist(), strict=True)
+            summands = [Term(body, Parameter(size)) for body, size in pairs]
+            found[equation] = Dictionary(tuple(summands))
         return found
 
     def save(self, path: str | Path) -> None:
@@ -140,27 +133,24 @@ class Hybrid(Identified):
 
         The file holds numbers and formulas, no code.
         """
+        network = self.force.network
+        layers = [[weights.tolist(), bias.tolist()] for weights, bias in network.layers]
+        scales = {name: getattr(network, name).tolist() for name in SCALES}
+        force = {
+            "equations": list(self.force.equations),
+            "variables": list(self.force.variables),
+            **scales,
+            "layers": layers,
+        }
         content = {
             "format": FORMAT,
             "fit": self.fit.content(),
-            "force": self._force_content(),
+            "force": force,
             "convergence": self.convergence.to_dict("list"),
             "converged": self.converged,
             "seconds": self.seconds,
         }
         write_whole(path, json.dumps(content) + "\n")
-
-    def _force_content(self) -> dict[str, Any]:
-        force = self.force
-        layers = [[weights.tolist(), bias.tolist()] for weights, bias in force.layers]
-        return {
-            "equations": list(force.equations),
-            "variables": list(force.variables),
-            "shift": force.shift.tolist(),
-            "spread": force.spread.tolist(),
-            "seen": force.seen.tolist(),
-            "layers": layers,
-        }
 
     @staticmethod
     def load(path: str | Path) -> "Hybrid":
@@ -196,70 +186,33 @@ def _hinges(name: str, visited: np.ndarray, knots: int) -> tuple[list[str], np.n
         width = round(float(np.median(np.diff(places))) / 2, HINGE_DECIMALS)
     bodies = ["1", name]
     columns = [np.ones_like(visited), visited]
-    for place in places:
-        bodies.append(f"sqrt(({name} - {float(place)!r})**2 + {width!r}**2)")
+    for place in places.tolist():
+        bodies.append(f"sqrt(({name} - {place!r})**2 + {width!r}**2)")
         columns.append(np.sqrt((visited - place) ** 2 + width**2))
     return bodies, np.column_stack(columns)
 
 
-def _dictionary(bodies: list[str], coefficients: np.ndarray) -> Dictionary:
-    terms = []
-    for body, coefficient in zip(bodies, coefficients, strict=True):
-        terms.append(Term(body, Parameter(float(coefficient))))
-    return Dictionary(tuple(terms))
-
-
 def _from_content(content: dict[str, Any]) -> Hybrid:
     fit = Fit.from_content(content["fit"])
-    equations = tuple(str(name) for name in content["force"]["equations"])
+    stored = content["force"]
+    equations = tuple(str(name) for name in stored["equations"])
     model = without_signals(fit.model, equations)
+    shift, spread, seen = (numbers(stored[name]) for name in SCALES)
+    layers = tuple((numbers(w), numbers(b)) for w, b in stored["layers"])
+    network = Network(shift, spread, seen, UNTRAINED.activation, layers)
+    force = TrainedForce.of(model, equations, stored["variables"], network)
+    if not network.is_of(len(force.variables), len(equations)):
+        raise DataError(
+            "the layers of the network do not fit together "
+            "or to its equations and variables."
+        )
     return Hybrid(
         model=model,
         hold=fit.hold,
         seconds=float(content["seconds"]),
         removed=fit.removed,
         fit=fit,
-        force=_force_from(content["force"], equations, model),
+        force=force,
         convergence=pd.DataFrame(content["convergence"]),
         converged=bool(content["converged"]),
     )
-
-
-def _force_from(
-    stored: dict[str, Any], equations: tuple[str, ...], model: Model
-) -> TrainedForce:
-    layers = []
-    for weights, bias in stored["layers"]:
-        layers.append((np.array(weights, dtype=float), np.array(bias, dtype=float)))
-    variables = stored["variables"]
-    force = TrainedForce(
-        equations=equations,
-        columns=variable_columns(model, variables),
-        rows=tuple(model.index(n, "equation of the network") for n in equations),
-        names=known_names(model),
-        n_states=model.n_states,
-        shift=np.array(stored["shift"], dtype=float),
-        spread=np.array(stored["spread"], dtype=float),
-        seen=np.array(stored["seen"], dtype=float),
-        layers=tuple(layers),
-    )
-    if not _fits_together(force):
-        raise DataError(
-            "the layers of the network do not fit together "
-            "or to its equations and variables."
-        )
-    return force
-
-
-def _fits_together(force: TrainedForce) -> bool:
-    """Whether the arrays of a force have the sizes of its variables and equations."""
-    n_inputs = len(force.columns)
-    if force.shift.shape != (n_inputs,):
-        return False
-    if force.spread.shape[-1:] != (n_inputs,) or force.seen.shape[-1:] != (n_inputs,):
-        return False
-    for weights, bias in force.layers:
-        if weights.shape != (len(bias), n_inputs):
-            return False
-        n_inputs = len(bias)
-    return n_inputs == len(force.rows)

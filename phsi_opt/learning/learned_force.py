@@ -19,24 +19,23 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phsi_opt.comparison.compare import compare
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import DataError, ModelError, did_you_mean
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.json_file import read_json
 from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.points import Points
 from phsi_opt.learning.distillation import short_form
-from phsi_opt.learning.force_response import Response
-from phsi_opt.learning.force_samples import ForceSamples, Points
-from phsi_opt.learning.hidden_layer import HiddenLayer, Training
-from phsi_opt.learning.orthogonal_network import OutputLayer, fitted_network
+from phsi_opt.learning.force_samples import ForceSamples, Response
+from phsi_opt.learning.network import Network, numbers, range_of
+from phsi_opt.learning.orthogonal_network import Training
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
@@ -47,7 +46,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMAT = "phsi_opt learned force 1"
-SMALLEST_SPREAD = 1e-12  # of a variable, in its unit
 N_CURVE_POINTS = 300  # points of a drawn curve
 N_MAP_POINTS = 60  # points to a side of a drawn map
 
@@ -61,8 +59,7 @@ class LearnedForce:
             the force in place.
         equation: the state in whose equation the force acts.
         on: names of the variables v.
-        shift: (n_variables,), and ``spread``: N is a network of (v - shift) / spread.
-        hidden: layer of the network; ``output``: the other one.
+        network: N.
         explains: share of what the fit left in the measurements (the squares of its
             linearised residuals) that the force predicts on stretches of time left out.
             Zero or below: it found nothing, and N is set to zero.
@@ -72,24 +69,18 @@ class LearnedForce:
     physics: Fit
     equation: str
     on: tuple[str, ...]
-    shift: np.ndarray
-    spread: np.ndarray
-    hidden: HiddenLayer
-    output: OutputLayer
+    network: Network
     explains: float
     samples: ForceSamples = field(repr=False)
 
     @property
     def data_range(self) -> np.ndarray:
         """Least and largest value of each variable in the record, (2, n_variables)."""
-        v = self.samples.v
-        return np.stack([v.min(axis=0), v.max(axis=0)])
+        return self.network.seen
 
     def at(self, v: Any) -> np.ndarray:
         """The force (n,) at values (n, n_variables) of its variables."""
-        inside = np.clip(np.asarray(v, dtype=float), *self.data_range)
-        z = (inside - self.shift) / self.spread
-        return self.output.at(self.hidden.features(z))
+        return self.network.at(np.asarray(v, dtype=float))[:, 0]
 
     def force(self, x: Any, u: Any = None, t: Any = 0.0) -> np.ndarray:
         """The force (n,) at states, inputs and times.
@@ -105,8 +96,7 @@ class LearnedForce:
         model = self.physics.model
         x = np.atleast_2d(np.asarray(x, dtype=float))
         n = len(x)
-        if u is None:
-            u = np.zeros((n, 0))
+        u = np.zeros((n, 0)) if u is None else u
         u = np.asarray(u, dtype=float).reshape(n, -1)
         if x.shape[1] != model.n_states or u.shape[1] != model.n_inputs:
             raise DataError(
@@ -132,25 +122,23 @@ class LearnedForce:
     def _bodies(self) -> list[str]:
         """The bias and the weighted units, as formulas of the variables."""
         variables = self._standardized()
-        bodies = [repr(float(self.output.bias))]
-        sizes = self.output.weights.tolist()
-        units = zip(self.hidden.weights, self.hidden.bias, sizes, strict=True)
-        for weights, bias, size in units:
+        (weights, bias), (sizes, constant) = self.network.layers
+        bodies = [repr(float(constant[0]))]
+        for row, own, size in zip(weights, bias, sizes[0].tolist(), strict=True):
             parts = []
-            for weight, z in zip(weights.tolist(), variables, strict=True):
+            for weight, z in zip(row.tolist(), variables, strict=True):
                 parts.append(f"{weight!r}*({z})")
-            bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {float(bias)!r})")
+            bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {float(own)!r})")
         return bodies
 
     def _standardized(self) -> list[str]:
         """The standardised variables as formulas, held at the edge of the data."""
-        lower, upper = self.data_range.tolist()
+        scales = (*self.data_range, self.network.shift, self.network.spread)
         formulas = []
-        for i, name in enumerate(self.on):
-            inside = f"min(max({name}, {lower[i]!r}), {upper[i]!r})"
-            shift = float(self.shift[i])
-            spread = float(self.spread[i])
-            formulas.append(f"({inside} - {shift!r})/{spread!r}")
+        for name, *scale in zip(self.on, *map(np.ndarray.tolist, scales), strict=True):
+            lower, upper, shift, spread = map(repr, scale)
+            inside = f"min(max({name}, {lower}), {upper})"
+            formulas.append(f"({inside} - {shift})/{spread}")
         return formulas
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
@@ -161,13 +149,6 @@ class LearnedForce:
             SolveError: the solution cannot be continued.
         """
         return self.fit.simulate(t, x0, u)
-
-    def free_run_rmse(self, data: Measurements) -> float:
-        """Error of the free run on measurements, as in `compare`.
-
-        Starting states are estimated from the record.
-        """
-        return compare(self.fit, data).rmse
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the learned force over its first variable, or two.
@@ -187,20 +168,21 @@ class LearnedForce:
     def _curve(self, name: str, ax: "Axes | None") -> "Axes":
         from phsi_opt.presentation.pictures import plot_learned_curve
 
-        lower, upper = self.data_range[:, 0].tolist()
+        lower, upper = self.data_range
         v = np.linspace(lower, upper, N_CURVE_POINTS)
-        curve = np.column_stack([v, self.at(v[:, None])])
-        samples = np.column_stack([self.samples.v[:, 0], self.samples.beyond_physics])
-        return plot_learned_curve(curve, samples, (self.on[0], name), ax)
+        curve = np.column_stack([v, self.at(v)])
+        samples = self.samples
+        beyond = samples.without_physics(samples.w) * samples.std
+        missing = np.column_stack([samples.v, beyond])
+        return plot_learned_curve(curve, missing, (self.on[0], name), ax)
 
     def _map(self, name: str, ax: "Axes | None") -> "Axes":
         """Over the first two variables, the others at their means."""
         from phsi_opt.presentation.pictures import plot_learned_map
 
         lower, upper = self.data_range
-        first = np.linspace(lower[0], upper[0], N_MAP_POINTS)
-        second = np.linspace(lower[1], upper[1], N_MAP_POINTS)
-        points = np.tile(self.shift, (N_MAP_POINTS**2, 1))
+        first, second, *_ = np.linspace(lower, upper, N_MAP_POINTS).T
+        points = np.tile(self.network.shift, (N_MAP_POINTS**2, 1))
         points[:, 0] = np.tile(first, N_MAP_POINTS)
         points[:, 1] = np.repeat(second, N_MAP_POINTS)
         force = self.at(points).reshape(N_MAP_POINTS, N_MAP_POINTS)
@@ -211,23 +193,19 @@ class LearnedForce:
 
     def save(self, path: str | Path) -> None:
         """Write physics, network and samples as JSON: numbers and formulas, no code."""
-        samples = self.samples
+        samples = vars(self.samples)
+        (weights, bias), (sizes, constant) = self.network.layers
         content = {
             "format": FORMAT,
             "physics": self.physics.content(),
             "equation": self.equation,
             "on": list(self.on),
-            "shift": self.shift.tolist(),
-            "spread": self.spread.tolist(),
+            "shift": self.network.shift.tolist(),
+            "spread": self.network.spread.tolist(),
             "explains": self.explains,
-            "hidden": [self.hidden.weights.tolist(), self.hidden.bias.tolist()],
-            "record": {
-                "v": samples.v.tolist(),
-                "w": samples.w.tolist(),
-                "std": samples.std.tolist(),
-                "physics": samples.physics.tolist(),
-            },
-            "output": [self.output.weights.tolist(), self.output.bias],
+            "hidden": [weights.tolist(), bias.tolist()],
+            "record": {name: values.tolist() for name, values in samples.items()},
+            "output": [sizes[0].tolist(), float(constant[0])],
         }
         write_whole(path, json.dumps(content) + "\n")
 
@@ -250,6 +228,30 @@ class LearnedForce:
         )
 
 
+def _from_content(content: dict[str, Any]) -> LearnedForce:
+    physics = Fit.from_content(content["physics"])
+    equation = str(content["equation"])
+    physics.model.index(equation, "equation of the learned force")
+    on = _checked_names(physics.model, [str(name) for name in content["on"]])
+    record = content["record"]
+    samples = ForceSamples(**{name: numbers(record[name]) for name in record})
+    weights, bias = map(numbers, content["hidden"])
+    sizes, constant = map(numbers, content["output"])
+    network = Network(
+        numbers(content["shift"]),
+        numbers(content["spread"]),
+        range_of(samples.v),
+        "tanh",
+        ((weights, bias), (sizes[None], constant[None])),
+    )
+    if not network.is_of(len(on), 1) or len(samples.v) != len(samples.w):
+        raise DataError(
+            "the layers of the network do not fit together or to its variables."
+        )
+    explains = float(content["explains"])
+    return LearnedForce(physics, equation, on, network, explains, samples)
+
+
 def learned_force(
     fit: Fit,
     data: Measurements,
@@ -258,7 +260,6 @@ def learned_force(
     on: Sequence[str],
     seed: int = 0,
     epochs: int = 200,
-    loss: MaximumLikelihood | None = None,
 ) -> LearnedForce:
     """Learn the force that a fit lacks in one equation, as a function of variables.
 
@@ -270,8 +271,6 @@ def learned_force(
         seed: of the network's first weights.
         epochs: the most; how many are used, and the weight of the ridge, is chosen on
             stretches of time left out.
-        loss: how the physics is re-estimated with the force in place, default
-            `MaximumLikelihood`.
 
     Raises:
         ModelError: a name is unknown, the equation is one of kinematics, a setting is
@@ -281,9 +280,7 @@ def learned_force(
         SolveError: the missing force or the physics could not be estimated.
     """
     record = Record.of(fit, data)
-    return learned_force_of(
-        record, equation=equation, on=on, seed=seed, epochs=epochs, loss=loss
-    )
+    return learned_force_of(record, equation=equation, on=on, seed=seed, epochs=epochs)
 
 
 def learned_force_of(
@@ -293,44 +290,32 @@ def learned_force_of(
     on: Sequence[str],
     seed: int = 0,
     epochs: int = 200,
-    loss: MaximumLikelihood | None = None,
 ) -> LearnedForce:
     """`learned_force` for a record that was made before.
 
     Args:
         record: the fit along the measurements.
-        equation, on, seed, epochs, loss: as in `learned_force`.
+        equation, on, seed, epochs: as in `learned_force`.
 
     Raises:
         ModelError: as in `learned_force`.
         DataError: as in `learned_force`.
         SolveError: as in `learned_force`.
     """
-    fit = record.fit
-    on = _checked_names(fit.model, on)
-    _check_epochs(epochs)
+    model = record.fit.model
+    on = _checked_names(model, on)
+    if not isinstance(epochs, int) or epochs < 1:
+        raise ModelError(
+            f"epochs={epochs!r} of a learned force must be a whole number "
+            "of at least 1."
+        )
     samples = ForceSamples.of(record, equation, on)
-    shift = samples.v.mean(axis=0)
-    spread = np.maximum(samples.v.std(axis=0), SMALLEST_SPREAD)
-    response = Response.of(record, fit.model.index(equation))
-    z = (samples.v - shift) / spread
-    network = fitted_network(z, samples, response, Training(epochs, seed))
-    learned = LearnedForce(
-        physics=fit,
-        equation=equation,
-        on=on,
-        shift=shift,
-        spread=spread,
-        hidden=network.hidden,
-        output=network.output,
-        explains=network.explains,
-        samples=samples,
-    )
-    if network.explains <= 0:
-        nothing = OutputLayer(0 * network.output.weights, 0.0)
-        return replace(learned, output=nothing)
-    physics = _re_estimated(learned, record, loss or MaximumLikelihood())
-    return replace(learned, physics=physics)
+    response = Response.of(record, model.index(equation))
+    network, explains = Training(samples, response, epochs, seed).result()
+    learned = LearnedForce(record.fit, equation, on, network, explains, samples)
+    if explains <= 0:
+        return learned
+    return replace(learned, physics=_re_estimated(learned, record))
 
 
 def _checked_names(model: Model, on: Sequence[str]) -> tuple[str, ...]:
@@ -349,17 +334,7 @@ def _checked_names(model: Model, on: Sequence[str]) -> tuple[str, ...]:
     return tuple(on)
 
 
-def _check_epochs(epochs: int) -> None:
-    if not isinstance(epochs, int) or epochs < 1:
-        raise ModelError(
-            f"epochs={epochs!r} of a learned force must be a whole number "
-            "of at least 1."
-        )
-
-
-def _re_estimated(
-    learned: LearnedForce, record: Record, loss: MaximumLikelihood
-) -> Fit:
+def _re_estimated(learned: LearnedForce, record: Record) -> Fit:
     """The physics with its parameters estimated beside the force.
 
     What is theirs in the missing force, they take.
@@ -368,21 +343,18 @@ def _re_estimated(
     if not fit.model.free:
         return fit
     data = record.data
-    estimate = record.estimate
-    grid = estimate.grid
+    grid = record.estimate.grid
     states = []
-    for number in range(data.n_trajectories):
-        is_sample = (grid.trajectory == number) & grid.sample
-        states.append(estimate.x[is_sample])
+    for x, is_sample in zip(record.start, grid.split(grid.sample), strict=True):
+        states.append(x[is_sample])
     noise = {}
-    for name, sigma in zip(data.states, estimate.sigma, strict=True):
+    for name, sigma in zip(data.states, record.estimate.sigma, strict=True):
         if name in data.measured:
             noise[name] = float(sigma)
     start = replace(learned.fit, states=tuple(states), noise=noise, steps=fit.steps)
-    found = identify(learned.fit.model, data, loss, start=start)
+    found = identify(learned.fit.model, data, MaximumLikelihood(), start=start)
     values = {name: found.values[name] for name in fit.model.free}
-    model = fit.model.with_values(values)
-    return replace(found, model=model, states=(), steps=())
+    return replace(found, model=fit.model.with_values(values), states=(), steps=())
 
 
 def distil(
@@ -413,75 +385,20 @@ def distil(
         DataError: the measurements do not fit the model.
         SolveError: the missing force could not be estimated.
     """
-    if not np.any(learned.output.weights):
+    if not np.any(learned.network.layers[-1][0]):
         return []
     fit = learned.physics
+    equation = learned.equation
     record = Record.of(fit, data)
-    samples = ForceSamples.of(record, learned.equation, learned.on)
-    response = Response.of(record, fit.model.index(learned.equation))
+    samples = ForceSamples.of(record, equation, learned.on)
+    response = Response.of(record, fit.model.index(equation))
     curve = learned.at(samples.v)
     terms = short_form(learned.on, samples, response, curve, most, share)
-    names = _free_names(model or fit.model, learned.equation, len(terms))
+    taken = (model or fit.model).entries
+    names = (f"learned_{equation}_{k}" for k in count(1))
+    free = islice((name for name in names if name not in taken), len(terms))
     effects = []
-    for term, name in zip(terms, names, strict=True):
+    for term, name in zip(terms, free, strict=True):
         dictionary = Dictionary((replace(term, name=name),))
-        effects.append(
-            Effect(f"learned {term.body}", "F", learned.equation, dictionary)
-        )
+        effects.append(Effect(f"learned {term.body}", "F", equation, dictionary))
     return effects
-
-
-def _free_names(model: Model, equation: str, number: int) -> list[str]:
-    """So many names of terms that the model does not have."""
-    names: list[str] = []
-    for k in count(1):
-        if len(names) == number:
-            break
-        name = f"learned_{equation}_{k}"
-        if name not in model.entries:
-            names.append(name)
-    return names
-
-
-def _from_content(content: dict[str, Any]) -> LearnedForce:
-    physics = Fit.from_content(content["physics"])
-    equation = str(content["equation"])
-    physics.model.index(equation, "equation of the learned force")
-    names = [str(name) for name in content["on"]]
-    weights, bias = content["hidden"]
-    output_weights, output_bias = content["output"]
-    samples = {name: _array(values) for name, values in content["record"].items()}
-    learned = LearnedForce(
-        physics=physics,
-        equation=equation,
-        on=_checked_names(physics.model, names),
-        shift=_array(content["shift"]),
-        spread=_array(content["spread"]),
-        hidden=HiddenLayer(_array(weights), _array(bias)),
-        output=OutputLayer(_array(output_weights), float(output_bias)),
-        explains=float(content["explains"]),
-        samples=ForceSamples(**samples),
-    )
-    if not _fits_together(learned):
-        raise DataError(
-            "the layers of the network do not fit together or to its variables."
-        )
-    return learned
-
-
-def _array(values: Any) -> np.ndarray:
-    return np.array(values, dtype=float)
-
-
-def _fits_together(learned: LearnedForce) -> bool:
-    """Whether the shapes of a force are those of one network and its variables."""
-    n_variables = len(learned.on)
-    n_hidden = len(learned.hidden.bias)
-    v = learned.samples.v
-    of_variables = [v.shape[1:], learned.shift.shape, learned.spread.shape]
-    return (
-        all(shape == (n_variables,) for shape in of_variables)
-        and learned.hidden.weights.shape == (n_hidden, n_variables)
-        and learned.output.weights.shape == (n_hidden,)
-        and len(v) == len(learned.samples.w)
-    )

@@ -4,24 +4,41 @@
 
     N(v) = tanh(z weights' + bias) a + b,    z: the standardised variables v
 
-The hidden layer is trained on the missing force (`hidden_layer`). N is linear in the
-output layer, which is found by ridge regression of the measurements' residuals on the
-traces of the hidden units (`LinearizedRecord`: dynamics hard, the parameters of the
-physics moving along): the missing force is a smoothed guess, pale where it is sharp,
-and its deviation from point to point does not say how little a curve through many
-points may err. Only output layers whose force is orthogonal to the physics on the
-record are allowed.
+The hidden layer is trained on the missing force, weighted by its uncertainty, by Adam
+(Kingma and Ba 2015); only what the physics cannot produce counts. The output layer that
+is trained beside it is thrown away. N is linear in the output layer, which is found by
+ridge regression of the measurements' residuals on the traces of the hidden units
+(`LinearizedRecord`: dynamics hard, the parameters of the physics moving along): the
+missing force is a smoothed guess, pale where it is sharp, and its deviation from point
+to point does not say how little a curve through many points may err. Only output layers
+whose force is orthogonal to the physics on the record are allowed.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from phsi_opt.learning.force_response import N_FOLDS, Response
-from phsi_opt.learning.force_samples import ForceSamples
-from phsi_opt.learning.hidden_layer import STOPS, HiddenLayer, Training, trained_layers
+from phsi_opt.learning.force_samples import ForceSamples, Response
+from phsi_opt.learning.network import (
+    LEAST_SCALE,
+    Layers,
+    Network,
+    drawn_layers,
+    in_numpy,
+    outputs,
+    range_of,
+    torch_for,
+)
+from phsi_opt.learning.ridge import N_FOLDS, normal_equations, solutions
 from phsi_opt.statistics import TINY
 
+N_HIDDEN = 16
+# Bounds of the first weights of both layers: some units bend within the range, some are
+# nearly straight; the output is in root mean squares of the target.
+FIRST_WEIGHTS = (2.5, 0.1)
+LEARNING_RATE = 0.02  # of Adam
+STOPS = (0.0, 0.2, 0.4, 0.7, 1.0)  # shares of the epochs at which training may stop
 # Weights of the squared output weights that are tried, relative to the features.
 OUTPUT_RIDGES = 10.0 ** np.arange(-10, 1)
 # Singular values, over the largest, that count as zero: rounding, of a force on the
@@ -30,30 +47,125 @@ ORTHOGONAL = 1e-12
 NORMAL_RANK_TOLERANCE = 1e-15
 
 
+@dataclass(frozen=True)
+class Training:
+    """Of a hidden layer on samples of a force beside the physics.
+
+    Attributes:
+        samples: the missing force.
+        response: of the residuals to a force.
+        epochs: the most; how many are used is chosen on stretches of time left out.
+        seed: of the first weights.
+    """
+
+    samples: ForceSamples
+    response: Response
+    epochs: int
+    seed: int
+
+    def result(self) -> tuple[Network, float]:
+        """The network, and the share of left-out residuals that such networks explain.
+
+        Epochs and ridge are chosen on stretches of time left out. Where nothing is
+        explained the network is zero.
+
+        Raises:
+            ModelError: torch is not installed.
+        """
+        residual = self.response.residual
+        errors = self._errors_left_out()
+        total = errors.sum(axis=0)
+        stop, ridge = np.unravel_index(int(np.argmin(total)), total.shape)
+        network = self._trained(np.ones(len(self.samples.w), dtype=bool))[stop]
+        features = self._features(network)
+        weights = features.outputs(np.ones(len(residual), dtype=bool), residual)[ridge]
+        explains = _explained_share(errors, residual)
+        if explains <= 0:
+            weights = 0 * weights
+        layers = (*network.layers[:-1], (weights[None, :-1], weights[-1:]))
+        whole = range_of(self.samples.v)
+        return replace(network, layers=layers, seen=whole), explains
+
+    def _errors_left_out(self) -> np.ndarray:
+        """Squared residuals of each fold left out, (n_folds, n_stops, n_ridges)."""
+        residual = self.response.residual
+        errors = np.zeros((N_FOLDS, len(STOPS), len(OUTPUT_RIDGES)))
+        for fold in range(N_FOLDS):
+            left_out = self.response.value_fold == fold
+            networks = self._trained(self.response.fold != fold)
+            for stop, network in enumerate(networks):
+                features = self._features(network)
+                found = features.outputs(~left_out, residual)
+                for ridge, weights in enumerate(found):
+                    predicted = features.traces[left_out] @ weights
+                    left = residual[left_out] - predicted
+                    errors[fold, stop, ridge] = np.sum(left**2)
+        return errors
+
+    def _features(self, network: Network) -> "_Features":
+        return _Features.of(network.features(self.samples.v), self)
+
+    def _trained(self, used: np.ndarray) -> list[Network]:
+        """The network at each of the `STOPS`, by the samples that are used."""
+        samples = self.samples
+        scaled = Network.scaled(samples.v, "tanh")
+        seen = replace(scaled, seen=range_of(samples.v[used]))
+        stops = [round(share * self.epochs) for share in STOPS]
+        found: dict[int, Layers] = {}
+        with torch_for("a learned force") as torch:
+            sizes = (samples.v.shape[1], N_HIDDEN, 1)
+            generator = torch.Generator().manual_seed(self.seed)
+            layers = drawn_layers(sizes, FIRST_WEIGHTS, generator)
+            target = _Target.of(scaled.standardized(samples.v), samples, used)
+            parameters = [array for layer in layers for array in layer]
+            optimiser = torch.optim.Adam(parameters, lr=LEARNING_RATE)
+            for epoch in range(self.epochs + 1):
+                if epoch in stops:
+                    found[epoch] = in_numpy(layers)
+                optimiser.zero_grad()
+                target.loss(layers).backward()
+                optimiser.step()
+        return [replace(seen, layers=found[epoch]) for epoch in stops]
+
+
 @dataclass(frozen=True, eq=False)
-class OutputLayer:
-    """Weights (n_hidden,) of the hidden units, and a ``bias``."""
+class _Target:
+    """What the network is trained to, as tensors.
 
-    weights: np.ndarray
-    bias: float
+    Attributes:
+        z: (n, n_variables), the standardised variables.
+        weight: (n,), of the force at each.
+        basis: (n, n_columns), orthonormal basis of what the physics produces.
+        values: (n,), what the physics leaves, with a root mean square of one.
+    """
 
-    def at(self, features: np.ndarray) -> np.ndarray:
-        """The force (n,) from hidden units and a one, (n, n_hidden + 1)."""
-        return np.asarray(features[:, :-1] @ self.weights + self.bias)
+    z: Any
+    weight: Any
+    basis: Any
+    values: Any
 
+    @classmethod
+    def of(cls, z: np.ndarray, samples: ForceSamples, used: np.ndarray) -> "_Target":
+        """From the samples that are used, (n,) of bool."""
+        import torch
 
-@dataclass(frozen=True, eq=False)
-class Network:
-    """Both layers, and the share of left-out residuals that such networks explain."""
+        values = samples.without_physics(samples.w)[used]
+        size = max(float(np.sqrt(np.mean(values**2))), LEAST_SCALE)
+        weight = np.median(samples.std) / samples.std[used]
+        basis = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
+        arrays = (z[used], weight, basis, values / size)
+        return cls(*map(torch.tensor, arrays))
 
-    hidden: HiddenLayer
-    output: OutputLayer
-    explains: float
+    def loss(self, layers: Layers) -> Any:
+        """Mean square of what is left beside the physics."""
+        force = self.weight * outputs(layers, self.z, "tanh")[:, 0]
+        beyond = force - self.basis @ (self.basis.T @ force)
+        return ((beyond - self.values) ** 2).mean()
 
 
 @dataclass(frozen=True, eq=False)
 class _Features:
-    """Hidden units along a record, with a one.
+    """Hidden units along a record, with a one for the bias.
 
     Attributes:
         traces: (n_values, n_features), theirs in the residuals.
@@ -65,14 +177,13 @@ class _Features:
     free: np.ndarray
 
     @classmethod
-    def of(
-        cls, features: np.ndarray, samples: ForceSamples, response: Response
-    ) -> "_Features":
-        """From features (n_intervals, n_features)."""
-        traces = response.traces(features)
-        scaled = features / samples.std[:, None]
-        _, sizes, directions = np.linalg.svd(samples.physics.T @ scaled)
+    def of(cls, units: np.ndarray, training: Training) -> "_Features":
+        """From hidden units (n_intervals, n_hidden)."""
+        features = np.hstack([units, np.ones((len(units), 1))])
+        scaled = features / training.samples.std[:, None]
+        _, sizes, directions = np.linalg.svd(training.samples.physics.T @ scaled)
         n_bound = np.sum(sizes > ORTHOGONAL * np.max(sizes, initial=0.0))
+        traces = training.response.traces(features)
         return cls(traces, np.asarray(directions[n_bound:].T))
 
     def outputs(self, used: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
@@ -83,71 +194,11 @@ class _Features:
             residual: (n_values,).
         """
         traces = self.traces[used]
-        free = self.free
-        columns = traces @ free
-        # the bias is free
-        weights = free.T[:, :-1] @ free[:-1]
-        ridge = weights * np.mean(traces**2) * len(traces)
-        normal = columns.T @ columns
-        right = columns.T @ residual[used]
-        outputs = []
-        for weight in OUTPUT_RIDGES:
-            regularized = normal + weight * ridge
-            found = np.linalg.lstsq(regularized, right, rcond=NORMAL_RANK_TOLERANCE)
-            outputs.append(free @ found[0])
-        return outputs
-
-
-def fitted_network(
-    z: np.ndarray, samples: ForceSamples, response: Response, training: Training
-) -> Network:
-    """The network, with epochs and ridge chosen on stretches of time left out.
-
-    Args:
-        z: (n, n_variables), the standardised variables.
-        samples: the missing force there.
-        response: of the residuals to a force.
-        training: of the hidden layer.
-
-    Raises:
-        ModelError: torch is not installed.
-    """
-    errors = _errors_left_out(z, samples, response, training)
-    total = errors.sum(axis=0)
-    stop, ridge = np.unravel_index(int(np.argmin(total)), total.shape)
-    everything = np.ones(len(z), dtype=bool)
-    hidden = trained_layers(z, samples, everything, training)[stop]
-    features = _Features.of(hidden.features(z), samples, response)
-    every_value = np.ones(len(response.residual), dtype=bool)
-    weights = features.outputs(every_value, response.residual)[ridge]
-    output = OutputLayer(weights[:-1], float(weights[-1]))
-    return Network(hidden, output, _explained_share(errors, response.residual))
-
-
-def _errors_left_out(
-    z: np.ndarray, samples: ForceSamples, response: Response, training: Training
-) -> np.ndarray:
-    """Squared residuals of each fold when it is left out.
-
-    Returns:
-        (n_folds, n_stops, n_ridges).
-    """
-    residual = response.residual
-    errors = np.zeros((N_FOLDS, len(STOPS), len(OUTPUT_RIDGES)))
-    for fold in range(N_FOLDS):
-        used = response.fold != fold
-        left_out = response.value_fold == fold
-        lower = z[used].min(axis=0)
-        upper = z[used].max(axis=0)
-        inside = np.clip(z, lower, upper)
-        for stop, hidden in enumerate(trained_layers(z, samples, used, training)):
-            features = _Features.of(hidden.features(inside), samples, response)
-            outputs = features.outputs(~left_out, residual)
-            for ridge, weights in enumerate(outputs):
-                predicted = features.traces[left_out] @ weights
-                left = residual[left_out] - predicted
-                errors[fold, stop, ridge] = np.sum(left**2)
-    return errors
+        weights = self.free[:-1].T @ self.free[:-1]  # the bias is free
+        ridge = weights * np.sum(traces**2) / traces.shape[1]
+        normal = normal_equations(traces @ self.free, residual[used])
+        found = solutions(normal, ridge, OUTPUT_RIDGES, NORMAL_RANK_TOLERANCE)
+        return [self.free @ coefficients for coefficients in found]
 
 
 def _explained_share(errors: np.ndarray, residual: np.ndarray) -> float:
@@ -162,5 +213,4 @@ def _explained_share(errors: np.ndarray, residual: np.ndarray) -> float:
         of_others = total - of_fold
         choice = np.unravel_index(int(np.argmin(of_others)), total.shape)
         left += of_fold[choice]
-    squares = max(float(residual @ residual), TINY)
-    return float(1 - left / squares)
+    return float(1 - left / max(float(residual @ residual), TINY))

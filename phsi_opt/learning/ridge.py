@@ -1,28 +1,35 @@
 """Ridge regression whose weight is chosen by the prediction of what was left out."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 
-N_FOLDS = 5
+N_FOLDS = 5  # groups of samples that are left out in turn
 # Weights that are tried, in units of the mean sum of squares of a ridged column.
 RIDGE_WEIGHTS = 10.0 ** np.arange(-9, 1)
 # Share of the largest singular value below which a direction is left alone.
 SINGULAR = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class _Squares:
-    """``|d + A z|^2 = z' normal z + 2 z' right + constant``."""
+def normal_equations(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Gram matrix and right-hand side of a fit to a target (n,), (k, k + 1)."""
+    return columns.T @ np.column_stack([columns, target])
 
-    normal: np.ndarray
-    right: np.ndarray
-    constant: float
 
-    def at(self, z: np.ndarray) -> float:
-        """The sum of squares at z."""
-        value = z @ self.normal @ z + 2 * z @ self.right + self.constant
-        return float(value)
+def solutions(
+    normal: np.ndarray, ridge: np.ndarray, weights: np.ndarray, rcond: float
+) -> Iterator[np.ndarray]:
+    """Coefficients (k,) of a regression for each weight of its ridge.
+
+    Args:
+        normal: as `normal_equations` gives them, (k, k + 1).
+        ridge: of the squared coefficients, (k, k).
+        weights: of the ridge, (n_weights,).
+        rcond: singular values, over the largest, that count as zero.
+    """
+    for weight in weights:
+        regularized = normal[:, :-1] + weight * ridge
+        yield np.linalg.lstsq(regularized, normal[:, -1], rcond=rcond)[0]
 
 
 def cross_validated(
@@ -46,36 +53,26 @@ def cross_validated(
     """
     parts = []
     for fold in range(N_FOLDS):
-        A = columns[folds == fold].reshape(-1, columns.shape[2])
-        b = d[folds == fold].ravel()
-        parts.append(_Squares(A.T @ A, A.T @ b, b @ b))
-    normal = sum(part.normal for part in parts)
-    right = sum(part.right for part in parts)
-    size = float(np.mean(np.diag(normal)[ridged]))
-
-    def solved(weight: float, left_out: _Squares | None = None) -> np.ndarray:
-        N = normal if left_out is None else normal - left_out.normal
-        r = right if left_out is None else right - left_out.right
-        ridge = np.diag(weight * size * ridged)
-        return np.linalg.lstsq(N + ridge, -r, rcond=SINGULAR)[0]
-
-    errors = {}
-    for weight in RIDGE_WEIGHTS:
-        errors[weight] = np.array([part.at(solved(weight, part)) for part in parts])
-    return solved(_largest_within_an_error(errors))
+        of_fold = columns[folds == fold].reshape(-1, columns.shape[2])
+        parts.append((of_fold, -d[folds == fold].ravel()))
+    normals = [normal_equations(*part) for part in parts]
+    normal = sum(normals[1:], normals[0])
+    ridge = np.diag(ridged * np.mean(np.diag(normal)[ridged]))
+    errors = np.zeros((len(RIDGE_WEIGHTS), N_FOLDS))
+    for fold, (of_fold, target) in enumerate(parts):
+        of_others = normal - normals[fold]
+        found = solutions(of_others, ridge, RIDGE_WEIGHTS, SINGULAR)
+        for place, z in enumerate(found):
+            errors[place, fold] = np.sum((target - of_fold @ z) ** 2)
+    chosen = RIDGE_WEIGHTS[[_largest_within_an_error(errors)]]
+    return next(solutions(normal, ridge, chosen, SINGULAR))
 
 
-def _largest_within_an_error(errors: dict[float, np.ndarray]) -> float:
-    """The largest weight whose errors exceed the least by at most a standard error.
+def _largest_within_an_error(errors: np.ndarray) -> int:
+    """Place of the largest weight whose errors hardly exceed the least.
 
-    Args:
-        errors: by weight, those of the folds, (N_FOLDS,).
+    By at most a standard error; errors are (n_weights, n_folds).
     """
-    best = min(errors, key=lambda weight: float(errors[weight].sum()))
-    largest = best
-    for weight in errors:
-        more = errors[weight] - errors[best]
-        standard_error = more.std(ddof=1) / np.sqrt(N_FOLDS)
-        if weight > largest and more.mean() <= standard_error:
-            largest = weight
-    return largest
+    more = errors - errors[np.argmin(errors.sum(axis=1))]
+    standard_error = more.std(axis=1, ddof=1) / np.sqrt(N_FOLDS)
+    return int(np.flatnonzero(more.mean(axis=1) <= standard_error)[-1])

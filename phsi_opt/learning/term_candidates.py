@@ -11,9 +11,16 @@ from phsi_opt.model.terms import Term
 
 PLACES = np.linspace(0.04, 0.96, 16)  # of corners and pulses: quantiles of the variable
 WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of pulses: shares of the variable's range
-HIGHEST_POWER = 5
-# Exponents of the products of two variables.
-PRODUCTS = ((1, 1), (2, 1), (1, 2), (3, 1), (2, 2), (1, 3))
+POWERS = ("{v}", "{v}*abs({v})", "{v}**2", "{v}**3", "{v}**4", "{v}**5")
+SINES = ("sin({v})", "cos({v})")
+# The sign of the variable, rounded as the catalogue's Coulomb friction is.
+ROUNDED_SIGN = "{v}*({v}**4 + turnover**4)**(-0.25)"
+CORNERS = ("max({v} - corner, 0)", "max(corner - {v}, 0)")
+PULSE = "exp(-(({v} - centre)/width)**2)"
+PRODUCTS = (
+    *("{a}*{b}", "{a}**2*{b}", "{a}*{b}**2", "{a}**3*{b}", "{a}**2*{b}**2"),
+    *("{a}*{b}**3", "{a}*abs({b})", "abs({a})*{b}"),
+)
 
 
 def candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
@@ -25,47 +32,23 @@ def candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
     """
     yield Term("1")
     for name, values in zip(names, v.T, strict=True):
-        yield from _smooth(name)
-        yield _dry_friction(name, values)
+        for body in (*POWERS, *SINES):
+            yield Term(body.format(v=name))
+        size = float(np.sqrt(np.mean(values**2)))
+        turnover = Parameter(FRICTION_TURNOVER * size, fixed=True)
+        yield Term(ROUNDED_SIGN.format(v=name), None, {"turnover": turnover})
         for place in np.quantile(values, PLACES).tolist():
-            yield from _corners(name, place)
-            yield from _pulses(name, place, float(np.ptp(values)))
+            yield from _at_a_place(name, Parameter(place), float(np.ptp(values)))
     for a, b in combinations(names, 2):
-        yield from _products(a, b)
+        for body in PRODUCTS:
+            yield Term(body.format(a=a, b=b))
 
 
-def _smooth(name: str) -> Iterator[Term]:
-    """Powers and sines."""
-    yield Term(name)
-    yield Term(f"{name}*abs({name})")
-    for power in range(2, HIGHEST_POWER + 1):
-        yield Term(f"{name}**{power}")
-    yield Term(f"sin({name})")
-    yield Term(f"cos({name})")
-
-
-def _dry_friction(name: str, values: np.ndarray) -> Term:
-    """The sign of the variable, rounded as the catalogue's Coulomb friction is."""
-    size = float(np.sqrt(np.mean(values**2)))
-    turnover = Parameter(FRICTION_TURNOVER * size, fixed=True)
-    body = f"{name}*({name}**4 + turnover**4)**(-0.25)"
-    return Term(body, None, {"turnover": turnover})
-
-
-def _corners(name: str, place: float) -> Iterator[Term]:
-    yield Term(f"max({name} - corner, 0)", None, {"corner": Parameter(place)})
-    yield Term(f"max(corner - {name}, 0)", None, {"corner": Parameter(place)})
-
-
-def _pulses(name: str, place: float, spread: float) -> Iterator[Term]:
+def _at_a_place(name: str, place: Parameter, spread: float) -> Iterator[Term]:
+    """Corners and pulses of a variable that has such a spread."""
+    for body in CORNERS:
+        yield Term(body.format(v=name), None, {"corner": place})
     for share in WIDTHS:
         width = Parameter(share * spread, lower=0.0)
-        inner = {"centre": Parameter(place), "width": width}
-        yield Term(f"exp(-(({name} - centre)/width)**2)", None, inner)
-
-
-def _products(a: str, b: str) -> Iterator[Term]:
-    for i, j in PRODUCTS:
-        yield Term(f"{a}**{i}*{b}**{j}".replace("**1", ""))
-    yield Term(f"{a}*abs({b})")
-    yield Term(f"abs({a})*{b}")
+        inner = {"centre": place, "width": width}
+        yield Term(PULSE.format(v=name), None, inner)
