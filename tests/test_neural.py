@@ -13,6 +13,7 @@ from phsi_opt.learning.hybrid import Hybrid, hybrid
 from phsi_opt.learning.hybrid_network import NeuralForce
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.stages import STAGE_RULES
+from problems.thesis.hinges import hinges
 
 SMALL = NeuralForce(
     ("p",), ("q",), hidden=(20, 20), epochs=60, batch=64, learning_rate=5e-3
@@ -127,7 +128,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None
 
 
 def test_a_force_of_one_variable_becomes_a_dictionary_of_hinges(found: Hybrid) -> None:
-    terms = found.distilled(data(), knots=12)
+    terms = hinges(found, data())
     assert list(terms) == ["p"]
     distilled = ph.FirstOrder(["q", "p"], {"p": terms["p"]})
     q = np.linspace(-1, 1, 21)
@@ -203,14 +204,6 @@ def test_a_damaged_file_is_refused(found: Hybrid, tmp_path: Path, damage) -> Non
 def test_bad_settings_are_refused(made, message: str) -> None:
     with pytest.raises(ph.ModelError, match=message):
         made()
-
-
-def test_a_force_of_several_variables_is_not_distilled() -> None:
-    both = hybrid(
-        model(), data(), NeuralForce(("p",), hidden=(8,), epochs=2), max_turns=1
-    )
-    with pytest.raises(ph.ModelError, match="2 variables"):
-        both.distilled(data())
 
 
 @pytest.mark.parametrize("scheme", list(STAGE_RULES))

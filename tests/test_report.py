@@ -23,8 +23,8 @@ from phsi_opt.force_analysis.causes import Causes
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.next_step import (
     advice_of_cause,
-    against_vibration,
     likely_cause,
+    step_without_name,
 )
 from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.force_analysis.units import (
@@ -536,13 +536,16 @@ def test_the_likely_cause_comes_before_the_symptom(
 def test_a_vibration_is_to_be_found_and_averaged_away() -> None:
     pace = Pace(51.0, 0.75, 0.15, 1 / 300, 700.0, 18.0)
     assert pace.is_vibration
-    assert against_vibration(pace).lead == (
+    force = SimpleNamespace(is_uncertain=False, pace=pace)
+    analysis: Any = SimpleNamespace(force_in=lambda: force)
+    told = step_without_name(analysis, {})
+    assert told.lead == (
         "Average every 6 samples and diagnose again: anything else that is missing "
         "then shows."
     )
     # What to look at stands before what to type.
-    assert against_vibration(pace).detail.startswith("At the machine, look for")
-    assert "thinned = 6" in against_vibration(pace).detail
+    assert told.detail.startswith("At the machine, look for")
+    assert "thinned = 6" in told.detail
 
 
 def test_units_have_their_powers_raised_and_formulas_stay() -> None:

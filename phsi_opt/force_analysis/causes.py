@@ -7,6 +7,7 @@ goes in comes back on the same way), of the inputs, of the time.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,14 +20,14 @@ from phsi_opt.criteria import (
     TIED_CAUSES,
 )
 from phsi_opt.force_analysis.cross_validation import explained_share
-from phsi_opt.force_analysis.dependence import PARAMETERS, sought_in_time
+from phsi_opt.force_analysis.dependence import PARAMETERS
 from phsi_opt.force_analysis.force_record import Force
 from phsi_opt.force_analysis.piecewise_linear import (
     odd_basis,
     piecewise_linear_basis,
     product_basis,
 )
-from phsi_opt.force_analysis.waves import PositionWave
+from phsi_opt.force_analysis.waves import PositionWave, functions_of_time
 from phsi_opt.model.model import FirstOrder
 from phsi_opt.model.structure import exchange_partners
 
@@ -141,10 +142,10 @@ def _share(
     force: Force, bases: Mapping[str, np.ndarray], causes: Sequence[str]
 ) -> float:
     """Part of the force's mean square that causes predict together."""
-    judge = force.validation_of_inputs if "inputs" in causes else force.validation
-    sought = sought_in_time(force) if "time" in causes else None
+    sought = partial(functions_of_time, force) if "time" in causes else None
     functions = [bases[cause] for cause in causes if cause != "time"]
-    return explained_share(judge.leave_out_error(functions, sought), judge.total)
+    error = force.left_out_error(functions, sought, "inputs" in causes)
+    return explained_share(error, force.squares)
 
 
 def _shares_beside(

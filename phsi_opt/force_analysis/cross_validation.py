@@ -7,7 +7,6 @@ inputs are judged, what is left out has several such values as a whole.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,58 +21,33 @@ COEFFICIENT_RIDGE = 1e-3  # weight of the smallness of coefficients, in samples 
 Sought = Callable[[np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
-class CrossValidation:
-    """A force on stretches of time that are left out in turn.
+def left_out_error(
+    w: np.ndarray,
+    fold: np.ndarray,
+    bases: Sequence[np.ndarray],
+    sought: Sought | None = None,
+) -> float:
+    """Sum of squares of a force that fits leave on stretches of time left out.
 
-    Attributes:
+    Args:
         w: the force, (n_intervals,).
         fold: number of the fold that leaves each interval out, (n_intervals,).
+        bases: columns of functions, each (n_intervals, k), fitted together.
+        sought: further functions, which differ from fold to fold.
     """
-
-    w: np.ndarray
-    fold: np.ndarray
-
-    @classmethod
-    def of(
-        cls, w: np.ndarray, run: np.ndarray, inputs: np.ndarray | None = None
-    ) -> "CrossValidation":
-        """The stretches of a force along trajectories.
-
-        Args:
-            w: the force, (n_intervals,).
-            run: number of the trajectory, (n_intervals,).
-            inputs: (n_intervals, n_inputs), where functions of them are judged.
-        """
-        return cls(w, fold_numbers(run, inputs))
-
-    @property
-    def total(self) -> float:
-        """Sum of squares of the force."""
-        return float(np.sum(self.w**2))
-
-    def leave_out_error(
-        self, bases: Sequence[np.ndarray], sought: Sought | None = None
-    ) -> float:
-        """Sum of squares that least-squares fits leave on the stretches left out.
-
-        Args:
-            bases: columns of functions, each (n_intervals, k), fitted together.
-            sought: further functions, which differ from fold to fold.
-        """
-        columns = np.hstack(bases)
-        normal = _normal(columns, self.w)
-        error = 0.0
-        for number in np.unique(self.fold):
-            is_left_out = self.fold == number
-            if sought is not None:
-                columns = np.hstack([*bases, sought(~is_left_out)])
-                normal = _normal(columns, self.w)
-            left_out = columns[is_left_out]
-            w = self.w[is_left_out]
-            fitted = _ridge_coefficients(normal - _normal(left_out, w))
-            error += float(np.sum((w - left_out @ fitted) ** 2))
-        return error
+    columns = np.hstack(bases)
+    normal = _normal(columns, w)
+    error = 0.0
+    for number in np.unique(fold):
+        is_left_out = fold == number
+        if sought is not None:
+            columns = np.hstack([*bases, sought(~is_left_out)])
+            normal = _normal(columns, w)
+        left_out = columns[is_left_out]
+        rest = normal - _normal(left_out, w[is_left_out])
+        residual = w[is_left_out] - left_out @ _ridge_coefficients(rest)
+        error += float(residual @ residual)
+    return error
 
 
 def explained_share(error: float, total: float) -> float:
@@ -98,11 +72,8 @@ def fold_numbers(run: np.ndarray, inputs: np.ndarray | None = None) -> np.ndarra
     """Which fold leaves each interval out, (n_intervals,).
 
     Stretches of each trajectory, as long as one another, are dealt to the folds in
-    turn; stretches of whole holds, where an input is held for a third of a stretch.
-
-    Args:
-        run: number of the trajectory, (n_intervals,).
-        inputs: (n_intervals, n_inputs), where functions of them are judged.
+    turn; where functions of inputs (n_intervals, n_inputs) are judged, stretches of
+    whole holds, if an input is held for a third of a stretch.
     """
     stretch = _even_stretches(run)
     for u in () if inputs is None else inputs.T:
@@ -149,9 +120,7 @@ def _stretches_of_holds(hold: np.ndarray) -> np.ndarray | None:
 def part_of_run(run: np.ndarray, n_parts: np.ndarray | int) -> np.ndarray:
     """Number of the part of its trajectory in which each interval is, (n_intervals,).
 
-    Args:
-        run: number of the trajectory, (n_intervals,).
-        n_parts: of the trajectory, one number or (n_intervals,).
+    Into how many each is cut is one number, or (n_intervals,).
     """
     count = np.bincount(run)
     first = np.cumsum(count) - count

@@ -14,13 +14,14 @@ under 'parameters'. Size and sign of the force in the tables are those of the
 difference.
 """
 
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from phsi_opt.criteria import MONOTONE_RANK_CORRELATION, NAMED_CAUSE
-from phsi_opt.force_analysis.cross_validation import Sought, explained_share
+from phsi_opt.force_analysis.cross_validation import explained_share
 from phsi_opt.force_analysis.force_record import Force, ForceRecord
 from phsi_opt.force_analysis.piecewise_linear import (
     piecewise_linear_basis,
@@ -65,16 +66,16 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
     Returns:
         A row per variable: equation, variable, share, explained.
     """
-    total = force.validation.total
+    total = force.squares
     bases = [force.shown(np.ones((len(force.w), 1)))]
-    least = force.validation.leave_out_error(bases)
+    least = force.left_out_error(bases)
     rows = [(CONSTANT, explained_share(least, total), least, NAMED_CAUSE)]
     if force.by_parameters.shape[1]:
-        error = force.validation.leave_out_error([force.by_parameters])
+        error = force.left_out_error([force.by_parameters])
         rows.append((PARAMETERS, explained_share(error, total), error, NAMED_CAUSE))
         rows.sort(key=lambda row: row[2])
         bases_with_slopes = [*bases, force.by_parameters]
-        error = force.validation.leave_out_error(bases_with_slopes)
+        error = force.left_out_error(bases_with_slopes)
         if error < least:
             bases = bases_with_slopes
             least = error
@@ -95,15 +96,10 @@ def _left_out_error(
 ) -> float:
     """Sum of squares left by functions of a variable beside others (n_intervals, k)."""
     if variable == TIME_NAME:
-        return force.validation.leave_out_error(bases, sought_in_time(force))
+        return force.left_out_error(bases, partial(functions_of_time, force))
     is_input = variable in force.record.model.inputs
-    judge = force.validation_of_inputs if is_input else force.validation
-    return judge.leave_out_error([*bases, _functions(force, variable, wave)])
-
-
-def sought_in_time(force: Force) -> Sought:
-    """Functions of the time, whose frequency is found where a fit sees the force."""
-    return lambda is_fitted: functions_of_time(force, is_fitted)
+    functions = _functions(force, variable, wave)
+    return force.left_out_error([*bases, functions], with_inputs=is_input)
 
 
 def _functions(force: Force, variable: str, wave: PositionWave | None) -> np.ndarray:

@@ -20,11 +20,10 @@ from phsi_opt.force_analysis.state_plots import (
     draw_dependence,
     draw_map,
     draw_title,
-    draw_zero,
 )
 from phsi_opt.force_analysis.units import frequency_unit
 from phsi_opt.force_analysis.wording import sentence
-from phsi_opt.presentation.axes import MEASURED, MODEL, label
+from phsi_opt.presentation.axes import BASELINE, MEASURED, MODEL, label
 from phsi_opt.statistics import TINY
 
 SENTENCE_LETTERS = 120  # in a line of the sentence over four panels
@@ -66,7 +65,7 @@ def draw_force(ax: Axes, force: EquationForce) -> None:
     half_width = SURE_DEVIATIONS * force.deviation[shown]
     ax.plot(t, w, color=MODEL, lw=1.2, label="missing force")
     draw_band(ax, t, w, half_width, "two standard deviations")
-    draw_zero(ax)
+    ax.axhline(0, color=BASELINE, lw=0.8)
     ax.set_xlabel(label("t", record.units.get("t", "")))
     ax.set_ylabel(force.force_label())
     ax.margins(y=0.25)

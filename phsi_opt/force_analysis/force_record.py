@@ -4,6 +4,7 @@ All stands at the middle of every interval, where the estimate has the force.
 """
 
 import datetime as dt
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +12,11 @@ import numpy as np
 
 from phsi_opt.estimation.missing_force import ForceEstimate
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.cross_validation import CrossValidation
+from phsi_opt.force_analysis.cross_validation import (
+    Sought,
+    fold_numbers,
+    left_out_error,
+)
 from phsi_opt.force_analysis.points import Points
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import state_units
@@ -116,6 +121,16 @@ class ForceRecord:
         scaled = slopes / np.where(size > 0, size, 1.0)
         return np.asarray(scaled[:, :, is_moving])
 
+    @cached_property
+    def folds(self) -> np.ndarray:
+        """Which fold leaves each interval out, (n_intervals,)."""
+        return fold_numbers(self.run)
+
+    @cached_property
+    def folds_of_inputs(self) -> np.ndarray:
+        """The same where functions of the inputs are judged, (n_intervals,)."""
+        return fold_numbers(self.run, self.points.u)
+
     def variable(self, name: str) -> np.ndarray:
         """Values of a state, an effort, an input or the time ``t``, (n_intervals,)."""
         model = self.model
@@ -196,12 +211,18 @@ class Force:
         slopes = self.record.slopes[:, self.row]
         return self.shown(slopes[:, np.any(slopes != 0, axis=0)])
 
-    @cached_property
-    def validation(self) -> CrossValidation:
-        """The force on stretches of time that are left out in turn."""
-        return CrossValidation.of(self.w, self.record.run)
+    @property
+    def squares(self) -> float:
+        """Sum of squares of the force."""
+        return float(self.w @ self.w)
 
-    @cached_property
-    def validation_of_inputs(self) -> CrossValidation:
-        """The same where functions of the inputs are judged."""
-        return CrossValidation.of(self.w, self.record.run, self.record.points.u)
+    def left_out_error(
+        self,
+        bases: Sequence[np.ndarray],
+        sought: Sought | None = None,
+        with_inputs: bool = False,
+    ) -> float:
+        """That of functions (n_intervals, k) of the force, of inputs too or not."""
+        record = self.record
+        folds = record.folds_of_inputs if with_inputs else record.folds
+        return left_out_error(self.w, folds, bases, sought)

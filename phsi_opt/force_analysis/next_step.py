@@ -8,13 +8,13 @@ state or an input that the model and the data lack.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.cause_words import inputs_words
 from phsi_opt.force_analysis.dependence import leading
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.pace import Pace
 from phsi_opt.model.kinds import ELECTRICAL, HYDRAULIC, MECHANICAL, THERMAL
 from phsi_opt.model.structure import exchange_partners, kind_of, with_kinds_of_units
 from phsi_opt.presentation.report_content import Answer
@@ -69,7 +69,61 @@ FIELDS = {
         "A storage, or an input that was not measured,",
     ),
 }
+# What seems to be wrong, by what explains most of a force.
+LIKELY = {
+    "unexplained": "{field.unseen} seems to be missing",
+    "inputs": "The way the {enters} d{equation}/dt seems to be wrong",
+    "time": "Something that changes with the time seems to be missing",
+    "parameters": "The model's parameters seem to change along the record",
+}
 NO_EFFECT = "No effect of the catalogue fits."
+# What to do, and why or how, by what the force looks like.
+WHAT_TO_DO = {
+    "unsure": (
+        "Record longer, or with less noise, and diagnose again.",
+        f"{NO_EFFECT} No missing force is sure.",
+    ),
+    "vibration": (
+        "Average every {n} samples and diagnose again: anything else that is missing "
+        "then shows.",
+        "At the machine, look for what swings so fast: loose or soft parts, play, "
+        "interference, a sensor's resolution. (Averages: thinned = {n} in a study "
+        "file, data.thinned({n}) in Python.)",
+    ),
+    "unexplained": (
+        "Give the model {field.state}.",
+        "Most of what is missing follows nothing that was measured at the same time. "
+        "If that does not help, record {field.input}.",
+    ),
+    "wave": (
+        "Write a term of your own in d{equation}/dt that repeats along {position}.",
+        f"{NO_EFFECT} Cogging, the teeth of a gear or a wheel off centre look so. "
+        'In Python, study.add(ph.Effect("ripple", "F", "{equation}", '
+        'ph.trigonometric("{position}"))) finds the period with the size.',
+    ),
+    "parameters": (
+        "Fit each half of the record by itself, and compare the parameters.",
+        "Changing them helps on parts of the record, but no one set of values fits all "
+        "of it. They may make up for {field.state}.",
+    ),
+    "together": (
+        "Record data in which {inputs} and what it moves with go apart.",
+        NO_EFFECT,
+    ),
+    "inputs": (
+        "Measure {field.arrives} {equation} directly, or give the model a store, a "
+        "delay or a limit between {inputs} and {equation}.",
+        NO_EFFECT,
+    ),
+    "time": (
+        "Repeat the run, and record what may have changed with the time as an input.",
+        f"{NO_EFFECT} What changes may be a load, a temperature, a supply.",
+    ),
+    "law": (
+        "Write a term of your own in d{equation}/dt that depends on {followed}.",
+        f"{NO_EFFECT} diagnosis.learned_force() draws the curve of what is missing.",
+    ),
+}
 
 
 def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
@@ -77,52 +131,33 @@ def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answ
 
     Args:
         analysis: of the missing forces.
-        units: as in `Measurements`.
+        units: as in `Measurements`; they tell of which field an equation is.
     """
     force = analysis.force_in()
     if force.is_uncertain:
-        return Answer(
-            "Record longer, or with less noise, and diagnose again.",
-            f"{NO_EFFECT} No missing force is sure.",
-        )
+        return _advice("unsure")
     if force.pace.is_vibration:
-        return against_vibration(force.pace)
+        return _advice("vibration", n=force.pace.samples_per_cycle)
     return advice_of_cause(units, force)
 
 
-def against_vibration(pace: Pace) -> Answer:
-    """What to do about a force that shakes, and to see what is missing beside it."""
-    n = pace.samples_per_cycle
-    return Answer(
-        f"Average every {n} samples and diagnose again: anything else that is missing "
-        "then shows.",
-        "At the machine, look for what swings so fast: loose or soft parts, play, "
-        f"interference, a sensor's resolution. (Averages: thinned = {n} in a study "
-        f"file, data.thinned({n}) in Python.)",
-    )
+def _advice(case: str, **facts: Any) -> Answer:
+    lead, detail = WHAT_TO_DO[case]
+    return Answer(lead.format(**facts), detail.format(**facts))
 
 
 def likely_cause(units: Mapping[str, str], force: EquationForce) -> str:
     """What seems to be wrong, by what a force follows: the begin of a sentence.
 
-    Empty where one is as likely as another.
-
-    Args:
-        units: as in `Measurements`; they tell of which field the equation is.
-        force: that is missing.
+    Empty where one is as likely as another; ``units`` are as in `step_without_name`.
     """
     strongest = _strongest(force)
-    if strongest == "unexplained":
-        return f"{_field(units, force).unseen} seems to be missing"
-    if strongest == "inputs" and not force.causes.goes_together:
-        is_one = len(force.record.model.inputs) == 1
-        enters = "input enters" if is_one else "inputs enter"
-        return f"The way the {enters} d{force.equation}/dt seems to be wrong"
-    if strongest == "time":
-        return "Something that changes with the time seems to be missing"
-    if strongest == "parameters":
-        return "The model's parameters seem to change along the record"
-    return ""
+    if strongest == "inputs" and force.causes.goes_together:
+        return ""
+    is_one = len(force.record.model.inputs) == 1
+    enters = "input enters" if is_one else "inputs enter"
+    facts = {"equation": force.equation, "enters": enters}
+    return LIKELY.get(strongest, "").format(field=_field(units, force), **facts)
 
 
 def _strongest(force: EquationForce) -> str:
@@ -141,61 +176,19 @@ def _field(units: Mapping[str, str], force: EquationForce) -> FieldWords:
 def advice_of_cause(units: Mapping[str, str], force: EquationForce) -> Answer:
     """What follows from the strongest cause of a force, or from there being none.
 
-    Args:
-        units: as in `Measurements`; they tell of which field the equation is.
-        force: that is missing.
+    ``units`` are as in `step_without_name`.
     """
-    field = _field(units, force)
-    strongest = _strongest(force)
-    if strongest == "unexplained":
-        return Answer(
-            f"Give the model {field.state}.",
-            "Most of what is missing follows nothing that was measured at the same "
-            f"time. If that does not help, record {field.input}.",
-        )
+    facts = {"equation": force.equation, "field": _field(units, force)}
+    case = _strongest(force)
     # Parameters are bent to imitate what repeats.
-    if force.wave is not None and strongest in ("conserved", "parameters"):
-        return _of_wave(force.equation, force.wave.position)
-    if strongest == "parameters":
-        return Answer(
-            "Fit each half of the record by itself, and compare the parameters.",
-            "Changing them helps on parts of the record, but no one set of values fits "
-            f"all of it. They may make up for {field.state}.",
-        )
-    if strongest == "inputs":
-        return _of_inputs(force, field)
-    if strongest == "time":
-        return Answer(
-            "Repeat the run, and record what may have changed with the time as an "
-            "input.",
-            f"{NO_EFFECT} What changes may be a load, a temperature, a supply.",
-        )
-    return Answer(
-        f"Write a term of your own in d{force.equation}/dt that depends on "
-        f"{' and '.join(_followed(force))}.",
-        f"{NO_EFFECT} diagnosis.learned_force() draws the curve of what is missing.",
-    )
-
-
-def _of_inputs(force: EquationForce, field: FieldWords) -> Answer:
-    names = inputs_words(force)
-    if force.causes.goes_together:
-        told = f"Record data in which {names} and what it moves with go apart."
-        return Answer(told, NO_EFFECT)
-    return Answer(
-        f"Measure {field.arrives} {force.equation} directly, or give the model a "
-        f"store, a delay or a limit between {names} and {force.equation}.",
-        NO_EFFECT,
-    )
-
-
-def _of_wave(equation: str, position: str) -> Answer:
-    return Answer(
-        f"Write a term of your own in d{equation}/dt that repeats along {position}.",
-        f"{NO_EFFECT} Cogging, the teeth of a gear or a wheel off centre look so. "
-        f'In Python, study.add(ph.Effect("ripple", "F", "{equation}", '
-        f'ph.trigonometric("{position}"))) finds the period with the size.',
-    )
+    if force.wave is not None and case in ("conserved", "parameters"):
+        return _advice("wave", position=force.wave.position, **facts)
+    if case == "inputs":
+        case = "together" if force.causes.goes_together else case
+        return _advice(case, inputs=inputs_words(force), **facts)
+    if case in WHAT_TO_DO:
+        return _advice(case, **facts)
+    return _advice("law", followed=" and ".join(_followed(force)), **facts)
 
 
 def _followed(force: EquationForce) -> list[str]:

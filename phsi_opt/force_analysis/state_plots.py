@@ -33,11 +33,6 @@ def draw_title(ax: "Axes", text: str) -> None:
     ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
 
 
-def draw_zero(ax: "Axes") -> None:
-    """A line where there is no force."""
-    ax.axhline(0, color=BASELINE, lw=0.8)
-
-
 def draw_band(
     ax: "Axes", z: np.ndarray, middle: np.ndarray, half: np.ndarray, text: str
 ) -> None:
@@ -170,7 +165,7 @@ def _draw_bars(ax: "Axes", force: EquationForce, name: str) -> None:
         ecolor=BASELINE,
         label="mean and spread",
     )
-    draw_zero(ax)
+    ax.axhline(0, color=BASELINE, lw=0.8)
     ax.set_ylabel(force.force_label())
     ax.legend(frameon=False)
 
@@ -250,7 +245,7 @@ def draw_beside(ax: "Axes", found: Dependence) -> None:
     line = (bins.centre, bins.mean)
     ax.plot(*line, "o-", color=MODEL, ms=4, lw=1.4, label="mean in bins")
     draw_band(ax, bins.centre, bins.mean, bins.std, "std. deviation")
-    draw_zero(ax)
+    ax.axhline(0, color=BASELINE, lw=0.8)
     ax.set_xlabel(found.label)
     ax.margins(y=0.25)
     ax.legend(

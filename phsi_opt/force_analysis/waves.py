@@ -213,10 +213,9 @@ class _PositionSearch:
         _, share = self._best(np.ones(len(self.z), dtype=bool))
         if share < CLEAR_PATTERN:
             return np.inf
-        validation = self.force.validation
-        error = validation.leave_out_error([self.functions], self._waves)
-        without = validation.leave_out_error([self.functions])
-        clear = NAMED_CAUSE * validation.total
+        error = self.force.left_out_error([self.functions], self._waves)
+        without = self.force.left_out_error([self.functions])
+        clear = NAMED_CAUSE * self.force.squares
         return error if error < without - clear else np.inf
 
     def _waves(self, is_fitted: np.ndarray) -> np.ndarray:

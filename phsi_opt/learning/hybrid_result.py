@@ -8,24 +8,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.errors import DataError, ModelError
+from phsi_opt.errors import DataError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identified import Identified
 from phsi_opt.estimation.json_file import read_json
 from phsi_opt.learning.force_signals import without_signals
 from phsi_opt.learning.hybrid_network import UNTRAINED, TrainedForce
 from phsi_opt.learning.network import Network, numbers
-from phsi_opt.model.parameters import Parameter
-from phsi_opt.model.terms import Dictionary, Term
 from phsi_opt.simulation.simulate import simulate_forced
-from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.writing import write_whole
 
 FORMAT = "phsi_opt hybrid 1"
 SCALES = ("shift", "spread", "seen")  # of a network, in a file
-HINGE_DECIMALS = 6  # of places and widths in the text of a distilled force
-DEPENDENT = 1e-10  # share of the largest singular value below which hinges are the same
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -89,45 +83,6 @@ class Hybrid(Identified):
             lines[row] += f" + network_{self.model.states[row]}({inside})"
         return lines
 
-    def distilled(self, data: Measurements, knots: int = 12) -> dict[str, Dictionary]:
-        """The force as a dictionary of smooth hinges, for a network of one variable.
-
-        Then all is one program. With knots v_k at quantiles of the visited values, w
-        half their median distance, and coefficients by least squares over the data::
-
-            F(v) = c + a v + sum_k b_k sqrt((v - v_k)^2 + w^2)
-
-        Args:
-            data: whose states were visited.
-            knots: number of hinges.
-
-        Returns:
-            A dictionary by equation.
-
-        Raises:
-            ModelError: if the network has more than one variable.
-        """
-        if len(self.force.variables) != 1:
-            raise ModelError(
-                f"the network depends on {len(self.force.variables)} variables; "
-                "only a force of one can be distilled. "
-                "Give NeuralForce(variables=...) one name."
-            )
-        runs = aligned_once(self.model, data).trajectories
-        visited = np.vstack([np.column_stack([r.x, r.u, r.t]) for r in runs])
-        visited = visited[np.isfinite(visited).all(axis=1)]
-        v = self.force.values_in(visited)[:, 0]
-        bodies, terms = _hinges(self.force.variables[0], v, knots)
-        scale = np.sqrt(np.mean(terms**2, axis=0))
-        force = self.force.at(visited)
-        scaled = np.linalg.lstsq(terms / scale, force, rcond=DEPENDENT)[0]
-        found = {}
-        for equation, sizes in zip(self.force.equations, scaled.T, strict=True):
-            pairs = zip(bodies, (sizes / scale).tolist(), strict=True)
-            summands = [Term(body, Parameter(size)) for body, size in pairs]
-            found[equation] = Dictionary(tuple(summands))
-        return found
-
     def save(self, path: str | Path) -> None:
         """Write dictionary, network and table of turns as JSON.
 
@@ -174,22 +129,6 @@ class Hybrid(Identified):
         return "\n".join([str(self.fit), *self.equations(), turns])
 
     __repr__ = __str__
-
-
-def _hinges(name: str, visited: np.ndarray, knots: int) -> tuple[list[str], np.ndarray]:
-    """Texts of the terms, and their values (n_samples, 2 + n_knots) where visited."""
-    inner_shares = np.linspace(0.0, 1.0, knots + 2)[1:-1]
-    quantiles = np.quantile(visited, inner_shares)
-    places = np.unique(np.round(quantiles, HINGE_DECIMALS))
-    width = 1.0
-    if len(places) > 1:
-        width = round(float(np.median(np.diff(places))) / 2, HINGE_DECIMALS)
-    bodies = ["1", name]
-    columns = [np.ones_like(visited), visited]
-    for place in places.tolist():
-        bodies.append(f"sqrt(({name} - {place!r})**2 + {width!r}**2)")
-        columns.append(np.sqrt((visited - place) ** 2 + width**2))
-    return bodies, np.column_stack(columns)
 
 
 def _from_content(content: dict[str, Any]) -> Hybrid:

@@ -39,6 +39,7 @@ from phsi_opt.learning.orthogonal_network import Training
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary, Term
+from phsi_opt.presentation.axes import axes_of
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.writing import write_whole
 
@@ -46,8 +47,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMAT = "phsi_opt learned force 1"
-N_CURVE_POINTS = 300  # points of a drawn curve
-N_MAP_POINTS = 60  # points to a side of a drawn map
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,26 +119,24 @@ class LearnedForce:
         return replace(self.physics, model=model, states=(), steps=())
 
     def _bodies(self) -> list[str]:
-        """The bias and the weighted units, as formulas of the variables."""
-        variables = self._standardized()
-        (weights, bias), (sizes, constant) = self.network.layers
-        bodies = [repr(float(constant[0]))]
+        """The bias and the weighted units, as formulas of the variables.
+
+        These are standardised, and held at the edge of the data.
+        """
+        network = self.network
+        scales = np.array([*network.seen, network.shift, network.spread])
+        variables = []
+        for name, scale in zip(self.on, scales.T.tolist(), strict=True):
+            lower, upper, shift, spread = scale
+            inside = f"min(max({name}, {lower!r}), {upper!r})"
+            variables.append(f"({inside} - {shift!r})/{spread!r}")
+        (weights, bias), (sizes, (constant,)) = network.layers
+        bodies = [repr(float(constant))]
         for row, own, size in zip(weights, bias, sizes[0].tolist(), strict=True):
-            parts = []
-            for weight, z in zip(row.tolist(), variables, strict=True):
-                parts.append(f"{weight!r}*({z})")
+            pairs = zip(row.tolist(), variables, strict=True)
+            parts = [f"{weight!r}*({z})" for weight, z in pairs]
             bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {float(own)!r})")
         return bodies
-
-    def _standardized(self) -> list[str]:
-        """The standardised variables as formulas, held at the edge of the data."""
-        scales = (*self.data_range, self.network.shift, self.network.spread)
-        formulas = []
-        for name, *scale in zip(self.on, *map(np.ndarray.tolist, scales), strict=True):
-            lower, upper, shift, spread = map(repr, scale)
-            inside = f"min(max({name}, {lower}), {upper})"
-            formulas.append(f"({inside} - {shift})/{spread}")
-        return formulas
 
     def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
         """States (n_samples, n_states) from x0 at t[0], physics and learned force.
@@ -155,41 +152,23 @@ class LearnedForce:
 
         Beside it the missing force, and the range of the data.
         """
+        from phsi_opt.learning.learned_plot import draw_curve, draw_map
+
         name = f"force in d{self.equation}/dt"
-        ax = self._curve(name, ax) if len(self.on) == 1 else self._map(name, ax)
+        ax = axes_of(ax, (7.0, 3.8))
+        if len(self.on) == 1:
+            draw_curve(ax, self.network, self.samples)
+        else:
+            draw_map(ax, self.network, self.samples, name)
         share = "found nothing"
         if self.explains > 0:
             share = f"explains {100 * self.explains:.0f} % of left-out stretches"
+        axes = (*self.on, name)
+        ax.set(xlabel=axes[0], ylabel=axes[1])
         ax.set_title(
             f"Learned {name}: {share};\nit does not extrapolate beyond the data"
         )
         return ax
-
-    def _curve(self, name: str, ax: "Axes | None") -> "Axes":
-        from phsi_opt.presentation.pictures import plot_learned_curve
-
-        lower, upper = self.data_range
-        v = np.linspace(lower, upper, N_CURVE_POINTS)
-        curve = np.column_stack([v, self.at(v)])
-        samples = self.samples
-        beyond = samples.without_physics(samples.w) * samples.std
-        missing = np.column_stack([samples.v, beyond])
-        return plot_learned_curve(curve, missing, (self.on[0], name), ax)
-
-    def _map(self, name: str, ax: "Axes | None") -> "Axes":
-        """Over the first two variables, the others at their means."""
-        from phsi_opt.presentation.pictures import plot_learned_map
-
-        lower, upper = self.data_range
-        first, second, *_ = np.linspace(lower, upper, N_MAP_POINTS).T
-        points = np.tile(self.network.shift, (N_MAP_POINTS**2, 1))
-        points[:, 0] = np.tile(first, N_MAP_POINTS)
-        points[:, 1] = np.repeat(second, N_MAP_POINTS)
-        force = self.at(points).reshape(N_MAP_POINTS, N_MAP_POINTS)
-        labels = (self.on[0], self.on[1], f"learned {name}")
-        return plot_learned_map(
-            first, second, force, samples=self.samples.v[:, :2], labels=labels, ax=ax
-        )
 
     def save(self, path: str | Path) -> None:
         """Write physics, network and samples as JSON: numbers and formulas, no code."""
@@ -298,9 +277,7 @@ def learned_force_of(
         equation, on, seed, epochs: as in `learned_force`.
 
     Raises:
-        ModelError: as in `learned_force`.
-        DataError: as in `learned_force`.
-        SolveError: as in `learned_force`.
+        ModelError: as there; DataError, SolveError: likewise.
     """
     model = record.fit.model
     on = _checked_names(model, on)

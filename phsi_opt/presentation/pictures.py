@@ -368,69 +368,6 @@ def _change(step: int, effect: str) -> str:
     return f"+ {effect}" if is_addition else effect
 
 
-def plot_learned_curve(
-    curve: np.ndarray,
-    samples: np.ndarray,
-    labels: tuple[str, str],
-    ax: Axes | None = None,
-) -> Axes:
-    """A learned force over its variable, with the missing force it was learned from.
-
-    Args:
-        curve: (n, 2), variable and learned force, over the range of the data.
-        samples: (n_samples, 2), variable and missing force.
-        labels: Of the variable and of the force.
-        ax: Axes to draw on; None: a new figure.
-
-    Returns:
-        The axes, to which the caller adds the title.
-    """
-    ax = axes_of(ax, (7.0, 3.8))
-    v, force = curve.T
-    missing = samples[:, 1]
-    ax.plot(samples[:, 0], missing, ".", ms=3, color=MEASURED, label="missing force")
-    ax.plot(v, force, "-", color=MODEL, label="learned force")
-    ax.axvline(v[0], color=FLOOR, ls=":", label="range of the data")
-    ax.axvline(v[-1], color=FLOOR, ls=":")
-    ax.set(xlabel=labels[0], ylabel=labels[1])
-    ax.legend(frameon=False)
-    return ax
-
-
-def plot_learned_map(
-    first: np.ndarray,
-    second: np.ndarray,
-    force: np.ndarray,
-    *,
-    samples: np.ndarray,
-    labels: tuple[str, str, str],
-    ax: Axes | None = None,
-) -> Axes:
-    """A learned force over two variables; points of the data mark its range.
-
-    Args:
-        first: (n_first,) values of the first variable.
-        second: (n_second,) values of the second one.
-        force: (n_second, n_first).
-        samples: (n_samples, 2), both variables in the data.
-        labels: Of the two variables and of the force.
-        ax: Axes to draw on; None: a new figure.
-
-    Returns:
-        The axes, to which the caller adds the title.
-    """
-    ax = axes_of(ax, (7.0, 3.8))
-    most = float(np.max(np.abs(force)))
-    shades = ax.pcolormesh(
-        first, second, force, shading="gouraud", cmap="coolwarm", vmin=-most, vmax=most
-    )
-    ax.figure.colorbar(shades, ax=ax, label=labels[2])
-    ax.plot(samples[:, 0], samples[:, 1], ".", ms=2, color=BASELINE, label="data")
-    ax.set(xlabel=labels[0], ylabel=labels[1])
-    ax.legend(frameon=False)
-    return ax
-
-
 def plot_states(
     t: np.ndarray, channels: Sequence[Channel], *, t_unit: str, title: str
 ) -> Figure:

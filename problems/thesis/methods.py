@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 import phsi_opt as ph
+from problems.thesis.hinges import hinges
 from problems.thesis.scores import phsi_loss
 from problems.thesis.systems import (
     FLOWS,
@@ -89,7 +90,7 @@ def likelihood(system: System, data: ph.Measurements, start: Any) -> ph.Fit:
     """
     model = start.model
     if system.name == "tanks":
-        model = replace(model, F=start.distilled(data))
+        model = replace(model, F=hinges(start, data))
     return ph.identify(model, data)
 
 
