@@ -541,7 +541,7 @@ def test_tanks_are_drawn_over_the_states_that_matter(tanks: Case) -> None:
 
 
 @pytest.mark.usefixtures("closing")
-def test_a_model_of_one_state_has_bars_in_place_of_a_map() -> None:
+def test_a_model_of_one_state_has_the_force_over_it_in_place_of_a_map() -> None:
     rng = np.random.default_rng(6)
     t = np.linspace(0, 20, 200)
     u = 1 + np.sin(0.7 * t)
@@ -554,7 +554,7 @@ def test_a_model_of_one_state_has_bars_in_place_of_a_map() -> None:
     ax = plot_where(ForceAnalysis.of(Record.of(fit, data))).axes[MAP]
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("h", "missing force")
     labels = ax.get_legend_handles_labels()[1]
-    assert labels == ["mean and spread"]
+    assert labels == ["force", "mean in bins", "std. deviation"]
 
 
 @pytest.mark.usefixtures("closing")

@@ -7,6 +7,7 @@ from textwrap import fill
 
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -16,14 +17,14 @@ from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.pace import is_mostly_constant
 from phsi_opt.force_analysis.spectrum import Spectrum, spectrum
 from phsi_opt.force_analysis.state_plots import (
-    draw_band,
     draw_dependence,
     draw_map,
     draw_title,
 )
 from phsi_opt.force_analysis.units import frequency_unit
 from phsi_opt.force_analysis.wording import sentence
-from phsi_opt.presentation.axes import BASELINE, MEASURED, MODEL, label
+from phsi_opt.presentation.axes import MEASURED, MODEL
+from phsi_opt.presentation.pictures import plot_missing_force
 from phsi_opt.statistics import TINY
 
 SENTENCE_LETTERS = 120  # in a line of the sentence over four panels
@@ -59,19 +60,14 @@ def draw_force(ax: Axes, force: EquationForce) -> None:
     """The force where it is strongest: one trajectory, two standard deviations."""
     name = force.where["trajectory"]
     record = force.record
+    equation = force.equation
+    deviation = force.deviation
+    columns = {"t": record.t, equation: force.w, f"std_{equation}": deviation}
     shown = record.run == record.trajectories.index(name)
-    t = record.t[shown]
-    w = force.w[shown]
-    half_width = SURE_DEVIATIONS * force.deviation[shown]
-    ax.plot(t, w, color=MODEL, lw=1.2, label="missing force")
-    draw_band(ax, t, w, half_width, "two standard deviations")
-    ax.axhline(0, color=BASELINE, lw=0.8)
-    ax.set_xlabel(label("t", record.units.get("t", "")))
-    ax.set_ylabel(force.force_label())
-    ax.margins(y=0.25)
-    ax.legend(loc="upper right", frameon=False, ncols=2)
-    percent = f"{100 * np.mean(np.abs(w) > half_width):.0f} %"
-    begin = f"{name}: d{force.equation}/dt"
+    plot_missing_force(pd.DataFrame(columns)[shown], [equation], record.units, ax)
+    is_sure = np.abs(force.w) > SURE_DEVIATIONS * deviation
+    percent = f"{100 * np.mean(is_sure[shown]):.0f} %"
+    begin = f"{name}: d{equation}/dt"
     draw_title(ax, f"{begin} surely lacks a force during {percent} of the time")
 
 

@@ -117,9 +117,8 @@ def is_mostly_constant(w: np.ndarray) -> bool:
 
 def _frequency(record: ForceRecord, signals: np.ndarray) -> float:
     """At which a signal, or the fastest of several, is strongest about its mean."""
-    found = spectrum(record.t, record.run, signals - np.mean(signals, axis=0))
-    strongest = np.argmax(found.amplitudes, axis=0)
-    return float(np.max(found.frequencies[strongest]))
+    moving = signals - np.mean(signals, axis=0)
+    return spectrum(record.t, record.run, moving).peak
 
 
 def _time_of_motion(record: ForceRecord) -> float:

@@ -35,10 +35,12 @@ class Spectrum:
 
     @property
     def peak(self) -> float:
-        """Frequency of the largest amplitude of one signal; 0 where all are 0."""
-        if not self.amplitudes.any():
-            return 0.0
-        return float(self.frequencies[np.argmax(self.amplitudes)])
+        """Frequency of the largest amplitude; 0 where all are 0.
+
+        Of several signals, that of the fastest.
+        """
+        strongest = self.frequencies[np.argmax(self.amplitudes, axis=0)]
+        return float(np.max(strongest * self.amplitudes.any(axis=0)))
 
     @property
     def resolved(self) -> float:

@@ -33,15 +33,6 @@ def draw_title(ax: "Axes", text: str) -> None:
     ax.set_title(fill(text, PANEL_TITLE_LETTERS), fontsize=10)
 
 
-def draw_band(
-    ax: "Axes", z: np.ndarray, middle: np.ndarray, half: np.ndarray, text: str
-) -> None:
-    """What is about a curve over z, by its half width; all are (n,)."""
-    ax.fill_between(
-        z, middle - half, middle + half, color=MODEL, alpha=0.2, lw=0, label=text
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Bins:
     """Mean and spread of a force in bins of a variable that hold enough values.
@@ -50,13 +41,11 @@ class Bins:
         centre: of the bins, (n_bins,).
         mean: of the force, (n_bins,).
         std: standard deviation of the force, (n_bins,).
-        width: of each bin.
     """
 
     centre: np.ndarray
     mean: np.ndarray
     std: np.ndarray
-    width: float
 
     @classmethod
     def of(cls, z: np.ndarray, w: np.ndarray) -> "Bins":
@@ -71,8 +60,7 @@ class Bins:
         std = np.sqrt(squares / at_least_one)
         centre = (edges[:-1] + edges[1:]) / 2
         shown = count >= FEWEST_IN_BIN
-        width = float(edges[1] - edges[0])
-        return cls(centre[shown], mean[shown], std[shown], width)
+        return cls(centre[shown], mean[shown], std[shown])
 
 
 # ---- over the states
@@ -82,15 +70,16 @@ def draw_map(ax: "Axes", force: EquationForce) -> None:
     """Mean missing force over position and velocity, or over two states.
 
     The states are those that predict the force best; cells that were not visited are
-    blank. Where only one state predicts the force, or there is only one, there are bars
-    over that state.
+    blank. Where only one state predicts the force, or there is only one, the force is
+    drawn over that.
     """
     names = map_variables(force)
     if len(names) < 2:
-        _draw_bars(ax, force, names[0])
+        z = force.record.variable(names[0])
+        draw_beside(ax, Dependence(z, force.w, force.variable_label(names[0])))
+        ax.set_ylabel(force.force_label())
     else:
         _draw_cells(ax, force, names)
-    ax.set_xlabel(force.variable_label(names[0]))
     draw_title(ax, map_title(force, names))
 
 
@@ -150,24 +139,8 @@ def _draw_cells(ax: "Axes", force: EquationForce, names: Sequence[str]) -> None:
         vmax=limit,
     )
     ax.figure.colorbar(mesh, ax=ax, label=force.force_label("mean missing force"))
+    ax.set_xlabel(force.variable_label(names[0]))
     ax.set_ylabel(force.variable_label(names[1]))
-
-
-def _draw_bars(ax: "Axes", force: EquationForce, name: str) -> None:
-    """Mean force and its spread over one variable."""
-    bins = Bins.of(force.record.variable(name), force.w)
-    ax.bar(
-        bins.centre,
-        bins.mean,
-        width=0.9 * bins.width,
-        color=MODEL,
-        yerr=bins.std,
-        ecolor=BASELINE,
-        label="mean and spread",
-    )
-    ax.axhline(0, color=BASELINE, lw=0.8)
-    ax.set_ylabel(force.force_label())
-    ax.legend(frameon=False)
 
 
 def map_title(force: EquationForce, names: Sequence[str]) -> str:
@@ -244,7 +217,8 @@ def draw_beside(ax: "Axes", found: Dependence) -> None:
     ax.plot(*dots, ".", ms=3, color=DOTS, label="force")
     line = (bins.centre, bins.mean)
     ax.plot(*line, "o-", color=MODEL, ms=4, lw=1.4, label="mean in bins")
-    draw_band(ax, bins.centre, bins.mean, bins.std, "std. deviation")
+    band = (bins.centre, bins.mean - bins.std, bins.mean + bins.std)
+    ax.fill_between(*band, color=MODEL, alpha=0.2, lw=0, label="std. deviation")
     ax.axhline(0, color=BASELINE, lw=0.8)
     ax.set_xlabel(found.label)
     ax.margins(y=0.25)

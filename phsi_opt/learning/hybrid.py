@@ -21,6 +21,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
 import pandas as pd
 
 from phsi_opt.data.measurements import Measurements
@@ -28,6 +29,7 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_forced
 from phsi_opt.estimation.pruning import Pruning
 from phsi_opt.interrupts import interruptible
+from phsi_opt.learning.force_signals import without_signals
 from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
@@ -87,7 +89,7 @@ def hybrid(
     record = aligned_once(model, data)
     trained = TrainedForce.of(model, force.equations, force.variables)
     problem = HybridProblem.of(model, record, trained, integrator)
-    at_stages = problem.no_force()
+    at_stages = np.zeros(problem.force_shape)
     loss = PHSILoss(integrator)
     fit: Fit | None = None
     turns = []
@@ -98,7 +100,7 @@ def hybrid(
         laid_out = partial(_given, problem.with_force(at_stages))
         forced = problem.forced(model)
         fit = identify_forced(forced, record, loss, l1, prune, laid_out, fit)
-        model = problem.unforced(fit.model)
+        model = without_signals(fit.model, force.equations)
         stages = problem.training_set(model, at_stages)
         trained = train(force, trained, stages, _schedule(force, turn, seed))
         trained = problem.with_best_output(trained, model, stages)

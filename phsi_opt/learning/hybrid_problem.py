@@ -10,7 +10,7 @@ import numpy as np
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.force_analysis.points import Points
-from phsi_opt.learning.force_signals import with_force, with_signals, without_signals
+from phsi_opt.learning.force_signals import with_force, with_signals
 from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
 from phsi_opt.learning.ridge import N_FOLDS, cross_validated
@@ -53,22 +53,18 @@ class HybridProblem:
         grid = complete_intervals(model, grid_of(data))
         return cls(grid, force.equations, force.rows, scheme, stage_rule(scheme))
 
+    @property
+    def force_shape(self) -> tuple[int, int, int]:
+        """Of a force at the stages: intervals, stages, equations."""
+        return self.grid.n_intervals, len(self.rule.shares), len(self.rows)
+
     def forced(self, model: Model) -> Model:
         """A model with the network's force as an input."""
         return with_signals(model, self.equations, self.scheme)
 
-    def unforced(self, model: Model) -> Model:
-        """The inverse of `forced`, with the values found."""
-        return without_signals(model, self.equations)
-
     def with_force(self, force: np.ndarray) -> Grid:
         """The grid with the force (n_intervals, n_stages, n_equations) as inputs."""
         return with_force(self.grid, force, self.scheme)
-
-    def no_force(self) -> np.ndarray:
-        """A force of zero at the stages, (n_intervals, n_stages, n_equations)."""
-        n_stages = len(self.rule.shares)
-        return np.zeros((self.grid.n_intervals, n_stages, len(self.rows)))
 
     def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
         """The stages of the integrator, and what the force must add there on average.
