@@ -192,10 +192,8 @@ def test_the_formula_in_the_model_is_the_network_and_is_held_at_the_edge_of_the_
     x = np.array([[0.3, -0.7], [9.0, 9.0], [-1.0, 1.0]])
     with_force, without = learned.fit.casadi(), learned.physics.casadi()
     added = [float(with_force(row, [], 0.0)[1] - without(row, [], 0.0)[1]) for row in x]
-    assert np.allclose(added, learned.force(x), atol=1e-12)
-    assert learned.force([[9.0, 9.0]]) == pytest.approx(
-        learned.at(learned.data_range[1:])
-    )
+    assert np.allclose(added, learned.at(x), atol=1e-12)  # of mass 1, so dH/dp is p
+    assert learned.at([[9.0, 9.0]]) == pytest.approx(learned.at(learned.data_range[1:]))
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(
@@ -234,9 +232,6 @@ def test_a_force_of_an_input_is_learned_in_a_drive_with_held_input() -> None:
     learned = learned_force(fit, train, equation="v", on=["u"], epochs=20)
     assert free_run_rmse(learned, test) < 0.3 * ph.compare(fit, test).rmse
     assert learned.simulate(t, [0.0], u).shape == (400, 1)
-    assert learned.force(v, u).shape == (400,)
-    with pytest.raises(ph.DataError, match="do not fit the 1 states and 1 inputs"):
-        learned.force(v)
 
 
 def test_a_saved_force_is_the_same_when_loaded(coupled: Case, tmp_path: Path) -> None:

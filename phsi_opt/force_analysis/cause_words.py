@@ -24,11 +24,8 @@ NO_PATTERN = "no clear pattern"
 def cause_words(force: EquationForce, with_shares: bool = True) -> str:
     """What the force does, with the share of each cause that is worth naming.
 
-    Args:
-        force: that is missing.
-        with_shares: whether the shares are told. They are those of the estimate, with
-            its errors: beside the statement that an effect was all that was missing,
-            they seem to contradict it.
+    The shares are those of the estimate, with its errors: beside the statement that an
+    effect was all that was missing, they seem to contradict it.
     """
     causes = force.causes
     parts = []

@@ -89,9 +89,7 @@ class Causes:
 def causes_of(force: Force, wave: PositionWave | None = None) -> Causes:
     """Whether a force w dissipates power w dH/dx, conserves it, or is driven.
 
-    Args:
-        force: of one equation.
-        wave: along a position, which counts to what is 'conserved'.
+    A wave along a position counts to what is 'conserved'.
     """
     bases = _bases(force, wave)
     least = _share(force, bases, [PARAMETERS])

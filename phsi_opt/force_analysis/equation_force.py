@@ -34,11 +34,11 @@ class EquationForce(Force):
     @cached_property
     def where(self) -> dict[str, Any]:
         """The equation's row of `ForceAnalysis.where`."""
-        window = strongest_window(self)
+        trajectory, times = strongest_window(self)
         return {
             "equation": self.equation,
-            "trajectory": window.trajectory,
-            "time_window": window.times,
+            "trajectory": trajectory,
+            "time_window": times,
             "state_region": region_words(self.region, {}) or EVERYWHERE,
             "frequency": self.pace.frequency,
             "strength": rms(self.w),

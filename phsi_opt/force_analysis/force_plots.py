@@ -39,9 +39,7 @@ def plot_where(analysis: ForceAnalysis, equation: str | None = None) -> Figure:
 
     The sentence above says what it is.
 
-    Args:
-        analysis: of the missing force.
-        equation: default: the one whose missing force is surest.
+    Of the equation whose missing force is surest, unless another is given.
 
     Raises:
         ModelError: the equation has no missing force.

@@ -23,14 +23,6 @@ RANGE_QUANTILES = (0.01, 0.99)
 THROUGHOUT = " (throughout)"
 
 
-@dataclass(frozen=True)
-class Window:
-    """Name of a trajectory, and times along it in words: '4 to 5'."""
-
-    trajectory: str
-    times: str
-
-
 def window_of(times: str) -> tuple[float, float] | None:
     """Begin and end of a window in words; None where it is the whole record."""
     found = RANGE_OF_TIMES.search(times)
@@ -39,10 +31,10 @@ def window_of(times: str) -> tuple[float, float] | None:
     return float(found[1]), float(found[2])
 
 
-def strongest_window(force: Force) -> Window:
-    """The tenth of a trajectory where a force is strongest.
+def strongest_window(force: Force) -> tuple[str, str]:
+    """The tenth of a trajectory where a force is strongest, or else all of that.
 
-    The whole trajectory where that tenth does not stand out.
+    Its name, and times along it in words: '4 to 5'.
     """
     record = force.record
     part = record.run * N_WINDOWS + part_of_run(record.run, N_WINDOWS)
@@ -51,8 +43,8 @@ def strongest_window(force: Force) -> Window:
     run = strongest // N_WINDOWS
     name = record.trajectories[run]
     if size[strongest] > OUTSTANDING_FORCE * rms(force.w):
-        return Window(name, _times(record, part == strongest))
-    return Window(name, _times(record, record.run == run) + THROUGHOUT)
+        return name, _times(record, part == strongest)
+    return name, _times(record, record.run == run) + THROUGHOUT
 
 
 def _times(record: ForceRecord, is_inside: np.ndarray) -> str:
@@ -96,9 +88,7 @@ class StrongRange:
 def strong_ranges(z: np.ndarray, w: np.ndarray) -> list[StrongRange]:
     """Ranges of a variable in which a force is strong; none where none stands out.
 
-    Args:
-        z: the variable, (n_intervals,).
-        w: the force, (n_intervals,).
+    Both are (n_intervals,).
     """
     low, high = np.quantile(z, RANGE_QUANTILES)
     edges = np.unique(np.linspace(low, high, N_RANGE_BINS + 1))

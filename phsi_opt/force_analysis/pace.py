@@ -97,10 +97,7 @@ class Pace:
     def size_words(self, rate: str) -> str:
         """The force beside the rate that the model has: a share or a multiple of it.
 
-        Empty where the model has nothing there.
-
-        Args:
-            rate: what it is called, such as "dp/dt".
+        Empty where the model has nothing there. The rate is called such as "dp/dt".
         """
         if not self.own > 0:
             return ""

@@ -43,7 +43,6 @@ def place_answer(force: EquationForce, is_named: bool, is_known: bool) -> Answer
     a place is a detail: it would promise a cause.
 
     Args:
-        force: that is missing.
         is_named: whether an effect is named; then nothing is said of what does not
             explain the force.
         is_known: whether effects say all that the force is; then no shares are told.
@@ -145,12 +144,8 @@ def _together(force: EquationForce) -> str:
 def place_words(force: EquationForce, names: Sequence[str] | None = None) -> str:
     """At which values of its variables a force is strong; memories are left out.
 
-    Args:
-        force: that is missing.
-        names: of the variables; None: those of the force's map.
-
-    Returns:
-        Such as "where q is highest (above 0.7 m)"; "" where no values stand out.
+    Such as "where q is highest (above 0.7 m)"; "" where no values stand out. Without
+    names the variables are those of the force's map.
     """
     names = map_variables(force) if names is None else names
     memory = force.record.model.memory

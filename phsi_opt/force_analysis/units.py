@@ -42,12 +42,8 @@ class RateScale:
 def scale_of_rate(equation: str, units: Mapping[str, str], longest: float) -> RateScale:
     """A rate per hour where a record of seconds lasts for hours: degC/h.
 
-    Rates with a name of their own (N, m/s) and other units of time stay.
-
-    Args:
-        equation: the state whose rate it is.
-        units: as in `Measurements`.
-        longest: the last time of the record.
+    Rates with a name of their own (N, m/s) and other units of time stay; ``longest`` is
+    the last time of the record.
     """
     unit = force_unit(equation, units)
     in_seconds = scale_of_time(longest, units.get("t", "")).size >= HOUR

@@ -98,9 +98,7 @@ def _drawn(is_fitted: np.ndarray) -> np.ndarray:
 def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
     """Slow changes, and the wave that fits best, (n_intervals, n_slow + 4).
 
-    Args:
-        force: of one equation.
-        is_fitted: where the wave has to fit, (n_intervals,) of bool.
+    It has to fit where ``is_fitted``, (n_intervals,) of bool.
     """
     frequency = _frequency_in_time(force, is_fitted)
     slow = piecewise_linear_basis(force.record.t, N_TIME_KNOTS)
@@ -169,13 +167,16 @@ def position_wave(force: Force) -> PositionWave | None:
     best = None
     least = np.inf
     for name in exchange_partners(force.record.model, force.equation):
-        if np.ptp(force.record.variable(name)) > 0:
-            search = _PositionSearch.of(force, name)
-            error = search.left_out_error()
-            if error < least:
-                best = search
-                least = error
-    return None if best is None else best.found
+        z = force.record.variable(name)
+        if not np.ptp(z) > 0:
+            continue
+        of_state = force.shown(piecewise_linear_basis(z))
+        search = _PositionSearch(force, z, np.hstack([force.by_parameters, of_state]))
+        error = search.left_out_error()
+        if error < least:
+            best = search.found(name)
+            least = error
+    return best
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,22 +189,14 @@ class _PositionSearch:
     """
 
     force: Force
-    name: str
     z: np.ndarray
     functions: np.ndarray
 
-    @classmethod
-    def of(cls, force: Force, name: str) -> "_PositionSearch":
-        z = force.record.variable(name)
-        of_state = force.shown(piecewise_linear_basis(z))
-        return cls(force, name, z, np.hstack([force.by_parameters, of_state]))
-
-    @property
-    def found(self) -> PositionWave:
+    def found(self, name: str) -> PositionWave:
         """The wave that fits the whole force best."""
         everywhere = np.ones(len(self.z), dtype=bool)
         frequency, _ = self._best(everywhere)
-        return PositionWave(self.name, 1 / frequency, self._waves(everywhere))
+        return PositionWave(name, 1 / frequency, self._waves(everywhere))
 
     def left_out_error(self) -> float:
         """Sum of squares on the stretches left out; infinite where that is no less.

@@ -5,15 +5,16 @@ beside the physics: what the noise hides does not count, and a term that stands 
 parameter of the physics leaves no trace.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import minimize
 
 from phsi_opt.learning.force_samples import RANK_TOLERANCE, ForceSamples, Response
-from phsi_opt.learning.term_candidates import WIDTHS, candidates
 from phsi_opt.model.backends import NUMPY
+from phsi_opt.model.catalogue_losses import FRICTION_TURNOVER
 from phsi_opt.model.expressions import evaluate
 from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.terms import Term
@@ -22,6 +23,18 @@ from phsi_opt.statistics import autocorrelation_time
 N_REFINING = 40  # values of place and width that are tried for a chosen term
 # Share of a term's size beyond the physics below which the physics has the term.
 SPANNED = 1e-6
+PLACES = np.linspace(0.04, 0.96, 16)  # of corners and pulses: quantiles of the variable
+WIDTHS = (0.05, 0.1, 0.2, 0.4)  # of pulses: shares of the variable's range
+POWERS = ("{v}", "{v}*abs({v})", "{v}**2", "{v}**3", "{v}**4", "{v}**5")
+SINES = ("sin({v})", "cos({v})")
+# The sign of the variable, rounded as the catalogue's Coulomb friction is.
+ROUNDED_SIGN = "{v}*({v}**4 + turnover**4)**(-0.25)"
+CORNERS = ("max({v} - corner, 0)", "max(corner - {v}, 0)")
+PULSE = "exp(-(({v} - centre)/width)**2)"
+PRODUCTS = (
+    *("{a}*{b}", "{a}**2*{b}", "{a}*{b}**2", "{a}**3*{b}", "{a}**2*{b}**2"),
+    *("{a}*{b}**3", "{a}*abs({b})", "abs({a})*{b}"),
+)
 
 
 def short_form(
@@ -103,7 +116,7 @@ class _Problem:
         """The candidates that the physics has not, with their traces."""
         terms = []
         columns = []
-        for term in candidates(self.names, self.samples.v):
+        for term in _candidates(self.names, self.samples.v):
             values = self.values(term)
             if values is not None:
                 terms.append(term)
@@ -194,3 +207,32 @@ def _counted(response: Response, target: np.ndarray) -> tuple[float, float]:
     # Residuals are in units of the noise: less than one is luck.
     unit = max(float(np.mean(rest**2)), 1.0) * together
     return unit, float(np.log(max(len(rest) / together, 2.0)))
+
+
+def _candidates(names: Sequence[str], v: np.ndarray) -> Iterator[Term]:
+    """A constant, the terms of each variable, and the products of two.
+
+    Their values are (n, n_variables).
+    """
+    yield Term("1")
+    for name, values in zip(names, v.T, strict=True):
+        for body in (*POWERS, *SINES):
+            yield Term(body.format(v=name))
+        size = float(np.sqrt(np.mean(values**2)))
+        turnover = Parameter(FRICTION_TURNOVER * size, fixed=True)
+        yield Term(ROUNDED_SIGN.format(v=name), None, {"turnover": turnover})
+        for place in np.quantile(values, PLACES).tolist():
+            yield from _at_a_place(name, Parameter(place), float(np.ptp(values)))
+    for a, b in combinations(names, 2):
+        for body in PRODUCTS:
+            yield Term(body.format(a=a, b=b))
+
+
+def _at_a_place(name: str, place: Parameter, spread: float) -> Iterator[Term]:
+    """Corners and pulses of a variable that has such a spread."""
+    for body in CORNERS:
+        yield Term(body.format(v=name), None, {"corner": place})
+    for share in WIDTHS:
+        width = Parameter(share * spread, lower=0.0)
+        inner = {"centre": place, "width": width}
+        yield Term(PULSE.format(v=name), None, inner)

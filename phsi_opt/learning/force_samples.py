@@ -10,7 +10,7 @@ import numpy as np
 
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.points import Points
+from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.learning.ridge import N_FOLDS
 from phsi_opt.model.model import Model
 from phsi_opt.screening.linearized_record import LinearizedRecord
@@ -44,12 +44,7 @@ class ForceSamples:
 
     @classmethod
     def of(cls, record: Record, equation: str, on: Sequence[str]) -> "ForceSamples":
-        """The samples of a record.
-
-        Args:
-            record: a fit along measurements.
-            equation: the state whose equation lacks the force.
-            on: names of the variables.
+        """The samples of what a record lacks in an equation, on variables.
 
         Raises:
             ModelError: the equation is unknown, or one of kinematics.
@@ -114,30 +109,17 @@ class Response:
         linearized = LinearizedRecord.of(record)
         return cls(linearized, row, linearized.residual)
 
-    @property
-    def fold(self) -> np.ndarray:
-        """(n_intervals,), the group of stretches of time of an interval."""
-        return self._fold_of_nodes[self.linearized.grid.begin]
-
-    @property
-    def value_fold(self) -> np.ndarray:
-        """(n_values,), the same of a measured value."""
-        return self._fold_of_nodes[np.nonzero(self.linearized.grid.measured)[0]]
-
-    @property
-    def _fold_of_nodes(self) -> np.ndarray:
-        n_nodes = self.linearized.grid.n_nodes
+    def folds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Groups of stretches of time, (n_intervals,) and (n_values,)."""
+        grid = self.linearized.grid
         n_stretches = STRETCHES_PER_FOLD * N_FOLDS
-        return np.arange(n_nodes) * n_stretches // n_nodes % N_FOLDS
+        of_node = np.arange(grid.n_nodes) * n_stretches // grid.n_nodes % N_FOLDS
+        return of_node[grid.begin], of_node[np.nonzero(grid.measured)[0]]
 
     def traces(self, forces: np.ndarray) -> np.ndarray:
-        """What forces change of the explained values, in units of the noise.
+        """What forces (n_intervals, n_forces) change of the explained values.
 
-        Args:
-            forces: (n_intervals, n_forces).
-
-        Returns:
-            (n_values, n_forces).
+        In units of the noise, (n_values, n_forces).
         """
         grid = self.linearized.grid
         n_states = self.linearized.model.n_states

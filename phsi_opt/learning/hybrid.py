@@ -18,7 +18,7 @@ one turn computes in `hybrid_problem`.
 """
 
 import time
-from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -33,7 +33,7 @@ from phsi_opt.learning.force_signals import without_signals
 from phsi_opt.learning.hybrid_network import NeuralForce, TrainedForce
 from phsi_opt.learning.hybrid_problem import HybridProblem
 from phsi_opt.learning.hybrid_result import Hybrid
-from phsi_opt.learning.hybrid_training import Schedule, train
+from phsi_opt.learning.hybrid_training import train
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.transcription.grid import Grid
@@ -60,7 +60,6 @@ def hybrid(
     seed: int = 0,
     max_turns: int = 20,
     tolerance: float = 1e-3,
-    progress: Callable[[str], None] | None = None,
 ) -> Hybrid:
     """Identify a dictionary and train a neural force beside it, in turns.
 
@@ -78,7 +77,6 @@ def hybrid(
         seed: of the network's first weights and of the order of the batches.
         max_turns: limit of the turns.
         tolerance: relative change of a coefficient below which it does not move.
-        progress: called with a line of text every turn.
 
     Raises:
         DataError: if data and model do not match.
@@ -102,14 +100,11 @@ def hybrid(
         fit = identify_forced(forced, record, loss, l1, prune, laid_out, fit)
         model = without_signals(fit.model, force.equations)
         stages = problem.training_set(model, at_stages)
-        trained = train(force, trained, stages, _schedule(force, turn, seed))
+        trained = train(_in_turn(force, turn), trained, stages, seed)
         trained = problem.with_best_output(trained, model, stages)
         at_stages = trained.at(stages.stages)
         row = problem.changes(*at_begin, model, at_stages)
         turns.append({"turn": turn + 1, **row})
-        if progress is not None:
-            told = [f"{key} {value:.4g}" for key, value in turns[-1].items()]
-            progress(", ".join(told))
         converged = (
             row["coefficient_change"] < tolerance
             and row["force_change"] < FORCE_TOLERANCE * tolerance
@@ -134,7 +129,9 @@ def _given(grid: Grid, _: Grid) -> Grid:
     return grid
 
 
-def _schedule(force: NeuralForce, turn: int, seed: int) -> Schedule:
+def _in_turn(force: NeuralForce, turn: int) -> NeuralForce:
+    """How the force is trained in a turn, counted from 0."""
     share = LATER_EPOCHS if turn > 0 else 1.0
     epochs = max(int(force.epochs * share), 1)
-    return Schedule(epochs, force.learning_rate * RATE_DECAY**turn, seed)
+    rate = force.learning_rate * RATE_DECAY**turn
+    return replace(force, epochs=epochs, learning_rate=rate)

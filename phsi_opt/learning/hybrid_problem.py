@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.force_analysis.points import Points
+from phsi_opt.force_analysis.force_record import Points
 from phsi_opt.learning.force_signals import with_force, with_signals
 from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
@@ -69,9 +69,8 @@ class HybridProblem:
     def training_set(self, model: Model, force: np.ndarray) -> TrainingSet:
         """The stages of the integrator, and what the force must add there on average.
 
-        Args:
-            model: the dictionary's, with its values.
-            force: as it was when they were found, (n_intervals, n_stages, n_equations).
+        Beside the dictionary's values, which were found with the force
+        (n_intervals, n_stages, n_equations).
         """
         forced = self.forced(model)
         rhs = forced.rhs()
@@ -107,11 +106,6 @@ class HybridProblem:
         """Output weights by ridge regression over all defects.
 
         Every coefficient of H and R may take a step with them.
-
-        Args:
-            trained: the force.
-            model: the dictionary's, with its values.
-            data: what the force was trained on.
         """
         forced = self.forced(model)
         grid = self.with_force(trained.at(data.stages))
@@ -155,11 +149,8 @@ class HybridProblem:
     ) -> dict[str, float]:
         """A row of the table of convergence; see `Hybrid.convergence`.
 
-        Args:
-            before: the dictionary's model at the begin of the turn.
-            old_force: (n_intervals, n_stages, n_equations) at the begin of the turn.
-            after: the model at its end.
-            new_force: the force at its end, in the same shape.
+        The dictionary's model and the force (n_intervals, n_stages, n_equations) before
+        and after.
         """
         forced = self.forced(after)
         grid = self.with_force(new_force)

@@ -1,7 +1,6 @@
 """Training of a force network on what a model leaves of the data, by AdamW in torch."""
 
 from dataclasses import dataclass, replace
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,11 @@ from phsi_opt.learning.network import (
     LEAST_SCALE,
     Layers,
     Network,
-    drawn_layers,
-    in_numpy,
-    in_torch,
-    outputs,
+    begin_at,
+    layers_of,
     range_of,
     torch_for,
+    trainable,
 )
 
 LEFT_OUT = 0  # the fold that chooses the epoch
@@ -48,17 +46,8 @@ class TrainingSet:
         return np.tensordot(values, self.weights, axes=(1, 0))
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """How long and how fast: epochs, the first learning rate, the seed of the order."""
-
-    epochs: int
-    rate: float
-    seed: int
-
-
 def train(
-    settings: NeuralForce, before: TrainedForce, data: TrainingSet, schedule: Schedule
+    settings: NeuralForce, before: TrainedForce, data: TrainingSet, seed: int
 ) -> TrainedForce:
     """Minimise the mean squared difference between the force's mean and the target.
 
@@ -67,11 +56,10 @@ def train(
     start is kept where even that one predicts it worse by more than `LARGEST_RISE`.
 
     Args:
-        settings: of the force.
-        before: where to start; without layers: at weights drawn evenly within +-1 over
-            the root of the number of inputs.
+        settings: how the force is trained.
+        before: where to start; without layers: at random ones.
         data: what it must be.
-        schedule: epochs, learning rate and seed.
+        seed: of random layers and of the order of the batches.
 
     Raises:
         ModelError: if torch is not installed.
@@ -83,67 +71,62 @@ def train(
         network = Network.scaled(visited, network.activation)
     network = replace(network, seen=range_of(visited))
     scale = np.maximum(np.sqrt(np.mean(data.target**2, axis=0)), LEAST_SCALE)
-    with torch_for("a neural force") as torch:
-        generator = torch.Generator().manual_seed(schedule.seed)
+    with torch_for("a neural force", seed) as torch:
+        sizes = [v.shape[-1], *settings.hidden, len(scale)]
+        net = trainable(sizes, network.activation)
         if network.layers:
-            weights, bias = network.layers[-1]
-            last = (weights / scale[:, None], bias / scale)
-            layers = in_torch((*network.layers[:-1], last))
-        else:
-            sizes = [v.shape[-1], *settings.hidden, len(scale)]
-            bounds = [1 / sqrt(n_in) for n_in in sizes[:-1]]
-            layers = drawn_layers(sizes, bounds, generator)
+            *hidden, (weights, bias) = network.layers
+            begin_at(net, (*hidden, (weights / scale[:, None], bias / scale)))
+            torch.manual_seed(seed)  # what was drawn is not used
         descent = _Descent(
-            layers,
+            net,
             torch.tensor(network.standardized(v)),
             torch.tensor(data.weights[:, None]),
             torch.tensor(data.target / scale),
             torch.tensor(data.folds),
-            generator,
         )
-        *hidden, (weights, bias) = descent.best(settings, schedule)
+        *hidden, (weights, bias) = descent.best(settings)
     output = (weights * scale[:, None], bias * scale)
     return replace(before, network=replace(network, layers=(*hidden, output)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """Tensors of a training.
+    """What is trained, and tensors of the training.
 
-    Layers, standardised variables, weights of the stages, targets and folds; and the
-    generator of the order.
+    Standardised variables, weights of the stages, targets and folds.
     """
 
-    layers: Layers
+    net: Any
     z: Any
     weights: Any
     y: Any
     folds: Any
-    generator: Any
 
     def error(self, chosen: Any) -> Any:
         """Mean squared difference in the intervals that are chosen."""
-        at_stages = outputs(self.layers, self.z[chosen], "relu")
-        mean = (self.weights * at_stages).sum(dim=1)
+        mean = (self.weights * self.net(self.z[chosen])).sum(dim=1)
         return ((mean - self.y[chosen]) ** 2).mean()
 
-    def best(self, settings: NeuralForce, schedule: Schedule) -> Layers:
+    def best(self, settings: NeuralForce) -> Layers:
         """The layers of the epoch with the least error on the fold left out."""
         import torch
 
         used = torch.nonzero(self.folds != LEFT_OUT).ravel()
         left_out = torch.nonzero(self.folds == LEFT_OUT).ravel()
-        parameters = [array for layer in self.layers for array in layer]
-        decay = settings.weight_decay
-        optimiser = torch.optim.AdamW(parameters, schedule.rate, weight_decay=decay)
-        n_steps = schedule.epochs * -(-len(used) // settings.batch)
+        optimiser = torch.optim.AdamW(
+            self.net.parameters(),
+            settings.learning_rate,
+            weight_decay=settings.weight_decay,
+        )
+        n_steps = settings.epochs * -(-len(used) // settings.batch)
         rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, n_steps)
-        start = in_numpy(self.layers)
+        start = layers_of(self.net)
         limit = (1 + LARGEST_RISE) * self.error(left_out).item()
         best = start
         least = np.inf
-        for _ in range(schedule.epochs):
-            order = used[torch.randperm(len(used), generator=self.generator)]
+        for _ in range(settings.epochs):
+            order = used[torch.randperm(len(used))]
             for chosen in order.split(settings.batch):
                 optimiser.zero_grad()
                 self.error(chosen).backward()
@@ -152,5 +135,5 @@ class _Descent:
             now = self.error(left_out).item()
             if now < least:
                 least = now
-                best = in_numpy(self.layers)
+                best = layers_of(self.net)
         return best if least <= limit else start

@@ -31,7 +31,6 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify
 from phsi_opt.estimation.json_file import read_json
 from phsi_opt.estimation.record import Record
-from phsi_opt.force_analysis.points import Points
 from phsi_opt.learning.distillation import short_form
 from phsi_opt.learning.force_samples import ForceSamples, Response
 from phsi_opt.learning.network import Network, numbers, range_of
@@ -80,32 +79,6 @@ class LearnedForce:
     def at(self, v: Any) -> np.ndarray:
         """The force (n,) at values (n, n_variables) of its variables."""
         return self.network.at(np.asarray(v, dtype=float))[:, 0]
-
-    def force(self, x: Any, u: Any = None, t: Any = 0.0) -> np.ndarray:
-        """The force (n,) at states, inputs and times.
-
-        Args:
-            x: (n, n_states).
-            u: (n, n_inputs); None for a model without inputs.
-            t: (n,), or one time.
-
-        Raises:
-            DataError: the shapes do not fit the model.
-        """
-        model = self.physics.model
-        x = np.atleast_2d(np.asarray(x, dtype=float))
-        n = len(x)
-        u = np.zeros((n, 0)) if u is None else u
-        u = np.asarray(u, dtype=float).reshape(n, -1)
-        if x.shape[1] != model.n_states or u.shape[1] != model.n_inputs:
-            raise DataError(
-                f"x of shape {x.shape} and u of shape {u.shape} do not fit the "
-                f"{model.n_states} states and {model.n_inputs} inputs of the model; "
-                "give a column for each."
-            )
-        theta = model.theta.reshape(-1, 1).repeat(n, axis=1)
-        points = Points(x, u, np.broadcast_to(t, n), theta)
-        return self.at(points.values(model.function(*self.on)))
 
     @cached_property
     def fit(self) -> Fit:

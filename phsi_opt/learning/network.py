@@ -15,8 +15,8 @@ import numpy as np
 from phsi_opt.errors import ModelError
 from phsi_opt.optimization.torch_threads import one_thread
 
-# (weight (n_out, n_in), bias (n_out,)) of every layer, in NumPy or in torch
-Layers = tuple[tuple[Any, Any], ...]
+# (weight (n_out, n_in), bias (n_out,)) of every layer
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 
 LEAST_SCALE = 1e-12  # of a variable or target: keeps quotients finite where it is still
 
@@ -90,11 +90,8 @@ def numbers(content: Any) -> np.ndarray:
 
 
 @contextmanager
-def torch_for(what: str) -> Iterator[Any]:
-    """Torch with one thread.
-
-    Args:
-        what: is trained, for the message.
+def torch_for(what: str, seed: int) -> Iterator[Any]:
+    """Torch with one thread, and random numbers of its own, for what is trained.
 
     Raises:
         ModelError: torch is not installed.
@@ -105,56 +102,33 @@ def torch_for(what: str) -> Iterator[Any]:
         raise ModelError(
             f"{what} needs torch: pip install 'phsi_opt[neural]'."
         ) from None
-    with one_thread():
+    with one_thread(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
         yield torch
 
 
-def drawn_layers(
-    sizes: Sequence[int], bounds: Sequence[float], generator: Any
-) -> Layers:
-    """Layers in torch, weights and biases drawn evenly.
+def trainable(sizes: Sequence[int], activation: str) -> Any:
+    """Layers of these sizes in torch, the first that of the variables.
 
-    Args:
-        sizes: of the variables and of every layer.
-        bounds: of the numbers of each layer.
-        generator: of torch.
+    Weights and biases are drawn evenly within +-1 over the root of the inputs' number.
     """
-    import torch
+    from torch import float64, nn
 
-    def drawn(bound: float, *shape: int) -> Any:
-        share = torch.rand(shape, generator=generator, dtype=torch.float64)
-        return (bound * (2 * share - 1)).requires_grad_()
-
-    layers = []
-    for (n_in, n_out), bound in zip(pairwise(sizes), bounds, strict=True):
-        weights = drawn(bound, n_out, n_in)
-        layers.append((weights, drawn(bound, n_out)))
-    return tuple(layers)
+    parts: list[Any] = []
+    for n_in, n_out in pairwise(sizes):
+        parts.append(nn.Linear(n_in, n_out, dtype=float64))
+        parts.append(nn.Tanh() if activation == "tanh" else nn.ReLU())
+    return nn.Sequential(*parts[:-1])
 
 
-def in_torch(layers: Layers) -> Layers:
-    """The layers as tensors to be trained."""
-    import torch
-
-    tensors = []
-    for layer in layers:
-        weights, bias = (torch.tensor(array).requires_grad_() for array in layer)
-        tensors.append((weights, bias))
-    return tuple(tensors)
+def layers_of(net: Any) -> Layers:
+    """What is trained in torch as it is now, in NumPy."""
+    arrays = [tensor.detach().numpy().copy() for tensor in net.parameters()]
+    return tuple(zip(arrays[::2], arrays[1::2], strict=True))
 
 
-def in_numpy(layers: Layers) -> Layers:
-    """The layers of tensors as they are now."""
-    arrays = []
-    for layer in layers:
-        weights, bias = (tensor.detach().numpy().copy() for tensor in layer)
-        arrays.append((weights, bias))
-    return tuple(arrays)
-
-
-def outputs(layers: Layers, z: Any, activation: str) -> Any:
-    """Of layers in torch, at standardised variables (..., n_variables)."""
-    for weights, bias in layers[:-1]:
-        z = getattr(z @ weights.T + bias, activation)()
-    weights, bias = layers[-1]
-    return z @ weights.T + bias
+def begin_at(net: Any, layers: Layers) -> None:
+    """Continue a training in torch at layers in NumPy."""
+    arrays = [array for layer in layers for array in layer]
+    for tensor, array in zip(net.parameters(), arrays, strict=True):
+        tensor.data = tensor.data.new_tensor(array)

@@ -24,11 +24,10 @@ from phsi_opt.learning.network import (
     LEAST_SCALE,
     Layers,
     Network,
-    drawn_layers,
-    in_numpy,
-    outputs,
+    layers_of,
     range_of,
     torch_for,
+    trainable,
 )
 from phsi_opt.learning.ridge import N_FOLDS, normal_equations, solutions
 from phsi_opt.statistics import TINY
@@ -90,9 +89,10 @@ class Training:
         """Squared residuals of each fold left out, (n_folds, n_stops, n_ridges)."""
         residual = self.response.residual
         errors = np.zeros((N_FOLDS, len(STOPS), len(OUTPUT_RIDGES)))
+        fold_of_interval, fold_of_value = self.response.folds()
         for fold in range(N_FOLDS):
-            left_out = self.response.value_fold == fold
-            networks = self._trained(self.response.fold != fold)
+            left_out = fold_of_value == fold
+            networks = self._trained(fold_of_interval != fold)
             for stop, network in enumerate(networks):
                 features = self._features(network)
                 found = features.outputs(~left_out, residual)
@@ -112,18 +112,19 @@ class Training:
         seen = replace(scaled, seen=range_of(samples.v[used]))
         stops = [round(share * self.epochs) for share in STOPS]
         found: dict[int, Layers] = {}
-        with torch_for("a learned force") as torch:
-            sizes = (samples.v.shape[1], N_HIDDEN, 1)
-            generator = torch.Generator().manual_seed(self.seed)
-            layers = drawn_layers(sizes, FIRST_WEIGHTS, generator)
+        with torch_for("a learned force", self.seed) as torch:
+            net = trainable((samples.v.shape[1], N_HIDDEN, 1), scaled.activation)
+            torch.manual_seed(self.seed)
+            for layer, bound in zip(net[::2], FIRST_WEIGHTS, strict=True):
+                for tensor in layer.parameters():
+                    torch.nn.init.uniform_(tensor, -bound, bound)
             target = _Target.of(scaled.standardized(samples.v), samples, used)
-            parameters = [array for layer in layers for array in layer]
-            optimiser = torch.optim.Adam(parameters, lr=LEARNING_RATE)
+            optimiser = torch.optim.Adam(net.parameters(), lr=LEARNING_RATE)
             for epoch in range(self.epochs + 1):
                 if epoch in stops:
-                    found[epoch] = in_numpy(layers)
+                    found[epoch] = layers_of(net)
                 optimiser.zero_grad()
-                target.loss(layers).backward()
+                target.loss(net).backward()
                 optimiser.step()
         return [replace(seen, layers=found[epoch]) for epoch in stops]
 
@@ -156,9 +157,9 @@ class _Target:
         arrays = (z[used], weight, basis, values / size)
         return cls(*map(torch.tensor, arrays))
 
-    def loss(self, layers: Layers) -> Any:
+    def loss(self, net: Any) -> Any:
         """Mean square of what is left beside the physics."""
-        force = self.weight * outputs(layers, self.z, "tanh")[:, 0]
+        force = self.weight * net(self.z)[:, 0]
         beyond = force - self.basis @ (self.basis.T @ force)
         return ((beyond - self.values) ** 2).mean()
 
@@ -189,9 +190,7 @@ class _Features:
     def outputs(self, used: np.ndarray, residual: np.ndarray) -> list[np.ndarray]:
         """Output weights, bias last, within the free directions: one per ridge.
 
-        Args:
-            used: (n_values,) of bool, the values that are regressed.
-            residual: (n_values,).
+        Of the residual (n_values,) where it is used, (n_values,) of bool.
         """
         traces = self.traces[used]
         weights = self.free[:-1].T @ self.free[:-1]  # the bias is free
