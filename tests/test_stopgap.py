@@ -193,7 +193,9 @@ def test_the_formula_in_the_model_is_the_network_and_is_held_at_the_edge_of_the_
     with_force, without = learned.fit.casadi(), learned.physics.casadi()
     added = [float(with_force(row, [], 0.0)[1] - without(row, [], 0.0)[1]) for row in x]
     assert np.allclose(added, learned.at(x), atol=1e-12)  # of mass 1, so dH/dp is p
-    assert learned.at([[9.0, 9.0]]) == pytest.approx(learned.at(learned.data_range[1:]))
+    assert learned.at([[9.0, 9.0]]) == pytest.approx(
+        learned.at(learned.network.seen[1:])
+    )
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_other_ones(
@@ -231,14 +233,16 @@ def test_a_force_of_an_input_is_learned_in_a_drive_with_held_input() -> None:
     fit = ph.identify(drive(b=ph.Parameter(1.0), c=0.0), train)
     learned = learned_force(fit, train, equation="v", on=["u"], epochs=20)
     assert free_run_rmse(learned, test) < 0.3 * ph.compare(fit, test).rmse
-    assert learned.simulate(t, [0.0], u).shape == (400, 1)
+    assert learned.fit.simulate(t, [0.0], u).shape == (400, 1)
 
 
 def test_a_saved_force_is_the_same_when_loaded(coupled: Case, tmp_path: Path) -> None:
     coupled.learned.save(tmp_path / "force.json")
     again = LearnedForce.load(tmp_path / "force.json")
     t, x0 = np.linspace(0.0, 2.0, 11), [1.0, 0.5]
-    assert np.array_equal(again.simulate(t, x0), coupled.learned.simulate(t, x0))
+    assert np.array_equal(
+        again.fit.simulate(t, x0), coupled.learned.fit.simulate(t, x0)
+    )
     assert again.explains == coupled.learned.explains and str(again) == str(
         coupled.learned
     )

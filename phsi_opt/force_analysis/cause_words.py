@@ -32,17 +32,17 @@ def cause_words(force: EquationForce, with_shares: bool = True) -> str:
     for cause in causes.named:
         told = _words(force, cause)
         if with_shares:
-            told += f", which {share_words(force, cause)}"
+            several = cause == "inputs" and len(force.record.model.inputs) > 1
+            verb = "explain" if several else "explains"
+            told += f", which {verb} {share_words(force, cause)}"
         parts.append(told)
     said = ", and ".join(parts) or NO_PATTERN
     return said + tie_words(force)
 
 
 def share_words(force: EquationForce, cause: str) -> str:
-    """How much of the force a cause explains: "explains 83 % of it"."""
-    is_several = cause == "inputs" and len(force.record.model.inputs) > 1
-    verb = "explain" if is_several else "explains"
-    return f"{verb} {100 * force.causes.contributions[cause]:.0f} % of it"
+    """How much of the force a cause explains: "83 % of it"."""
+    return f"{100 * force.causes.contributions[cause]:.0f} % of it"
 
 
 def tie_words(force: EquationForce) -> str:

@@ -36,15 +36,15 @@ def left_out_error(
         sought: further functions, which differ from fold to fold.
     """
     columns = np.hstack(bases)
-    normal = _normal(columns, w)
+    normal = normal_equations(columns, w)
     error = 0.0
     for number in np.unique(fold):
         is_left_out = fold == number
         if sought is not None:
             columns = np.hstack([*bases, sought(~is_left_out)])
-            normal = _normal(columns, w)
+            normal = normal_equations(columns, w)
         left_out = columns[is_left_out]
-        rest = normal - _normal(left_out, w[is_left_out])
+        rest = normal - normal_equations(left_out, w[is_left_out])
         residual = w[is_left_out] - left_out @ _ridge_coefficients(rest)
         error += float(residual @ residual)
     return error
@@ -55,8 +55,8 @@ def explained_share(error: float, total: float) -> float:
     return max(0.0, 1 - error / total) if total > 0 else 0.0
 
 
-def _normal(columns: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Gram matrix and right-hand side of a fit, (k, k + 1)."""
+def normal_equations(columns: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Gram matrix and right-hand side of a fit to w (n,), (k, k + 1)."""
     return columns.T @ np.column_stack([columns, w])
 
 

@@ -57,14 +57,7 @@ def dependence(force: Force, wave: PositionWave | None = None) -> "pd.DataFrame"
     variables that add a tenth to them: 'constant' and 'parameters', with the parts of
     the mean square that the mean alone, and other values of the model's parameters
     alone, predict. ``explained`` is the rms of what is predicted, of the mean and the
-    parameters as well.
-
-    Args:
-        force: of the equation.
-        wave: along a position, where there is one; it counts to the functions of that.
-
-    Returns:
-        A row per variable: equation, variable, share, explained.
+    parameters as well. A wave along a position counts to the functions of that.
     """
     total = force.squares
     bases = [force.shown(np.ones((len(force.w), 1)))]
@@ -159,11 +152,8 @@ def without_parameters(
 ) -> np.ndarray:
     """The force less what other values of the model's parameters explain.
 
-    It is what to plot against a variable: of the parameters' slopes only that is taken
-    off which is no function of the variable.
-
-    Returns:
-        (n_intervals,).
+    It is what to plot against a variable, (n_intervals,): of the parameters' slopes
+    only that is taken off which is no function of the variable.
     """
     slopes = force.by_parameters
     functions = _functions(force, variable, wave)
@@ -177,14 +167,8 @@ def without_parameters(
 def leading(follows: "pd.DataFrame", equation: str) -> "pd.Series | None":
     """The row of `dependence` to name: the best variable of an equation.
 
-    A single variable is named where a pair of states is hardly better.
-
-    Args:
-        follows: of all equations.
-        equation: of the force.
-
-    Returns:
-        None where the force was compared with no variable.
+    A single variable is named where a pair of states is hardly better; None where the
+    force was compared with no variable.
     """
     rows = follows[follows["equation"] == equation]
     rows = rows[~rows["variable"].isin(NO_VARIABLES)]

@@ -126,11 +126,6 @@ class EquationForce(Force):
         return label(quantity, force_unit(self.equation, self.record.units))
 
     @property
-    def told_label(self) -> str:
-        """Label of an axis for the force in the unit in which it is told."""
-        return label("missing force", self.scale.unit)
-
-    @property
     def position(self) -> str:
         """The position whose rate the effort of the equation is; "" where none is."""
         return position_of_momentum(self.record.model).get(self.equation, "")

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.ndimage import uniform_filter1d
 
 from phsi_opt.criteria import SPECTRUM_LEVEL, SURE_DEVIATIONS
 from phsi_opt.force_analysis.analysis import ForceAnalysis
@@ -106,9 +107,7 @@ def _level(force: EquationForce) -> np.ndarray:
     draws = record.estimate.posterior.error_draws()[:, force.number]
     of_draws = spectrum(record.t, record.run, draws).amplitudes
     rough = np.quantile(of_draws, SPECTRUM_LEVEL, axis=1)
-    padded = np.pad(rough, N_SMOOTHED // 2, "edge")
-    weights = np.full(N_SMOOTHED, 1 / N_SMOOTHED)
-    return np.convolve(padded, weights, "valid")
+    return np.asarray(uniform_filter1d(rough, N_SMOOTHED, mode="nearest"))
 
 
 def _last_shown(found: Spectrum) -> float | None:

@@ -7,8 +7,7 @@ state or an input that the model and the data lack.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from phsi_opt.criteria import CLEAR_PATTERN
 from phsi_opt.force_analysis.analysis import ForceAnalysis
@@ -20,21 +19,13 @@ from phsi_opt.model.structure import exchange_partners, kind_of, with_kinds_of_u
 from phsi_opt.presentation.report_content import Answer
 
 
-@dataclass(frozen=True)
-class FieldWords:
-    """What a field calls what a model may lack.
+class FieldWords(NamedTuple):
+    """What a field calls what a model may lack."""
 
-    Attributes:
-        state: a part that moves or stores by itself.
-        input: what else may be sought.
-        arrives: what an input is where it acts.
-        unseen: what is missing where most of a force follows nothing that was measured.
-    """
-
-    state: str
-    input: str
-    arrives: str
-    unseen: str
+    state: str  # a part that moves or stores by itself
+    input: str  # what else may be sought
+    arrives: str  # what an input is where it acts
+    unseen: str  # what is missing where a force follows nothing that was measured
 
 
 FIELDS = {

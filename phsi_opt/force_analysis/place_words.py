@@ -122,8 +122,7 @@ def _shares(force: EquationForce, is_named: bool, is_known: bool) -> str:
     told = f"It {cause_words(force)}"
     if cause and len(causes.named) == 1 and told.startswith("It follows "):
         share = share_words(force, causes.named[0])
-        if share.startswith("explains"):
-            told = f"That {share}{tie_words(force)}"
+        told = f"That explains {share}{tie_words(force)}"
     left = causes.shares["unexplained"]
     if left < MOSTLY:
         return f"{told}."
@@ -133,9 +132,8 @@ def _shares(force: EquationForce, is_named: bool, is_known: bool) -> str:
 def _together(force: EquationForce) -> str:
     """That input and velocity go together, with what either explains."""
     said = (
-        f"{100 * force.causes.shares['inputs']:.0f} % of it is explained by "
-        f"{effort_words(force)} or by {inputs_words(force)}; these data cannot "
-        "separate the two."
+        f"{share_words(force, 'inputs')} is explained by {effort_words(force)} or by "
+        f"{inputs_words(force)}; these data cannot separate the two."
     )
     place = place_words(force, [f"dH_d{force.equation}"])
     return f"{said} It is largest {place}." if place else said

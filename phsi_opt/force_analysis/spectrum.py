@@ -55,12 +55,9 @@ def spectrum(t: np.ndarray, run: np.ndarray, signal: np.ndarray) -> Spectrum:
     """Amplitude spectrum of one signal or several along trajectories.
 
     Trajectories are resampled to even steps, tapered (Hann), and averaged in the mean
-    square. Frequencies below one cycle per longest trajectory are left out.
-
-    Args:
-        t: times, (n,), increasing along each trajectory.
-        run: number of the trajectory of each time, (n,); each trajectory is contiguous.
-        signal: (n,), or (n, k) for k signals.
+    square. Frequencies below one cycle per longest trajectory are left out. Times and
+    numbers of their trajectories are (n,), each trajectory one stretch of increasing
+    times; the signal is (n,), or (n, k) for k signals.
     """
     runs = np.split(np.arange(len(t)), np.flatnonzero(np.diff(run)) + 1)
     runs = [inside for inside in runs if len(inside) >= SHORTEST_RUN]

@@ -222,13 +222,7 @@ def draw_beside(ax: "Axes", found: Dependence) -> None:
     ax.axhline(0, color=BASELINE, lw=0.8)
     ax.set_xlabel(found.label)
     ax.margins(y=0.25)
-    ax.legend(
-        frameon=False,
-        ncols=3,
-        loc="upper center",
-        columnspacing=1.0,
-        handletextpad=0.4,
-    )
+    ax.legend(loc="upper center", frameon=False, ncols=3, columnspacing=1.0)
 
 
 def dependence_title(force: EquationForce, variable: str) -> str:

@@ -98,11 +98,13 @@ def _drawn(is_fitted: np.ndarray) -> np.ndarray:
 def functions_of_time(force: Force, is_fitted: np.ndarray) -> np.ndarray:
     """Slow changes, and the wave that fits best, (n_intervals, n_slow + 4).
 
-    It has to fit where ``is_fitted``, (n_intervals,) of bool.
+    It has one phase in all trajectories, and has to fit where ``is_fitted``,
+    (n_intervals,) of bool.
     """
+    t = force.record.t
     frequency = _frequency_in_time(force, is_fitted)
-    slow = piecewise_linear_basis(force.record.t, N_TIME_KNOTS)
-    return np.hstack([slow, _waves_in_time(force, frequency)])
+    waves = harmonics(2 * np.pi * frequency * (t - t[0]))
+    return np.hstack([piecewise_linear_basis(t, N_TIME_KNOTS), waves])
 
 
 def period_of(force: Force) -> float | None:
@@ -118,12 +120,6 @@ def period_of(force: Force) -> float | None:
     if np.var(slow) > np.var(wave):
         return None
     return 1 / _frequency_in_time(force, everywhere)
-
-
-def _waves_in_time(force: Force, frequency: float) -> np.ndarray:
-    """Of one phase in all trajectories, (n_intervals, 4)."""
-    t = force.record.t
-    return harmonics(2 * np.pi * frequency * (t - t[0]))
 
 
 def _frequency_in_time(force: Force, is_fitted: np.ndarray) -> float:

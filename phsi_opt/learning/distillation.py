@@ -52,15 +52,11 @@ def short_form(
     and they count for the independent ones they are worth.
 
     Args:
-        names: of the variables.
-        samples: their values, and the physics.
+        names: of the variables; ``samples``: their values, and the physics.
         response: of the residuals to a force.
         curve: (n,), the force along the record.
-        most: number of terms.
-        share: of the curve's squared trace that the terms must explain.
-
-    Returns:
-        The terms; [] if there are none.
+        most: number of terms; [] if so few do not explain enough.
+        share: of the curve's squared trace that they must explain.
     """
     target = response.traces(curve[:, None])[:, 0]
     problem = _Problem(names, samples, response, target, *_counted(response, target))

@@ -10,8 +10,8 @@ import numpy as np
 
 from phsi_opt.errors import DataError, ModelError
 from phsi_opt.estimation.record import Record
+from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
-from phsi_opt.learning.ridge import N_FOLDS
 from phsi_opt.model.model import Model
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.statistics import TINY

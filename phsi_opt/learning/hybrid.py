@@ -87,7 +87,8 @@ def hybrid(
     record = aligned_once(model, data)
     trained = TrainedForce.of(model, force.equations, force.variables)
     problem = HybridProblem.of(model, record, trained, integrator)
-    at_stages = np.zeros(problem.force_shape)
+    shape = (problem.grid.n_intervals, len(problem.rule.shares), len(trained.rows))
+    at_stages = np.zeros(shape)
     loss = PHSILoss(integrator)
     fit: Fit | None = None
     turns = []

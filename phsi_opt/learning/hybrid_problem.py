@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.force_analysis.cross_validation import N_FOLDS
 from phsi_opt.force_analysis.force_record import Points
+from phsi_opt.force_analysis.localization import rms
 from phsi_opt.learning.force_signals import with_force, with_signals
 from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
-from phsi_opt.learning.ridge import N_FOLDS, cross_validated
+from phsi_opt.learning.ridge import cross_validated
 from phsi_opt.model.model import Model
 from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid, grid_of
@@ -52,11 +54,6 @@ class HybridProblem:
         """
         grid = complete_intervals(model, grid_of(data))
         return cls(grid, force.equations, force.rows, scheme, stage_rule(scheme))
-
-    @property
-    def force_shape(self) -> tuple[int, int, int]:
-        """Of a force at the stages: intervals, stages, equations."""
-        return self.grid.n_intervals, len(self.rule.shares), len(self.rows)
 
     def forced(self, model: Model) -> Model:
         """A model with the network's force as an input."""
@@ -155,11 +152,11 @@ class HybridProblem:
         forced = self.forced(after)
         grid = self.with_force(new_force)
         d = np.array(defects(forced, grid, self.scheme, grid.y.T, forced.theta))
-        size = max(_root_mean_square(new_force), LEAST_SIZE)
+        size = max(rms(new_force), LEAST_SIZE)
         return {
             "loss": float(np.mean(np.sum(d**2, axis=0))),
             "coefficient_change": _coefficient_change(before, after),
-            "force_change": _root_mean_square(new_force - old_force) / size,
+            "force_change": rms(new_force - old_force) / size,
             "n_terms": len(after.free),
         }
 
@@ -180,7 +177,3 @@ def _coefficient_change(before: Model, after: Model) -> float:
         size = max(np.max(np.abs(new), initial=0.0), LEAST_SIZE)
         changes.append(np.max(np.abs(new - old), initial=0.0) / size)
     return float(max(changes))
-
-
-def _root_mean_square(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -53,13 +53,9 @@ def train(
 
     AdamW (Loshchilov and Hutter 2019) with a learning rate that falls along a cosine.
     The epoch is kept that predicts the fold `LEFT_OUT` best, which is left out. The
-    start is kept where even that one predicts it worse by more than `LARGEST_RISE`.
-
-    Args:
-        settings: how the force is trained.
-        before: where to start; without layers: at random ones.
-        data: what it must be.
-        seed: of random layers and of the order of the batches.
+    start is kept where even that one predicts it worse by more than `LARGEST_RISE`. A
+    force that has no layers begins at random ones; the seed is theirs, and that of the
+    order of the batches.
 
     Raises:
         ModelError: if torch is not installed.
@@ -114,11 +110,10 @@ class _Descent:
 
         used = torch.nonzero(self.folds != LEFT_OUT).ravel()
         left_out = torch.nonzero(self.folds == LEFT_OUT).ravel()
-        optimiser = torch.optim.AdamW(
-            self.net.parameters(),
-            settings.learning_rate,
-            weight_decay=settings.weight_decay,
-        )
+        parameters = self.net.parameters()
+        rate = settings.learning_rate
+        decay = settings.weight_decay
+        optimiser = torch.optim.AdamW(parameters, rate, weight_decay=decay)
         n_steps = settings.epochs * -(-len(used) // settings.batch)
         rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, n_steps)
         start = layers_of(self.net)

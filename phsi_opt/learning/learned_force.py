@@ -71,11 +71,6 @@ class LearnedForce:
     explains: float
     samples: ForceSamples = field(repr=False)
 
-    @property
-    def data_range(self) -> np.ndarray:
-        """Least and largest value of each variable in the record, (2, n_variables)."""
-        return self.network.seen
-
     def at(self, v: Any) -> np.ndarray:
         """The force (n,) at values (n, n_variables) of its variables."""
         return self.network.at(np.asarray(v, dtype=float))[:, 0]
@@ -110,15 +105,6 @@ class LearnedForce:
             parts = [f"{weight!r}*({z})" for weight, z in pairs]
             bodies.append(f"{size!r}*tanh({' + '.join(parts)} + {float(own)!r})")
         return bodies
-
-    def simulate(self, t: Any, x0: Any, u: Any = None) -> np.ndarray:
-        """States (n_samples, n_states) from x0 at t[0], physics and learned force.
-
-        Raises:
-            DataError: as in `simulate`.
-            SolveError: the solution cannot be continued.
-        """
-        return self.fit.simulate(t, x0, u)
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the learned force over its first variable, or two.
@@ -172,7 +158,7 @@ class LearnedForce:
 
     def __str__(self) -> str:
         ranges = []
-        for name, (lower, upper) in zip(self.on, self.data_range.T, strict=True):
+        for name, (lower, upper) in zip(self.on, self.network.seen.T, strict=True):
             ranges.append(f"{name} {lower:.4g} to {upper:.4g}")
         return (
             f"learned force in d{self.equation}/dt, known for {', '.join(ranges)}: "
@@ -243,11 +229,7 @@ def learned_force_of(
     seed: int = 0,
     epochs: int = 200,
 ) -> LearnedForce:
-    """`learned_force` for a record that was made before.
-
-    Args:
-        record: the fit along the measurements.
-        equation, on, seed, epochs: as in `learned_force`.
+    """`learned_force` for a record of the fit that was made before.
 
     Raises:
         ModelError: as there; DataError, SolveError: likewise.

@@ -14,11 +14,13 @@ to point does not say how little a curve through many points may err. Only outpu
 whose force is orthogonal to the physics on the record are allowed.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
 from phsi_opt.learning.force_samples import ForceSamples, Response
 from phsi_opt.learning.network import (
     LEAST_SCALE,
@@ -29,7 +31,7 @@ from phsi_opt.learning.network import (
     torch_for,
     trainable,
 )
-from phsi_opt.learning.ridge import N_FOLDS, normal_equations, solutions
+from phsi_opt.learning.ridge import solutions
 from phsi_opt.statistics import TINY
 
 N_HIDDEN = 16
@@ -118,50 +120,35 @@ class Training:
             for layer, bound in zip(net[::2], FIRST_WEIGHTS, strict=True):
                 for tensor in layer.parameters():
                     torch.nn.init.uniform_(tensor, -bound, bound)
-            target = _Target.of(scaled.standardized(samples.v), samples, used)
+            loss = self._loss(net, scaled.standardized(samples.v), used)
             optimiser = torch.optim.Adam(net.parameters(), lr=LEARNING_RATE)
             for epoch in range(self.epochs + 1):
                 if epoch in stops:
                     found[epoch] = layers_of(net)
                 optimiser.zero_grad()
-                target.loss(net).backward()
+                loss().backward()
                 optimiser.step()
         return [replace(seen, layers=found[epoch]) for epoch in stops]
 
+    def _loss(self, net: Any, z: np.ndarray, used: np.ndarray) -> Callable[[], Any]:
+        """Mean square of what a network at z leaves beside the physics, where used."""
+        from torch import tensor
 
-@dataclass(frozen=True, eq=False)
-class _Target:
-    """What the network is trained to, as tensors.
-
-    Attributes:
-        z: (n, n_variables), the standardised variables.
-        weight: (n,), of the force at each.
-        basis: (n, n_columns), orthonormal basis of what the physics produces.
-        values: (n,), what the physics leaves, with a root mean square of one.
-    """
-
-    z: Any
-    weight: Any
-    basis: Any
-    values: Any
-
-    @classmethod
-    def of(cls, z: np.ndarray, samples: ForceSamples, used: np.ndarray) -> "_Target":
-        """From the samples that are used, (n,) of bool."""
-        import torch
-
+        samples = self.samples
         values = samples.without_physics(samples.w)[used]
         size = max(float(np.sqrt(np.mean(values**2))), LEAST_SCALE)
-        weight = np.median(samples.std) / samples.std[used]
-        basis = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
-        arrays = (z[used], weight, basis, values / size)
-        return cls(*map(torch.tensor, arrays))
+        physics = np.linalg.svd(samples.physics[used], full_matrices=False)[0]
+        target = tensor(values / size)
+        weight = tensor(np.median(samples.std) / samples.std[used])
+        basis = tensor(physics)
+        points = tensor(z[used])
 
-    def loss(self, net: Any) -> Any:
-        """Mean square of what is left beside the physics."""
-        force = self.weight * net(self.z)[:, 0]
-        beyond = force - self.basis @ (self.basis.T @ force)
-        return ((beyond - self.values) ** 2).mean()
+        def loss() -> Any:
+            force = weight * net(points)[:, 0]
+            beyond = force - basis @ (basis.T @ force)
+            return ((beyond - target) ** 2).mean()
+
+        return loss
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,28 +4,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
-N_FOLDS = 5  # groups of samples that are left out in turn
+from phsi_opt.force_analysis.cross_validation import N_FOLDS, normal_equations
+
 # Weights that are tried, in units of the mean sum of squares of a ridged column.
 RIDGE_WEIGHTS = 10.0 ** np.arange(-9, 1)
 # Share of the largest singular value below which a direction is left alone.
 SINGULAR = 1e-12
 
 
-def normal_equations(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Gram matrix and right-hand side of a fit to a target (n,), (k, k + 1)."""
-    return columns.T @ np.column_stack([columns, target])
-
-
 def solutions(
     normal: np.ndarray, ridge: np.ndarray, weights: np.ndarray, rcond: float
 ) -> Iterator[np.ndarray]:
-    """Coefficients (k,) of a regression for each weight of its ridge.
+    """Coefficients (k,) of a regression for each weight of its ridge, (n_weights,).
 
-    Args:
-        normal: as `normal_equations` gives them, (k, k + 1).
-        ridge: of the squared coefficients, (k, k).
-        weights: of the ridge, (n_weights,).
-        rcond: singular values, over the largest, that count as zero.
+    By its `normal_equations` and the ridge (k, k). Singular values below ``rcond``,
+    over the largest, count as zero.
     """
     for weight in weights:
         regularized = normal[:, :-1] + weight * ridge

@@ -83,7 +83,7 @@ def _force(force: EquationForce) -> Force:
     t_label = label("t", scale.unit)
     return Force(
         f"d{force.equation}/dt",
-        force.told_label,
+        label("missing force", force.scale.unit),
         t_label,
         sentence(force),
         _force_runs(force, scale.size),
@@ -129,9 +129,7 @@ def _map(force: EquationForce) -> ForceMap | None:
     )
 
 
-def _follows(force: EquationForce) -> Follows | None:
-    if not len(force.follows):
-        return None
+def _follows(force: EquationForce) -> Follows:
     variable = force.single_variable
     found = Dependence.of(force, variable)
     return _beside(found, dependence_title(force, variable), force.scale.size)
@@ -145,7 +143,8 @@ def law_of(law: EffectLaw) -> Law:
     )
     rate = law.force.scale.size
     follows = _beside(law.dependence, proper_names(sentence), rate)
-    return Law(proper_names(law.title), law.force.told_label, follows)
+    missing = label("missing force", law.force.scale.unit)
+    return Law(proper_names(law.title), missing, follows)
 
 
 def _beside(found: Dependence, sentence: str, rate: float) -> Follows:

@@ -6,7 +6,7 @@ from phsi_opt.comparison.compare import Comparison
 from phsi_opt.criteria import CERTAIN_FORCE
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
-from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, window_of
+from phsi_opt.force_analysis.localization import N_WINDOWS, THROUGHOUT, rms, window_of
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.presentation.durations import (
     date_words,
@@ -54,7 +54,7 @@ def since_when(diagnosis: Diagnosis, trained: Comparison) -> Answer:
     if force.is_uncertain:
         return Answer("At no time surely.")
     runs = _runs(force)
-    sizes = [_rms(force.w[inside]) for inside in runs]
+    sizes = [rms(force.w[inside]) for inside in runs]
     n_strong = sum(size > STRONG_RUN * max(sizes) for size in sizes)
     strongest = runs[force.record.trajectories.index(str(force.where["trajectory"]))]
     begin = _beginning(force, strongest) if n_strong == 1 else None
@@ -141,7 +141,7 @@ def _throughout(
 def _comes_and_goes(force: EquationForce, inside: np.ndarray) -> bool:
     """Whether a run has several stretches of a clear force, and weak ones between."""
     stretches = np.array_split(inside, min(STRETCHES, len(inside)))
-    sizes = np.array([_rms(force.w[stretch]) for stretch in stretches])
+    sizes = np.array([rms(force.w[stretch]) for stretch in stretches])
     least = STRONG_STRETCH * np.max(sizes)
     deviation = force.deviation[inside]
     if least < float(np.median(deviation)):
@@ -172,7 +172,7 @@ def _runs(force: EquationForce) -> list[np.ndarray]:
 def _is_clear(force: EquationForce, inside: np.ndarray) -> bool:
     """Whether a part of the force exceeds its standard deviation."""
     deviation = force.deviation[inside]
-    return _rms(force.w[inside]) > CERTAIN_FORCE * float(np.median(deviation))
+    return rms(force.w[inside]) > CERTAIN_FORCE * float(np.median(deviation))
 
 
 def _in_brackets(date: str) -> str:
@@ -182,16 +182,12 @@ def _in_brackets(date: str) -> str:
 def _beginning(force: EquationForce, inside: np.ndarray) -> float | None:
     """The time before which the force is far weaker; None: there is none such."""
     parts = np.array_split(inside, min(PARTS, len(inside)))
-    sizes = [_rms(force.w[part]) for part in parts]
+    sizes = [rms(force.w[part]) for part in parts]
     for k in range(1, len(parts)):
-        before = _rms(force.w[np.concatenate(parts[:k])])
-        after = _rms(force.w[np.concatenate(parts[k:])])
+        before = rms(force.w[np.concatenate(parts[:k])])
+        after = rms(force.w[np.concatenate(parts[k:])])
         is_strong = sizes[k] > STRONG_STRETCH * max(sizes)
         if is_strong and after > BEGINNING * max(before, TINY):
             first = parts[k][0]
             return float(force.record.t[first] - force.record.h[first] / 2)
     return None
-
-
-def _rms(w: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(w**2)))
