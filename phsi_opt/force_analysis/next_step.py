@@ -120,9 +120,7 @@ WHAT_TO_DO = {
 def step_without_name(analysis: ForceAnalysis, units: Mapping[str, str]) -> Answer:
     """What to do next about the surest missing force, for which there is no name.
 
-    Args:
-        analysis: of the missing forces.
-        units: as in `Measurements`; they tell of which field an equation is.
+    ``units`` are as in `Measurements`; they tell of which field an equation is.
     """
     force = analysis.force_in()
     if force.is_uncertain:

@@ -57,15 +57,10 @@ def without_signals(model: Model, equations: Sequence[str]) -> Model:
 
 
 def with_force(grid: Grid, force: np.ndarray, scheme: str = "srk4") -> Grid:
-    """The grid with the force as inputs.
+    """The grid with the force (n_intervals, n_stages, n_equations) as inputs.
 
     Over each interval they pass through the force at the nodes of the scheme; where two
     stages are at one node (RK4's middle), through the mean of both.
-
-    Args:
-        grid: without the force.
-        force: (n_intervals, n_stages, n_equations).
-        scheme: name of the integrator.
     """
     rule = stage_rule(scheme)
     shares = np.array(rule.shares)

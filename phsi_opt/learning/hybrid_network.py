@@ -137,11 +137,7 @@ class TrainedForce:
         return self.at(np.hstack([x, u, t]))
 
     def at(self, rows: np.ndarray) -> np.ndarray:
-        """The force, (n_samples, n_equations), at rows of states, inputs and time.
-
-        Args:
-            rows: (n_samples, n_names), a column per name.
-        """
+        """The force, (n_samples, n_equations), at rows (n_samples, n_names)."""
         return self.network.at(self.values_in(rows))
 
     def values_in(self, rows: np.ndarray) -> np.ndarray:
