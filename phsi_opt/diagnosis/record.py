@@ -178,19 +178,19 @@ class Diagnosis(Summarised):
 
     @property
     def where(self) -> "pd.DataFrame":
-        """Where the missing force is strong, strongest first (see `located`)."""
+        """Where the missing force is strong (see `ForceAnalysis.where`)."""
         return self.analysis.where
 
     @property
     def follows(self) -> "pd.DataFrame":
-        """What the missing force depends on, best first (see `depends_on`)."""
+        """What the missing force depends on (see `ForceAnalysis.follows`)."""
         return self.analysis.follows
 
     @property
     def power(self) -> "pd.DataFrame":
         """Whether the missing force takes energy out, stores or supplies it.
 
-        A row per equation (see `energy.power`).
+        A row per equation (see `ForceAnalysis.energy`).
         """
         return self.analysis.energy.table
 
