@@ -108,7 +108,7 @@ class EquationForce(Force):
 
     @property
     def single_variable(self) -> str:
-        """The variable, no pair, that predicts the force best; a constant's: time."""
+        """The variable (no pair) that predicts the force best; time for a constant."""
         if self.is_constant:
             return "t"
         listed = self.follows["variable"]

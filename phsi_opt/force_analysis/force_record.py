@@ -227,7 +227,7 @@ class Force:
 
     @property
     def effort(self) -> np.ndarray:
-        """The effort of the equation, (n_intervals,): the velocity, for a momentum."""
+        """The effort of the equation (the velocity for a momentum), (n_intervals,)."""
         return self.record.efforts[:, self.row]
 
     def shown(self, forces: np.ndarray) -> np.ndarray:
