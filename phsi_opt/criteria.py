@@ -79,6 +79,19 @@ DIFFERENT_RUNS_LEVEL = 1e-3
 # Ratio of two standard errors beyond which both are told.
 DIFFERENT_STD_ERRORS = 4 / 3
 
+# --- Evidence (`screening.weighing`, `diagnosis`)
+
+# Logarithm of the Bayes factor from which an effect is decisively, or strongly, there:
+# odds of 100 and of 20 to 1 (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
+DECISIVE_EVIDENCE = 4.6
+STRONG_EVIDENCE = 3.0
+# Effects that are weighed, at most, and effects of one class that are re-fitted.
+MOST_WEIGHED = 12
+MOST_REFITTED = 3
+# Share of the squared error above the noise floor that an effect must explain to be
+# named although a force remains: more than all else together.
+LEAST_EXPLAINED = 0.5
+
 # --- Which candidates are compared
 
 # Squared trace of an effect of natural size, in noise variances, below which the record

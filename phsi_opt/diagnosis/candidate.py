@@ -1,36 +1,61 @@
 """What a model may lack, with all that a diagnosis knows of it."""
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
+from phsi_opt.criteria import DECISIVE_EVIDENCE, STRONG_EVIDENCE
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect
 
 
+class Grade(StrEnum):
+    """How clearly an effect is there, by the logarithm of its Bayes factor."""
+
+    DECISIVE = "decisive"
+    STRONG = "strong"
+    WEAK = "weak"
+    NONE = "none"
+
+    @classmethod
+    def of(cls, log_bayes: float) -> "Grade":
+        """Of a logarithm of a Bayes factor; not a number counts as none."""
+        if log_bayes >= DECISIVE_EVIDENCE:
+            return cls.DECISIVE
+        if log_bayes >= STRONG_EVIDENCE:
+            return cls.STRONG
+        return cls.WEAK if log_bayes > 0 else cls.NONE
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One effect, or two together, with what is expected and what a re-fit gave.
+    """One effect, with what screening expects, what it weighs, and what a re-fit gave.
 
     Attributes:
         effect: what may be missing.
-        coefficient: its size, expected or re-fitted, in ``unit``.
+        coefficient: its size, of the re-fit, else beside the force that it leaves, else
+            expected, in ``unit``.
         std_error: of the coefficient.
-        values: of its parameters, from which a re-fit starts.
-        partner: a second effect beside it.
+        values: of the model's parameters, from which a re-fit starts.
+        states: (n_nodes, n_states) along the training record, likewise.
+        log_bayes: logarithm of the Bayes factor of the model with it over the model
+            without, both beside a force, by the training data; expected where it was
+            not weighed.
+        log_predictive: what it adds to the log predictive density of the data held out;
+            NaN where there are none, or it was not weighed.
+        was_weighed: whether it was weighed, and not only expected to gain nothing.
+        probability: of it among all effects that were weighed and no effect, equally
+            likely before.
+        force_left: root mean square of the force beside it over that without it.
         confusable_with: names of the effects that the data cannot tell from it.
-        p_value: of the likelihood ratio, adjusted for all candidates (Benjamini and
-            Hochberg 1995) and for the values that were scanned. Residuals count as
-            noise in it; ``lost`` may tell another, of the size beside model error.
-        delta_bic: change of BIC by the effect; without a re-fit the expected one.
-        train_rmse: free-run error on the training data, expected or re-fitted.
-        held_out_rmse: the same on the data held out; NaN where neither is known.
+        train_rmse: free-run error on the training data; NaN without a re-fit.
+        held_out_rmse: the same on the data held out; NaN where there are none.
         share: of the squared error above the noise floor that it explains, on the data
             that judge.
         lost: why it is not named; empty for what is.
         unit: of the coefficient; "" where it is not known.
-        was_tried: whether a re-fit was attempted.
         fit: the re-fit; ``trained`` and ``comparison``: its free runs on the training
             record and on the one that judges. None where it was not re-fitted.
     """
@@ -38,30 +63,43 @@ class Candidate:
     effect: Effect
     coefficient: float
     std_error: float
-    values: dict[str, float] = field(default_factory=dict)
-    partner: Effect | None = None
+    values: dict[str, float] = field(default_factory=dict, repr=False)
+    states: np.ndarray | None = field(default=None, repr=False)
+    log_bayes: float = np.nan
+    log_predictive: float = np.nan
+    was_weighed: bool = False
+    probability: float = np.nan
+    force_left: float = np.nan
     confusable_with: tuple[str, ...] = ()
-    p_value: float = np.nan
-    delta_bic: float = np.nan
     train_rmse: float = np.nan
     held_out_rmse: float = np.nan
     share: float = np.nan
     lost: str = ""
     unit: str = ""
-    was_tried: bool = False
-    fit: Fit | None = None
-    trained: Comparison | None = None
-    comparison: Comparison | None = None
+    fit: Fit | None = field(default=None, repr=False)
+    trained: Comparison | None = field(default=None, repr=False)
+    comparison: Comparison | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r}, lost={self.lost!r})"
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects that are added, one or two."""
-        return (self.effect,) if self.partner is None else (self.effect, self.partner)
+        """The effects that are added."""
+        return (self.effect,)
 
     @property
     def name(self) -> str:
         """The same in words."""
-        return " and ".join(str(effect) for effect in self.effects)
+        return str(self.effect)
+
+    @property
+    def log_evidence(self) -> float:
+        """Gain of the log evidence by all data, those held out included."""
+        held_out = 0.0 if np.isnan(self.log_predictive) else self.log_predictive
+        return self.log_bayes + held_out
+
+    @property
+    def grade(self) -> Grade:
+        """How clearly it is there."""
+        return Grade.of(self.log_evidence) if self.was_weighed else Grade.NONE

@@ -1,29 +1,35 @@
-"""The verdict of a diagnosis with its reason in words."""
+"""The verdict of a diagnosis: is it there, which law is it, how much does it explain.
 
-from collections.abc import Mapping, Sequence
+*Is it there*: an effect whose evidence is decisive beside a force that could have done
+the same. *Which law*: the effects that the evidence does not tell from it are a class.
+*How much*: a re-fit's free runs, and whether a force remains evident beside it.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from phsi_opt.comparison.compare import Comparison
 from phsi_opt.comparison.model_selection import (
-    explained_share,
     is_explained,
     is_failing,
     is_like_noise,
     is_small_as_noise,
 )
-from phsi_opt.criteria import EXPLAINED_IF_PARTLY, EXPLAINED_IF_PROPOSED
+from phsi_opt.criteria import DECISIVE_EVIDENCE, LEAST_EXPLAINED, MOST_REFITTED
 from phsi_opt.data.resolution import unresolved_channels
-from phsi_opt.diagnosis.alike import alike, alike_in_pair
-from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.doubts import fitted_size
 from phsi_opt.diagnosis.finding import Finding, class_of
-from phsi_opt.diagnosis.objections import objection, objection_beside_the_rest
-from phsi_opt.diagnosis.proposal import Proposal, parts_alone
-from phsi_opt.diagnosis.remainder import Remainder
+from phsi_opt.diagnosis.refit import Refit, refit
 from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect
+from phsi_opt.screening.effect_size import fitted_size
+from phsi_opt.screening.weighing import EvidenceRecord
+
+ALONE = "it takes over nothing of the force that acts beside the model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,169 +39,254 @@ class Conclusion:
     Attributes:
         verdict: in one phrase.
         reason: a sentence or more with the errors before and after.
+        ranking: the candidates, with what re-fits gave and why the others lost.
         findings: what is established.
-        effects: what is added next: the findings, or the nearest to one.
-        fit: the brief re-fit with them; None without effects.
-        against: why the best candidate is not named; empty where it is, or where there
-            is none.
+        effects: what is added next; ``fit``: the brief re-fit with it.
     """
 
     verdict: Verdict
     reason: str
+    ranking: tuple[Candidate, ...]
     findings: tuple[Finding, ...] = ()
     effects: tuple[Effect, ...] = ()
     fit: Fit | None = None
-    against: str = ""
 
 
 def conclusion(
-    base: DiagnosedModel,
-    proposed: Proposal | None,
-    ranked: Sequence[Candidate],
-    pairs: Sequence[Candidate] = (),
+    base: DiagnosedModel, record: EvidenceRecord, candidates: Sequence[Candidate]
 ) -> Conclusion:
-    """The verdict on a model from what is proposed to be added to it.
-
-    Of a pair that is not established, one that is so alone is named.
+    """The verdict on a model.
 
     Args:
         base: the model that is diagnosed.
-        proposed: the best effect or pair; None where none is significant.
-        ranked: the single candidates, best first.
-        pairs: that were looked at or re-fitted.
+        record: beside which models are weighed.
+        candidates: the likeliest first.
     """
-    if proposed is None:
-        return _without_effect(base, ranked)
-    concluded = _concluded(base, proposed, ranked, pairs)
-    if concluded.findings:
-        return concluded
-    for single in parts_alone(base, proposed, ranked):
-        alone = _concluded(base, single, ranked, pairs)
-        if alone.findings:
-            beside = _beside(proposed, single, concluded.against)
-            return replace(alone, reason=f"{alone.reason}. {beside}")
-    return concluded
+    return _Judge(base, record, list(candidates)).concluded()
 
 
-def _beside(proposed: Proposal, named: Proposal, against: str) -> str:
-    """The one of a pair that is not named, and what is against both, in a sentence."""
-    (other,) = (
-        effect
-        for effect in proposed.candidate.effects
-        if effect != named.candidate.effect
-    )
-    after = proposed.done.judged
-    return (
-        f"With {other} too the error would be {after.rmse:.4g}"
-        f"{spaced(after.error_unit)}, but {against}"
-    )
+@dataclass(eq=False)
+class _Judge:
+    """One diagnosis on the way to its verdict."""
 
+    base: DiagnosedModel
+    record: EvidenceRecord
+    ranking: list[Candidate]
 
-def _concluded(
-    base: DiagnosedModel,
-    proposed: Proposal,
-    ranked: Sequence[Candidate],
-    pairs: Sequence[Candidate],
-) -> Conclusion:
-    """The verdict on what is proposed as it is."""
-    done = proposed.done
-    effects = proposed.candidate.effects
-    is_all = is_explained(base.judged, done.trained, done.judged)
-    left = None if is_all else Remainder.of(base, proposed.fit)
-    others = {}
-    for effect in effects:
-        if len(effects) == 1:
-            found = alike(base, proposed.candidate, ranked, left)
-        else:
-            found = alike_in_pair(base, proposed.candidate, effect, pairs)
-        others[str(effect)] = found
-    findings = _findings(base, proposed, others)
-    change = _change(base, proposed)
-    said = " and ".join(str(finding) for finding in findings)
-    share = explained_share(base.judged, done.judged)
-    against = objection(base, proposed, findings, ranked, is_all)
-    unresolved = unresolved_channels(base.record.data)
-    if unresolved and (is_all or is_small_as_noise(done.trained)):
-        steps = f"the steps of {', '.join(unresolved)}"
-        reason = (
-            f"{said} would explain it, but so may {steps}, which moves by less than "
-            f"one of them (standard deviation): {change}"
+    def concluded(self) -> Conclusion:
+        first = self.first()
+        if first is None:
+            return self.without_effect()
+        done = self.refitted(first)
+        if done is None:
+            return self.without_effect()
+        against = self.objection(first, done)
+        if against:
+            return self.not_named(first, done, against)
+        return self.named(first, done)
+
+    def first(self) -> Candidate | None:
+        """The likeliest effect that is decisive and takes over from the force."""
+        for place, one in enumerate(self.ranking):
+            if one.grade != Grade.DECISIVE:
+                continue
+            if not one.force_left < 1:
+                self.ranking[place] = replace(one, lost=ALONE)
+                continue
+            self.ranking.insert(0, self.ranking.pop(place))
+            return one
+        return None
+
+    def refitted(self, first: Candidate) -> Refit | None:
+        """The re-fit of the first; those of its class beside it, to be told apart."""
+        done = self.refit(0)
+        n_others = 0
+        for place, one in enumerate(self.ranking[1:], start=1):
+            if one.name in first.confusable_with and n_others < MOST_REFITTED - 1:
+                n_others += 1
+                self.refit(place)
+        return done
+
+    def refit(self, place: int) -> Refit | None:
+        """Re-fit a candidate, and note what that gives."""
+        base = self.base
+        one = self.ranking[place]
+        done = refit(base, one)
+        if done is None:
+            self.ranking[place] = replace(one, lost="could not be re-fitted")
+            return None
+        size = fitted_size(base.fit, done.fit, one.effect)
+        self.ranking[place] = replace(
+            one,
+            coefficient=size.value,
+            std_error=size.std_error,
+            fit=done.fit,
+            trained=done.trained,
+            comparison=done.judged,
+            train_rmse=done.trained.rmse,
+            held_out_rmse=done.judged.rmse if base.is_held_out else one.held_out_rmse,
+            share=base.share_explained(done.judged.rmse),
         )
-        against = f"{steps} may look like it"
-        return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
-    is_enough = share > EXPLAINED_IF_PARTLY or not is_failing(base.judged)
-    if is_all and is_enough and not against:
-        return Conclusion(
-            Verdict.NAMED, f"{said}; {change}", findings, effects, proposed.fit
-        )
-    percent = f"{100 * share:.0f} % of the squared error above the noise floor"
-    remainder = left or Remainder.of(base, proposed.fit)
-    against = against or objection_beside_the_rest(base, proposed, share, remainder)
-    if share > EXPLAINED_IF_PARTLY and not against:
-        left_words = remainder.words(effects)
-        reason = (
-            f"{said}: that accounts for {percent}; {change}. Of the missing force "
-            f"{left_words}; what remains, no effect of the catalogue explains with it"
-        )
-        return Conclusion(Verdict.PARTLY_NAMED, reason, findings, effects, proposed.fit)
-    reason = f"the nearest is {said}, with {percent}: {change}"
-    if against:
-        reason += f". It is not named: {against}"
-    against = against or "it explains too little"
-    if share <= EXPLAINED_IF_PROPOSED:
-        return Conclusion(Verdict.UNEXPLAINED, reason, against=against)
-    return Conclusion(Verdict.UNEXPLAINED, reason, (), effects, proposed.fit, against)
+        return done
 
-
-def _change(base: DiagnosedModel, proposed: Proposal) -> str:
-    """The errors before and after."""
-    before = base.judged
-    after = proposed.done.judged
-    where = "held-out" if base.is_held_out else "training"
-    unit = spaced(after.error_unit)
-    return (
-        f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g}{unit} "
-        f"(noise floor {after.noise_floor:.4g}{unit})"
-    )
-
-
-def _findings(
-    base: DiagnosedModel, proposed: Proposal, others: Mapping[str, Sequence[Effect]]
-) -> tuple[Finding, ...]:
-    """A finding per effect; the others of the same name are in its class."""
-    share = explained_share(base.judged, proposed.done.judged)
-    findings = []
-    for effect in proposed.candidate.effects:
-        size = fitted_size(base.fit, proposed.fit, effect)
-        members = (effect, *others[str(effect)])
-        findings.append(
-            Finding(
-                members,
-                class_of(members),
-                size.value,
-                size.std_error,
-                share,
-                size.unit,
+    def objection(self, first: Candidate, done: Refit) -> str:
+        """Why what is decisive is not named; empty where it is."""
+        base = self.base
+        unresolved = unresolved_channels(base.record.data)
+        if unresolved and is_small_as_noise(done.trained):
+            steps = f"the steps of {', '.join(unresolved)}"
+            return (
+                f"so may {steps}, which moves by less than one of them (standard "
+                "deviation)"
             )
+        if self.leaves_nothing(done):
+            return ""
+        share = self.ranking[0].share
+        if is_failing(base.judged) and share < LEAST_EXPLAINED:
+            percent = f"{100 * share:.0f} % of the squared error above the noise floor"
+            return f"it explains only {percent}"
+        return self.rival(first)
+
+    def rival(self, first: Candidate) -> str:
+        """A law of no catalogue that is clearly likelier; empty where there is none."""
+        model = self.base.fit.model
+        equation = model.index(first.effect.equation)
+        forced = [force.place for force in self.record.base.disturbances.forces]
+        if first.effect.slot == "sensor" or equation not in forced:
+            return ""
+        function = self.record.with_functions(equation)
+        if function is None:
+            return ""
+        gain = function.log_evidence - self.record.base.log_evidence
+        if not gain > first.log_evidence + DECISIVE_EVIDENCE:
+            return ""
+        (kind,) = function.disturbances.functions
+        return (
+            f"an unknown function of {model.states[kind.state]} in "
+            f"d{first.effect.equation}/dt is likelier (log evidence {gain:.1f} against "
+            f"{first.log_evidence:.1f})"
         )
-    return tuple(findings)
+
+    def leaves_nothing(self, done: Refit) -> bool:
+        """Whether no force is evident beside a re-fit."""
+        base = self.base
+        if is_explained(base.judged, done.trained, done.judged):
+            return True
+        runs = [done.trained, done.judged] if base.is_held_out else [done.trained]
+        first = self.ranking[0]
+        gain = first.log_evidence + self.record.base.log_evidence
+        return not self.is_force_evident(gain, runs)
+
+    def is_force_evident(
+        self, log_evidence: float, comparisons: Sequence[Comparison]
+    ) -> bool:
+        """Whether a model is decisively likelier with a force than without."""
+        try:
+            alone = self.record.without_force(comparisons)
+        except SolveError:
+            return True
+        return log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
+
+    def named(self, first: Candidate, done: Refit) -> Conclusion:
+        base = self.base
+        effect = first.effect
+        findings = (self.finding(first, done),)
+        change = self.change(done)
+        for place, one in enumerate(self.ranking[1:], start=1):
+            if one.name in first.confusable_with:
+                lost = f"the data do not tell it from {first.name}"
+                self.ranking[place] = replace(one, lost=one.lost or lost)
+        self.tell_others(first)
+        share = self.ranking[0].share
+        verdict = Verdict.NAMED
+        reason = f"{findings[0]}; {change}; {_grade_words(first)}"
+        if not self.leaves_nothing(done):
+            verdict = Verdict.PARTLY_NAMED
+            percent = f"{100 * share:.0f} % of the squared error above the noise floor"
+            reason = (
+                f"{findings[0]}: that accounts for {percent}; {change}; "
+                f"{_grade_words(first)}. A force remains: {_left_words(first)}"
+            )
+        return Conclusion(
+            verdict, reason, tuple(self.ranking), findings, (effect,), done.fit
+        )
+
+    def finding(self, first: Candidate, done: Refit) -> Finding:
+        """The effect with its size, and those that the data do not tell from it."""
+        effects = [first.effect]
+        for one in self.ranking[1:]:
+            if one.name in first.confusable_with and one.force_left < 1:
+                effects.append(one.effect)
+        size = fitted_size(self.base.fit, done.fit, first.effect)
+        return Finding(
+            tuple(effects),
+            class_of(effects),
+            size.value,
+            size.std_error,
+            self.ranking[0].share,
+            size.unit,
+        )
+
+    def not_named(self, first: Candidate, done: Refit, against: str) -> Conclusion:
+        self.ranking[0] = replace(self.ranking[0], lost=against)
+        self.tell_others(first)
+        size = fitted_size(self.base.fit, done.fit, first.effect)
+        reason = (
+            f"the nearest is {first.name} ({size}), {_grade_words(first)}: "
+            f"{self.change(done)}. It is not named: {against}"
+        )
+        return Conclusion(Verdict.UNEXPLAINED, reason, tuple(self.ranking))
+
+    def without_effect(self) -> Conclusion:
+        """Nothing is missing, or nothing known explains it."""
+        base = self.base
+        self.tell_others(None)
+        where = "held-out" if base.is_held_out else "training"
+        unit = spaced(base.judged.error_unit)
+        errors = (
+            f"{where} error {base.judged.rmse:.4g}{unit}, "
+            f"noise floor {base.judged.noise_floor:.4g}{unit}"
+        )
+        ranking = tuple(self.ranking)
+        is_noise = is_like_noise(base.trained) and not is_failing(base.judged)
+        runs = [base.trained, base.judged] if base.is_held_out else [base.trained]
+        if is_noise or not self.is_force_evident(self.record.base.log_evidence, runs):
+            none = "no force is evident beside the model, and no effect is decisive"
+            return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}", ranking)
+        reason = f"{errors}: a force is evident, and no effect explains it"
+        nearest = [one for one in self.ranking if one.was_weighed]
+        if nearest and nearest[0].grade != Grade.NONE:
+            one = nearest[0]
+            reason += f"; the nearest, {one.name}, is {_grade_words(one)}"
+            if one.lost:
+                reason += f", and {one.lost}"
+        return Conclusion(Verdict.UNEXPLAINED, reason, ranking)
+
+    def tell_others(self, first: Candidate | None) -> None:
+        """Why the candidates that are not named are not."""
+        for place, one in enumerate(self.ranking):
+            if one.lost or (first is not None and one.effect == first.effect):
+                continue
+            lost = f"its evidence is {one.grade} ({one.log_evidence:.1f})"
+            if first is not None and one.log_evidence < first.log_evidence:
+                lost = f"{first.name} is likelier"
+            self.ranking[place] = replace(one, lost=lost)
+
+    def change(self, done: Refit) -> str:
+        """The errors before and after."""
+        before = self.base.judged
+        after = done.judged
+        where = "held-out" if self.base.is_held_out else "training"
+        unit = spaced(after.error_unit)
+        return (
+            f"the {where} error falls from {before.rmse:.4g} to {after.rmse:.4g}{unit} "
+            f"(noise floor {after.noise_floor:.4g}{unit})"
+        )
 
 
-def _without_effect(base: DiagnosedModel, ranked: Sequence[Candidate]) -> Conclusion:
-    """Nothing is missing, or nothing known explains it."""
-    where = "held-out" if base.is_held_out else "training"
-    unit = spaced(base.judged.error_unit)
-    errors = (
-        f"{where} error {base.judged.rmse:.4g}{unit}, "
-        f"noise floor {base.judged.noise_floor:.4g}{unit}"
-    )
-    if is_like_noise(base.trained) and not is_failing(base.judged):
-        none = "no effect of the catalogue lowers it significantly"
-        return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}")
-    reason = f"{errors}, and no effect of the catalogue is established"
-    refitted = [one for one in ranked if one.fit is not None and one.lost]
-    refitted = [one for one in refitted if one.share > 0]
-    if refitted:
-        nearest = min(refitted, key=lambda one: one.delta_bic)
-        reason += f"; the nearest, {nearest.name}, is not, because {nearest.lost}"
-    return Conclusion(Verdict.UNEXPLAINED, reason)
+def _grade_words(one: Candidate) -> str:
+    return f"its evidence is {one.grade} (log Bayes factor {one.log_evidence:.1f})"
+
+
+def _left_words(one: Candidate) -> str:
+    return f"{100 * one.force_left:.0f} % of the one before"

@@ -1,14 +1,11 @@
 """Where a model fails, and which effect is missing.
 
 1. The missing force along every trajectory, with the states it implies.
-2. Every effect of the catalogue is screened on the whole record without re-fitting.
-3. The best few, and where one is not enough the best pairs, are re-fitted by maximum
-   likelihood and judged by BIC, with correlated residuals counted for the independent
-   ones they are worth, and by the free run on data held out.
-4. The verdict: an effect is named when it is significant (false-discovery rate over all
-   candidates), when the held-out error falls, and when it, alone or with one more,
-   leaves residuals like noise. Effects that explain most of what is missing but leave
-   more than noise are proposed, and the verdict says that something is unexplained.
+2. The model is weighed beside that force: how likely are the measurements?
+3. Every effect of the catalogue is screened by the slope of that evidence; those that
+   may raise it are weighed beside the force that they leave.
+4. The verdict: an effect whose evidence is decisive is named, with those that the data
+   do not tell from it, and re-fitted; whether a force remains beside it is said.
 """
 
 from collections.abc import Callable
@@ -18,13 +15,10 @@ from dataclasses import replace
 from phsi_opt.comparison.compare import Comparison, compare, compare_record
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.better_base import from_missing_force
 from phsi_opt.diagnosis.conclusion import conclusion
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.proposal import proposal
-from phsi_opt.diagnosis.ranking import ranking
-from phsi_opt.diagnosis.reasons import in_order
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.weighed_round import weighed_round
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
@@ -36,8 +30,7 @@ from phsi_opt.model.catalogue import catalogue
 from phsi_opt.model.choice import EffectChoice, Given
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
-from phsi_opt.screening.prospects import Prospects
-from phsi_opt.screening.score_test import ScoreTest
+from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.sweeps.sweep import check_executor
 from phsi_opt.transcription.alignment import aligned_once
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -116,7 +109,6 @@ def diagnose_comparison(
     effects: list[Effect] | None = None,
     loss: MaximumLikelihood | None = None,
     progress: Progress | None = None,
-    is_later: bool = False,
     executor: Executor | None = None,
 ) -> Diagnosis:
     """`diagnose` for a fit that was compared before.
@@ -129,8 +121,6 @@ def diagnose_comparison(
         judged: the fit on data held out.
         effects: candidates; default: `catalogue` of the model.
         loss, progress, executor: as in `diagnose`.
-        is_later: whether the model has effects that an earlier diagnosis found; what
-            is named beside them must be clearer, unless it leaves noise.
 
     Returns:
         As `diagnose`.
@@ -147,25 +137,20 @@ def diagnose_comparison(
         judged=judged or trained,
         loss=loss,
         say=progress or silent,
-        is_later=is_later,
         executor=executor,
     )
-    base = from_missing_force(base)
     listed = effects
     if listed is None:
         listed = catalogue(base.fit.model, base.record.data.units)
     else:
         _check_effects(listed, base.fit.model)
-    base.say(f"screening {len(listed)} candidate effects")
-    test = ScoreTest(base.record, base.trained.simulated)
-    prospects = Prospects.of(test, listed, base.trained, base.judging_record)
-    ranked = ranking(base, prospects)
-    proposed, pairs = proposal(base, prospects, ranked)
-    concluded = conclusion(base, proposed, ranked, pairs)
+    base.say("weighing the model beside the missing force")
+    record = EvidenceRecord.of(base.record, base.judging_record)
+    concluded = conclusion(base, record, weighed_round(base, record, listed))
     return Diagnosis(
         record=base.record,
         base=base.judged,
-        ranking=in_order(base, [*ranked, *pairs], proposed, concluded),
+        ranking=concluded.ranking,
         verdict=concluded.verdict,
         reason=concluded.reason,
         findings=concluded.findings,

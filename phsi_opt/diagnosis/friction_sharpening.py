@@ -2,9 +2,7 @@
 
 A solver needs the corner rounded at first. Beside a body that sticks the rounding
 shows: it creeps where it should rest, and the size of the friction comes out wrong. So
-the width is made smaller on a finer grid as long as the likelihood rises. Where a fit
-was found along solutions of the model, what extends it begins at it: beside a sharp
-corner nothing begins anew.
+the width is made smaller on a finer grid as long as the likelihood rises.
 """
 
 from collections.abc import Sequence
@@ -16,7 +14,6 @@ import numpy as np
 
 from phsi_opt.comparison.model_selection import deviance
 from phsi_opt.criteria import (
-    BESIDE_SHARP_CORNER,
     BIC_TIE,
     CORNER_WIDTHS,
     LAST_CERTAIN_STAGE,
@@ -28,13 +25,11 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.doubts import doubt
-from phsi_opt.diagnosis.dry_friction import is_dry, new_corners
 from phsi_opt.diagnosis.refit_effort import ALONG_SOLUTIONS, AT_CORNER
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
-from phsi_opt.model.effect import Effect
+from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
 from phsi_opt.optimization.settings import FEASIBLE_PATH
@@ -44,25 +39,19 @@ from phsi_opt.transcription.alignment import AlignedData
 class CornerSharpening:
     """Sharpens the corners that a larger model has and the diagnosed one has not."""
 
-    def __init__(
-        self, base: DiagnosedModel, aligned: AlignedData, effects: Sequence[Effect]
-    ) -> None:
-        """Sharpen corners of effects, on measurements in the larger model's order."""
+    def __init__(self, base: DiagnosedModel, aligned: AlignedData) -> None:
+        """Sharpen corners on measurements in the larger model's order."""
         self.base = base
         self.aligned = aligned
-        self.dry = [effect for effect in effects if is_dry(effect)]
 
     def corners(self, model: Model) -> dict[str, Share]:
-        """Widths of the corners that the base has not."""
-        return new_corners(model, self.base.fit.model)
-
-    def is_believed(self, fit: Fit) -> bool:
-        """Whether dry friction is there at all, of a fit with rounded corners.
-
-        A sharp corner makes the size of friction right; friction that may as well be
-        zero it does not make clear, on grids of many times the intervals.
-        """
-        return not doubt(self.base, fit, self.dry)
+        """Widths of the corners that the base has not, with their guesses."""
+        known = self.base.fit.model.entries
+        found = {}
+        for name, guess in corner_widths(model).items():
+            if name not in known:
+                found[name] = guess
+        return found
 
     def sharpened(self, fit: Fit, blunt: Model) -> Fit:
         """The fit with its corners as sharp as the record asks for.
@@ -137,70 +126,6 @@ class CornerSharpening:
             )
         return None
 
-    def extended(
-        self, model: Model, refinement: int, known: Sequence[Fit]
-    ) -> Fit | None:
-        """The re-fit of a model from the best sharp fit that it extends.
-
-        Args:
-            model: with an effect more than some of the known fits.
-            refinement: steps in every gap between samples, at least.
-            known: fits made before.
-
-        Returns:
-            None where there is none, or where the larger model came out worse.
-        """
-        smaller = []
-        for fit in known:
-            if self._is_sharp(fit) and set(fit.model.entries) < set(model.entries):
-                smaller.append(fit)
-        if not smaller or self.base.is_long:
-            return None
-        old = min(smaller, key=deviance)
-        start_model = self._beside_sharp_corner(model, old)
-        if start_model is None:
-            return None
-        steps = tuple(np.maximum(n, refinement) for n in old.steps)
-        start = replace(old, steps=steps)
-        with suppress(PhsiOptError):
-            new = identify_aligned(
-                start_model,
-                self.aligned,
-                self.base.loss,
-                start=start,
-                settings=ALONG_SOLUTIONS,
-            )
-            if deviance(new) < deviance(old) - BIC_TIE:
-                return self.sharpened(new, model) if self.is_believed(new) else new
-            if deviance(new) < deviance(old) + SHARPER_CORNER_DEVIANCE:
-                return new
-        return None
-
-    def _is_sharp(self, fit: Fit) -> bool:
-        """Whether a fit follows solutions of the model for the sake of a corner."""
-        has_corner = self.base.is_along_solutions or bool(self.corners(fit.model))
-        return has_corner and fit.outcome.way == FEASIBLE_PATH
-
-    def _beside_sharp_corner(self, model: Model, old: Fit) -> Model | None:
-        """The larger model with the old widths, its new effects small.
-
-        None where it has a corner that is yet to be sharpened.
-        """
-        widths = {}
-        for name, guess in self.corners(old.model).items():
-            widths[guess.of] = old.model.values[name]
-        values = {}
-        for name, guess in self.corners(model).items():
-            if guess.of not in widths:
-                return None
-            values[name] = widths[guess.of]
-        sharp = model.with_values(values)
-        small = {}
-        for name, entry in model.entries.items():
-            if name not in old.model.entries and entry.prunable:
-                small[entry.name] = BESIDE_SHARP_CORNER * model.values[entry.name]
-        return sharp.with_values(small)
-
     def with_estimated_widths(self, fit: Fit) -> Fit | None:
         """The fit with the widths of its corners estimated once, and held again.
 
@@ -223,28 +148,6 @@ class CornerSharpening:
                 held, self.aligned, self.base.loss, start=free, settings=ALONG_SOLUTIONS
             )
         return None
-
-
-def may_extend(
-    base: DiagnosedModel, effects: Sequence[Effect], smaller: Sequence[Effect]
-) -> bool:
-    """Whether a re-fit with effects may begin at that of a smaller model.
-
-    As `CornerSharpening.extended` does it.
-    """
-    is_sharp = base.is_along_solutions or any(is_dry(effect) for effect in smaller)
-    if base.is_long or not is_sharp:
-        return False
-    own = base.fit.model
-    of_smaller = set(with_effects(own, smaller).entries)
-    return of_smaller < set(with_effects(own, effects).entries)
-
-
-def with_effects(model: Model, effects: Sequence[Effect]) -> Model:
-    """The model with effects more."""
-    for effect in effects:
-        model = model.add(effect)
-    return model
 
 
 def _are_reached(model: Model, widths: dict[str, float]) -> bool:

@@ -11,7 +11,6 @@ from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.experiment_design import Separation, separating
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.next_step import next_step
-from phsi_opt.diagnosis.reason_words import brief_reason
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.missing_force import ForceEstimate
@@ -41,14 +40,17 @@ CANDIDATE_COLUMNS = (
     "equation",
     "coefficient",
     "std_error",
-    "p_value",
-    "delta_bic",
+    "unit",
+    "log_bayes",
+    "log_predictive",
+    "probability",
+    "grade",
+    "force_left",
+    "share",
+    "train_rmse",
     "held_out_rmse",
     "confusable_with",
-    "train_rmse",
-    "share",
     "lost",
-    "unit",
 )
 # Those that are printed; the others would make lines too long to read.
 PRINTED_COLUMNS = (
@@ -57,9 +59,10 @@ PRINTED_COLUMNS = (
     "coefficient",
     "std_error",
     "unit",
-    "delta_bic",
+    "log_bayes",
+    "log_predictive",
+    "grade",
     "held_out_rmse",
-    "lost",
 )
 N_PRINTED = 6  # candidates that are printed
 
@@ -106,42 +109,44 @@ class Diagnosis(Summarised):
 
     @property
     def effects(self) -> list[Effect]:
-        """The candidate effects, best first, without the pairs."""
-        singles = [one for one in self.ranking if one.partner is None]
-        return [one.effect for one in singles]
+        """The candidate effects, best first."""
+        return [one.effect for one in self.ranking]
 
     @property
     def candidates(self) -> "pd.DataFrame":
-        """The candidates, best first.
+        """The candidates, best first, a row per effect.
 
-        A row per effect, and per pair of effects that was looked at. Columns: effect,
-        slot, equation, coefficient, std_error, p_value, delta_bic, held_out_rmse,
-        confusable_with, train_rmse, share (of the squared error above the noise floor
-        that it explains, on the data that judge), lost (why it is not named), unit (of
-        the coefficient; empty where it is not known). A p_value is that of the
-        likelihood ratio, for which residuals are noise; where model error shows,
-        ``lost`` may tell that of the size, by Student's t. Numbers are those of the
-        re-fit; of candidates that were not re-fitted they are expected, from
-        Gauss-Newton steps along the larger model.
+        Columns: effect; slot; equation; coefficient, std_error and unit of its size
+        (unit is empty where it is not known); log_bayes (logarithm of the Bayes factor
+        of the model with it over the one without, a force beside both, by the training
+        data) and log_predictive (what the data held out add); probability (of this
+        effect among all, and none); grade (of both together: decisive, strong, weak or
+        none); force_left (the force beside it over the force without it, root mean
+        squares); share (of the squared error above the noise floor that it explains, on
+        the data that judge), train_rmse and held_out_rmse of its free run, where it was
+        re-fitted; confusable_with; lost (why it is not named). What screening leaves
+        out has the expected gain as its log_bayes.
         """
         rows = []
-        for candidate in self.ranking:
-            effects = candidate.effects
+        for one in self.ranking:
             rows.append(
                 (
-                    " and ".join(effect.name for effect in effects),
-                    " and ".join(effect.slot for effect in effects),
-                    " and ".join(effect.equation for effect in effects),
-                    candidate.coefficient,
-                    candidate.std_error,
-                    candidate.p_value,
-                    candidate.delta_bic,
-                    candidate.held_out_rmse,
-                    ", ".join(candidate.confusable_with),
-                    candidate.train_rmse,
-                    candidate.share,
-                    candidate.lost,
-                    candidate.unit,
+                    one.effect.name,
+                    one.effect.slot,
+                    one.effect.equation,
+                    one.coefficient,
+                    one.std_error,
+                    one.unit,
+                    one.log_bayes,
+                    one.log_predictive,
+                    one.probability,
+                    str(one.grade),
+                    one.force_left,
+                    one.share,
+                    one.train_rmse,
+                    one.held_out_rmse,
+                    ", ".join(one.confusable_with),
+                    one.lost,
                 )
             )
         return printed_table(rows, columns=list(CANDIDATE_COLUMNS))
@@ -319,7 +324,6 @@ class Diagnosis(Summarised):
         if self.verdict == Verdict.UNEXPLAINED:
             said.append(f"next: {self.next_step}")
         best = self.candidates[list(PRINTED_COLUMNS)].head(N_PRINTED)
-        best = best.assign(lost=[brief_reason(lost) for lost in best["lost"]])
         return Summary(
             str(self.verdict),
             (

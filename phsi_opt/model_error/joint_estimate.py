@@ -86,6 +86,7 @@ class JointEstimate:
         violation: the largest of the scaled dynamics.
         n_steps: how many there were.
         has_converged: whether the last step was short.
+        length: of the last step, in standard deviations of what is unknown.
     """
 
     point: JointPoint
@@ -94,6 +95,7 @@ class JointEstimate:
     violation: float
     n_steps: int
     has_converged: bool
+    length: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +129,12 @@ class JointProblem:
         n_steps = 0
         has_converged = False
         damping = 0.0
+        length = np.inf
         objectives: list[float] = []
         while not has_converged and n_steps < most_steps:
             n_steps += 1
             aim = place.aim(damping)
+            length = aim.length
             there = self._lower(place, aim)
             if there is None:
                 damping = max(STEP_DAMPING_GROWTH * damping, LEAST_STEP_DAMPING)
@@ -154,6 +158,7 @@ class JointProblem:
             violation=place.violation,
             n_steps=n_steps,
             has_converged=has_converged,
+            length=length,
         )
 
     def _lower(self, place: "_Place", aim: "_Aim") -> "_Place | None":

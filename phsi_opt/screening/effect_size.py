@@ -1,37 +1,29 @@
 """Size of an effect: its coefficient, or the amplitude of a wave, and how certain."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameter_units import parameter_units
-from phsi_opt.statistics import TINY, student_p_value
+from phsi_opt.statistics import TINY
 
 
 @dataclass(frozen=True)
 class Size:
-    """Size of an effect, its standard error, and their unit if it is known.
-
-    ``freedom``: degrees of freedom of the standard error; infinite where it is exact.
-    """
+    """Size of an effect, its standard error, and their unit if it is known."""
 
     value: float
     std_error: float
     unit: str = ""
-    freedom: float = np.inf
 
     @property
     def z(self) -> float:
         """Standard errors from zero; NaN where the standard error is not known."""
         return abs(self.value) / max(self.std_error, TINY)
-
-    @property
-    def p_value(self) -> float:
-        """Of the hypothesis that there is none (Student's t)."""
-        return student_p_value(self.z, self.freedom)
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
@@ -87,6 +79,15 @@ def size_of(
 def _deviation(variance: float) -> float:
     """NaN where rounding has made the variance negative: then nothing is known."""
     return float(np.sqrt(variance)) if variance >= 0 else np.nan
+
+
+def fitted_size(base: Fit, fit: Fit, effect: Effect) -> Size:
+    """Size of an effect in a re-fit of a base model."""
+    names = new_names(base.model, effect, fit.names)
+    places = [fit.names.index(name) for name in names]
+    covariance = fit.covariance[np.ix_(places, places)]
+    size = size_of(effect, fit.model, names, fit.estimates, covariance)
+    return replace(size, unit=size_unit(base.model, effect, fit.units))
 
 
 def size_unit(base: Model, effect: Effect, units: Mapping[str, str]) -> str:

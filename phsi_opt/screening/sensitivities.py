@@ -15,7 +15,8 @@ from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.optimization.evaluated import Evaluated
-from phsi_opt.screening.linearized_record import DEFECT_SCHEME, LinearizedRecord
+from phsi_opt.screening.linearized_record import LinearizedRecord
+from phsi_opt.screening.weighing import SCHEME
 from phsi_opt.transcription.augmented_states import MemoryIntegration
 from phsi_opt.transcription.defects import defect_function, defect_jacobian
 from phsi_opt.transcription.sensors import output_slopes, outputs
@@ -54,10 +55,6 @@ class Change:
     of_defects: np.ndarray
     of_outputs: np.ndarray
 
-    def first(self, k: int) -> "Change":
-        """What the first k coefficients do."""
-        return Change(self.of_defects[:, :k], self.of_outputs[:, :k])
-
 
 class Sensitivities:
     """The change by a trial's coefficients, as a function of inner parameters."""
@@ -66,9 +63,7 @@ class Sensitivities:
         self.linearized = linearized
         self.trial = trial
         self.is_sensor = trial.effect.slot == "sensor"
-        # A sensor's dynamics are right: at the states of the missing force a gain of
-        # the sensor would stand in for every force.
-        self.states = linearized.obeying_states if self.is_sensor else linearized.states
+        self.states = linearized.states
         self.memory: MemoryIntegration | None = None
         grid = linearized.grid
         if trial.effect.memory:
@@ -79,7 +74,7 @@ class Sensitivities:
         if not self.is_sensor:
             n_trajectories = linearized.parameters.shape[1]
             n_base_states = linearized.model.n_states
-            layout = (trial.model, grid, DEFECT_SCHEME)
+            layout = (trial.model, grid, SCHEME)
             if self.places:
                 self._defect_slopes = Evaluated(
                     defect_jacobian(*layout, self.places, n_trajectories, n_base_states)

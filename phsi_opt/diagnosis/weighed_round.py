@@ -1,0 +1,141 @@
+"""The candidates, screened and weighed, the likeliest first."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from phsi_opt.criteria import MOST_WEIGHED, STRONG_EVIDENCE
+from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
+from phsi_opt.errors import PhsiOptError, SolveError
+from phsi_opt.estimation.problem import Progress
+from phsi_opt.model.effect import Effect
+from phsi_opt.screening.effect_size import new_names, size_of, size_unit
+from phsi_opt.screening.linearized_record import LinearizedRecord
+from phsi_opt.screening.score_test import Screened, ScoreTest
+from phsi_opt.screening.weighing import EvidenceRecord, Weighed
+from phsi_opt.statistics import TINY
+from phsi_opt.sweeps.ahead import Ahead
+
+
+def weighed_round(
+    base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
+) -> list[Candidate]:
+    """All candidates, the likeliest first.
+
+    Screening tells which of them may gain anything; these are weighed.
+
+    Args:
+        base: the model that is diagnosed.
+        record: beside which models are weighed.
+        effects: what may be missing.
+    """
+    base.say(f"screening {len(effects)} candidate effects")
+    test = ScoreTest(LinearizedRecord.beside_force(record))
+    screened = []
+    for effect in effects:
+        found = test.screened(effect)
+        if found is not None:
+            screened.append(found)
+    screened.sort(key=lambda one: -one.gain)
+    chosen = [one for one in screened if one.gain > 0][:MOST_WEIGHED]
+    cases = {str(place): one for place, one in enumerate(chosen)}
+    weigh = partial(_weighed, record)
+    ahead = Ahead(weigh, cases, base.executor, base.say)
+    candidates = []
+    try:
+        for place, one in enumerate(chosen):
+            candidates.append(_candidate(base, record, one, ahead, str(place)))
+    finally:
+        ahead.close()
+    for one in screened[len(chosen) :]:
+        candidates.append(_expected(base, one))
+    return _in_order(candidates)
+
+
+def _weighed(record: EvidenceRecord, one: Screened, say: Progress) -> Weighed:
+    say(f"weighing {one.effect}")
+    return record.weighed(one.model, one.values)
+
+
+def _expected(base: DiagnosedModel, one: Screened) -> Candidate:
+    return Candidate(
+        effect=one.effect,
+        coefficient=one.coefficient,
+        std_error=one.std_error,
+        unit=size_unit(base.fit.model, one.effect, base.record.data.units),
+        values=one.values,
+        log_bayes=one.gain,
+        lost="it would explain no more than a force without a law",
+    )
+
+
+def _candidate(
+    base: DiagnosedModel,
+    record: EvidenceRecord,
+    one: Screened,
+    ahead: Ahead[Screened, Weighed],
+    key: str,
+) -> Candidate:
+    """An effect with what it weighs."""
+    expected = _expected(base, one)
+    try:
+        weighed = ahead.result(key)
+    except SolveError as error:
+        base.say(str(error))
+        return replace(expected, log_bayes=np.nan, lost="it could not be weighed")
+    alone = record.base
+    places = [weighed.names.index(name) for name in _new(base, one, weighed)]
+    names = [weighed.names[place] for place in places]
+    size = size_of(
+        one.effect,
+        weighed.model,
+        names,
+        weighed.model.values,
+        weighed.covariance[np.ix_(places, places)],
+    )
+    scanned = float(np.log(one.n_tried))
+    held_out = np.nan
+    if base.is_held_out:
+        held_out = weighed.log_held_out - alone.log_held_out
+    return replace(
+        expected,
+        coefficient=size.value,
+        std_error=size.std_error,
+        values=weighed.model.values,
+        states=weighed.states[: record.n_fitted_nodes],
+        log_bayes=weighed.log_training - alone.log_training - scanned,
+        log_predictive=held_out,
+        was_weighed=True,
+        force_left=weighed.force_share / max(alone.force_share, TINY),
+        lost="",
+    )
+
+
+def _new(base: DiagnosedModel, one: Screened, weighed: Weighed) -> list[str]:
+    """Names of the effect's parameters, those that all trajectories share."""
+    return new_names(base.fit.model, one.effect, weighed.names)
+
+
+def _in_order(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """By evidence, weighed ones first, with probabilities and what is alike."""
+    gains = [one.log_evidence if one.was_weighed else -np.inf for one in candidates]
+    highest = max([0.0, *gains])
+    odds = np.exp(np.array([0.0, *gains]) - highest)
+    found = []
+    for one, gain, odd in zip(candidates, gains, odds[1:], strict=True):
+        alike = []
+        for other, of_other in zip(candidates, gains, strict=True):
+            is_near = abs(of_other - gain) < STRONG_EVIDENCE
+            if other is not one and one.was_weighed and is_near and gain > 0:
+                alike.append(other.name)
+        probability = float(odd / np.sum(odds))
+        if not one.was_weighed:
+            probability = 0.0
+        found.append(
+            replace(one, probability=probability, confusable_with=tuple(alike))
+        )
+    order = np.argsort([-gain for gain in gains], kind="stable")
+    return [found[place] for place in order]

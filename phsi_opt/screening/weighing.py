@@ -1,0 +1,486 @@
+"""Models weighed beside a force that could have done the same.
+
+A model is worth the evidence of the measurements when a lasting force of unknown size
+acts in its equations too::
+
+    log Z = log p(y | theta, sizes) - k/2 log n + log p(starting states)
+
+with parameters, states and forces where they are most likely together, the sizes of
+noise and forces where the evidence is largest, and Schwarz' price for each of the k
+parameters (Annals of Statistics 6, 1978). Starting states have a flat prior over the
+range of the motion, so that the scale of a state that nobody measured does not count;
+the memory of an effect begins near rest. The difference of two models is the logarithm
+of a Bayes factor: what a law gains is what it explains better than a force without a
+law.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from phsi_opt.comparison.compare import Comparison
+from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.noise import initial_noise
+from phsi_opt.data.resolution import quantisation_noise
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.force_search import LEAST_NOISE_BESIDE_SCATTER
+from phsi_opt.estimation.record import Record
+from phsi_opt.initialization.scaling import point_at
+from phsi_opt.model.model import Model
+from phsi_opt.model_error.ascent import updated
+from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
+from phsi_opt.model_error.linearization import linearized
+from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
+from phsi_opt.statistics import TINY
+from phsi_opt.transcription.alignment import AlignedData
+from phsi_opt.transcription.augmented_states import with_memory
+from phsi_opt.transcription.grid import Grid
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
+from phsi_opt.transcription.parameter_vector import Theta
+
+SCHEME = "srk4"  # the integrator of the dynamics
+MOST_ROUNDS = 6  # of steps with given sizes, each followed by better sizes
+STEPS_OF_A_ROUND = 12
+UPDATES_OF_A_ROUND = 8
+# Change of the logarithm of every size at which the rounds end, and gain of the
+# evidence by a round that makes no difference to a verdict.
+SETTLED_SIZES = 0.02
+SETTLED_EVIDENCE = 0.1
+# Size of a force, as a share of the rate in its equation, that is as good as none.
+NO_FORCE = 1e-5
+# Violation of the scaled dynamics up to which states obey them well enough, and length
+# of a last step, in standard deviations of all that is unknown, up to which the record
+# is linear enough for an evidence.
+OBEYED = 1e-3
+SHORT = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A model beside the forces that it leaves open, where both are most likely.
+
+    Attributes:
+        model: with its values; a mean where trajectories have their own.
+        log_evidence: of all measurements.
+        log_training: of those that the fit was made from, alone.
+        names: of the parameters, (n_theta,).
+        theta: (n_theta,); ``covariance``: of them, forces of these sizes acting.
+        states: (n_nodes, n_states).
+        processes: values of forces and errors of sensors, forces first.
+        disturbances: noise, forces and errors of sensors, with their sizes.
+        force_share: root mean square of the forces over that of the rates in their
+            equations, the largest.
+    """
+
+    model: Model
+    log_evidence: float
+    log_training: float
+    names: tuple[str, ...]
+    theta: np.ndarray
+    covariance: np.ndarray = field(repr=False)
+    states: np.ndarray = field(repr=False)
+    processes: np.ndarray = field(repr=False)
+    disturbances: Disturbances = field(repr=False)
+    force_share: float
+
+    @property
+    def log_held_out(self) -> float:
+        """Log predictive density of the measurements held out, after the others."""
+        return self.log_evidence - self.log_training
+
+
+@dataclass(frozen=True, eq=False)
+class EvidenceRecord:
+    """Measurements beside which models are weighed: those of the fit, and held out.
+
+    Attributes:
+        aligned: all of them, those of the fit first.
+        n_fitted: number of trajectories that the fit was made from.
+        first: the model of the fit, its corners rounded as the missing force asks.
+        parameters: its free parameters, (n_free, n_trajectories).
+        states: of the missing force, (n_nodes, n_states), where a search begins.
+        disturbances: of the missing force, with their sizes.
+        channels: measured states whose noise is not known.
+        least_noise: (n_states,) below which that does not fall.
+    """
+
+    aligned: AlignedData
+    n_fitted: int
+    first: Model
+    parameters: np.ndarray
+    states: np.ndarray = field(repr=False)
+    disturbances: Disturbances = field(repr=False)
+    channels: tuple[int, ...]
+    least_noise: np.ndarray
+
+    @classmethod
+    def of(cls, trained: Record, judged: Record | None) -> "EvidenceRecord":
+        """Of the records of one fit; ``judged`` where data were held out."""
+        records = [trained] if judged is None else [trained, judged]
+        data = _joined([record.data for record in records])
+        estimate = trained.estimate
+        sigma = np.tile(estimate.white, (data.n_trajectories, 1))
+        given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
+        is_given = np.isfinite(given)
+        scatter = np.where(is_given, given, initial_noise(data))
+        least = np.maximum(
+            quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
+        )
+        aligned = AlignedData.of(trained.model, data)
+        measured = aligned.grid.measured.any(axis=0)
+        return cls(
+            aligned=aligned,
+            n_fitted=trained.data.n_trajectories,
+            first=trained.model.with_values(estimate.rounded),
+            parameters=np.hstack([record.theta for record in records]),
+            states=np.concatenate([record.estimate.x for record in records]),
+            disturbances=replace(estimate.disturbances, sigma=sigma),
+            channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
+            least_noise=least,
+        )
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the trajectories."""
+        return tuple(run.name for run in self.aligned.data.trajectories)
+
+    @property
+    def n_fitted_nodes(self) -> int:
+        """Number of nodes of the measurements that the fit was made from."""
+        return int(np.sum(self.aligned.grid.trajectory < self.n_fitted))
+
+    @cached_property
+    def base(self) -> Weighed:
+        """The model of the fit, weighed.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        unknown = Theta.of(self.first, self.runs)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = self.parameters
+        start = _Start(self.first, theta, self.states, None, self.disturbances)
+        return self._weighed(start)
+
+    def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
+        """A model that is larger than the base, begun beside it.
+
+        Args:
+            model: the base with something more.
+            values: of its parameters, from which to start.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        base = self.base
+        unknown = Theta.of(model, self.runs)
+        known = {**dict(zip(base.names, base.theta.tolist(), strict=True)), **values}
+        default = unknown.spread(np.array([model.values[n] for n in model.free]))
+        theta = unknown.from_values(known, default)
+        lower, upper = unknown.lower, unknown.upper
+        theta = np.clip(theta, lower, upper)
+        by_run = theta[unknown.table]
+        grid = self.aligned.for_model(model).grid
+        states = with_memory(model, grid, base.states, by_run)
+        start = _Start(model, theta, states, base.processes, base.disturbances)
+        return self._weighed(start)
+
+    def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
+        """A fitted model without any force, begun at its free runs.
+
+        Args:
+            comparisons: of the fit with the measurements, those of the fit first.
+
+        Raises:
+            SolveError: no such states were found.
+        """
+        model = comparisons[0].model
+        unknown = Theta.of(model, self.runs)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = np.hstack([one.record.theta for one in comparisons])
+        states = np.concatenate([run for one in comparisons for run in one.simulated])
+        noise = replace(self.base.disturbances, forces=())
+        return self._weighed(_Start(model, theta, states, None, noise))
+
+    def with_functions(self, equation: int) -> Weighed | None:
+        """The base with an unknown smooth function of one state in an equation.
+
+        The most likely of them; None where there is none.
+        """
+        base = self.base
+        best = None
+        rates = self.aligned.grid.rates(base.states)
+        size = float(np.sqrt(np.mean(rates[:, equation] ** 2)))
+        memory = self.first.memory
+        for state, name in enumerate(self.first.states):
+            if name in memory:
+                continue
+            function = StateFunction(equation, state, size)
+            start = _Start(
+                self.first,
+                base.theta,
+                base.states,
+                base.processes,
+                base.disturbances.with_functions((function,)),
+            )
+            try:
+                found = self._weighed(start)
+            except SolveError:
+                continue
+            if best is None or found.log_evidence > best.log_evidence:
+                best = found
+        return best
+
+    def likelihood(self, weighed: Weighed) -> MarginalLikelihood:
+        """The record linearised where a model is most likely."""
+        start = _Start(
+            weighed.model,
+            weighed.theta,
+            weighed.states,
+            weighed.processes,
+            weighed.disturbances,
+        )
+        problem = self._problem(start)
+        z = problem.values.point.scaled
+        linear = linearized(problem.values, z, problem.values.at(z))
+        return MarginalLikelihood(
+            linear, weighed.disturbances.structure, problem.moving
+        )
+
+    def _problem(self, start: "_Start") -> JointProblem:
+        model = start.model
+        grid = self.aligned.for_model(model).grid
+        unknown = Theta.of(model, self.runs)
+        point = point_at(model, grid, unknown, start.theta, start.states)
+        grid = self._with_memory_at_rest(grid, start.states)
+        values = LikelihoodValues(model, grid, SCHEME, point, unknown)
+        return JointProblem(values, start.disturbances, np.arange(len(unknown)))
+
+    def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
+        """The memory of an effect is known to begin near rest, as if measured."""
+        n_old = self.states.shape[1]
+        if grid.y.shape[1] == n_old:
+            return grid
+        y = grid.y.copy()
+        y[grid.first, n_old:] = states[grid.first, n_old:]
+        return replace(grid, y=y)
+
+    def _weighed(self, start: "_Start") -> Weighed:
+        """Steps with given sizes and better sizes by turns, until both stay."""
+        start = start.padded(self.states.shape[1])
+        problem = self._problem(start)
+        z = problem.values.point.scaled
+        beside = None
+        if start.processes is not None:
+            n = sum(len(f) for f in _function_columns(problem, z))
+            beside = JointPoint(z, start.processes, np.zeros(n))
+        best = None
+        for _ in range(MOST_ROUNDS):
+            joint = problem.optimum(z, STEPS_OF_A_ROUND, beside)
+            z, beside = joint.point.z, joint.point
+            problem = self._without_bounds_met(problem, z)
+            likelihood = MarginalLikelihood(
+                joint.linear, problem.disturbances.structure, problem.moving
+            )
+            sizes = self._better_sizes(likelihood, problem.disturbances)
+            change = _largest_change(problem.disturbances, sizes)
+            problem = replace(problem, disturbances=sizes)
+            found = _Found(joint, likelihood, sizes)
+            gain = np.inf if best is None else found.evidence - best.evidence
+            if best is None or found.is_better_than(best):
+                best = found
+            is_settled = change < SETTLED_SIZES or abs(gain) < SETTLED_EVIDENCE
+            if is_settled and joint.has_converged:
+                break
+        assert best is not None
+        if not best.is_valid:
+            raise SolveError(
+                "the model could not be weighed: no states obey it beside a force "
+                f"(largest violation {best.joint.violation:.2g}, last step of "
+                f"{best.joint.length:.2g} standard deviations)."
+            )
+        return self._result(problem, best)
+
+    def _without_bounds_met(self, problem: JointProblem, z: np.ndarray) -> JointProblem:
+        """Parameters that a step has left at a bound stay there."""
+        values = problem.values
+        n = len(values.unknown)
+        is_met = (z[:n] <= values.lower[:n]) | (z[:n] >= values.upper[:n])
+        return replace(problem, moving=np.flatnonzero(~is_met))
+
+    def _better_sizes(
+        self, likelihood: MarginalLikelihood, sizes: Disturbances
+    ) -> Disturbances:
+        """Sizes moved to the largest evidence of the linearised record."""
+        grid = likelihood.problem.grid
+        rates = grid.rates(likelihood.problem.nodes)
+        typical = np.sqrt(np.mean(rates**2, axis=0)) + TINY
+        n_more = likelihood.problem.n_states - len(self.least_noise)
+        least = np.r_[self.least_noise, np.zeros(n_more)]
+        for _ in range(UPDATES_OF_A_ROUND):
+            before = sizes
+            sizes = updated(likelihood, sizes, self.channels, least)
+            forces = []
+            for force in sizes.forces:
+                smallest = NO_FORCE * float(typical[force.place])
+                forces.append(replace(force, size=max(force.size, smallest)))
+            sizes = replace(sizes, forces=tuple(forces))
+            if _largest_change(before, sizes) < SETTLED_SIZES:
+                break
+        return sizes
+
+    def _result(self, problem: JointProblem, found: "_Found") -> Weighed:
+        point = problem.values.point
+        unknown = problem.values.unknown
+        values = point.unscaled(found.joint.point.z)
+        theta = values["theta"]
+        states = values["x"].reshape(point.x.shape)
+        model = problem.values.model
+        means = unknown.means(theta).tolist()
+        price = self._price(problem, states)
+        likelihood, sizes = found.likelihood, found.sizes
+        borders = likelihood.borders_by_run(sizes)
+        fitted = Border.sum(borders[: self.n_fitted])
+        n_fitted_values = self._n_values(self.n_fitted)
+        share = n_fitted_values / self._n_values(len(borders))
+        k = len(theta)
+        training = _profiled(fitted, sizes)
+        training -= k * np.log(n_fitted_values) / 2 + price * share
+        evidence = found.evidence
+        evidence -= k * np.log(self._n_values(len(borders))) / 2 + price
+        covariance = np.zeros((k, k))
+        scale = point.theta_scale[likelihood.moving]
+        within = likelihood.at(sizes).covariance * np.outer(scale, scale)
+        covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
+        n_forces = len(sizes.forces) * likelihood.problem.grid.n_intervals
+        processes = found.joint.point.processes
+        forces = processes[:n_forces].reshape(len(sizes.forces), -1)
+        rates = likelihood.problem.grid.rates(states)
+        places = [force.place for force in sizes.forces]
+        typical = np.sqrt(np.mean(rates[:, places] ** 2, axis=0)) + TINY
+        shares = np.sqrt(np.mean(forces**2, axis=1)) / typical
+        return Weighed(
+            model=model.with_values(dict(zip(model.free, means, strict=True))),
+            log_evidence=float(evidence),
+            log_training=float(training) if len(borders) > self.n_fitted else evidence,
+            names=unknown.names,
+            theta=theta,
+            covariance=covariance,
+            states=states,
+            processes=processes,
+            disturbances=sizes,
+            force_share=float(np.max(shares, initial=0.0)),
+        )
+
+    def _price(self, problem: JointProblem, states: np.ndarray) -> float:
+        """Of starting states, flat over the range of their motion."""
+        n_own = self.states.shape[1]
+        spread = np.std(states[:, :n_own], axis=0) + TINY
+        return len(self.runs) * float(np.sum(np.log(spread)))
+
+    def _n_values(self, n_runs: int) -> int:
+        grid = self.aligned.grid
+        return int(grid.measured[grid.trajectory < n_runs].sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """Where a model begins to be weighed."""
+
+    model: Model
+    theta: np.ndarray
+    states: np.ndarray
+    processes: np.ndarray | None
+    disturbances: Disturbances
+
+    def padded(self, n_old: int) -> "_Start":
+        """With a size for the memory that a trajectory begins with."""
+        sigma = self.disturbances.sigma[:, :n_old]
+        n_more = self.states.shape[1] - n_old
+        spread = np.maximum(np.std(self.states[:, n_old:], axis=0), TINY)
+        if not n_more:
+            return self
+        of_memory = np.tile(spread, (len(sigma), 1))
+        sizes = replace(self.disturbances, sigma=np.hstack([sigma, of_memory]))
+        return replace(self, disturbances=sizes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Where steps ended, the record linearised there, and the sizes that it asks for.
+
+    Attributes:
+        joint: parameters, states and forces.
+        likelihood: of the record linearised there.
+        sizes: the most likely ones.
+    """
+
+    joint: JointEstimate
+    likelihood: MarginalLikelihood
+    sizes: Disturbances
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log likelihood, states and forces integrated out."""
+        return self.likelihood.log_likelihood(self.sizes)
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether states obey the model, and the steps came to rest."""
+        is_short = self.joint.has_converged or self.joint.length < SHORT
+        return is_short and self.joint.violation < OBEYED
+
+    def is_better_than(self, other: "_Found") -> bool:
+        """Whether it is valid where the other is not, or as valid and likelier."""
+        if self.is_valid != other.is_valid:
+            return self.is_valid
+        return self.evidence > other.evidence
+
+
+def _profiled(border: Border, sizes: Disturbances) -> float:
+    """Log likelihood of a part of the record at its own best parameters."""
+    of_functions = np.array([function.size for function in sizes.functions])
+    information = border.with_priors(of_functions)
+    marginal = border.marginal(of_functions)
+    inner = information[border.n_theta :, border.n_theta :]
+    log_det = np.linalg.slogdet(information)[1] - np.linalg.slogdet(inner)[1]
+    return float(marginal.log_evidence + log_det / 2)
+
+
+def _function_columns(problem: JointProblem, z: np.ndarray) -> list[np.ndarray]:
+    """Coefficients of every function of a state, zero."""
+    functions = problem.disturbances.functions
+    if not functions:
+        return []
+    linear = linearized(problem.values, z, problem.values.at(z))
+    linear = replace(linear, linear_share=0.0)
+    found = []
+    for function in functions:
+        found.append(np.zeros(linear.function_values[function.state].shape[1]))
+    return found
+
+
+def _largest_change(before: Disturbances, after: Disturbances) -> float:
+    """Of the logarithm of a size."""
+    changes = [float(np.max(np.abs(np.log(after.sigma / before.sigma))))]
+    for old, new in zip(before.processes, after.processes, strict=True):
+        changes.append(abs(float(np.log(new.size / old.size))))
+    return max(changes)
+
+
+def _joined(parts: list[Measurements]) -> Measurements:
+    """Measurements one behind the other; a name that comes twice is told apart."""
+    first, *others = parts
+    trajectories = list(first.trajectories)
+    for part in others:
+        names = {run.name for run in trajectories}
+        for run in part.trajectories:
+            name = run.name
+            while name in names:
+                name += " (held out)"
+            names.add(name)
+            trajectories.append(replace(run, name=name))
+    return replace(first, trajectories=tuple(trajectories))
