@@ -45,10 +45,17 @@ SCHEME = "srk4"  # the integrator of the dynamics
 MOST_ROUNDS = 6  # of steps with given sizes, each followed by better sizes
 STEPS_OF_A_ROUND = 12
 UPDATES_OF_A_ROUND = 8
+# Random vectors of an update: sizes that are off by a hundredth change the evidence by
+# a tenth.
+PROBES = 16
 # Change of the logarithm of every size at which the rounds end, and gain of the
 # evidence by a round that makes no difference to a verdict.
 SETTLED_SIZES = 0.02
 SETTLED_EVIDENCE = 0.1
+# A model that has not come to rest in so many rounds is given up, and one whose
+# evidence is so far below that of the base.
+ROUNDS_TO_REST = 3
+HOPELESS = 10.0
 # Size of a force, as a share of the rate in its equation, that is as good as none.
 NO_FORCE = 1e-5
 # Violation of the scaled dynamics up to which states obey them well enough, and length
@@ -64,7 +71,8 @@ class Weighed:
 
     Attributes:
         model: with its values; a mean where trajectories have their own.
-        log_evidence: of all measurements.
+        log_likelihood: of all measurements, states and forces integrated out.
+        log_evidence: the same with the priors.
         log_training: of those that the fit was made from, alone.
         names: of the parameters, (n_theta,).
         theta: (n_theta,); ``covariance``: of them, forces of these sizes acting.
@@ -76,6 +84,7 @@ class Weighed:
     """
 
     model: Model
+    log_likelihood: float
     log_evidence: float
     log_training: float
     names: tuple[str, ...]
@@ -186,7 +195,7 @@ class EvidenceRecord:
         grid = self.aligned.for_model(model).grid
         states = with_memory(model, grid, base.states, by_run)
         start = _Start(model, theta, states, base.processes, base.disturbances)
-        return self._weighed(start)
+        return self._weighed(start, base.log_likelihood)
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
         """A fitted model without any force, begun at its free runs.
@@ -268,8 +277,11 @@ class EvidenceRecord:
         y[grid.first, n_old:] = states[grid.first, n_old:]
         return replace(grid, y=y)
 
-    def _weighed(self, start: "_Start") -> Weighed:
-        """Steps with given sizes and better sizes by turns, until both stay."""
+    def _weighed(self, start: "_Start", worth: float = -np.inf) -> Weighed:
+        """Steps with given sizes and better sizes by turns, until both stay.
+
+        ``worth``: log likelihood that the base has.
+        """
         start = start.padded(self.states.shape[1])
         problem = self._problem(start)
         z = problem.values.point.scaled
@@ -278,7 +290,7 @@ class EvidenceRecord:
             n = sum(len(f) for f in _function_columns(problem, z))
             beside = JointPoint(z, start.processes, np.zeros(n))
         best = None
-        for _ in range(MOST_ROUNDS):
+        for number in range(MOST_ROUNDS):
             joint = problem.optimum(z, STEPS_OF_A_ROUND, beside)
             z, beside = joint.point.z, joint.point
             problem = self._without_bounds_met(problem, z)
@@ -294,6 +306,10 @@ class EvidenceRecord:
                 best = found
             is_settled = change < SETTLED_SIZES or abs(gain) < SETTLED_EVIDENCE
             if is_settled and joint.has_converged:
+                break
+            if number + 1 == ROUNDS_TO_REST and not best.is_valid:
+                break
+            if best.is_valid and best.evidence < worth - HOPELESS:
                 break
         assert best is not None
         if not best.is_valid:
@@ -322,7 +338,7 @@ class EvidenceRecord:
         least = np.r_[self.least_noise, np.zeros(n_more)]
         for _ in range(UPDATES_OF_A_ROUND):
             before = sizes
-            sizes = updated(likelihood, sizes, self.channels, least)
+            sizes = updated(likelihood, sizes, self.channels, least, PROBES)
             forces = []
             for force in sizes.forces:
                 smallest = NO_FORCE * float(typical[force.place])
@@ -364,6 +380,7 @@ class EvidenceRecord:
         shares = np.sqrt(np.mean(forces**2, axis=1)) / typical
         return Weighed(
             model=model.with_values(dict(zip(model.free, means, strict=True))),
+            log_likelihood=found.evidence,
             log_evidence=float(evidence),
             log_training=float(training) if len(borders) > self.n_fitted else evidence,
             names=unknown.names,
