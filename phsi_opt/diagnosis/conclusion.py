@@ -72,40 +72,34 @@ class _Judge:
     base: DiagnosedModel
     record: EvidenceRecord
     ranking: list[Candidate]
+    nothing_left: bool | None = None
 
     def concluded(self) -> Conclusion:
-        first = self.first()
-        if first is None:
-            return self.without_effect()
-        done = self.refitted(first)
-        if done is None:
-            return self.without_effect()
-        against = self.objection(first, done)
-        if against:
-            return self.not_named(first, done, against)
-        return self.named(first, done)
-
-    def first(self) -> Candidate | None:
-        """The likeliest effect that is decisive and takes over from the force."""
-        for place, one in enumerate(self.ranking):
-            if one.grade != Grade.DECISIVE:
+        for place, one in enumerate(list(self.ranking)):
+            if one.grade != Grade.DECISIVE or one.lost:
                 continue
             if not one.force_left < 1:
                 self.ranking[place] = replace(one, lost=ALONE)
                 continue
-            self.ranking.insert(0, self.ranking.pop(place))
-            return one
-        return None
+            done = self.refit(place)
+            if done is not None:
+                self.ranking.insert(0, self.ranking.pop(place))
+                return self.judged(one, done)
+        return self.without_effect()
 
-    def refitted(self, first: Candidate) -> Refit | None:
-        """The re-fit of the first; those of its class beside it, to be told apart."""
-        done = self.refit(0)
-        n_others = 0
+    def judged(self, first: Candidate, done: Refit) -> Conclusion:
+        """The verdict on the likeliest effect that could be re-fitted."""
+        against = self.objection(first, done)
+        if against:
+            return self.not_named(first, done, against)
+        members = []
         for place, one in enumerate(self.ranking[1:], start=1):
-            if one.name in first.confusable_with and n_others < MOST_REFITTED - 1:
-                n_others += 1
-                self.refit(place)
-        return done
+            is_alike = one.name in first.confusable_with and not one.lost
+            if is_alike and one.force_left < 1:
+                members.append(place)
+        for place in members[: MOST_REFITTED - 1]:
+            self.refit(place)
+        return self.named(first, done, [self.ranking[place] for place in members])
 
     def refit(self, place: int) -> Refit | None:
         """Re-fit a candidate, and note what that gives."""
@@ -168,7 +162,12 @@ class _Judge:
         )
 
     def leaves_nothing(self, done: Refit) -> bool:
-        """Whether no force is evident beside a re-fit."""
+        """Whether no force is evident beside a re-fit; worked out once."""
+        if self.nothing_left is None:
+            self.nothing_left = self._leaves_nothing(done)
+        return self.nothing_left
+
+    def _leaves_nothing(self, done: Refit) -> bool:
         base = self.base
         if is_explained(base.judged, done.trained, done.judged):
             return True
@@ -187,44 +186,38 @@ class _Judge:
             return True
         return log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
 
-    def named(self, first: Candidate, done: Refit) -> Conclusion:
-        base = self.base
-        effect = first.effect
-        findings = (self.finding(first, done),)
-        change = self.change(done)
-        for place, one in enumerate(self.ranking[1:], start=1):
-            if one.name in first.confusable_with:
-                lost = f"the data do not tell it from {first.name}"
-                self.ranking[place] = replace(one, lost=one.lost or lost)
-        self.tell_others(first)
+    def named(
+        self, first: Candidate, done: Refit, members: Sequence[Candidate]
+    ) -> Conclusion:
+        effects = (first.effect, *(one.effect for one in members))
+        size = fitted_size(self.base.fit, done.fit, first.effect)
         share = self.ranking[0].share
+        finding = Finding(
+            effects, class_of(effects), size.value, size.std_error, share, size.unit
+        )
+        names = [one.name for one in members]
+        for place, one in enumerate(self.ranking):
+            if one.name in names:
+                lost = one.lost or f"the data do not tell it from {first.name}"
+                self.ranking[place] = replace(one, lost=lost)
+        self.tell_others(first)
+        change = self.change(done)
         verdict = Verdict.NAMED
-        reason = f"{findings[0]}; {change}; {_grade_words(first)}"
+        reason = f"{finding}; {change}; {_grade_words(first)}"
         if not self.leaves_nothing(done):
             verdict = Verdict.PARTLY_NAMED
             percent = f"{100 * share:.0f} % of the squared error above the noise floor"
             reason = (
-                f"{findings[0]}: that accounts for {percent}; {change}; "
+                f"{finding}: that accounts for {percent}; {change}; "
                 f"{_grade_words(first)}. A force remains: {_left_words(first)}"
             )
         return Conclusion(
-            verdict, reason, tuple(self.ranking), findings, (effect,), done.fit
-        )
-
-    def finding(self, first: Candidate, done: Refit) -> Finding:
-        """The effect with its size, and those that the data do not tell from it."""
-        effects = [first.effect]
-        for one in self.ranking[1:]:
-            if one.name in first.confusable_with and one.force_left < 1:
-                effects.append(one.effect)
-        size = fitted_size(self.base.fit, done.fit, first.effect)
-        return Finding(
-            tuple(effects),
-            class_of(effects),
-            size.value,
-            size.std_error,
-            self.ranking[0].share,
-            size.unit,
+            verdict,
+            reason,
+            tuple(self.ranking),
+            (finding,),
+            (first.effect,),
+            done.fit,
         )
 
     def not_named(self, first: Candidate, done: Refit, against: str) -> Conclusion:
@@ -232,7 +225,7 @@ class _Judge:
         self.tell_others(first)
         size = fitted_size(self.base.fit, done.fit, first.effect)
         reason = (
-            f"the nearest is {first.name} ({size}), {_grade_words(first)}: "
+            f"the nearest is {first.name} ({size}), with {_grade_words(first)}: "
             f"{self.change(done)}. It is not named: {against}"
         )
         return Conclusion(Verdict.UNEXPLAINED, reason, tuple(self.ranking))
@@ -257,7 +250,7 @@ class _Judge:
         nearest = [one for one in self.ranking if one.was_weighed]
         if nearest and nearest[0].grade != Grade.NONE:
             one = nearest[0]
-            reason += f"; the nearest, {one.name}, is {_grade_words(one)}"
+            reason += f"; the nearest, {one.name}, has {_grade_words(one)}"
             if one.lost:
                 reason += f", and {one.lost}"
         return Conclusion(Verdict.UNEXPLAINED, reason, ranking)
@@ -285,7 +278,7 @@ class _Judge:
 
 
 def _grade_words(one: Candidate) -> str:
-    return f"its evidence is {one.grade} (log Bayes factor {one.log_evidence:.1f})"
+    return f"{one.grade} evidence (log Bayes factor {one.log_evidence:.1f})"
 
 
 def _left_words(one: Candidate) -> str:

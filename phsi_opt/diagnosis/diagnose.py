@@ -15,9 +15,11 @@ from dataclasses import replace
 from phsi_opt.comparison.compare import Comparison, compare, compare_record
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.conclusion import conclusion
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.diagnosis.refit import refit
 from phsi_opt.diagnosis.weighed_round import weighed_round
 from phsi_opt.errors import ModelError
 from phsi_opt.estimation.fit import Fit
@@ -144,7 +146,7 @@ def diagnose_comparison(
         listed = catalogue(base.fit.model, base.record.data.units)
     else:
         _check_effects(listed, base.fit.model)
-    base.say("weighing the model beside the missing force")
+    base.say("the missing force beside the model")
     record = EvidenceRecord.of(base.record, base.judging_record)
     concluded = conclusion(base, record, weighed_round(base, record, listed))
     return Diagnosis(
@@ -157,6 +159,35 @@ def diagnose_comparison(
         proposed=concluded.effects,
         proposed_fit=concluded.fit,
     )
+
+
+def candidate_of(
+    trained: Comparison, effect: Effect, loss: MaximumLikelihood
+) -> Candidate | None:
+    """One effect, weighed and re-fitted whatever it is worth.
+
+    Args:
+        trained: the fit on the training record.
+        effect: that is added.
+        loss: how.
+
+    Returns:
+        None where it leaves no trace in the record; without a re-fit where that failed.
+
+    Raises:
+        ModelError: the effect does not fit the model, or has no free number.
+    """
+    _check_effects([effect], trained.fit.model)
+    loss = _without_model_error(loss)
+    if trained.fit.has_model_error:
+        trained, _ = _without_force(trained, None, loss)
+    base = DiagnosedModel(trained=trained, judged=trained, loss=loss, say=silent)
+    record = EvidenceRecord.of(base.record, None)
+    found = weighed_round(base, record, [effect])
+    if not found:
+        return None
+    done = refit(base, found[0])
+    return found[0] if done is None else replace(found[0], fit=done.fit)
 
 
 def _without_model_error(loss: MaximumLikelihood) -> MaximumLikelihood:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
-from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.experiment_design import Separation, separating
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.next_step import next_step
@@ -111,6 +111,15 @@ class Diagnosis(Summarised):
     def effects(self) -> list[Effect]:
         """The candidate effects, best first."""
         return [one.effect for one in self.ranking]
+
+    @property
+    def strong(self) -> tuple[Effect, ...]:
+        """The likeliest effect where none is decisive and its evidence is strong."""
+        if self.findings or not self.ranking:
+            return ()
+        first = self.ranking[0]
+        is_less = first.force_left < 1
+        return (first.effect,) if first.grade == Grade.STRONG and is_less else ()
 
     @property
     def candidates(self) -> "pd.DataFrame":

@@ -110,8 +110,17 @@ def _candidate(
         log_predictive=held_out,
         was_weighed=True,
         force_left=weighed.force_share / max(alone.force_share, TINY),
-        lost="",
+        lost=_outside(weighed, names),
     )
+
+
+def _outside(weighed: Weighed, names: Sequence[str]) -> str:
+    """Why inner numbers have no prior: a record does not show them at their bounds."""
+    for name in names:
+        if name in weighed.at_bounds and not weighed.model.entries[name].prunable:
+            _, _, inner = name.partition(".")
+            return f"its {inner or 'size'} ended at a bound: the record does not tell it"
+    return ""
 
 
 def _new(base: DiagnosedModel, one: Screened, weighed: Weighed) -> list[str]:

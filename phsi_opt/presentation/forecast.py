@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 # How a line begins that tells of the beginning of such a work.
 FITTING = "fitting the base model"
 SCREENING = "screening"
-REFITTING = "re-fitting with"
+WEIGHING = "weighing"
 ADDING = "adding"
 MISSING = "missing:"  # the verdict of a diagnosis; "nothing missing" is the last one
 NOTHING_MISSING = "nothing missing"
 # Sizes in units of the first fit: rough means over the demonstration (0.03 to 2 s for
 # each unit); single ones differ by a factor of three.
-SIZES = {FITTING: 1.0, SCREENING: 1.5, REFITTING: 1.5, ADDING: 2.0}
-EXPECTED_REFITS = 3  # of a diagnosis: 1 to 5 singles, and pairs where one is not enough
+SIZES = {FITTING: 1.0, SCREENING: 1.5, WEIGHING: 1.0, ADDING: 2.0}
+EXPECTED_WEIGHED = 4  # effects in a diagnosis, of 1 to 12
 # Times its expected length after which a work is said to take longer than expected.
 OVERDUE = 1.5
 MOST_SAID = 99 * 3600.0  # s; beyond that no forecast is worth saying
@@ -39,7 +39,7 @@ class Forecast:
     done: float = 0.0
     current: str = ""
     n_screened: int = 0
-    n_refitted: int = 0
+    n_weighed: int = 0
     began: float = field(init=False)
     current_began: float = field(init=False)
 
@@ -60,9 +60,9 @@ class Forecast:
                 self.current = kind
                 if kind == SCREENING:
                     self.n_screened += 1
-                    self.n_refitted = 0
-                if kind == REFITTING:
-                    self.n_refitted += 1
+                    self.n_weighed = 0
+                if kind == WEIGHING:
+                    self.n_weighed += 1
 
     def _finish_current(self) -> None:
         self.done += SIZES.get(self.current, 0.0)
@@ -111,14 +111,14 @@ class Forecast:
 
     def _expected(self) -> float:
         """The size of what is expected after the current work."""
-        refit = SIZES[REFITTING]
-        of_diagnosis = SIZES[SCREENING] + EXPECTED_REFITS * refit
+        weighing = SIZES[WEIGHING]
+        of_diagnosis = SIZES[SCREENING] + EXPECTED_WEIGHED * weighing
         further = max(self.n_diagnoses - max(self.n_screened, 1), 0)
         expected = further * (of_diagnosis + SIZES[ADDING])
         if self.n_diagnoses and self.current == FITTING:
             expected += of_diagnosis
-        if self.current in (SCREENING, REFITTING):
-            expected += max(EXPECTED_REFITS - self.n_refitted, 0) * refit
+        if self.current in (SCREENING, WEIGHING):
+            expected += max(EXPECTED_WEIGHED - self.n_weighed, 0) * weighing
         if self.current == ADDING and self.n_diagnoses and self.n_screened:
             expected += 0.0 if further else of_diagnosis
         return expected

@@ -75,6 +75,7 @@ class Weighed:
         log_evidence: the same with the priors.
         log_training: of those that the fit was made from, alone.
         names: of the parameters, (n_theta,).
+        at_bounds: names of those that ended at a bound.
         theta: (n_theta,); ``covariance``: of them, forces of these sizes acting.
         states: (n_nodes, n_states).
         processes: values of forces and errors of sensors, forces first.
@@ -88,6 +89,7 @@ class Weighed:
     log_evidence: float
     log_training: float
     names: tuple[str, ...]
+    at_bounds: tuple[str, ...]
     theta: np.ndarray
     covariance: np.ndarray = field(repr=False)
     states: np.ndarray = field(repr=False)
@@ -371,9 +373,10 @@ class EvidenceRecord:
         scale = point.theta_scale[likelihood.moving]
         within = likelihood.at(sizes).covariance * np.outer(scale, scale)
         covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
-        n_forces = len(sizes.forces) * likelihood.problem.grid.n_intervals
+        n_intervals = likelihood.problem.grid.n_intervals
+        n_forces = len(sizes.forces)
         processes = found.joint.point.processes
-        forces = processes[:n_forces].reshape(len(sizes.forces), -1)
+        forces = processes[: n_forces * n_intervals].reshape(n_forces, n_intervals)
         rates = likelihood.problem.grid.rates(states)
         places = [force.place for force in sizes.forces]
         typical = np.sqrt(np.mean(rates[:, places] ** 2, axis=0)) + TINY
@@ -384,6 +387,7 @@ class EvidenceRecord:
             log_evidence=float(evidence),
             log_training=float(training) if len(borders) > self.n_fitted else evidence,
             names=unknown.names,
+            at_bounds=tuple(np.delete(unknown.names, likelihood.moving).tolist()),
             theta=theta,
             covariance=covariance,
             states=states,

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from phsi_opt.comparison.compare import Comparison, compare_record
-from phsi_opt.comparison.model_selection import delta_bic, deviance, share_of_change
+from phsi_opt.comparison.compare import compare_record
+from phsi_opt.comparison.model_selection import deviance
 from phsi_opt.criteria import OTHER_OPTIMUM_DEVIANCE
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
@@ -94,8 +94,10 @@ class StudyFitting:
         """The model of a fit with one effect, from what a diagnosis found of it."""
         if found is not None and found.fit is not None:
             return self.refined(found.fit)
+        model = fit.model.add(effect)
         values = {} if found is None else found.values
-        model = fit.model.add(effect).with_values(values)
+        known = {name: values[name] for name in model.free if name in values}
+        model = model.with_values(known)
         return identify_aligned(model, self.train, self.loss, start=fit)
 
     def with_effects(self, fit: Fit, effects: tuple[Effect, ...]) -> Fit:
@@ -110,12 +112,6 @@ class StudyFitting:
         return identify_aligned(
             model.with_values(known), self.train, self.loss, start=fit
         )
-
-    def is_superfluous(self, fit: Fit, trained: Comparison, smaller: Fit) -> bool:
-        """Whether BIC prefers a smaller model to a fit with its training comparison."""
-        record = Record.beside(smaller, self.train, trained.record.estimate)
-        share = share_of_change(compare_record(record), trained)
-        return delta_bic(fit, smaller, share) < 0
 
     def law(self, fit: Fit, added: tuple[Effect, ...], effect: Effect) -> EffectLaw:
         """What the model of a fit lacks without one of the effects added (see there).

@@ -50,6 +50,8 @@ NOW = {
         "Something is still missing that no effect of the catalogue explains."
     ),
 }
+# The same where an effect was added that is not established.
+NOT_SEEN = "No force is evident beside the present model."
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
 UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
@@ -116,9 +118,12 @@ def errors_in_words(study: StudyRecord) -> str:
 def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
     errors = errors_in_words(study)
     if study.last.added:
-        begin = _said_of_added(study, present, errors)
+        begin = _said_of_added(study, errors)
         if present is None:
             return f"{begin} The present model has not been diagnosed."
+        is_nothing = present.verdict == Verdict.NOTHING_MISSING
+        if is_nothing and study.unestablished:
+            return f"{begin} {NOT_SEEN}"
         return f"{begin} {NOW[present.verdict]}"
     if present is None and study.stopped:
         return f"What the model lacks is not known: {study.stopped}. So far: {errors}."
@@ -130,14 +135,13 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
     return verdict_sentence(present, study.held_out is not None)
 
 
-def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -> str:
+def _said_of_added(study: StudyRecord, errors: str) -> str:
     """What was added, with how sure it is, and what that did to the errors."""
-    nearest = _unestablished(study)
-    is_all = present is not None and present.verdict == Verdict.NOTHING_MISSING
+    nearest = set(map(str, study.unestablished))
     sure: list[str] = []
     unsure: list[str] = []
     for effect in study.last.added:
-        if is_all or str(effect) not in nearest:
+        if str(effect) not in nearest:
             sure.append(f"{effect}{_alternatives(study, effect)}")
         else:
             unsure.append(str(effect))
@@ -147,7 +151,7 @@ def _said_of_added(study: StudyRecord, present: Diagnosis | None, errors: str) -
         said.append(f"The base model lacked {' and '.join(sure)}.")
     if unsure:
         verb = "was" if len(unsure) == 1 else "were"
-        nearest_ones = f"{' and '.join(unsure)} {verb} added as the nearest"
+        nearest_ones = f"{' and '.join(unsure)} {verb} added on strong evidence alone"
         said.append(f"Not established: {nearest_ones}.")
     return f"{' '.join(said)} {with_them}, the {errors}."
 
@@ -161,17 +165,6 @@ def _alternatives(study: StudyRecord, effect: Effect) -> str:
                 others = [name for name in names if name != str(effect)]
                 return f" (or {', '.join(others)}: the data do not tell)"
     return ""
-
-
-def _unestablished(study: StudyRecord) -> set[str]:
-    """Effects that were proposed as the nearest, and never established."""
-    proposed: set[str] = set()
-    established: set[str] = set()
-    for diagnosis in study.diagnoses.values():
-        proposed.update(map(str, diagnosis.proposed))
-        for finding in diagnosis.findings:
-            established.update(map(str, finding.effects))
-    return proposed - established
 
 
 def verdict_sentence(diagnosis: Diagnosis, is_held_out: bool) -> str:

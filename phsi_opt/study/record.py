@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.record import Diagnosis
+from phsi_opt.model.effect import Effect
 from phsi_opt.study.history import history_table
 from phsi_opt.study.step import Step
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -24,6 +25,7 @@ class StudyRecord:
         stopped: why it stopped last; "" where it was not asked to go on.
         train: measurements that are fitted; ``held_out``: those that judge, or None.
         loss: how the models were fitted.
+        unestablished: effects that were added although no evidence was decisive.
     """
 
     steps: tuple[Step, ...]
@@ -32,6 +34,7 @@ class StudyRecord:
     train: Measurements
     held_out: Measurements | None
     loss: MaximumLikelihood
+    unestablished: tuple[Effect, ...] = ()
 
     @property
     def last(self) -> Step:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.diagnose import diagnose_comparison
+from phsi_opt.diagnosis.diagnose import candidate_of, diagnose_comparison
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.errors import DataError, ModelError, PhsiOptError, SolveError
 from phsi_opt.estimation.fit import Fit
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 HELD_OUT = "held out"
 TRAINING = "training"
+# How clear an effect has to be that `Study.auto` adds.
+DECISIVE = "decisive"
+STRONG = "strong"
 
 
 class Study(Summarised):
@@ -89,6 +92,7 @@ class Study(Summarised):
         self._say = progress or _silent
         self._diagnoses: dict[int, Diagnosis] = {}
         self._considered: dict[int, EffectChoice] = {}
+        self._unestablished: list[Effect] = []
         for note in self._fitting.notes:
             self._say(note)
         self._say("fitting the base model")
@@ -140,6 +144,7 @@ class Study(Summarised):
             self.train,
             self.held_out,
             self._fitting.loss,
+            tuple(self._unestablished),
         )
 
     @interruptible
@@ -191,7 +196,6 @@ class Study(Summarised):
                 effects=choice.candidates(self.model, self.train.units),
                 loss=self._fitting.loss,
                 progress=self._say,
-                is_later=bool(step.added),
                 executor=executor,
             )
             self._considered[key] = choice
@@ -224,10 +228,8 @@ class Study(Summarised):
         found = self._known_candidate(effect)
         self._say(f"adding {effect}")
         if found is None or found.fit is None:
-            alone = diagnose_comparison(
-                self.steps[-1].train, effects=[effect], loss=self._fitting.loss
-            )
-            found = alone.ranking[0] if alone.ranking else None
+            step = self.steps[-1]
+            found = candidate_of(step.train, effect, self._fitting.loss)
         fit = self._fitting.larger(self.fit, effect, found)
         self.steps.append(self._fitting.step(str(effect), (*self.added, effect), fit))
         return fit
@@ -274,21 +276,23 @@ class Study(Summarised):
         effects: Given | None = None,
         without: Given = (),
         *,
+        reach: str = DECISIVE,
         executor: Executor | None = None,
     ) -> str:
-        """Diagnose and add while an effect is significant, then say why it stopped.
+        """Diagnose and add while an effect is decisive, then say why it stopped.
 
-        An effect is added when the diagnosis names it, or when it explains most of what
-        is missing; two in one step where the diagnosis found each needed beside the
-        other. After each step, effects that were added before and that BIC no longer
-        asks for are taken out again.
+        After each step, effects that were added before and without which the evidence
+        is as high are taken out again.
 
         Args:
             max_steps: how often it adds at most.
             effects: the effects to consider, as in `Study`; default: those that the
                 study considers.
             without: those never considered, beside those that the study leaves out.
-            executor: where candidates are re-fitted side by side (see `sweep`); None:
+            reach: ``"decisive"``, or ``"strong"`` to add an effect whose evidence is
+                strong where none is decisive: it is not established, and whatever tells
+                of the study later says so.
+            executor: where candidates are weighed side by side (see `sweep`); None:
                 here, one after the other. What is found is the same. It is not shut
                 down.
 
@@ -297,12 +301,15 @@ class Study(Summarised):
 
         Raises:
             DataError: the executor cannot compute.
-            ModelError: one of the ``effects``, or of those to leave out, is unknown.
+            ModelError: one of the ``effects``, or of those to leave out, is unknown, or
+                an argument is none of its values.
         """
         if not isinstance(max_steps, int) or max_steps < 1:
             raise ModelError(
                 f"max_steps={max_steps!r} must be a whole number of at least 1."
             )
+        if reach not in (DECISIVE, STRONG):
+            raise ModelError(f"reach={reach!r} is neither {DECISIVE!r} nor {STRONG!r}.")
         check_executor(executor)
         further = EffectChoice(effects, without).checked(self.base, self.train.units)
         choice = self._choice.narrowed(further.effects, further.without)
@@ -310,15 +317,20 @@ class Study(Summarised):
             diagnosis = self._diagnosed(choice, executor)
             said = f"{diagnosis.verdict}: {diagnosis.reason}"
             self._say(said)
-            if not diagnosis.proposed:
+            proposed = diagnosis.proposed
+            if not proposed and reach == STRONG:
+                proposed = diagnosis.strong
+            if not proposed:
                 self.stopped = said
                 return self.stopped
+            (effect,) = proposed
             try:
-                self._add_proposed(diagnosis)
+                self.add(effect)
             except SolveError as error:
-                which = " and ".join(str(effect) for effect in diagnosis.proposed)
-                self.stopped = f"{said}; {which} could not be added: {error}"
+                self.stopped = f"{said}; {effect} could not be added: {error}"
                 return self.stopped
+            if not diagnosis.proposed:
+                self._unestablished.append(effect)
             self._check_earlier()
         self.stopped = (
             f"the limit of {max_steps} steps was reached; call auto again to go on"
@@ -432,31 +444,15 @@ class Study(Summarised):
     def _without(self, effect: Effect) -> tuple[Effect, ...]:
         return tuple(known for known in self.added if known is not effect)
 
-    def _add_proposed(self, diagnosis: Diagnosis) -> None:
-        """What the diagnosis proposes; two in one step: each was needed."""
-        proposed = diagnosis.proposed
-        brief = diagnosis.proposed_fit
-        if len(proposed) == 1 or brief is None:
-            self.add(proposed[0])
-            return
-        label = " and ".join(str(effect) for effect in proposed)
-        self._say(f"adding {label}")
-        fit = self._fitting.refined(brief)
-        self.steps.append(self._fitting.step(label, (*self.added, *proposed), fit))
-
     def _check_earlier(self) -> None:
-        """Take out each effect of earlier steps without which BIC is lower.
-
-        Of two that this step added each was needed beside the other.
-        """
+        """Take out each effect of earlier steps without which the evidence is higher."""
         for effect in self.steps[-2].added:
             kept = self._without(effect)
             try:
                 fit = self._fitting.with_effects(self.fit, kept)
             except PhsiOptError:
                 continue
-            trained = self.steps[-1].train
-            if self._fitting.is_superfluous(self.fit, trained, fit):
+            if fit.log_evidence > self.fit.log_evidence:
                 self._say(f"{effect} has become superfluous")
                 self.steps.append(self._fitting.step(f"without {effect}", kept, fit))
 
