@@ -144,7 +144,7 @@ class Study(Summarised):
             self.train,
             self.held_out,
             self._fitting.loss,
-            tuple(self._unestablished),
+            tuple(one for one in self._unestablished if one in self.added),
         )
 
     @interruptible
