@@ -88,8 +88,9 @@ STRONG_EVIDENCE = 3.0
 # Effects that are weighed, at most, and effects of one class that are re-fitted.
 MOST_WEIGHED = 12
 MOST_REFITTED = 3
-# Share of the squared error above the noise floor that an effect must explain to be
-# named although a force remains: more than all else together.
+# Share of the missing force (mean square), and of what an unknown function of a state
+# would gain of the evidence, that an effect must explain to be named although a force
+# remains: more than all else together.
 LEAST_EXPLAINED = 0.5
 
 # --- Which candidates are compared

@@ -22,10 +22,11 @@ from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.finding import Finding, class_of
 from phsi_opt.diagnosis.refit import Refit, refit
 from phsi_opt.diagnosis.verdict import Verdict
+from phsi_opt.diagnosis.weighed_round import weighed_round
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.force_analysis.units import spaced
-from phsi_opt.model.effect import Effect
+from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.screening.effect_size import fitted_size
 from phsi_opt.screening.weighing import EvidenceRecord
 
@@ -53,16 +54,17 @@ class Conclusion:
 
 
 def conclusion(
-    base: DiagnosedModel, record: EvidenceRecord, candidates: Sequence[Candidate]
+    base: DiagnosedModel, record: EvidenceRecord, effects: Sequence[Effect]
 ) -> Conclusion:
     """The verdict on a model.
 
     Args:
         base: the model that is diagnosed.
         record: beside which models are weighed.
-        candidates: the likeliest first.
+        effects: what may be missing.
     """
-    return _Judge(base, record, list(candidates)).concluded()
+    ranking = weighed_round(base, record, effects)
+    return _Judge(base, record, ranking).concluded()
 
 
 @dataclass(eq=False)
@@ -73,8 +75,22 @@ class _Judge:
     record: EvidenceRecord
     ranking: list[Candidate]
     nothing_left: bool | None = None
+    done: Refit | None = None
 
     def concluded(self) -> Conclusion:
+        done = self.first()
+        if done is None:
+            return self.without_effect()
+        doubt = self.doubt(done)
+        if not doubt:
+            return self.named(done)
+        beside = self.beside(done)
+        if beside is not None:
+            return self.named(done, beside)
+        return self.not_named(done, doubt)
+
+    def first(self) -> Refit | None:
+        """The likeliest effect that is decisive, re-fitted; it is put first."""
         for place, one in enumerate(list(self.ranking)):
             if one.grade != Grade.DECISIVE or one.lost:
                 continue
@@ -84,22 +100,38 @@ class _Judge:
             done = self.refit(place)
             if done is not None:
                 self.ranking.insert(0, self.ranking.pop(place))
-                return self.judged(one, done)
-        return self.without_effect()
+                return done
+        return None
 
-    def judged(self, first: Candidate, done: Refit) -> Conclusion:
-        """The verdict on the likeliest effect that could be re-fitted."""
-        against = self.objection(first, done)
-        if against:
-            return self.not_named(first, done, against)
-        members = []
+    def members(self) -> list[Candidate]:
+        """Those that the data do not tell from the first, the likeliest re-fitted."""
+        first = self.ranking[0]
+        places = []
         for place, one in enumerate(self.ranking[1:], start=1):
             is_alike = one.name in first.confusable_with and not one.lost
             if is_alike and one.force_left < 1:
-                members.append(place)
-        for place in members[: MOST_REFITTED - 1]:
+                places.append(place)
+        for place in places[: MOST_REFITTED - 1]:
             self.refit(place)
-        return self.named(first, done, [self.ranking[place] for place in members])
+        return [self.ranking[place] for place in places]
+
+    def beside(self, done: Refit) -> "_Judge | None":
+        """What is missing beside the first, where both together leave nothing."""
+        base = replace(self.base, trained=done.trained, judged=done.trained)
+        if self.base.is_held_out:
+            base = replace(base, judged=done.judged)
+        others = [one.effect for one in self.ranking[1:]]
+        record = EvidenceRecord.of(base.record, base.judging_record)
+        try:
+            second = _Judge(base, record, weighed_round(base, record, others))
+        except SolveError as error:
+            base.say(str(error))
+            return None
+        both = second.first()
+        if both is None or not second.leaves_nothing(both):
+            return None
+        second.done = both
+        return second
 
     def refit(self, place: int) -> Refit | None:
         """Re-fit a candidate, and note what that gives."""
@@ -123,9 +155,10 @@ class _Judge:
         )
         return done
 
-    def objection(self, first: Candidate, done: Refit) -> str:
+    def doubt(self, done: Refit) -> str:
         """Why what is decisive is not named; empty where it is."""
         base = self.base
+        first = self.ranking[0]
         unresolved = unresolved_channels(base.record.data)
         if unresolved and is_small_as_noise(done.trained):
             steps = f"the steps of {', '.join(unresolved)}"
@@ -135,24 +168,29 @@ class _Judge:
             )
         if self.leaves_nothing(done):
             return ""
-        share = self.ranking[0].share
-        if is_failing(base.judged) and share < LEAST_EXPLAINED:
-            percent = f"{100 * share:.0f} % of the squared error above the noise floor"
-            return f"it explains only {percent}"
+        if done.trained.rmse > base.trained.rmse:
+            return "its free run is further off than without it"
+        if is_wave(first.effect) and first.effect.needs_clock:
+            return "a force remains, and any force in time has waves like it in it"
+        if 1 - first.force_left**2 < LEAST_EXPLAINED:
+            percent = 100 * (1 - first.force_left**2)
+            return f"it explains only {percent:.0f} % of the force (mean square)"
         return self.rival(first)
 
     def rival(self, first: Candidate) -> str:
-        """A law of no catalogue that is clearly likelier; empty where there is none."""
+        """A law of no catalogue that is far likelier; empty where there is none."""
         model = self.base.fit.model
+        if first.effect.slot == "sensor":
+            return ""
         equation = model.index(first.effect.equation)
         forced = [force.place for force in self.record.base.disturbances.forces]
-        if first.effect.slot == "sensor" or equation not in forced:
+        if equation not in forced:
             return ""
         function = self.record.with_functions(equation)
         if function is None:
             return ""
         gain = function.log_evidence - self.record.base.log_evidence
-        if not gain > first.log_evidence + DECISIVE_EVIDENCE:
+        if not first.log_evidence < LEAST_EXPLAINED * gain:
             return ""
         (kind,) = function.disturbances.functions
         return (
@@ -186,43 +224,52 @@ class _Judge:
             return True
         return log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
 
-    def named(
-        self, first: Candidate, done: Refit, members: Sequence[Candidate]
-    ) -> Conclusion:
-        effects = (first.effect, *(one.effect for one in members))
-        size = fitted_size(self.base.fit, done.fit, first.effect)
-        share = self.ranking[0].share
-        finding = Finding(
-            effects, class_of(effects), size.value, size.std_error, share, size.unit
-        )
-        names = [one.name for one in members]
+    def named(self, done: Refit, beside: "_Judge | None" = None) -> Conclusion:
+        """The first, with what is missing beside it, or alone."""
+        first = self.ranking[0]
+        last = done if beside is None or beside.done is None else beside.done
+        findings = [self.finding(last)]
+        leaves_nothing = beside is not None or self.leaves_nothing(done)
+        if beside is not None:
+            findings.append(beside.finding(last))
+            second = beside.ranking[0]
+            others = [one for one in self.ranking[1:] if one.effect != second.effect]
+            self.ranking = [first, second, *others]
+        names = [str(effect) for finding in findings for effect in finding.effects[1:]]
         for place, one in enumerate(self.ranking):
             if one.name in names:
-                lost = one.lost or f"the data do not tell it from {first.name}"
+                lost = one.lost or "the data do not tell it from what is named"
                 self.ranking[place] = replace(one, lost=lost)
-        self.tell_others(first)
-        change = self.change(done)
+        effects = tuple(finding.effects[0] for finding in findings)
+        self.tell_others(effects)
+        said = " and ".join(map(str, findings))
+        change = self.change(last)
         verdict = Verdict.NAMED
-        reason = f"{finding}; {change}; {_grade_words(first)}"
-        if not self.leaves_nothing(done):
+        reason = f"{said}; {change}; {_grade_words(first)}"
+        if not leaves_nothing:
             verdict = Verdict.PARTLY_NAMED
-            percent = f"{100 * share:.0f} % of the squared error above the noise floor"
+            percent = 100 * (1 - first.force_left**2)
             reason = (
-                f"{finding}: that accounts for {percent}; {change}; "
-                f"{_grade_words(first)}. A force remains: {_left_words(first)}"
+                f"{said}; {change}; {_grade_words(first)}. It accounts for "
+                f"{percent:.0f} % of the missing force (mean square); a force remains"
             )
-        return Conclusion(
-            verdict,
-            reason,
-            tuple(self.ranking),
-            (finding,),
-            (first.effect,),
-            done.fit,
+        ranking = tuple(self.ranking)
+        return Conclusion(verdict, reason, ranking, tuple(findings), effects, last.fit)
+
+    def finding(self, last: Refit) -> Finding:
+        """The first with those that the data do not tell from it, and its size."""
+        first = self.ranking[0]
+        effects = (first.effect, *(one.effect for one in self.members()))
+        size = fitted_size(self.base.fit, last.fit, first.effect)
+        share = self.base.share_explained(last.judged.rmse)
+        return Finding(
+            effects, class_of(effects), size.value, size.std_error, share, size.unit
         )
 
-    def not_named(self, first: Candidate, done: Refit, against: str) -> Conclusion:
-        self.ranking[0] = replace(self.ranking[0], lost=against)
-        self.tell_others(first)
+    def not_named(self, done: Refit, against: str) -> Conclusion:
+        first = replace(self.ranking[0], lost=against)
+        self.ranking[0] = first
+        self.tell_others((first.effect,))
         size = fitted_size(self.base.fit, done.fit, first.effect)
         reason = (
             f"the nearest is {first.name} ({size}), with {_grade_words(first)}: "
@@ -233,7 +280,7 @@ class _Judge:
     def without_effect(self) -> Conclusion:
         """Nothing is missing, or nothing known explains it."""
         base = self.base
-        self.tell_others(None)
+        self.tell_others(())
         where = "held-out" if base.is_held_out else "training"
         unit = spaced(base.judged.error_unit)
         errors = (
@@ -255,14 +302,14 @@ class _Judge:
                 reason += f", and {one.lost}"
         return Conclusion(Verdict.UNEXPLAINED, reason, ranking)
 
-    def tell_others(self, first: Candidate | None) -> None:
-        """Why the candidates that are not named are not."""
+    def tell_others(self, told: Sequence[Effect]) -> None:
+        """Why the candidates that are not told of are not named."""
         for place, one in enumerate(self.ranking):
-            if one.lost or (first is not None and one.effect == first.effect):
+            if one.lost or one.effect in told:
                 continue
             lost = f"its evidence is {one.grade} ({one.log_evidence:.1f})"
-            if first is not None and one.log_evidence < first.log_evidence:
-                lost = f"{first.name} is likelier"
+            if told and one.log_evidence < self.ranking[0].log_evidence:
+                lost = f"{self.ranking[0].name} is likelier"
             self.ranking[place] = replace(one, lost=lost)
 
     def change(self, done: Refit) -> str:
@@ -279,7 +326,3 @@ class _Judge:
 
 def _grade_words(one: Candidate) -> str:
     return f"{one.grade} evidence (log Bayes factor {one.log_evidence:.1f})"
-
-
-def _left_words(one: Candidate) -> str:
-    return f"{100 * one.force_left:.0f} % of the one before"

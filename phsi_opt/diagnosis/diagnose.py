@@ -148,7 +148,7 @@ def diagnose_comparison(
         _check_effects(listed, base.fit.model)
     base.say("the missing force beside the model")
     record = EvidenceRecord.of(base.record, base.judging_record)
-    concluded = conclusion(base, record, weighed_round(base, record, listed))
+    concluded = conclusion(base, record, listed)
     return Diagnosis(
         record=base.record,
         base=base.judged,

@@ -1,7 +1,7 @@
 """The candidates, screened and weighed, the likeliest first."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,12 +9,12 @@ import numpy as np
 from phsi_opt.criteria import MOST_WEIGHED, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.errors import PhsiOptError, SolveError
+from phsi_opt.errors import SolveError
 from phsi_opt.estimation.problem import Progress
 from phsi_opt.model.effect import Effect
 from phsi_opt.screening.effect_size import new_names, size_of, size_unit
 from phsi_opt.screening.linearized_record import LinearizedRecord
-from phsi_opt.screening.score_test import Screened, ScoreTest
+from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.ahead import Ahead
@@ -119,7 +119,9 @@ def _outside(weighed: Weighed, names: Sequence[str]) -> str:
     for name in names:
         if name in weighed.at_bounds and not weighed.model.entries[name].prunable:
             _, _, inner = name.partition(".")
-            return f"its {inner or 'size'} ended at a bound: the record does not tell it"
+            return (
+                f"its {inner or 'size'} ended at a bound: the record does not tell it"
+            )
     return ""
 
 

@@ -134,9 +134,7 @@ class ScoreTest:
         linearized = self.linearized
         if variable == "t":
             return linearized.grid.t
-        return values_at(
-            linearized.model, linearized.grid, linearized.states, variable
-        )
+        return values_at(linearized.model, linearized.grid, linearized.states, variable)
 
     def _best_frequency(
         self, sensitivities: Sensitivities, trial: Trial, tried: np.ndarray

@@ -25,6 +25,7 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.noise import initial_noise
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
+from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.force_search import LEAST_NOISE_BESIDE_SCATTER
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.scaling import point_at
@@ -133,7 +134,9 @@ class EvidenceRecord:
         records = [trained] if judged is None else [trained, judged]
         data = _joined([record.data for record in records])
         estimate = trained.estimate
-        sigma = np.tile(estimate.white, (data.n_trajectories, 1))
+        n_more = trained.model.n_states - len(estimate.white)
+        white = np.r_[estimate.white, np.ones(n_more)]
+        sigma = np.tile(white, (data.n_trajectories, 1))
         given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
         is_given = np.isfinite(given)
         scatter = np.where(is_given, given, initial_noise(data))
@@ -146,8 +149,10 @@ class EvidenceRecord:
             aligned=aligned,
             n_fitted=trained.data.n_trajectories,
             first=trained.model.with_values(estimate.rounded),
-            parameters=np.hstack([record.theta for record in records]),
-            states=np.concatenate([record.estimate.x for record in records]),
+            parameters=_at_their_bounds(
+                trained.fit, np.hstack([record.theta for record in records])
+            ),
+            states=np.concatenate([_states_of(record) for record in records]),
             disturbances=replace(estimate.disturbances, sigma=sigma),
             channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
             least_noise=least,
@@ -265,7 +270,9 @@ class EvidenceRecord:
         model = start.model
         grid = self.aligned.for_model(model).grid
         unknown = Theta.of(model, self.runs)
-        point = point_at(model, grid, unknown, start.theta, start.states)
+        is_held = (start.theta <= unknown.lower) | (start.theta >= unknown.upper)
+        held = {model.free[owner] for owner in unknown.owner[is_held]}
+        point = point_at(model, grid, unknown, start.theta, start.states, held)
         grid = self._with_memory_at_rest(grid, start.states)
         values = LikelihoodValues(model, grid, SCHEME, point, unknown)
         return JointProblem(values, start.disturbances, np.arange(len(unknown)))
@@ -287,14 +294,11 @@ class EvidenceRecord:
         start = start.padded(self.states.shape[1])
         problem = self._problem(start)
         z = problem.values.point.scaled
-        beside = None
-        if start.processes is not None:
-            n = sum(len(f) for f in _function_columns(problem, z))
-            beside = JointPoint(z, start.processes, np.zeros(n))
+        processes = start.processes
         best = None
         for number in range(MOST_ROUNDS):
-            joint = problem.optimum(z, STEPS_OF_A_ROUND, beside)
-            z, beside = joint.point.z, joint.point
+            joint = problem.optimum(z, STEPS_OF_A_ROUND, _beside(problem, z, processes))
+            z, processes = joint.point.z, joint.point.processes
             problem = self._without_bounds_met(problem, z)
             likelihood = MarginalLikelihood(
                 joint.linear, problem.disturbances.structure, problem.moving
@@ -461,6 +465,25 @@ class _Found:
         return self.evidence > other.evidence
 
 
+def _states_of(record: Record) -> np.ndarray:
+    """Of a missing force, with the memory of the model, (n_nodes, n_states)."""
+    estimate = record.estimate
+    return with_memory(record.model, estimate.grid, estimate.x, record.theta)
+
+
+def _at_their_bounds(fit: Fit, parameters: np.ndarray) -> np.ndarray:
+    """Parameters of a fit, (n_free, n_trajectories), those at a bound exactly there.
+
+    A solver stops a hair beside it, and that hair says nothing of a parameter's size.
+    """
+    exact = parameters.copy()
+    for place, name in enumerate(fit.model.free):
+        if name in fit.outcome.at_bounds:
+            bound = fit.model.entries[name].parameter.nearest_bound
+            exact[place] = [bound(value) for value in parameters[place]]
+    return exact
+
+
 def _profiled(border: Border, sizes: Disturbances) -> float:
     """Log likelihood of a part of the record at its own best parameters."""
     of_functions = np.array([function.size for function in sizes.functions])
@@ -471,17 +494,19 @@ def _profiled(border: Border, sizes: Disturbances) -> float:
     return float(marginal.log_evidence + log_det / 2)
 
 
-def _function_columns(problem: JointProblem, z: np.ndarray) -> list[np.ndarray]:
-    """Coefficients of every function of a state, zero."""
-    functions = problem.disturbances.functions
-    if not functions:
-        return []
-    linear = linearized(problem.values, z, problem.values.at(z))
-    linear = replace(linear, linear_share=0.0)
-    found = []
-    for function in functions:
-        found.append(np.zeros(linear.function_values[function.state].shape[1]))
-    return found
+def _beside(
+    problem: JointProblem, z: np.ndarray, processes: np.ndarray | None
+) -> JointPoint | None:
+    """Disturbances to begin with: those of before, functions of states at zero."""
+    if processes is None:
+        return None
+    n = 0
+    if problem.disturbances.functions:
+        linear = linearized(problem.values, z, problem.values.at(z))
+        linear = replace(linear, linear_share=0.0)
+        for function in problem.disturbances.functions:
+            n += linear.function_values[function.state].shape[1]
+    return JointPoint(z, processes, np.zeros(n))
 
 
 def _largest_change(before: Disturbances, after: Disturbances) -> float:

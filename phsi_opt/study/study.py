@@ -323,14 +323,14 @@ class Study(Summarised):
             if not proposed:
                 self.stopped = said
                 return self.stopped
-            (effect,) = proposed
             try:
-                self.add(effect)
+                self._add_all(proposed, diagnosis.proposed_fit)
             except SolveError as error:
-                self.stopped = f"{said}; {effect} could not be added: {error}"
+                which = " and ".join(map(str, proposed))
+                self.stopped = f"{said}; {which} could not be added: {error}"
                 return self.stopped
             if not diagnosis.proposed:
-                self._unestablished.append(effect)
+                self._unestablished += proposed
             self._check_earlier()
         self.stopped = (
             f"the limit of {max_steps} steps was reached; call auto again to go on"
@@ -444,8 +444,18 @@ class Study(Summarised):
     def _without(self, effect: Effect) -> tuple[Effect, ...]:
         return tuple(known for known in self.added if known is not effect)
 
+    def _add_all(self, effects: tuple[Effect, ...], brief: Fit | None) -> None:
+        """Add effects in one step; of several, each was needed beside the other."""
+        if len(effects) == 1 or brief is None:
+            self.add(effects[0])
+            return
+        label = " and ".join(map(str, effects))
+        self._say(f"adding {label}")
+        fit = self._fitting.refined(brief)
+        self.steps.append(self._fitting.step(label, (*self.added, *effects), fit))
+
     def _check_earlier(self) -> None:
-        """Take out each effect of earlier steps without which the evidence is higher."""
+        """Take out effects of earlier steps without which the evidence is higher."""
         for effect in self.steps[-2].added:
             kept = self._without(effect)
             try:
