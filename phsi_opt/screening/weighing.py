@@ -30,7 +30,9 @@ from phsi_opt.estimation.force_search import LEAST_NOISE_BESIDE_SCATTER
 from phsi_opt.estimation.record import Record
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
-from phsi_opt.model_error.ascent import updated
+from phsi_opt.model_error.ascent import climbed
+from phsi_opt.model_error.coordinates import Coordinates
+from phsi_opt.model_error.disturbance_search import MOST_SIZES
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
 from phsi_opt.model_error.linearization import linearized
@@ -45,10 +47,9 @@ from phsi_opt.transcription.parameter_vector import Theta
 SCHEME = "srk4"  # the integrator of the dynamics
 MOST_ROUNDS = 6  # of steps with given sizes, each followed by better sizes
 STEPS_OF_A_ROUND = 12
-UPDATES_OF_A_ROUND = 8
-# Random vectors of an update: sizes that are off by a hundredth change the evidence by
-# a tenth.
-PROBES = 16
+CLIMBS_OF_A_ROUND = 6  # steps of the sizes uphill
+# Shortest correlation time of a force, in sampling intervals.
+SHORTEST_FORCE = 2.0
 # Change of the logarithm of every size at which the rounds end, and gain of the
 # evidence by a round that makes no difference to a verdict.
 SETTLED_SIZES = 0.02
@@ -336,23 +337,34 @@ class EvidenceRecord:
     def _better_sizes(
         self, likelihood: MarginalLikelihood, sizes: Disturbances
     ) -> Disturbances:
-        """Sizes moved to the largest evidence of the linearised record."""
-        grid = likelihood.problem.grid
-        rates = grid.rates(likelihood.problem.nodes)
-        typical = np.sqrt(np.mean(rates**2, axis=0)) + TINY
-        n_more = likelihood.problem.n_states - len(self.least_noise)
-        least = np.r_[self.least_noise, np.zeros(n_more)]
-        for _ in range(UPDATES_OF_A_ROUND):
-            before = sizes
-            sizes = updated(likelihood, sizes, self.channels, least, PROBES)
-            forces = []
-            for force in sizes.forces:
-                smallest = NO_FORCE * float(typical[force.place])
-                forces.append(replace(force, size=max(force.size, smallest)))
-            sizes = replace(sizes, forces=tuple(forces))
-            if _largest_change(before, sizes) < SETTLED_SIZES:
-                break
-        return sizes
+        """Sizes and times moved to the largest evidence of the linearised record."""
+        problem = likelihood.problem
+        grid = problem.grid
+        rates = np.sqrt(np.mean(grid.rates(problem.nodes) ** 2, axis=0)) + TINY
+        n_more = problem.n_states - len(self.least_noise)
+        functions = [float(rates[f.equation]) for f in sizes.functions]
+        coordinates = Coordinates(
+            origin=sizes,
+            channels=self.channels,
+            least_noise=np.r_[self.least_noise, np.zeros(n_more)],
+            shortest=SHORTEST_FORCE * float(np.median(grid.h)),
+            longest=self.longest,
+            largest_functions=tuple(functions),
+            is_tied=len(self.channels) + len(sizes.processes) > MOST_SIZES,
+        )
+        found = climbed(likelihood, coordinates, self.channels, CLIMBS_OF_A_ROUND)
+        sizes = coordinates.at(found.vector)
+        forces = []
+        for force in sizes.forces:
+            smallest = NO_FORCE * float(rates[force.place])
+            forces.append(replace(force, size=max(force.size, smallest)))
+        return replace(sizes, forces=tuple(forces))
+
+    @property
+    def longest(self) -> float:
+        """Correlation time of a force, at most: a share of a trajectory."""
+        times = [force.time for force in self.disturbances.processes]
+        return max(times, default=np.inf)
 
     def _result(self, problem: JointProblem, found: "_Found") -> Weighed:
         point = problem.values.point
