@@ -92,6 +92,9 @@ MOST_REFITTED = 3
 # would gain of the evidence, that an effect must explain to be named although a force
 # remains: more than all else together.
 LEAST_EXPLAINED = 0.5
+# Share of the squared error above the noise floor that does as well: of the force on a
+# measured machine most may be weather, people and gearing.
+LEAST_SHARE = 0.3
 
 # --- Which candidates are compared
 

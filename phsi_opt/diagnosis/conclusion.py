@@ -15,7 +15,12 @@ from phsi_opt.comparison.model_selection import (
     is_like_noise,
     is_small_as_noise,
 )
-from phsi_opt.criteria import DECISIVE_EVIDENCE, LEAST_EXPLAINED, MOST_REFITTED
+from phsi_opt.criteria import (
+    DECISIVE_EVIDENCE,
+    LEAST_EXPLAINED,
+    LEAST_SHARE,
+    MOST_REFITTED,
+)
 from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
@@ -172,9 +177,12 @@ class _Judge:
             return "its free run is further off than without it"
         if is_wave(first.effect) and first.effect.needs_clock:
             return "a force remains, and any force in time has waves like it in it"
-        if 1 - first.force_left**2 < LEAST_EXPLAINED:
-            percent = 100 * (1 - first.force_left**2)
-            return f"it explains only {percent:.0f} % of the force (mean square)"
+        of_force = 1 - first.force_left**2
+        if of_force < LEAST_EXPLAINED and not first.share > LEAST_SHARE:
+            return (
+                f"it explains only {100 * of_force:.0f} % of the force (mean square) "
+                f"and {100 * first.share:.0f} % of the error"
+            )
         return self.rival(first)
 
     def rival(self, first: Candidate) -> str:
@@ -248,10 +256,12 @@ class _Judge:
         reason = f"{said}; {change}; {_grade_words(first)}"
         if not leaves_nothing:
             verdict = Verdict.PARTLY_NAMED
-            percent = 100 * (1 - first.force_left**2)
+            of_force = max(1 - first.force_left**2, 0.0)
             reason = (
                 f"{said}; {change}; {_grade_words(first)}. It accounts for "
-                f"{percent:.0f} % of the missing force (mean square); a force remains"
+                f"{100 * of_force:.0f} % of the missing force (mean square) and "
+                f"{100 * first.share:.0f} % of the squared error above the noise "
+                "floor; a force remains"
             )
         ranking = tuple(self.ranking)
         return Conclusion(verdict, reason, ranking, tuple(findings), effects, last.fit)
