@@ -45,20 +45,22 @@ from phsi_opt.presentation.numbers import (
     with_error,
 )
 from phsi_opt.presentation.report import Section
-from phsi_opt.presentation.report_content import Channel as ReportChannel
 from phsi_opt.presentation.report_content import (
+    GOOD,
+    LOOK,
     ChannelRun,
     ForceRun,
     Ranked,
     Report,
     Run,
 )
+from phsi_opt.presentation.report_content import Channel as ReportChannel
 from phsi_opt.presentation.report_pictures import glance_picture
 from phsi_opt.presentation.thinning import rounded, thinned
 from phsi_opt.presentation.units import rate_unit, scale_of_errors
 from phsi_opt.study.answers import (
     missing_answer,
-    nearest_effects,
+    nearest_candidate,
     to_do_answer,
     where_answer,
 )
@@ -75,7 +77,9 @@ from phsi_opt.study.report_content import (
     is_just_below,
     report_content,
 )
+from phsi_opt.study.report_text import report_sections
 from phsi_opt.study.since_when import _comes_and_goes, _gap_words, since_when
+from phsi_opt.study.summary import study_summary
 from problems.examples.demo import model as spring
 from problems.examples.friction_spring import table
 
@@ -180,7 +184,7 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     assert content.headline.sentence.endswith("Now nothing is missing.")
 
 
-def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
+def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     study: ph.Study,
 ) -> None:
     named = study.record.diagnoses[0]
@@ -188,14 +192,37 @@ def test_what_is_only_the_nearest_is_not_said_to_be_what_was_lacking(
     still = replace(nearest, proposed=(), reason="nothing else explains it")
     record = replace(study.record, diagnoses={0: nearest, 1: still}, stopped="")
     headline = report_content(record).headline
-    assert headline.sentence.startswith(
-        "Not established: coulomb friction on p was added as the nearest. "
-        "With it, the held-out error fell from"
+    assert re.match(
+        r"Added, but not established: coulomb friction on p \(decisive, log evidence "
+        r"[\d.]+\)\. With it, the held-out error fell from",
+        headline.sentence,
     )
     assert "no effect of the catalogue explains" in headline.sentence
     answers = {fact.question: fact.detail for fact in headline.facts}
     assert "dp/dt is off by" in answers["What is wrong"]
     assert "What to do next" in answers
+
+
+def test_nothing_is_said_to_be_right_beside_what_is_not_established(
+    study: ph.Study,
+) -> None:
+    named = study.record.diagnoses[0]
+    open_ = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=())
+    silent = study.record.diagnoses[1]
+    assert silent.verdict == ph.Verdict.NOTHING_MISSING
+    record = replace(study.record, diagnoses={0: open_, 1: silent})
+    assert [one.name for one in record.unestablished] == ["coulomb friction on p"]
+    headline = report_content(record).headline
+    assert headline.sentence.endswith("No force is evident beside the present model.")
+    assert headline.severity == LOOK
+    assert headline.beside == "with an effect that is not established"
+    answers = {fact.question: fact.answer for fact in headline.facts}
+    assert answers["What was added"] == "Coulomb friction on p, not established."
+    said = "added, but not established: coulomb friction on p"
+    assert said in str(study_summary(record).parts[-1].text)
+    assert any(said in section.text for section in report_sections(record))
+    assert report_content(study.record).headline.severity == GOOD
+    assert not study.record.unestablished
 
 
 def test_the_first_screen_of_an_unexplained_misfit_says_what_to_do(
@@ -241,7 +268,8 @@ def test_one_line_says_how_sure_it_is(
     said = certainty_words(named)
     assert re.fullmatch(
         r"Certain that something is missing: the error is "
-        r"1\.\d times the noise\. ± is one standard error\.",
+        r"1\.\d times the noise\. The evidence for coulomb friction on p is decisive "
+        r"\(log evidence [\d.]+\)\. ± is one standard error\.",
         said,
     )
     unknown = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
@@ -261,9 +289,9 @@ def test_one_line_says_how_sure_it_is(
     monkeypatch.undo()
     (finding,) = named.findings
     either = replace(finding, effects=(*finding.effects, *finding.effects))
-    assert "Which of them it is" not in said
+    assert "Which of the class it is" not in said
     open_class = replace(named, findings=(either,))
-    assert "Which of them it is" in certainty_words(open_class)
+    assert "Which of the class it is" in certainty_words(open_class)
     assert report_content(study.record).headline.certainty.startswith("Nothing is seen")
     assert disturbance_word(unknown) == ""
 
@@ -330,22 +358,28 @@ def with_errors(diagnosis: ph.Diagnosis, after: float) -> ph.Diagnosis:
     return replace(diagnosis, ranking=(changed, *others))
 
 
-def test_the_nearest_effect_is_told_where_it_is_sure_of_its_size(
+def test_the_nearest_effect_is_told_where_there_is_evidence_of_it(
     study: ph.Study,
 ) -> None:
     named = with_errors(study.record.diagnoses[0], after=0.4)
     unknown = replace(
         named, verdict=ph.Verdict.UNEXPLAINED, findings=(), proposed=(), reason="none"
     )
-    assert [str(one) for one in nearest_effects(unknown)] == ["coulomb friction on p"]
-    told = to_do_answer(unknown, is_held_out=True).detail
-    assert "Nearest of the catalogue is coulomb friction on p: 60 % less error" in told
     (first, *_) = unknown.ranking
-    unsure = replace(first, std_error=abs(first.coefficient))
-    assert nearest_effects(replace(unknown, ranking=(unsure,))) == ()
+    assert nearest_candidate(unknown) is first
+    told = to_do_answer(unknown, is_held_out=True).detail
+    assert re.search(
+        r"Nearest of the catalogue is coulomb friction on p \(decisive, log evidence "
+        r"[\d.]+\): 60 % less error, but not proven\.",
+        told,
+    )
+    without = replace(first, log_bayes=-1.0, log_predictive=0.5)
+    assert nearest_candidate(replace(unknown, ranking=(without,))) is None
+    unweighed = replace(first, was_weighed=False)
+    assert nearest_candidate(replace(unknown, ranking=(unweighed,))) is None
     worse = with_errors(unknown, after=1.1)
-    assert nearest_effects(worse) == ()
-    assert nearest_effects(named) == ()
+    assert "less error" not in to_do_answer(worse, is_held_out=True).detail
+    assert nearest_candidate(named) is None
 
 
 def test_a_further_storage_that_helps_is_what_to_try(
@@ -767,7 +801,8 @@ def test_names_of_the_data_cannot_inject_anything(content: Report) -> None:
     for force in failure.forces:
         parts = [replace(run, name=HOSTILE) for run in force.runs]
         forces.append(replace(force, equation=HOSTILE, label=HOSTILE, runs=parts))
-    ranked = Ranked(HOSTILE, HOSTILE, HOSTILE, 0.5, HOSTILE, HOSTILE, HOSTILE)
+    texts = [HOSTILE] * 3
+    ranked = Ranked(HOSTILE, *texts, 0.5, *texts)
     hostile = replace(
         content,
         title=HOSTILE,

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from phsi_opt.command_line import job as kinds
-from phsi_opt.command_line.job import MEANINGS, ExitCode, Job
+from phsi_opt.command_line.job import MEANINGS, ExitCode, Job, Reach
 from phsi_opt.command_line.output import do, finish, told_errors
 from phsi_opt.errors import DataError
 
@@ -165,6 +165,10 @@ def study_(
     max_steps: Annotated[
         int | None, typer.Option(min=1, help="Effects that --auto adds at most.")
     ] = None,
+    reach: Annotated[
+        Reach,
+        typer.Option(help="How clear the evidence is of what --auto adds, at least."),
+    ] = Reach.DECISIVE,
     write: Annotated[
         bool, typer.Option("--write", help="Write what was found into the study file.")
     ] = False,
@@ -173,7 +177,8 @@ def study_(
 ) -> None:
     """Go through the steps of a study: the base model, then each effect."""
     job = Job(kinds.GO_THROUGH, study, None, auto, max_steps, save, report)
-    do(replace(job, exit_code=exit_code, write=write), as_json)
+    job = replace(job, exit_code=exit_code, write=write, reach=reach)
+    do(job, as_json)
 
 
 @app.command()

@@ -7,7 +7,7 @@ of the one that works.
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +36,13 @@ MEANINGS = {
 }
 
 
+class Reach(StrEnum):
+    """How clear the evidence of an effect has to be, as in `Study.auto`."""
+
+    DECISIVE = "decisive"
+    STRONG = "strong"
+
+
 @dataclass(frozen=True)
 class Job:
     """One piece of work.
@@ -50,6 +57,7 @@ class Job:
         report: where the report is written; None: nowhere.
         exit_code: whether something missing shows in the exit code.
         write: whether effects that were found are written into the study file.
+        reach: how clear an effect has to be that is added.
         tag: tells its files from those of another command in the same folder.
     """
 
@@ -62,6 +70,7 @@ class Job:
     report: Path | None = None
     exit_code: bool = False
     write: bool = False
+    reach: Reach = Reach.DECISIVE
     tag: str = field(default_factory=lambda: str(os.getpid()))
 
     @property

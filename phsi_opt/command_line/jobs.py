@@ -19,6 +19,7 @@ from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.study import Study
+from phsi_opt.study.summary import unestablished_words
 from phsi_opt.study_file.study_file import StudyFile
 
 Tell = Callable[[Message], None]
@@ -171,7 +172,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     code = ExitCode.DONE
     advice = ""
     if job.is_auto:
-        study.auto(job.max_steps or file.steps.max_steps)
+        study.auto(job.max_steps or file.steps.max_steps, reach=job.reach)
         code = ExitCode(_code(study.diagnose(), job))
         advice = str(study.diagnose().next_step)
     content = {
@@ -179,6 +180,7 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
         "stopped": study.stopped,
         "history": table_content(study.history),
         "added": [str(effect) for effect in study.added],
+        "unestablished": [one.name for one in study.record.unestablished],
         "verdict": str(study.diagnose().verdict) if job.is_auto else None,
         "equations": study.fit.equations(),
         "unit": study.unit,
@@ -194,6 +196,9 @@ def _study_answer(study: Study, job: Job, file: StudyFile) -> Answer:
     ]
     if study.stopped:
         text += ["", study.stopped]
+    open_ = unestablished_words(study.record)
+    if open_:
+        text.append(open_)
     if advice:
         text.append(f"next: {advice}")
     return Answer("\n".join(text), plain(content), code)

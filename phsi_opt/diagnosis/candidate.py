@@ -84,11 +84,6 @@ class Candidate:
         return f"{type(self).__name__}({self.name!r}, lost={self.lost!r})"
 
     @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The effects that are added."""
-        return (self.effect,)
-
-    @property
     def name(self) -> str:
         """The same in words."""
         return str(self.effect)

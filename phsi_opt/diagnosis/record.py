@@ -78,9 +78,8 @@ class Diagnosis(Summarised):
         verdict: in one phrase; ``reason``: in a sentence.
         findings: what is established to be missing, an effect or a class each; empty
             where nothing is.
-        proposed: what a study adds next: the findings, or the nearest to one; one
-            effect, or two together; empty where nothing explains enough.
-        proposed_fit: the brief re-fit with them.
+        proposed: what a study adds next, the first effect of the finding; empty where
+            nothing is found. ``proposed_fit``: the brief re-fit with it.
     """
 
     record: Record = field(repr=False)
@@ -231,34 +230,18 @@ class Diagnosis(Summarised):
     def separation(self) -> Separation | None:
         """The experiment that would tell two effects of a tie apart.
 
-        Of what is found the members of a class are tied; of what is only proposed, what
-        the data cannot tell from it. None where nothing is.
+        They are members of the class that is found; None where there is none.
 
         Raises:
             SolveError: the record itself cannot be simulated with both models.
         """
-        if not self.proposed or self.ranking[0].fit is None:
-            return None
-        first = self.ranking[0].fit
         fits = {candidate.name: candidate.fit for candidate in self.ranking}
-        for name in self._tied:
-            rival = fits.get(name)
-            if rival is not None:
-                return separating(first, rival, self.data, self.estimate.sigma)
-        return None
-
-    @property
-    def _tied(self) -> list[str]:
-        """Names of the candidates that do as well as what is proposed."""
-        if not self.findings:
-            return list(self.ranking[0].confusable_with)
-        tied = []
         for finding in self.findings:
-            first, *others = finding.effects
+            first, *others = (fits.get(str(effect)) for effect in finding.effects)
             for other in others:
-                members = [other if one == first else one for one in self.proposed]
-                tied.append(" and ".join(map(str, members)))
-        return tied
+                if first is not None and other is not None:
+                    return separating(first, other, self.data, self.estimate.sigma)
+        return None
 
     def learned_force(
         self,

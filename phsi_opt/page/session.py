@@ -11,7 +11,6 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -395,17 +394,16 @@ class Session:
         """Ask what the present model lacks."""
         self._order("Looking for what is missing", Order(DIAGNOSE))
 
-    def add(self, effects: Sequence[str]) -> None:
-        """Add effects of the ranking, re-fit, and ask again."""
-        added = " and ".join(effects)
-        self._order(f"Adding {added}", Order(ADD, tuple(effects)), f"Added {added}")
+    def add(self, effect: str) -> None:
+        """Add an effect of the ranking, re-fit, and ask again."""
+        self._order(f"Adding {effect}", Order(ADD, (effect,)), f"Added {effect}")
 
     def undo(self) -> None:
         """Take back the last step."""
         self._order("Taking back the last step", Order(UNDO))
 
     def auto(self) -> None:
-        """Add while an effect is significant."""
+        """Add while an effect is decisive."""
         self._order("Adding until nothing is left", Order(AUTO), n_diagnoses=2)
 
     def report(self) -> None:

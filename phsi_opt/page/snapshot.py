@@ -134,10 +134,11 @@ class ForceCurve:
 
 @dataclass(frozen=True)
 class CandidateRow:
-    """One candidate of the ranking, or two together.
+    """One candidate of the ranking.
 
     Attributes:
-        effects: such as ("coulomb friction on p",).
+        effect: such as "coulomb friction on p".
+        evidence: how clearly it is there, such as "decisive, log evidence 95".
         coefficient: its size.
         std_error: of the coefficient.
         unit: of both; "" where it is not known.
@@ -148,7 +149,8 @@ class CandidateRow:
         is_proposed: whether the diagnosis proposes it.
     """
 
-    effects: tuple[str, ...]
+    effect: str
+    evidence: str
     coefficient: float
     std_error: float
     unit: str
@@ -157,11 +159,6 @@ class CandidateRow:
     confusable_with: tuple[str, ...]
     lost: str
     is_proposed: bool
-
-    @property
-    def label(self) -> str:
-        """The effects in words."""
-        return " and ".join(self.effects)
 
     @property
     def size(self) -> str:
@@ -191,8 +188,8 @@ class Diagnosed:
         where: the place where the missing force is strongest.
         since: the time from which it is sure, in words.
         to_do: what to do where nothing is named.
-        proposed: effects to add next.
-        nearest: effects that come nearest where none is named; () for none.
+        proposed: the effect to add next; "" for none.
+        nearest: the effect that comes nearest where none is named; "" for none.
         averaged: how many samples to average, where a force shakes; 0 where none does.
         candidates: best first.
     """
@@ -212,8 +209,8 @@ class Diagnosed:
     where: Answer
     since: Answer
     to_do: Answer
-    proposed: tuple[str, ...]
-    nearest: tuple[str, ...]
+    proposed: str
+    nearest: str
     averaged: int
     candidates: tuple[CandidateRow, ...]
 
@@ -245,6 +242,8 @@ class Snapshot:
         forces: the missing force of each equation and run.
         diagnosed: None before the present model was diagnosed.
         stopped: why the automatic study stopped; "" where it did not run.
+        unestablished: which of the effects added no diagnosis established, in words;
+            "" for none.
     """
 
     unit: str
@@ -259,6 +258,7 @@ class Snapshot:
     forces: tuple[ForceCurve, ...]
     diagnosed: Diagnosed | None
     stopped: str
+    unestablished: str
 
     @property
     def judged_part(self) -> str:

@@ -27,7 +27,7 @@ from phsi_opt.presentation.numbers import short_constants
 from phsi_opt.presentation.units import scale_of_errors
 from phsi_opt.study import Study
 from phsi_opt.study.answers import (
-    nearest_effects,
+    nearest_candidate,
     samples_to_average,
     where_answer,
     wrong_answer,
@@ -35,11 +35,13 @@ from phsi_opt.study.answers import (
 from phsi_opt.study.certainty import (
     certainty_words,
     disturbance_word,
+    evidence_words,
     undetermined_words,
 )
 from phsi_opt.study.headline import verdict_sentence
 from phsi_opt.study.since_when import since_when
 from phsi_opt.study.step import Step
+from phsi_opt.study.summary import unestablished_words
 
 
 def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
@@ -69,6 +71,7 @@ def snapshot_of(study: Study, diagnosis: Diagnosis | None) -> Snapshot:
         forces=tuple(forces),
         diagnosed=None if diagnosis is None else _diagnosed(diagnosis, step),
         stopped=study.stopped,
+        unestablished=unestablished_words(study.record),
     )
 
 
@@ -110,7 +113,8 @@ def _runs(comparison: Comparison, part: str) -> list[RunCurves]:
 
 def _diagnosed(diagnosis: Diagnosis, step: Step) -> Diagnosed:
     is_held_out = step.held_out is not None
-    proposed = tuple(str(effect) for effect in diagnosis.proposed)
+    proposed = "".join(map(str, diagnosis.proposed[:1]))
+    nearest = nearest_candidate(diagnosis)
     return Diagnosed(
         verdict=str(diagnosis.verdict),
         reason=diagnosis.reason,
@@ -126,7 +130,7 @@ def _diagnosed(diagnosis: Diagnosis, step: Step) -> Diagnosed:
         since=since_when(diagnosis, step.train),
         to_do=diagnosis.next_step,
         proposed=proposed,
-        nearest=tuple(str(effect) for effect in nearest_effects(diagnosis)),
+        nearest="" if nearest is None else nearest.name,
         averaged=samples_to_average(diagnosis),
         candidates=tuple(_candidates(diagnosis, proposed)),
     )
@@ -144,22 +148,22 @@ def _strongest(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _candidates(diagnosis: Diagnosis, proposed: tuple[str, ...]) -> list[CandidateRow]:
+def _candidates(diagnosis: Diagnosis, proposed: str) -> list[CandidateRow]:
     size, _ = scale_of_errors(diagnosis.base.error_unit)
     rows = []
     for candidate in diagnosis.ranking:
-        effects = tuple(str(effect) for effect in candidate.effects)
         rows.append(
             CandidateRow(
-                effects=effects,
+                effect=candidate.name,
+                evidence=evidence_words(candidate),
                 coefficient=float(candidate.coefficient),
                 std_error=float(candidate.std_error),
                 unit=candidate.unit,
                 train=size * float(candidate.train_rmse),
                 held_out=size * float(candidate.held_out_rmse),
-                confusable_with=tuple(map(str, candidate.confusable_with)),
+                confusable_with=candidate.confusable_with,
                 lost=candidate.lost,
-                is_proposed=bool(proposed) and effects == proposed,
+                is_proposed=candidate.name == proposed,
             )
         )
     return rows

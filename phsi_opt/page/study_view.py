@@ -170,6 +170,8 @@ class StudyView:
             ui.label(diagnosed.verdict).classes(f"badge {color}")
             if diagnosed.beside:
                 ui.label(diagnosed.beside).classes("badge look")
+            if snapshot.unestablished:
+                ui.label(snapshot.unestablished).classes("badge look")
 
     @staticmethod
     def _lead(text: str, color: str = "") -> None:
@@ -207,7 +209,6 @@ class StudyView:
                 ui.label(proper_names(f"Added: {' and '.join(snapshot.added)}."))
             ui.label(preview).classes("faint")
             return
-        wanted = snapshot.diagnosed.proposed or snapshot.diagnosed.nearest
         size = proposed_size(snapshot)
         is_named = snapshot.diagnosed.is_named
         if is_named:
@@ -219,12 +220,10 @@ class StudyView:
         if not self._session.is_stale:
             begin = "Add" if is_named else "Try"
             label = proper_names(f"{begin} {add}")
-            self._add_button(label, wanted, quiet=not is_named)
+            self._add_button(label, add, quiet=not is_named)
 
-    def _add_button(
-        self, label: str, effects: tuple[str, ...], quiet: bool = False
-    ) -> ui.button:
-        return self._begins(label, lambda: self._session.add(effects), quiet)
+    def _add_button(self, label: str, effect: str, quiet: bool = False) -> ui.button:
+        return self._begins(label, lambda: self._session.add(effect), quiet)
 
     # ---- staircase and ranking -------------------------------------------------------
 
@@ -266,7 +265,7 @@ class StudyView:
             proposed = " (proposed)" if row.is_proposed else ""
             size = f": {row.size}" if row.size else ""
             with ui.row().classes("w-full items-center no-wrap justify-between"):
-                told = proper_names(typeset(f"{row.label}{size}{proposed}"))
+                told = proper_names(typeset(f"{row.effect}{size}{proposed}"))
                 ui.label(told).style("font-weight: 600")
                 if not self._session.is_stale:
                     self._add_of_ranking(row)
@@ -274,7 +273,7 @@ class StudyView:
             with ui.element("div").classes("track").props('aria-hidden="true"'):
                 ui.element("div").style(f"width: {100 * left:.1f}%")
                 ui.element("i").style(f"left: {100 * floor:.1f}%")
-            ui.label(preview_words(snapshot, row))
+            ui.label(said(f"Evidence: {row.evidence}. {preview_words(snapshot, row)}"))
             if row.lost:
                 ui.label(f"Not proposed: {said(row.lost)}.").classes("faint")
             if row.confusable_with:
@@ -286,8 +285,8 @@ class StudyView:
         diagnosed = self._session.snapshot and self._session.snapshot.diagnosed
         is_against = bool(row.lost) or not (diagnosed and diagnosed.is_named)
         label = "Add anyway" if is_against else "Add"
-        add = self._add_button(label, row.effects, quiet=True)
-        named = proper_names(row.label)
+        add = self._add_button(label, row.effect, quiet=True)
+        named = proper_names(row.effect)
         add.props("dense").props["aria-label"] = f"{label} {named}, of the ranking"
         if is_against:
             add.props("flat").props(remove="outline")

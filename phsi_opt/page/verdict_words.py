@@ -39,7 +39,7 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
     if not diagnosed.is_missing:
         reason = said(diagnosed.reason)
         return Facts(
-            "Nothing is missing.",
+            _nothing_words(snapshot),
             Answer("Nothing that these data show.", _left_words(snapshot)),
             Answer("No place stands out: what is left looks like noise."),
             Answer("No time stands out."),
@@ -54,10 +54,17 @@ def facts_of(snapshot: Snapshot) -> Facts | None:
         diagnosed.wrong,
         diagnosed.where,
         diagnosed.since,
-        " and ".join(diagnosed.proposed or diagnosed.nearest),
+        diagnosed.proposed or diagnosed.nearest,
         preview,
         Answer("") if diagnosed.is_named else diagnosed.to_do,
     )
+
+
+def _nothing_words(snapshot: Snapshot) -> str:
+    """That nothing is missing; more is not said beside what is not established."""
+    if not snapshot.unestablished:
+        return "Nothing is missing."
+    return f"No force is evident; {snapshot.unestablished}."
 
 
 def preview_words(snapshot: Snapshot, row: CandidateRow) -> str:
@@ -130,6 +137,6 @@ def row_to_add(diagnosed: Diagnosed) -> CandidateRow | None:
     """The candidate that is proposed, or comes nearest."""
     wanted = diagnosed.proposed or diagnosed.nearest
     for row in diagnosed.candidates:
-        if row.effects == wanted:
+        if row.effect == wanted:
             return row
     return None

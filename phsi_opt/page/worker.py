@@ -169,8 +169,7 @@ class Bench:
         if order.verb == REPORT:
             return Wrote(str(study.report(order.what[0])))
         if order.verb == ADD:
-            for name in order.what:
-                study.add(_effect_named(study, name))
+            study.add(_effect_named(study, order.what[0]))
         elif order.verb == UNDO:
             study.undo()
         elif order.verb == AUTO:
@@ -196,9 +195,8 @@ def _shown(study: Study, diagnosis: Diagnosis | None) -> Shown:
 def _effect_named(study: Study, name: str) -> Effect:
     """One of the candidates, by its name and equation."""
     for candidate in study.diagnose().ranking:
-        for effect in candidate.effects:
-            if str(effect) == name:
-                return effect
+        if candidate.name == name:
+            return candidate.effect
     return effect_meant(study, name)
 
 

@@ -264,10 +264,11 @@ class Law:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A candidate effect: what it explains, what it is confused with, why it lost."""
+    """A candidate effect: how clearly it is there, what it explains, why it lost."""
 
     name: str
     size: str
+    evidence: str
     explains: str
     share: Number
     error: str

@@ -5,8 +5,8 @@ them too. Each begins with what is to be understood at once; the numbers come be
 """
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.criteria import FAILING_ERROR, PROPOSED_Z
-from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.criteria import FAILING_ERROR
+from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.finding import Finding
 from phsi_opt.diagnosis.next_step import PROPOSED_EXPERIMENT
 from phsi_opt.diagnosis.record import Diagnosis
@@ -18,17 +18,19 @@ from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.force_analysis.wording import VIBRATION_WORDS
 from phsi_opt.model.catalogue_storages import is_second_storage
-from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
 from phsi_opt.presentation.numbers import capitalised, lowered, number, with_error
 from phsi_opt.presentation.report_content import Answer
 from phsi_opt.presentation.units import scale_of_errors
-from phsi_opt.study.certainty import disturbance_word, no_noise_words
+from phsi_opt.study.certainty import (
+    disturbance_word,
+    evidence_words,
+    no_noise_words,
+)
 from phsi_opt.study.off_words import judged_words, off_words
 
 QUADRATIC_INPUT = "quadratic input"
-NEARER = 0.9  # share of the error below which what is left is worth telling
 
 
 # ---- what is missing
@@ -55,7 +57,8 @@ def missing_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
 def _tried_words(diagnosis: Diagnosis) -> str:
     """That nothing that was tried is it; "" where nothing was."""
     n_tried = len(diagnosis.ranking)
-    fall = _fall_with(diagnosis, nearest_effects(diagnosis))
+    nearest = nearest_candidate(diagnosis)
+    fall = 0.0 if nearest is None else _fall_with(diagnosis, nearest)
     if fall > 0 and n_tried > 1:
         percent = number(100 * fall, 2)
         return f"the nearest of {n_tried} effects takes away {percent} % of the error"
@@ -76,7 +79,7 @@ def _missing_words(diagnosis: Diagnosis) -> str:
 
 def _gain_words(diagnosis: Diagnosis, is_held_out: bool) -> str:
     """By how much the error falls with what is named, and whether more is missing."""
-    found = _proposed(diagnosis).comparison
+    found = diagnosis.ranking[0].comparison
     rest = "what else is missing is not known yet"
     is_all = diagnosis.verdict == Verdict.NAMED
     if found is None:
@@ -195,19 +198,20 @@ def to_do_answer(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
     if diagnosis.findings:
         return _addition(diagnosis, is_held_out)
     advice = diagnosis.next_step
-    nearest = nearest_effects(diagnosis)
-    if not nearest:
+    nearest = nearest_candidate(diagnosis)
+    if nearest is None:
         return advice
-    names = " and ".join(map(str, nearest))
-    candidate = _candidate_with(diagnosis, nearest)
-    against, _, _ = candidate.lost.partition(" (")
+    told = f"{nearest.name} ({evidence_words(nearest)})"
+    against = ""
+    if nearest.grade == Grade.DECISIVE:  # else the grade says it
+        against, _, _ = nearest.lost.partition(" (")
     reason = f"; {against}" if against else ""
     fall = _fall_with(diagnosis, nearest)
     less = f": {number(100 * fall, 2)} % less error" if fall > 0 else ""
-    if is_second_storage(nearest[0]):
-        lead = f"Try {names}{less}, but not proven."
-        return Answer(lead, f"{capitalised(against)}. {advice.detail}")
-    told = f"Nearest of the catalogue is {names}{less}, but not proven{reason}."
+    if is_second_storage(nearest.effect):
+        lead = f"Try {nearest.name}{less}, but not proven."
+        return Answer(lead, f"{told}{reason}. {advice.detail}")
+    told = f"Nearest of the catalogue is {told}{less}, but not proven{reason}."
     return Answer(advice.lead, f"{advice.detail} {told}".strip())
 
 
@@ -218,22 +222,15 @@ def samples_to_average(diagnosis: Diagnosis) -> int:
     return diagnosis.analysis.force_in().pace.samples_per_cycle
 
 
-def nearest_effects(diagnosis: Diagnosis) -> tuple[Effect, ...]:
-    """What comes nearest where nothing is named; () where nothing comes near.
+def nearest_candidate(diagnosis: Diagnosis) -> Candidate | None:
+    """What comes nearest where something is missing and nothing is named.
 
-    That is what is proposed, else the first of the ranking, if its size differs from
-    zero and it lowers the error by a tenth.
+    That is the likeliest effect, if there is any evidence of it; None where not.
     """
-    if diagnosis.findings:
-        return ()
-    if diagnosis.proposed or not diagnosis.ranking:
-        return diagnosis.proposed
+    if diagnosis.verdict != Verdict.UNEXPLAINED or not diagnosis.ranking:
+        return None
     first = diagnosis.ranking[0]
-    is_sure = abs(first.coefficient) > PROPOSED_Z * first.std_error
-    is_better = first.comparison is not None and (
-        first.comparison.rmse < NEARER * diagnosis.base.rmse
-    )
-    return first.effects if is_sure and is_better else ()
+    return None if first.grade == Grade.NONE else first
 
 
 def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
@@ -248,7 +245,7 @@ def _addition(diagnosis: Diagnosis, is_held_out: bool) -> Answer:
 
 def _left_words(diagnosis: Diagnosis) -> str:
     """How much is left with what is proposed, beside the noise."""
-    found = _proposed(diagnosis).comparison
+    found = diagnosis.ranking[0].comparison
     if found is None or _is_at_floor(found):
         return "more than noise"
     return f"{number(found.rmse / found.noise_floor, 2)} times the noise"
@@ -266,7 +263,7 @@ def finding_words(finding: Finding) -> str:
 
 def _outcome(diagnosis: Diagnosis, is_held_out: bool) -> str:
     """To what the error falls with what is proposed, where that is known."""
-    found = _proposed(diagnosis).comparison
+    found = diagnosis.ranking[0].comparison
     if found is None:
         return ""
     size, unit = scale_of_errors(found.error_unit)
@@ -278,25 +275,11 @@ def _outcome(diagnosis: Diagnosis, is_held_out: bool) -> str:
     return f"The {which} error falls from {before} to {after} ({at}{floor})."
 
 
-def _fall_with(diagnosis: Diagnosis, effects: tuple[Effect, ...]) -> float:
-    """The share of the error that effects take away; 0 where that is not known."""
-    if not effects:
-        return 0.0
-    found = _candidate_with(diagnosis, effects).comparison
+def _fall_with(diagnosis: Diagnosis, candidate: Candidate) -> float:
+    """The share of the error that it takes away; 0 where that is not known."""
+    found = candidate.comparison
     return 0.0 if found is None else 1 - found.rmse / diagnosis.base.rmse
 
 
 def _is_at_floor(found: Comparison) -> bool:
     return found.rmse <= FAILING_ERROR * found.noise_floor
-
-
-def _proposed(diagnosis: Diagnosis) -> Candidate:
-    """The candidate that is proposed."""
-    return _candidate_with(diagnosis, diagnosis.proposed)
-
-
-def _candidate_with(diagnosis: Diagnosis, effects: tuple[Effect, ...]) -> Candidate:
-    for candidate in diagnosis.ranking:
-        if candidate.effects == effects:
-            return candidate
-    return diagnosis.ranking[0]

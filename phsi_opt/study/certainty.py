@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.verdict import Verdict
 from phsi_opt.force_analysis.next_step import likely_cause
@@ -33,6 +34,13 @@ def certainty_words(diagnosis: Diagnosis) -> str:
     return " ".join(filter(None, (sure, _cause(diagnosis), ONE_ERROR)))
 
 
+def evidence_words(candidate: Candidate) -> str:
+    """How clearly an effect is there, such as "decisive, log evidence 95"."""
+    if not candidate.was_weighed:
+        return "not weighed"
+    return f"{candidate.grade}, log evidence {number(candidate.log_evidence, 2)}"
+
+
 def no_noise_words(diagnosis: Diagnosis) -> str:
     """That something is left beside noise: a larger error, or a pattern as small."""
     if _times_noise(diagnosis) < AT_NOISE:
@@ -46,10 +54,14 @@ def _times_noise(diagnosis: Diagnosis) -> float:
 
 
 def _cause(diagnosis: Diagnosis) -> str:
-    """What is still open about the cause, in a sentence; "" where it is named."""
+    """How clear the cause is, or what is still open about it, in a sentence."""
     if diagnosis.findings:
+        first = diagnosis.ranking[0]
+        size = number(first.log_evidence, 2)
+        said = f"The evidence for {first.name} is {first.grade} (log evidence {size})."
         is_class = any(not finding.is_name for finding in diagnosis.findings)
-        return "Which of them it is, the data do not tell." if is_class else ""
+        open_ = "Which of the class it is, the data do not tell." if is_class else ""
+        return f"{said} {open_}".strip()
     if disturbance_word(diagnosis):
         return "It is a fast disturbance; its source is not found yet."
     force = diagnosis.analysis.force_in()

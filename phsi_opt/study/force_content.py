@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
-import pandas as pd
 
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.force_analysis.equation_force import EquationForce
 from phsi_opt.force_analysis.state_plots import (
@@ -31,6 +31,7 @@ from phsi_opt.presentation.report_content import (
     Ranked,
 )
 from phsi_opt.presentation.thinning import rounded, thinned
+from phsi_opt.study.certainty import evidence_words
 from phsi_opt.study.effect_law import EffectLaw
 from phsi_opt.study.run_content import DIGITS_OF_TIME, FEWEST_PER_CURVE, MOST_PER_CURVE
 
@@ -50,11 +51,9 @@ def failure_of(diagnosis: Diagnosis, heading: str, unit: str, told: str) -> Fail
         unit: of the errors.
         told: the diagnosis in a paragraph.
     """
-    ranking = diagnosis.candidates
+    ranking = diagnosis.ranking
     classes = _classes(diagnosis)
-    listed = []
-    for _, row in ranking.head(MOST_LISTED).iterrows():
-        listed.append(_ranked(row, unit, classes))
+    listed = [_ranked(one, unit, classes) for one in ranking[:MOST_LISTED]]
     return Failure(
         heading,
         told,
@@ -173,34 +172,30 @@ def _classes(diagnosis: Diagnosis) -> dict[str, list[str]]:
     return classes
 
 
-def _ranked(row: pd.Series, unit: str, classes: Mapping[str, list[str]]) -> Ranked:
-    share = _known(row["share"])
+def _ranked(one: Candidate, unit: str, classes: Mapping[str, list[str]]) -> Ranked:
+    share = _known(one.share)
     explains = "not re-fitted"
     if share is not None:
         explains = f"{100 * min(max(share, 0.0), 1.0):.0f} %"
-    held_out = _known(row["held_out_rmse"])
-    train = _known(row["train_rmse"])
     error = ""
-    if held_out is not None:
-        error = f"{number(held_out)} {unit}".rstrip()
-    elif train is not None:
-        error = f"{number(train)} {unit}".rstrip() + " expected on training data"
-    names = str(row["effect"]).split(" and ")
-    places = str(row["equation"]).split(" and ")
-    pairs = [f"{name} on {place}" for name, place in zip(names, places, strict=False)]
-    size = with_error(float(row["coefficient"]), float(row["std_error"]))
-    size += spaced(str(row["unit"]))
-    if len(pairs) > 1:
-        size += " of the first"
-    name = " and ".join(pairs)
-    alike = list(classes.get(name, []))
-    for other in str(row["confusable_with"]).split(", "):
-        if other and other not in alike:
+    if np.isfinite(one.held_out_rmse):
+        error = f"{number(one.held_out_rmse)} {unit}".rstrip()
+    elif np.isfinite(one.train_rmse):
+        error = f"{number(one.train_rmse)} {unit}".rstrip() + " on training data"
+    alike = list(classes.get(one.name, []))
+    for other in one.confusable_with:
+        if other not in alike:
             alike.append(other)
-    confused = shortened(", ".join(alike))
-    name = proper_names(name)
-    confused = proper_names(confused)
-    return Ranked(name, size, explains, share, error, confused, str(row["lost"]))
+    return Ranked(
+        name=proper_names(one.name),
+        size=with_error(one.coefficient, one.std_error) + spaced(one.unit),
+        evidence=evidence_words(one),
+        explains=explains,
+        share=share,
+        error=error,
+        confused_with=proper_names(shortened(", ".join(alike))),
+        lost=one.lost,
+    )
 
 
 def shortened(listed: str) -> str:

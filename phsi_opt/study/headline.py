@@ -28,6 +28,7 @@ from phsi_opt.study.answers import (
 from phsi_opt.study.certainty import (
     certainty_words,
     disturbance_word,
+    evidence_words,
     undetermined_words,
 )
 from phsi_opt.study.record import StudyRecord
@@ -52,6 +53,7 @@ NOW = {
 }
 # The same where an effect was added that is not established.
 NOT_SEEN = "No force is evident beside the present model."
+NOT_ESTABLISHED = "with an effect that is not established"
 # The questions of the first screen: of what is missing, and of what was.
 PRESENT = ("What is wrong", "Where", "Since when", "What to add")
 UNNAMED = ("What is wrong", "Where", "Since when", "What to do next")
@@ -67,13 +69,17 @@ def headline_of(study: StudyRecord) -> Headline:
         facts = _facts_of(study, telling)
     else:
         facts = _facts_without(study, present)
-    sentence = _sentence(study, present)
+    severity = SEVERITIES[status]
+    beside = "" if present is None else disturbance_word(present)
+    if study.unestablished and not beside:
+        beside = NOT_ESTABLISHED
+        severity = LOOK if severity == GOOD else severity
     return Headline(
         status,
-        SEVERITIES[status],
-        sentence,
+        severity,
+        _sentence(study, present),
         tuple(facts),
-        beside="" if present is None else disturbance_word(present),
+        beside=beside,
         certainty="" if present is None else certainty_words(present),
         caution=undetermined_words(study.last.fit.parameters),
     )
@@ -121,8 +127,7 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
         begin = _said_of_added(study, errors)
         if present is None:
             return f"{begin} The present model has not been diagnosed."
-        is_nothing = present.verdict == Verdict.NOTHING_MISSING
-        if is_nothing and study.unestablished:
+        if present.verdict == Verdict.NOTHING_MISSING and study.unestablished:
             return f"{begin} {NOT_SEEN}"
         return f"{begin} {NOW[present.verdict]}"
     if present is None and study.stopped:
@@ -137,22 +142,20 @@ def _sentence(study: StudyRecord, present: Diagnosis | None) -> str:
 
 def _said_of_added(study: StudyRecord, errors: str) -> str:
     """What was added, with how sure it is, and what that did to the errors."""
-    nearest = set(map(str, study.unestablished))
+    open_ = {one.name: evidence_words(one) for one in study.unestablished}
     sure: list[str] = []
     unsure: list[str] = []
     for effect in study.last.added:
-        if str(effect) not in nearest:
+        if str(effect) not in open_:
             sure.append(f"{effect}{_alternatives(study, effect)}")
         else:
-            unsure.append(str(effect))
+            unsure.append(f"{effect} ({open_[str(effect)]})")
     with_them = "With it" if len(study.last.added) == 1 else "With them"
     said = []
     if sure:
         said.append(f"The base model lacked {' and '.join(sure)}.")
     if unsure:
-        verb = "was" if len(unsure) == 1 else "were"
-        nearest_ones = f"{' and '.join(unsure)} {verb} added on strong evidence alone"
-        said.append(f"Not established: {nearest_ones}.")
+        said.append(f"Added, but not established: {' and '.join(unsure)}.")
     return f"{' '.join(said)} {with_them}, the {errors}."
 
 
@@ -181,7 +184,7 @@ def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
         Answer(was_wrong_words(diagnosis, _whose(study, diagnosis))),
         where_answer(diagnosis, is_past=True),
         since_when(diagnosis, _trained(study, diagnosis)),
-        Answer(_was_added(study, diagnosis)),
+        Answer(_was_added(study)),
     )
     return _facts(PAST, answers)
 
@@ -223,13 +226,13 @@ def _whose(study: StudyRecord, diagnosis: Diagnosis) -> str:
     return f"with {' and '.join(map(str, added))}, the model's"
 
 
-def _was_added(study: StudyRecord, diagnosis: Diagnosis) -> str:
-    """What was added since, with its size where it is what was proposed."""
-    added = {str(effect) for effect in study.last.added}
-    if not added >= set(map(str, diagnosis.proposed)):
-        return f"{capitalised(', '.join(sorted(added)) or 'Nothing')}."
-    told = [finding_words(finding) for finding in diagnosis.findings]
-    told = told or [f"nearest: {effect}" for effect in diagnosis.proposed]
+def _was_added(study: StudyRecord) -> str:
+    """What was added, with the sizes that diagnoses found."""
+    known = {one.name: f"{one.name}, not established" for one in study.unestablished}
+    for found in study.diagnoses.values():
+        for finding in found.findings:
+            known[str(finding.effects[0])] = finding_words(finding)
+    told = [known.get(str(effect), str(effect)) for effect in study.last.added]
     return f"{capitalised('; '.join(told) or 'Nothing')}."
 
 

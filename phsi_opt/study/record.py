@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.record import Diagnosis
-from phsi_opt.model.effect import Effect
 from phsi_opt.study.history import history_table
 from phsi_opt.study.step import Step
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -25,7 +25,6 @@ class StudyRecord:
         stopped: why it stopped last; "" where it was not asked to go on.
         train: measurements that are fitted; ``held_out``: those that judge, or None.
         loss: how the models were fitted.
-        unestablished: effects that were added although no evidence was decisive.
     """
 
     steps: tuple[Step, ...]
@@ -34,12 +33,27 @@ class StudyRecord:
     train: Measurements
     held_out: Measurements | None
     loss: MaximumLikelihood
-    unestablished: tuple[Effect, ...] = ()
 
     @property
     def last(self) -> Step:
         """The present step."""
         return self.steps[-1]
+
+    @property
+    def unestablished(self) -> tuple[Candidate, ...]:
+        """What was added although diagnoses considered it, and none established it."""
+        considered: dict[str, Candidate] = {}
+        established: set[str] = set()
+        for _, diagnosis in sorted(self.diagnoses.items()):
+            considered |= {one.name: one for one in diagnosis.ranking}
+            for finding in diagnosis.findings:
+                established |= set(map(str, finding.effects))
+        found = []
+        for effect in self.last.added:
+            name = str(effect)
+            if name in considered and name not in established:
+                found.append(considered[name])
+        return tuple(found)
 
     @property
     def history(self) -> "pd.DataFrame":

@@ -26,7 +26,8 @@ def step_story(study: StudyRecord, number: int) -> str:
         off = " and ".join(off_words(diagnosis.base))
         return (
             f"Simulated on {judged_words(is_held_out)}, the model is off: {off}. "
-            "That is what noise leaves; these data show nothing that is missing."
+            "That is what noise leaves: no force is evident beside the model, and no "
+            "effect is decisive."
         )
     told = (
         missing_answer(diagnosis, is_held_out),

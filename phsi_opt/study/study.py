@@ -92,7 +92,6 @@ class Study(Summarised):
         self._say = progress or _silent
         self._diagnoses: dict[int, Diagnosis] = {}
         self._considered: dict[int, EffectChoice] = {}
-        self._unestablished: list[Effect] = []
         for note in self._fitting.notes:
             self._say(note)
         self._say("fitting the base model")
@@ -144,7 +143,6 @@ class Study(Summarised):
             self.train,
             self.held_out,
             self._fitting.loss,
-            tuple(one for one in self._unestablished if one in self.added),
         )
 
     @interruptible
@@ -329,8 +327,6 @@ class Study(Summarised):
                 which = " and ".join(map(str, proposed))
                 self.stopped = f"{said}; {which} could not be added: {error}"
                 return self.stopped
-            if not diagnosis.proposed:
-                self._unestablished += proposed
             self._check_earlier()
         self.stopped = (
             f"the limit of {max_steps} steps was reached; call auto again to go on"
@@ -421,7 +417,7 @@ class Study(Summarised):
         known = self._diagnoses.get(len(self.steps))
         if known is not None:
             for candidate in known.ranking:
-                if candidate.effects == (effect,):
+                if candidate.effect == effect:
                     return candidate
         return None
 

@@ -12,6 +12,13 @@ def study_summary(study: StudyRecord) -> Summary:
     unit = f", {study.unit}" if study.unit else ""
     heading = f"errors of free runs{unit}"
     parts = [Part(heading, table=study.history)]
-    if study.stopped:
-        parts.append(Part(text=study.stopped))
+    said = "\n".join(filter(None, (study.stopped, unestablished_words(study))))
+    if said:
+        parts.append(Part(text=said))
     return Summary(title, tuple(parts))
+
+
+def unestablished_words(study: StudyRecord) -> str:
+    """What was added that no diagnosis established; "" for nothing."""
+    names = ", ".join(one.name for one in study.unestablished)
+    return f"added, but not established: {names}" if names else ""
