@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +29,7 @@ from phsi_opt.command_line.job import (
     Finished,
     Job,
     Message,
+    Reach,
 )
 from phsi_opt.command_line.jobs import plain
 from phsi_opt.command_line.jobs import run as run_job
@@ -36,8 +38,8 @@ from phsi_opt.presentation.forecast import (
     ADDING,
     FITTING,
     NOTHING_MISSING,
-    REFITTING,
     SCREENING,
+    WEIGHING,
     Forecast,
     duration,
 )
@@ -888,10 +890,32 @@ def test_the_page_says_how_to_install_what_it_needs(
     assert 'pip install "phsi_opt[app]"' in result.err
 
 
+def test_the_reach_of_the_command_is_that_of_the_study(
+    demo: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[object] = []
+
+    def adds(study: ph.Study, *_: object, reach: object = None) -> str:
+        asked.append(reach)
+        effects = ["coulomb friction on p"]
+        found = ph.diagnose(study.fit, study.train, study.held_out, effects=effects)
+        open_ = replace(found, verdict=ph.Verdict.UNEXPLAINED, findings=())
+        silent = replace(open_, verdict=ph.Verdict.NOTHING_MISSING, ranking=())
+        study._diagnoses |= {1: open_, 2: silent}
+        study.add(open_.ranking[0].effect)
+        return ""
+
+    monkeypatch.setattr(ph.Study, "auto", adds)
+    answer = run_job(Job(GO_THROUGH, demo, is_auto=True, reach=Reach.STRONG), print)
+    assert asked == ["strong"]
+    assert answer.content["unestablished"] == ["coulomb friction on p"]
+    assert "added, but not established: coulomb friction on p" in answer.text
+
+
 def test_a_study_that_breaks_off_says_so_in_its_report(
     demo: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def breaks(*_: object) -> str:
+    def breaks(*_: object, **__: object) -> str:
         raise RuntimeError("a mistake on the way")
 
     monkeypatch.setattr(ph.Study, "auto", breaks)
@@ -926,14 +950,16 @@ def test_the_forecast_falls_to_nothing_as_the_work_goes_on() -> None:
     for line in (
         f"{FITTING} x",
         f"{SCREENING} 24",
-        f"{REFITTING} a",
-        f"{REFITTING} b",
-        f"{REFITTING} c",
+        f"{WEIGHING} a",
+        f"{WEIGHING} b",
+        f"{WEIGHING} c",
+        f"{WEIGHING} d",
         f"{ADDING} a",
         f"{SCREENING} 23",
-        f"{REFITTING} d",
-        f"{REFITTING} e",
-        f"{REFITTING} f",
+        f"{WEIGHING} e",
+        f"{WEIGHING} f",
+        f"{WEIGHING} g",
+        f"{WEIGHING} h",
     ):
         forecast.said(line)
         now += 1.0
@@ -949,7 +975,7 @@ def test_the_forecast_falls_to_nothing_as_the_work_goes_on() -> None:
 def test_a_work_that_takes_long_is_said_to_and_no_time_is_told() -> None:
     now = 0.0
     forecast = Forecast(n_diagnoses=1, clock=lambda: now)
-    for line in (f"{FITTING} x", f"{SCREENING} 24", f"{REFITTING} a"):
+    for line in (f"{FITTING} x", f"{SCREENING} 24", f"{WEIGHING} a"):
         forecast.said(line)
         now += 1.0
     assert forecast.left is not None
@@ -958,13 +984,13 @@ def test_a_work_that_takes_long_is_said_to_and_no_time_is_told() -> None:
     assert forecast.left is None
     assert forecast.is_overdue
     assert "longer than expected" in forecast.words
-    forecast.said(f"{REFITTING} b")
+    forecast.said(f"{WEIGHING} b")
     assert forecast.left is not None
 
 
 def test_the_lines_that_the_forecast_waits_for_are_said() -> None:
     code = [path.read_text() for path in (ROOT / "phsi_opt").rglob("*.py")]
-    for line in (FITTING, SCREENING, REFITTING, ADDING):
+    for line in (FITTING, SCREENING, WEIGHING, ADDING):
         assert any(f'say(f"{line} ' in text or f'say("{line}' in text for text in code)
     assert ph.Verdict.NOTHING_MISSING == NOTHING_MISSING
 

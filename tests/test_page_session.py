@@ -416,7 +416,7 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
         f"Nothing that these data show. The error fell from {base.judged:.3g} m to "
         f"{larger.judged:.3g} m; the noise floor is "
     )
-    ranked = {row.label: row for row in studied.snapshot.diagnosed.candidates}
+    ranked = {row.effect: row for row in studied.snapshot.diagnosed.candidates}
     assert ranked["quadratic drag on p"].size.endswith(" N s^2/m^2")
 
 
@@ -652,7 +652,7 @@ def test_undo_takes_back_the_step(studied: Session) -> None:
     assert studied.snapshot is not None
     assert studied.snapshot.steps == before.steps[:1]
     assert studied.snapshot.diagnosed is not None
-    assert studied.snapshot.diagnosed.proposed == ("coulomb friction on p",)
+    assert studied.snapshot.diagnosed.proposed == "coulomb friction on p"
     assert studied.message == ""
 
 
@@ -676,7 +676,7 @@ def test_what_was_added_before_a_cancel_is_said_to_be_added(
         (False, "Cancelled: Adding coulomb friction on p."),
         (True, "Added coulomb friction on p; the search for what is missing was"),
     ):
-        session.add(["coulomb friction on p"])  # twice: a second order is taken
+        session.add("coulomb friction on p")  # twice: a second order is taken
         worker = session._worker
         assert worker is not None
         if is_shown:
