@@ -3,7 +3,7 @@ published one, what share it explains, what remains, and how many processor seco
 step takes.
 
 Each study gets a base model that lacks what the set is known for, two records, nothing
-else. It is `Study.auto`: what a verdict names, or proposes, is added.
+else. It is `Study.auto`: what a verdict names, wholly or partly, is added.
 
     python -m problems.measured.stories [NAME ...]
 """

@@ -2,10 +2,9 @@
 what is added, what remains.
 
 The diagnosis gets a model and two records, nothing else. Its loop (`Study.auto`) adds
-what a verdict names, or proposes although more than noise would be left. Where it stops
-with "unexplained", the story goes on as an engineer would who follows the table: the
-first re-fitted candidate is added, marked as such, as long as its p-value is small and
-the error on the data held out falls.
+what a verdict names, wholly or partly. Where it stops with "unexplained", the story
+goes on as an engineer would who follows the table: the first candidate is added, marked
+as such, as long as its evidence is strong and the error on the data held out falls.
 """
 
 import time
@@ -15,16 +14,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import phsi_opt as ph
+from phsi_opt.diagnosis.candidate import Grade
+from phsi_opt.study.answers import nearest_candidate
+from phsi_opt.study.certainty import evidence_words
 from problems.tools import markdown
 from problems.tools.pictures import plt, save
 
-# p-value, adjusted for all candidates, up to which the first candidate is added where
-# none is named
-RATE = 0.01
 SHOWN = 6  # candidates per diagnosis on the page
 # How a step was chosen.
 BASE = "base model"
-PROPOSED = "proposed"
+PARTLY = "partly named"
 NEAREST = "first candidate"
 REMOVED = "superfluous since"
 
@@ -90,7 +89,7 @@ def told(
         n_added = len(study.steps) - n_before
         if n_added:
             story.how.append(
-                "named" if diagnosis.verdict == ph.Verdict.NAMED else PROPOSED
+                "named" if diagnosis.verdict == ph.Verdict.NAMED else PARTLY
             )
             story.how += [REMOVED] * (n_added - 1)
             continue
@@ -114,20 +113,21 @@ def _one_step(study: ph.Study, diagnosis: ph.Diagnosis) -> str:
 
 
 def _go_on(study: ph.Study, diagnosis: ph.Diagnosis) -> bool:
-    """Add the first re-fitted candidate of an unexplained misfit, if significant and
+    """Add the first candidate of an unexplained misfit, if its evidence is strong and
     the held-out error falls.
     """
-    first = next((c for c in diagnosis.ranking if c.fit is not None), None)
-    if diagnosis.verdict != ph.Verdict.UNEXPLAINED or first is None:
-        return False
-    if not (first.p_value < RATE and first.held_out_rmse < diagnosis.base.rmse):
+    first = nearest_candidate(diagnosis)
+    if first is None or first.grade not in (Grade.DECISIVE, Grade.STRONG):
         return False
     try:
         study.add(first.effect)
     except ph.PhsiOptError as error:
         print(f"not added: {error}", flush=True)
         return False
-    return True
+    if study.steps[-1].judged.rmse < diagnosis.base.rmse:
+        return True
+    study.undo()
+    return False
 
 
 # --- the page
@@ -208,8 +208,7 @@ def _chapter(step: int, diagnosis: ph.Diagnosis, scale: float, unit: str) -> lis
         "effect",
         "equation",
         "coefficient",
-        "p-value",
-        "change of BIC",
+        "evidence",
         f"held-out error ({unit})",
         "confusable with",
     ]
@@ -239,8 +238,7 @@ def _candidate(c: ph.Candidate, scale: float) -> list[str]:
         c.effect.name,
         c.effect.equation,
         size,
-        f"{c.p_value:.1g}",
-        "" if np.isnan(c.delta_bic) else f"{c.delta_bic:.4g}",
+        evidence_words(c),
         "" if np.isnan(held_out) else f"{held_out:.4g}",
         ", ".join(c.confusable_with),
     ]
