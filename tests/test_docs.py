@@ -59,7 +59,7 @@ def test_every_page_for_users_has_examples() -> None:
             if page.stem != "index":
                 expected.add(name_of(page))
     assert expected <= names
-    assert len(expected) == 16
+    assert len(expected) == 17
 
 
 def test_the_data_of_the_pages_are_what_their_script_writes() -> None:
