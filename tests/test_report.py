@@ -180,6 +180,9 @@ def test_the_first_screen_says_what_where_since_when_and_what_to_add(
     )
     assert answers["What was added"].startswith("Coulomb friction on p, ")
     assert answers["What was added"].endswith(" N.")
+    assert re.fullmatch(
+        r"Evidence: decisive, log evidence [\d.]+\.", details["What was added"]
+    )
     assert "lacked coulomb friction on p" in content.headline.sentence
     assert content.headline.sentence.endswith("Now nothing is missing.")
 

@@ -184,7 +184,7 @@ def _facts_of(study: StudyRecord, diagnosis: Diagnosis) -> list[Fact]:
         Answer(was_wrong_words(diagnosis, _whose(study, diagnosis))),
         where_answer(diagnosis, is_past=True),
         since_when(diagnosis, _trained(study, diagnosis)),
-        Answer(_was_added(study)),
+        _was_added(study),
     )
     return _facts(PAST, answers)
 
@@ -226,14 +226,22 @@ def _whose(study: StudyRecord, diagnosis: Diagnosis) -> str:
     return f"with {' and '.join(map(str, added))}, the model's"
 
 
-def _was_added(study: StudyRecord) -> str:
-    """What was added, with the sizes that diagnoses found."""
+def _was_added(study: StudyRecord) -> Answer:
+    """What was added, with the sizes that diagnoses found, and how clear it was."""
     known = {one.name: f"{one.name}, not established" for one in study.unestablished}
+    evidence = {one.name: evidence_words(one) for one in study.unestablished}
     for found in study.diagnoses.values():
         for finding in found.findings:
-            known[str(finding.effects[0])] = finding_words(finding)
-    told = [known.get(str(effect), str(effect)) for effect in study.last.added]
-    return f"{capitalised('; '.join(told) or 'Nothing')}."
+            name = str(finding.effects[0])
+            known[name] = finding_words(finding)
+            evidence[name] = evidence_words(found.ranking[0])
+    names = [str(effect) for effect in study.last.added]
+    told = "; ".join(known.get(name, name) for name in names)
+    clear = "; ".join(f"{n}: {evidence[n]}" for n in names if n in evidence)
+    if len(names) == 1 and clear:
+        clear = f"Evidence: {evidence[names[0]]}"
+    detail = f"{capitalised(clear)}." if clear else ""
+    return Answer(f"{capitalised(told or 'nothing')}.", detail)
 
 
 def _facts_without(study: StudyRecord, present: Diagnosis | None) -> list[Fact]:
