@@ -416,6 +416,10 @@ def test_the_hidden_effect_is_found_and_the_error_falls(studied: Session) -> Non
         f"Nothing that these data show. The error fell from {base.judged:.3g} m to "
         f"{larger.judged:.3g} m; the noise floor is "
     )
+    open_ = "added, but not established: coulomb friction on p"
+    told = facts_of(replace(studied.snapshot, unestablished=open_))
+    assert told is not None
+    assert told.sentence == f"No force is evident; {open_}."
     ranked = {row.effect: row for row in studied.snapshot.diagnosed.candidates}
     assert ranked["quadratic drag on p"].size.endswith(" N s^2/m^2")
 

@@ -804,8 +804,8 @@ def test_names_of_the_data_cannot_inject_anything(content: Report) -> None:
     for force in failure.forces:
         parts = [replace(run, name=HOSTILE) for run in force.runs]
         forces.append(replace(force, equation=HOSTILE, label=HOSTILE, runs=parts))
-    texts = [HOSTILE] * 3
-    ranked = Ranked(HOSTILE, *texts, 0.5, *texts)
+    text = HOSTILE
+    ranked = Ranked(text, text, text, text, 0.5, text, text, text)
     hostile = replace(
         content,
         title=HOSTILE,

@@ -1,6 +1,6 @@
 """The loop: compare, diagnose, add, watch the error fall; stop when nothing is left.
 
-It stops when no further effect is significant, and says why.
+It stops when no further effect is decisive, and says why.
 """
 
 from collections.abc import Callable
@@ -174,7 +174,7 @@ class Study(Summarised):
         """What the present model lacks; worked out once per step.
 
         Args:
-            executor: where candidates are re-fitted side by side; as in `auto`.
+            executor: where candidates are weighed side by side; as in `auto`.
 
         Raises:
             DataError: the executor cannot compute.
