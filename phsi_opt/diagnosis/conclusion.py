@@ -20,6 +20,7 @@ from phsi_opt.criteria import (
     LEAST_EXPLAINED,
     LEAST_SHARE,
     MOST_REFITTED,
+    STRONG_EVIDENCE,
 )
 from phsi_opt.data.resolution import unresolved_channels
 from phsi_opt.diagnosis.candidate import Candidate, Grade
@@ -69,7 +70,16 @@ def conclusion(
         effects: what may be missing.
     """
     ranking = weighed_round(base, record, effects)
-    return _Judge(base, record, ranking).concluded()
+    return _Judge(base, record, effects, ranking).concluded()
+
+
+def without_weighing(base: DiagnosedModel, error: SolveError) -> Conclusion:
+    """The verdict on a model that could not be weighed: by its free runs alone."""
+    errors = _errors(base)
+    if is_like_noise(base.trained) and not is_failing(base.judged):
+        said = f"{errors}; residuals are noise"
+        return Conclusion(Verdict.NOTHING_MISSING, said, ())
+    return Conclusion(Verdict.UNEXPLAINED, f"{errors}; {error}", ())
 
 
 @dataclass(eq=False)
@@ -78,6 +88,7 @@ class _Judge:
 
     base: DiagnosedModel
     record: EvidenceRecord
+    effects: Sequence[Effect]
     ranking: list[Candidate]
     nothing_left: bool | None = None
     done: Refit | None = None
@@ -95,26 +106,42 @@ class _Judge:
         return self.not_named(done, doubt)
 
     def first(self) -> Refit | None:
-        """The likeliest effect that is decisive, re-fitted; it is put first."""
-        for place, one in enumerate(list(self.ranking)):
-            if one.grade != Grade.DECISIVE or one.lost:
-                continue
-            if not one.force_left < 1:
-                self.ranking[place] = replace(one, lost=ALONE)
-                continue
+        """An effect that is decisive, re-fitted; it is put first.
+
+        Of those that the evidence does not tell from the likeliest the one with fewest
+        numbers, and that the catalogue has first.
+        """
+        for place, one in enumerate(self.ranking):
+            if one.was_weighed and not one.force_left < 1:
+                self.ranking[place] = replace(one, lost=one.lost or ALONE)
+        while self.tied():
+            chosen = min(self.tied(), key=self.size)
+            place = self.ranking.index(chosen)
             done = self.refit(place)
             if done is not None:
                 self.ranking.insert(0, self.ranking.pop(place))
                 return done
         return None
 
+    def tied(self) -> list[Candidate]:
+        """Decisive effects that the evidence does not tell from the likeliest."""
+        decisive = []
+        for one in self.ranking:
+            if one.grade == Grade.DECISIVE and not one.lost:
+                decisive.append(one)
+        highest = max((one.log_evidence for one in decisive), default=0.0)
+        return [one for one in decisive if one.log_evidence > highest - STRONG_EVIDENCE]
+
+    def size(self, one: Candidate) -> tuple[int, int]:
+        """Number of its unknowns, then its place in the catalogue."""
+        return one.effect.n_unknowns, self.effects.index(one.effect)
+
     def members(self) -> list[Candidate]:
         """Those that the data do not tell from the first, the likeliest re-fitted."""
-        first = self.ranking[0]
+        names = [one.name for one in self.tied()]
         places = []
         for place, one in enumerate(self.ranking[1:], start=1):
-            is_alike = one.name in first.confusable_with and not one.lost
-            if is_alike and one.force_left < 1:
+            if one.name in names:
                 places.append(place)
         for place in places[: MOST_REFITTED - 1]:
             self.refit(place)
@@ -126,9 +153,10 @@ class _Judge:
         if self.base.is_held_out:
             base = replace(base, judged=done.judged)
         others = [one.effect for one in self.ranking[1:]]
-        record = EvidenceRecord.of(base.record, base.judging_record)
         try:
-            second = _Judge(base, record, weighed_round(base, record, others))
+            record = EvidenceRecord.of(base.record, base.judging_record)
+            ranking = weighed_round(base, record, others)
+            second = _Judge(base, record, others, ranking)
         except SolveError as error:
             base.say(str(error))
             return None
@@ -291,12 +319,7 @@ class _Judge:
         """Nothing is missing, or nothing known explains it."""
         base = self.base
         self.tell_others(())
-        where = "held-out" if base.is_held_out else "training"
-        unit = spaced(base.judged.error_unit)
-        errors = (
-            f"{where} error {base.judged.rmse:.4g}{unit}, "
-            f"noise floor {base.judged.noise_floor:.4g}{unit}"
-        )
+        errors = _errors(base)
         ranking = tuple(self.ranking)
         is_noise = is_like_noise(base.trained) and not is_failing(base.judged)
         runs = [base.trained, base.judged] if base.is_held_out else [base.trained]
@@ -334,5 +357,15 @@ class _Judge:
         )
 
 
+def _errors(base: DiagnosedModel) -> str:
+    """How far the model is off."""
+    where = "held-out" if base.is_held_out else "training"
+    unit = spaced(base.judged.error_unit)
+    return (
+        f"{where} error {base.judged.rmse:.4g}{unit}, "
+        f"noise floor {base.judged.noise_floor:.4g}{unit}"
+    )
+
+
 def _grade_words(one: Candidate) -> str:
-    return f"{one.grade} evidence (log Bayes factor {one.log_evidence:.1f})"
+    return f"{one.grade} evidence (log evidence {one.log_evidence:.1f})"

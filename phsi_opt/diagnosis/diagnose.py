@@ -16,12 +16,12 @@ from phsi_opt.comparison.compare import Comparison, compare, compare_record
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.conclusion import conclusion
+from phsi_opt.diagnosis.conclusion import conclusion, without_weighing
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import refit
 from phsi_opt.diagnosis.weighed_round import weighed_round
-from phsi_opt.errors import ModelError
+from phsi_opt.errors import ModelError, SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.estimation.known_model import fit_of
@@ -147,8 +147,12 @@ def diagnose_comparison(
     else:
         _check_effects(listed, base.fit.model)
     base.say("the missing force beside the model")
-    record = EvidenceRecord.of(base.record, base.judging_record)
-    concluded = conclusion(base, record, listed)
+    try:
+        record = EvidenceRecord.of(base.record, base.judging_record)
+    except SolveError as error:
+        concluded = without_weighing(base, error)
+    else:
+        concluded = conclusion(base, record, listed)
     return Diagnosis(
         record=base.record,
         base=base.judged,

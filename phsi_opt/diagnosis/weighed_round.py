@@ -47,7 +47,9 @@ def weighed_round(
     candidates = []
     try:
         for place, one in enumerate(chosen):
-            candidates.append(_candidate(base, record, one, ahead, str(place)))
+            n_effects = len(screened)
+            candidate = _candidate(base, record, one, ahead, str(place), n_effects)
+            candidates.append(candidate)
     finally:
         ahead.close()
     for one in screened[len(chosen) :]:
@@ -78,6 +80,7 @@ def _candidate(
     one: Screened,
     ahead: Ahead[Screened, Weighed],
     key: str,
+    n_effects: int,
 ) -> Candidate:
     """An effect with what it weighs."""
     expected = _expected(base, one)
@@ -96,7 +99,8 @@ def _candidate(
         weighed.model.values,
         weighed.covariance[np.ix_(places, places)],
     )
-    scanned = float(np.log(one.n_tried))
+    # What was tried is in the prior: values of inner numbers, and effects.
+    tried = float(np.log(one.n_tried * n_effects))
     held_out = np.nan
     if base.is_held_out:
         held_out = weighed.log_held_out - alone.log_held_out
@@ -106,7 +110,7 @@ def _candidate(
         std_error=size.std_error,
         values=weighed.model.values,
         states=weighed.states[: record.n_fitted_nodes],
-        log_bayes=weighed.log_training - alone.log_training - scanned,
+        log_bayes=weighed.log_training - alone.log_training - tried,
         log_predictive=held_out,
         was_weighed=True,
         force_left=weighed.force_share / max(alone.force_share, TINY),
@@ -115,13 +119,11 @@ def _candidate(
 
 
 def _outside(weighed: Weighed, names: Sequence[str]) -> str:
-    """Why inner numbers have no prior: a record does not show them at their bounds."""
+    """What ended at a bound, where no record tells it, or a smaller law does as well."""
     for name in names:
-        if name in weighed.at_bounds and not weighed.model.entries[name].prunable:
+        if name in weighed.at_bounds:
             _, _, inner = name.partition(".")
-            return (
-                f"its {inner or 'size'} ended at a bound: the record does not tell it"
-            )
+            return f"its {inner or 'size'} ended at a bound"
     return ""
 
 

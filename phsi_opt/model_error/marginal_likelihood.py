@@ -160,7 +160,7 @@ class Border:
         found = solve_border(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         sign, log_det = np.linalg.slogdet(information)
-        if sign <= 0:
+        if not sign > 0:
             raise SolveError(LOST_TO_ROUNDING)
         log_prior = -np.sum(np.log(sizes[self.owner]))
         covariance = solve_border(information, np.eye(len(information)))

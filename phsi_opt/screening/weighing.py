@@ -27,7 +27,9 @@ from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.force_search import LEAST_NOISE_BESIDE_SCATTER
+from phsi_opt.estimation.missing_force import ROUNDER
 from phsi_opt.estimation.record import Record
+from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.ascent import climbed
@@ -58,6 +60,7 @@ SETTLED_EVIDENCE = 0.1
 # evidence is so far below that of the base.
 ROUNDS_TO_REST = 3
 HOPELESS = 10.0
+SMALLER = 0.01  # factor on the force of a second attempt
 # Size of a force, as a share of the rate in its equation, that is as good as none.
 NO_FORCE = 1e-5
 # Violation of the scaled dynamics up to which states obey them well enough, and length
@@ -146,7 +149,7 @@ class EvidenceRecord:
         )
         aligned = AlignedData.of(trained.model, data)
         measured = aligned.grid.measured.any(axis=0)
-        return cls(
+        record = cls(
             aligned=aligned,
             n_fitted=trained.data.n_trajectories,
             first=trained.model.with_values(estimate.rounded),
@@ -158,6 +161,26 @@ class EvidenceRecord:
             channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
             least_noise=least,
         )
+        return record._rounded_enough()
+
+    def _rounded_enough(self) -> "EvidenceRecord":
+        """The same with corners of dry friction as round as the steps need them.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
+        """
+        model = self.first
+        widths = {name: model.values[name] for name in corner_widths(model)}
+        for factor in ROUNDER if widths else ROUNDER[:1]:
+            rounded = {name: factor * width for name, width in widths.items()}
+            record = replace(self, first=model.with_values(rounded))
+            try:
+                record.base  # noqa: B018
+            except SolveError as error:
+                failure = error
+                continue
+            return record
+        raise failure
 
     @property
     def runs(self) -> tuple[str, ...]:
@@ -173,6 +196,8 @@ class EvidenceRecord:
     def base(self) -> Weighed:
         """The model of the fit, weighed.
 
+        From the missing force, or from one that is far smaller where that fails.
+
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
@@ -180,7 +205,14 @@ class EvidenceRecord:
         theta = np.zeros(len(unknown))
         theta[unknown.table] = self.parameters
         start = _Start(self.first, theta, self.states, None, self.disturbances)
-        return self._weighed(start)
+        try:
+            return self._weighed(start)
+        except SolveError:
+            forces = []
+            for force in self.disturbances.forces:
+                forces.append(replace(force, size=SMALLER * force.size))
+            small = replace(self.disturbances, forces=tuple(forces))
+            return self._weighed(replace(start, disturbances=small))
 
     def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
         """A model that is larger than the base, begun beside it.
@@ -292,6 +324,10 @@ class EvidenceRecord:
 
         ``worth``: log likelihood that the base has.
         """
+        with np.errstate(all="ignore"):
+            return self._weighed_quietly(start, worth)
+
+    def _weighed_quietly(self, start: "_Start", worth: float) -> Weighed:
         start = start.padded(self.states.shape[1])
         problem = self._problem(start)
         z = problem.values.point.scaled
