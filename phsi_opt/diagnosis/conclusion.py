@@ -33,7 +33,7 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.force_analysis.units import spaced
 from phsi_opt.model.effect import Effect, is_wave
-from phsi_opt.screening.effect_size import fitted_size
+from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
 ALONE = "it takes over nothing of the force that acts beside the model"
@@ -173,6 +173,12 @@ class _Judge:
         done = refit(base, one)
         if done is None:
             self.ranking[place] = replace(one, lost="could not be re-fitted")
+            return None
+        new = new_names(base.fit.model, one.effect, done.fit.names)
+        at_bound = [name for name in new if name in done.fit.outcome.at_bounds]
+        if at_bound:
+            lost = f"{', '.join(at_bound)} ended at a bound"
+            self.ranking[place] = replace(one, lost=lost)
             return None
         size = fitted_size(base.fit, done.fit, one.effect)
         self.ranking[place] = replace(

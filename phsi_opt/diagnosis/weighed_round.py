@@ -119,7 +119,7 @@ def _candidate(
 
 
 def _outside(weighed: Weighed, names: Sequence[str]) -> str:
-    """What ended at a bound, where no record tells it, or a smaller law does as well."""
+    """What ended at a bound: no record tells it, or a smaller law does as well."""
     for name in names:
         if name in weighed.at_bounds:
             _, _, inner = name.partition(".")
