@@ -85,6 +85,9 @@ DIFFERENT_STD_ERRORS = 4 / 3
 # odds of 100 and of 20 to 1 (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
 DECISIVE_EVIDENCE = 4.6
 STRONG_EVIDENCE = 3.0
+# Share of the gain that screening expects of the likeliest effect so far, below which
+# no other is weighed: gains that were expected and weighed differ by up to three.
+FAR_BEHIND = 0.2
 # Effects that are weighed, at most, and effects of one class that are re-fitted.
 MOST_WEIGHED = 12
 MOST_REFITTED = 3

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.criteria import MOST_WEIGHED, STRONG_EVIDENCE
+from phsi_opt.criteria import FAR_BEHIND, MOST_WEIGHED, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.errors import SolveError
@@ -18,6 +18,8 @@ from phsi_opt.screening.score_test import ScoreTest, Screened
 from phsi_opt.screening.weighing import EvidenceRecord, Weighed
 from phsi_opt.statistics import TINY
 from phsi_opt.sweeps.ahead import Ahead
+
+FORCE_DOES = "it would explain no more than a force without a law"
 
 
 def weighed_round(
@@ -44,16 +46,23 @@ def weighed_round(
     cases = {str(place): one for place, one in enumerate(chosen)}
     weigh = partial(_weighed, record)
     ahead = Ahead(weigh, cases, base.executor, base.say)
-    candidates = []
+    candidates: list[Candidate] = []
+    highest = worth = 0.0
     try:
         for place, one in enumerate(chosen):
+            if one.gain < worth:
+                break
             n_effects = len(screened)
             candidate = _candidate(base, record, one, ahead, str(place), n_effects)
             candidates.append(candidate)
+            if candidate.was_weighed and candidate.log_evidence > highest:
+                highest = candidate.log_evidence
+                worth = FAR_BEHIND * one.gain
     finally:
         ahead.close()
-    for one in screened[len(chosen) :]:
-        candidates.append(_expected(base, one))
+    for one in screened[len(candidates) :]:
+        lost = FORCE_DOES if one.gain <= 0 else "it is expected to gain far less"
+        candidates.append(replace(_expected(base, one), lost=lost))
     return _in_order(candidates)
 
 
@@ -70,7 +79,7 @@ def _expected(base: DiagnosedModel, one: Screened) -> Candidate:
         unit=size_unit(base.fit.model, one.effect, base.record.data.units),
         values=one.values,
         log_bayes=one.gain,
-        lost="it would explain no more than a force without a law",
+        lost=FORCE_DOES,
     )
 
 
