@@ -36,8 +36,6 @@ from phsi_opt.model.effect import Effect, is_wave
 from phsi_opt.screening.effect_size import fitted_size, new_names
 from phsi_opt.screening.weighing import EvidenceRecord
 
-ALONE = "it takes over nothing of the force that acts beside the model"
-
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
@@ -111,9 +109,6 @@ class _Judge:
         Of those that the evidence does not tell from the likeliest the one with fewest
         numbers, and that the catalogue has first.
         """
-        for place, one in enumerate(self.ranking):
-            if one.was_weighed and not one.force_left < 1:
-                self.ranking[place] = replace(one, lost=one.lost or ALONE)
         while self.tied():
             chosen = min(self.tied(), key=self.size)
             place = self.ranking.index(chosen)

@@ -117,8 +117,7 @@ class Diagnosis(Summarised):
         if self.findings or not self.ranking:
             return ()
         first = self.ranking[0]
-        is_less = first.force_left < 1
-        return (first.effect,) if first.grade == Grade.STRONG and is_less else ()
+        return (first.effect,) if first.grade == Grade.STRONG else ()
 
     @property
     def candidates(self) -> "pd.DataFrame":
