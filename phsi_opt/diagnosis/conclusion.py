@@ -119,13 +119,15 @@ class _Judge:
         return None
 
     def tied(self) -> list[Candidate]:
-        """Decisive effects that the evidence does not tell from the likeliest."""
-        decisive = []
-        for one in self.ranking:
-            if one.grade == Grade.DECISIVE and not one.lost:
-                decisive.append(one)
-        highest = max((one.log_evidence for one in decisive), default=0.0)
-        return [one for one in decisive if one.log_evidence > highest - STRONG_EVIDENCE]
+        """Effects that the evidence does not tell from the likeliest, if that is clear.
+
+        None where the likeliest is not decisive.
+        """
+        believed = [one for one in self.ranking if one.was_weighed and not one.lost]
+        highest = max((one.log_evidence for one in believed), default=0.0)
+        if highest < DECISIVE_EVIDENCE:
+            return []
+        return [one for one in believed if one.log_evidence > highest - STRONG_EVIDENCE]
 
     def size(self, one: Candidate) -> tuple[int, int]:
         """Number of its unknowns, then its place in the catalogue."""
