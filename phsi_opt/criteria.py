@@ -88,7 +88,9 @@ STRONG_EVIDENCE = 3.0
 # Share of the gain that screening expects of the likeliest effect so far, below which
 # no other is weighed: gains that were expected and weighed differ by up to three.
 FAR_BEHIND = 0.2
-# Effects that are weighed, at most, and effects of one class that are re-fitted.
+# Effects that are weighed, at least and at most, and effects of one class that are
+# re-fitted. Beside a force that does nearly everything screening expects too little.
+FEWEST_WEIGHED = 3
 MOST_WEIGHED = 12
 MOST_REFITTED = 3
 # Share of the missing force (mean square), and of what an unknown function of a state

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from phsi_opt.criteria import FAR_BEHIND, MOST_WEIGHED, STRONG_EVIDENCE
+from phsi_opt.criteria import FAR_BEHIND, FEWEST_WEIGHED, MOST_WEIGHED, STRONG_EVIDENCE
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.errors import SolveError
@@ -42,7 +42,8 @@ def weighed_round(
         if found is not None:
             screened.append(found)
     screened.sort(key=lambda one: -one.gain)
-    chosen = [one for one in screened if one.gain > 0][:MOST_WEIGHED]
+    n_gaining = sum(one.gain > 0 for one in screened)
+    chosen = screened[: int(np.clip(n_gaining, FEWEST_WEIGHED, MOST_WEIGHED))]
     cases = {str(place): one for place, one in enumerate(chosen)}
     weigh = partial(_weighed, record)
     ahead = Ahead(weigh, cases, base.executor, base.say)
@@ -50,7 +51,7 @@ def weighed_round(
     highest = worth = 0.0
     try:
         for place, one in enumerate(chosen):
-            if one.gain < worth:
+            if worth > 0 and one.gain < worth:
                 break
             n_effects = len(screened)
             candidate = _candidate(base, record, one, ahead, str(place), n_effects)
@@ -99,8 +100,8 @@ def _candidate(
         base.say(str(error))
         return replace(expected, log_bayes=np.nan, lost="it could not be weighed")
     alone = record.base
-    places = [weighed.names.index(name) for name in _new(base, one, weighed)]
-    names = [weighed.names[place] for place in places]
+    names = _new(base, one, weighed)
+    places = [weighed.names.index(name) for name in names]
     size = size_of(
         one.effect,
         weighed.model,
@@ -110,6 +111,7 @@ def _candidate(
     )
     # What was tried is in the prior: values of inner numbers, and effects.
     tried = float(np.log(one.n_tried * n_effects))
+    place = base.fit.model.index(one.effect.equation)
     held_out = np.nan
     if base.is_held_out:
         held_out = weighed.log_held_out - alone.log_held_out
@@ -122,7 +124,7 @@ def _candidate(
         log_bayes=weighed.log_training - alone.log_training - tried,
         log_predictive=held_out,
         was_weighed=True,
-        force_left=weighed.force_share / max(alone.force_share, TINY),
+        force_left=weighed.force_share(place) / max(alone.force_share(place), TINY),
         lost=_outside(weighed, names),
     )
 

@@ -279,7 +279,13 @@ class _Place:
         return float(np.max(np.abs(self._excess), initial=0.0))
 
     def cost(self, price: float) -> float:
-        """The objective, and the violation of the dynamics at its price."""
+        """The objective, and the violation of the dynamics at its price.
+
+        Infinite where values or slopes are no numbers.
+        """
+        known = self.known
+        if not np.isfinite(np.sum(known.jacobian) + np.sum(known.slopes)):
+            return np.inf
         point = self.point
         squares = self._squares(self.residual, point.processes, point.coefficients)
         cost = squares / 2 + price * float(np.sum(np.abs(self._excess)))

@@ -155,12 +155,14 @@ class Border:
             SolveError: rounding has made the information indefinite.
         """
         information = self.with_priors(sizes)
+        if not np.all(np.isfinite(information)):
+            raise SolveError(LOST_TO_ROUNDING)
         own = np.arange(self.n_theta)
         information[own, own] *= 1 + damping
         found = solve_border(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         sign, log_det = np.linalg.slogdet(information)
-        if not sign > 0:
+        if sign <= 0:
             raise SolveError(LOST_TO_ROUNDING)
         log_prior = -np.sum(np.log(sizes[self.owner]))
         covariance = solve_border(information, np.eye(len(information)))

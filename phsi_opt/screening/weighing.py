@@ -61,8 +61,10 @@ SETTLED_EVIDENCE = 0.1
 ROUNDS_TO_REST = 3
 HOPELESS = 10.0
 SMALLER = 0.01  # factor on the force of a second attempt
-# Size of a force, as a share of the rate in its equation, that is as good as none.
+# Size of a force, as a share of the rate in its equation, that is as good as none, and
+# one beyond which it is no disturbance of the motion but in its place.
 NO_FORCE = 1e-5
+LARGEST_FORCE = 3.0
 # Violation of the scaled dynamics up to which states obey them well enough, and length
 # of a last step, in standard deviations of all that is unknown, up to which the record
 # is linear enough for an evidence.
@@ -85,8 +87,8 @@ class Weighed:
         states: (n_nodes, n_states).
         processes: values of forces and errors of sensors, forces first.
         disturbances: noise, forces and errors of sensors, with their sizes.
-        force_share: root mean square of the forces over that of the rates in their
-            equations, the largest.
+        force_shares: root mean square of each force over that of the rates in its
+            equation, by the number of the equation.
     """
 
     model: Model
@@ -100,12 +102,17 @@ class Weighed:
     states: np.ndarray = field(repr=False)
     processes: np.ndarray = field(repr=False)
     disturbances: Disturbances = field(repr=False)
-    force_share: float
+    force_shares: Mapping[int, float]
 
     @property
     def log_held_out(self) -> float:
         """Log predictive density of the measurements held out, after the others."""
         return self.log_evidence - self.log_training
+
+    def force_share(self, equation: int) -> float:
+        """That of the force in an equation; the largest where it has none."""
+        largest = max(self.force_shares.values(), default=0.0)
+        return self.force_shares.get(equation, largest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +329,11 @@ class EvidenceRecord:
     def _weighed(self, start: "_Start", worth: float = -np.inf) -> Weighed:
         """Steps with given sizes and better sizes by turns, until both stay.
 
-        ``worth``: log likelihood that the base has.
+        Inner numbers of what is new are held in the first of them.
+
+        Args:
+            start: where to begin.
+            worth: log likelihood that the base has.
         """
         with np.errstate(all="ignore"):
             return self._weighed_quietly(start, worth)
@@ -333,6 +344,12 @@ class EvidenceRecord:
         z = problem.values.point.scaled
         processes = start.processes
         best = None
+        inner = self._inner_places(problem)
+        if len(inner):
+            coefficients = np.delete(problem.moving, inner)
+            first = replace(problem, moving=coefficients)
+            joint = first.optimum(z, STEPS_OF_A_ROUND, _beside(first, z, processes))
+            z, processes = joint.point.z, joint.point.processes
         for number in range(MOST_ROUNDS):
             joint = problem.optimum(z, STEPS_OF_A_ROUND, _beside(problem, z, processes))
             z, processes = joint.point.z, joint.point.processes
@@ -363,6 +380,16 @@ class EvidenceRecord:
             )
         return self._result(problem, best)
 
+    def _inner_places(self, problem: JointProblem) -> list[int]:
+        """Places of new parameters in which the model is not linear."""
+        unknown = problem.values.unknown
+        places = []
+        for place, entry in enumerate(unknown.entries):
+            is_new = entry.name not in self.first.entries
+            if is_new and not entry.prunable:
+                places.append(place)
+        return places
+
     def _without_bounds_met(self, problem: JointProblem, z: np.ndarray) -> JointProblem:
         """Parameters that a step has left at a bound stay there."""
         values = problem.values
@@ -392,8 +419,9 @@ class EvidenceRecord:
         sizes = coordinates.at(found.vector)
         forces = []
         for force in sizes.forces:
-            smallest = NO_FORCE * float(rates[force.place])
-            forces.append(replace(force, size=max(force.size, smallest)))
+            rate = float(rates[force.place])
+            size = float(np.clip(force.size, NO_FORCE * rate, LARGEST_FORCE * rate))
+            forces.append(replace(force, size=size))
         return replace(sizes, forces=tuple(forces))
 
     @property
@@ -445,7 +473,7 @@ class EvidenceRecord:
             states=states,
             processes=processes,
             disturbances=sizes,
-            force_share=float(np.max(shares, initial=0.0)),
+            force_shares=dict(zip(places, shares.tolist(), strict=True)),
         )
 
     def _price(self, problem: JointProblem, states: np.ndarray) -> float:
