@@ -15,6 +15,7 @@ law.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -60,6 +61,10 @@ SETTLED_EVIDENCE = 0.1
 # evidence is so far below that of the base.
 ROUNDS_TO_REST = 3
 HOPELESS = 10.0
+# Factor between values at which an inner number is held, and how many are tried to
+# either side of the first.
+SCAN_FACTOR = 1.15
+MOST_SCANNED = 4
 SMALLER = 0.01  # factor on the force of a second attempt
 # Size of a force, as a share of the rate in its equation, that is as good as none, and
 # one beyond which it is no disturbance of the motion but in its place.
@@ -231,18 +236,76 @@ class EvidenceRecord:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
+        inner = self._inner_names(model)
+        try:
+            return self._begun_beside(model, values)
+        except SolveError:
+            if not inner:
+                raise
+        held = frozenset(inner)
+        if len(inner) > 1:
+            return self._begun_beside(model, values, held)
+        return self._scanned(model, values, held)
+
+    def _begun_beside(
+        self,
+        model: Model,
+        values: Mapping[str, float],
+        held: frozenset[str] = frozenset(),
+    ) -> Weighed:
+        """A larger model, begun beside the base; ``held``: parameters that stay."""
         base = self.base
         unknown = Theta.of(model, self.runs)
         known = {**dict(zip(base.names, base.theta.tolist(), strict=True)), **values}
         default = unknown.spread(np.array([model.values[n] for n in model.free]))
         theta = unknown.from_values(known, default)
-        lower, upper = unknown.lower, unknown.upper
-        theta = np.clip(theta, lower, upper)
+        theta = np.clip(theta, unknown.lower, unknown.upper)
         by_run = theta[unknown.table]
         grid = self.aligned.for_model(model).grid
         states = with_memory(model, grid, base.states, by_run)
-        start = _Start(model, theta, states, base.processes, base.disturbances)
+        start = _Start(model, theta, states, base.processes, base.disturbances, held)
         return self._weighed(start, base.log_likelihood)
+
+    def _scanned(
+        self, model: Model, values: Mapping[str, float], held: frozenset[str]
+    ) -> Weighed:
+        """A model whose one inner number is held at values, uphill from the first.
+
+        For one along which no steps settle, such as a delay below a sample.
+
+        Raises:
+            SolveError: it cannot be weighed with the first value.
+        """
+        (name,) = held
+        first = values.get(name, model.values[name])
+        found: dict[int, Weighed] = {}
+
+        def at(place: float) -> Weighed:
+            moved = {**values, name: first * SCAN_FACTOR**place}
+            return self._begun_beside(model, moved, held)
+
+        found[0] = at(0)
+        for step in (-1, 1):
+            place = 0
+            while abs(place) < MOST_SCANNED:
+                try:
+                    found[place + step] = at(place + step)
+                except SolveError:
+                    break
+                place += step
+                if found[place].log_evidence < found[place - step].log_evidence:
+                    break
+        best = max(found, key=lambda place: found[place].log_evidence)
+        if {best - 1, best + 1} <= found.keys():
+            below, here, above = (
+                found[k].log_evidence for k in (best - 1, best, best + 1)
+            )
+            vertex = best + (below - above) / (2 * (below - 2 * here + above))
+            with suppress(SolveError):
+                top = at(vertex)
+                if top.log_evidence > here:
+                    return top
+        return found[best]
 
     def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
         """A fitted model without any force, begun at its free runs.
@@ -344,10 +407,13 @@ class EvidenceRecord:
         z = problem.values.point.scaled
         processes = start.processes
         best = None
-        inner = self._inner_places(problem)
-        if len(inner):
-            coefficients = np.delete(problem.moving, inner)
-            first = replace(problem, moving=coefficients)
+        names = problem.values.unknown.names
+        held = [names.index(name) for name in start.held]
+        inner = [names.index(one) for one in self._inner_names(start.model)]
+        if held:
+            problem = replace(problem, moving=np.delete(problem.moving, held))
+        elif inner:
+            first = replace(problem, moving=np.delete(problem.moving, inner))
             joint = first.optimum(z, STEPS_OF_A_ROUND, _beside(first, z, processes))
             z, processes = joint.point.z, joint.point.processes
         for number in range(MOST_ROUNDS):
@@ -380,22 +446,21 @@ class EvidenceRecord:
             )
         return self._result(problem, best)
 
-    def _inner_places(self, problem: JointProblem) -> list[int]:
-        """Places of new parameters in which the model is not linear."""
-        unknown = problem.values.unknown
-        places = []
-        for place, entry in enumerate(unknown.entries):
-            is_new = entry.name not in self.first.entries
-            if is_new and not entry.prunable:
-                places.append(place)
-        return places
+    def _inner_names(self, model: Model) -> list[str]:
+        """New free parameters in which a model is not linear."""
+        names = []
+        for name in model.free:
+            if name not in self.first.entries and not model.entries[name].prunable:
+                names.append(name)
+        return names
 
     def _without_bounds_met(self, problem: JointProblem, z: np.ndarray) -> JointProblem:
         """Parameters that a step has left at a bound stay there."""
         values = problem.values
         n = len(values.unknown)
         is_met = (z[:n] <= values.lower[:n]) | (z[:n] >= values.upper[:n])
-        return replace(problem, moving=np.flatnonzero(~is_met))
+        moving = problem.moving[~is_met[problem.moving]]
+        return replace(problem, moving=moving)
 
     def _better_sizes(
         self, likelihood: MarginalLikelihood, sizes: Disturbances
@@ -449,7 +514,7 @@ class EvidenceRecord:
         training -= k * np.log(n_fitted_values) / 2 + price * share
         evidence = found.evidence
         evidence -= k * np.log(self._n_values(len(borders))) / 2 + price
-        covariance = np.zeros((k, k))
+        covariance = np.full((k, k), np.nan)
         scale = point.theta_scale[likelihood.moving]
         within = likelihood.at(sizes).covariance * np.outer(scale, scale)
         covariance[np.ix_(likelihood.moving, likelihood.moving)] = within
@@ -467,7 +532,7 @@ class EvidenceRecord:
             log_evidence=float(evidence),
             log_training=float(training) if len(borders) > self.n_fitted else evidence,
             names=unknown.names,
-            at_bounds=tuple(np.delete(unknown.names, likelihood.moving).tolist()),
+            at_bounds=_names_at_bounds(unknown, theta),
             theta=theta,
             covariance=covariance,
             states=states,
@@ -496,6 +561,7 @@ class _Start:
     states: np.ndarray
     processes: np.ndarray | None
     disturbances: Disturbances
+    held: frozenset[str] = frozenset()
 
     def padded(self, n_old: int) -> "_Start":
         """With a size for the memory that a trajectory begins with."""
@@ -558,6 +624,11 @@ def _at_their_bounds(fit: Fit, parameters: np.ndarray) -> np.ndarray:
             bound = fit.model.entries[name].parameter.nearest_bound
             exact[place] = [bound(value) for value in parameters[place]]
     return exact
+
+
+def _names_at_bounds(unknown: Theta, theta: np.ndarray) -> tuple[str, ...]:
+    is_met = (theta <= unknown.lower) | (theta >= unknown.upper)
+    return tuple(np.array(unknown.names)[is_met].tolist())
 
 
 def _profiled(border: Border, sizes: Disturbances) -> float:
