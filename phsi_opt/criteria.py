@@ -45,16 +45,6 @@ RESOLVED_STEPS = 1.0
 # 97 % of it. Beyond, chance is no explanation: under a random force of 5 %, springs
 # that are not there explained 81 and 88 % of what a pendulum did on a run held out.
 EXPLAINED_IF_NAMED = 0.97
-# The same from which effects that leave more than noise are proposed.
-EXPLAINED_IF_PROPOSED = 0.5
-# Standard errors by which the error on data held out must fall: one-sided 5 %.
-HELD_OUT_FALL_Z = 1.65
-# Blocks of time in which errors are compared: two independent values in each, and so
-# many that their scatter can be estimated (a standard error known to 40 % with four).
-FEWEST_BLOCKS = 4
-MOST_BLOCKS = 40
-# Independent values that a record is worth, at least: BIC takes their logarithm.
-FEWEST_INDEPENDENT = 3.0
 # Estimated noise over the scatter of neighbouring samples from which a sensor is
 # doubted: it contradicts another one, which no force explains.
 DOUBTFUL_NOISE = 1.5

@@ -92,38 +92,6 @@ def self_convolved(values: np.ndarray) -> np.ndarray:
     return np.asarray(products[:n_shifts])
 
 
-def effective_sample_share(
-    changes: Sequence[np.ndarray], residuals: Sequence[np.ndarray]
-) -> float:
-    """Share of the residuals that is independent, for one change of the model.
-
-    The variance which the score, the sum of change times residual, would have if the
-    residuals were independent, over the variance that it has. What a coefficient can
-    explain by chance depends on its trace times the residual: a slow error of the model
-    does not imitate a fast trace.
-
-    Args:
-        changes: What the change adds to the model's outputs, one array (n_samples,
-            n_channels) per trajectory, in units of the residuals' own size.
-        residuals: The residuals, in the same shapes and units.
-
-    Returns:
-        A share from 0 to 1; 1 where the change does nothing.
-    """
-    scores = []
-    independent = 0.0
-    uncorrelated = 0.0
-    for change, residual in zip(changes, residuals, strict=True):
-        score = np.sum(change * residual, axis=1)
-        scores.append(score)
-        independent += float(np.sum(change**2))
-        uncorrelated += float(score @ score)
-    actual = uncorrelated * autocorrelation_time(scores)
-    if not actual > 0:  # nan included
-        return 1.0
-    return float(min(independent / actual, 1.0))
-
-
 def chi_square_tail(value: float, freedom: float) -> float:
     """Probability that a chi-square variable of this freedom exceeds the value."""
     return float(special.chdtrc(freedom, max(value, 0.0)))
@@ -152,11 +120,6 @@ def normal_density(value: float) -> float:
 def student_limit(level: float, freedom: np.ndarray) -> np.ndarray:
     """What Student's t exceeds with the probability ``level``, (n,) as the freedom."""
     return np.asarray(-special.stdtrit(freedom, level))
-
-
-def student_p_value(value: float, freedom: float) -> float:
-    """Probability that Student's t is as far from zero as the value, on either side."""
-    return float(2 * special.stdtr(freedom, -abs(value)))
 
 
 def f_limit(level: float, first: float, second: float) -> float:
@@ -198,34 +161,6 @@ def ljung_box(series: Sequence[np.ndarray]) -> float:
             correlation = np.sum(residual[lag:] * residual[:-lag]) / power
             statistic += n * (n + 2) * correlation**2 / (n - lag)
     return chi_square_tail(statistic, n_lags) if n_lags else np.nan
-
-
-def likelihood_ratio_p_value(fall: float, n_parameters: int) -> float:
-    """p-value of the hypothesis that further parameters are zero.
-
-    By Wilks' theorem (Annals of Mathematical Statistics 9, 1938) the fall of the
-    deviance is then chi-square distributed with as many degrees of freedom.
-
-    Args:
-        fall: of -2 log likelihood by the parameters; a negative one counts as none.
-        n_parameters: their number.
-    """
-    return chi_square_tail(max(fall, 0.0), n_parameters)
-
-
-def false_discovery_adjusted(p_values: Sequence[float]) -> np.ndarray:
-    """P-values (n,) adjusted so that the share of false discoveries is controlled.
-
-    Benjamini and Hochberg, J. R. Stat. Soc. B 57, 1995. NaN counts as one.
-    """
-    known = np.nan_to_num(np.array(p_values, dtype=float), nan=1.0)
-    order = np.argsort(known)
-    n = len(known)
-    grown = np.clip(known[order], 0.0, 1.0) * (n / np.arange(1, n + 1))
-    least_from_here = np.minimum.accumulate(grown[::-1])[::-1]
-    adjusted = np.empty(n)
-    adjusted[order] = np.clip(least_from_here, 0.0, 1.0)
-    return adjusted
 
 
 def profiled_deviance(squares: np.ndarray, n_values: np.ndarray) -> float:
