@@ -13,7 +13,9 @@ from phsi_opt.force_analysis.analysis import ForceAnalysis
 from phsi_opt.force_analysis.next_step import step_without_name
 from phsi_opt.force_analysis.place_words import place_answer
 from phsi_opt.force_analysis.state_plots import draw_dependence
+from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
+from phsi_opt.screening.weighing import EvidenceRecord
 
 INERTIA = 0.02  # kg m^2
 DAMPING = 0.3  # N m s/rad
@@ -165,11 +167,16 @@ def test_it_is_seen_in_a_model_without_an_energy_too() -> None:
     assert last["train_rmse"] < 1.1 * last["noise_floor"]
 
 
+def screening(trained: ph.Comparison) -> ScoreTest:
+    record = EvidenceRecord.of(trained.record, None)
+    return ScoreTest(LinearizedRecord.beside_force(record))
+
+
 def test_a_frequency_that_is_given_is_not_sought() -> None:
     data = turned(cogging, "rad")
     fit = ph.identify(motor(), data)
     comparison = ph.compare(fit, data)
-    test = ScoreTest(comparison.record, comparison.simulated)
+    test = screening(comparison)
     for given, expected in ((None, "q"), (5.5, None)):
         wave = ph.trigonometric("q", frequency=given)
         trial = test.trial(ph.Effect("ripple", "F", "p", wave))
@@ -187,5 +194,5 @@ def test_along_what_stands_still_no_wave_is_expected() -> None:
         inputs=["u"],
     )
     comparison = ph.compare(ph.identify(motor(), pushed), pushed)
-    test = ScoreTest(comparison.record, comparison.simulated)
-    assert test.candidate(ph.Effect("ripple", "F", "p", ph.trigonometric("u"))) is None
+    test = screening(comparison)
+    assert test.screened(ph.Effect("ripple", "F", "p", ph.trigonometric("u"))) is None

@@ -11,7 +11,6 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary
-from phsi_opt.screening.pair_search import JointRegression
 from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.defects import defects
 from phsi_opt.transcription.elimination import REGULAR
@@ -146,50 +145,3 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     multipliers = reduced.multipliers(pull[n:], covariance, pull[:n])
     alone = np.linalg.solve(kkt, np.r_[pull, np.zeros(len(J))])
     close(multipliers, alone[n_z:])
-
-
-def joint(bounds: np.ndarray, n_of: list[int]) -> tuple[JointRegression, np.ndarray]:
-    """Random traces of points with these numbers of columns, and the residual."""
-    rng = np.random.default_rng(2)
-    traces = rng.normal(size=(50, sum(n_of)))
-    residual = traces @ rng.normal(size=sum(n_of)) + rng.normal(size=50)
-    size = np.linalg.norm(traces, axis=0)
-    columns = traces / size
-    regression = JointRegression(
-        size=size,
-        gram=columns.T @ columns,
-        right=columns.T @ residual,
-        bounds=bounds * size[:, None],
-        edges=np.cumsum([0, *n_of]),
-    )
-    return regression, np.column_stack([traces, residual])
-
-
-def test_what_two_points_explain_is_what_their_regression_explains() -> None:
-    n_of = [1, 2, 1, 3]
-    free = np.tile([-np.inf, np.inf], (sum(n_of), 1))
-    regression, table = joint(free, n_of)
-    a, b = np.triu_indices(4, k=1)
-    drops = regression.drops(a, b)
-    for i, j, drop in zip(a, b, drops, strict=True):
-        of_both = [*range(*regression.edges[i : i + 2])]
-        of_both += range(*regression.edges[j : j + 2])
-        traces, residual = table[:, of_both], table[:, -1]
-        c = np.linalg.lstsq(traces, residual, rcond=None)[0]
-        left = residual - traces @ c
-        assert drop == pytest.approx(residual @ residual - left @ left, rel=1e-9)
-        found = np.concatenate(regression.coefficients(int(i), int(j)))
-        np.testing.assert_allclose(found, c, rtol=1e-9)
-
-
-def test_a_point_whose_coefficient_is_held_at_zero_makes_no_pair() -> None:
-    least = np.array([[-np.inf, np.inf], [0.0, 0.0], [1.0, 1.0]])
-    regression, table = joint(least, [1, 1, 1])
-    drops = regression.drops(np.array([0, 0, 1]), np.array([1, 2, 2]))
-    assert drops[0] == 0
-    assert drops[2] == 0
-    # The third is there as a whole; the first makes the best of it.
-    first, third, residual = table[:, 0], table[:, 2], table[:, -1]
-    c = first @ (residual - third) / (first @ first)
-    left = residual - third - c * first
-    assert drops[1] == pytest.approx(residual @ residual - left @ left, rel=1e-9)

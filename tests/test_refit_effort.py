@@ -1,4 +1,4 @@
-"""Work that a diagnosis does not do: re-fits, sharp corners and searches without hope."""
+"""Work that is not done: sharp corners and searches without hope."""
 
 from dataclasses import dataclass, field, replace
 
@@ -8,15 +8,10 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.diagnosis import friction_sharpening
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.ranking import _worth_refitting
-from phsi_opt.diagnosis.refit import RefitRequest, refit
 from phsi_opt.diagnosis.refit_effort import BESIDE_SHARP
-from phsi_opt.errors import SolveError
 from phsi_opt.estimation import missing_force
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH
-from phsi_opt.screening.prospects import Prospects
-from phsi_opt.screening.score_test import ScoreTest
+from phsi_opt.optimization.settings import EXACT
 from phsi_opt.transcription.grid import grid_of
 
 T = np.linspace(0.0, 12.0, 161)
@@ -46,67 +41,6 @@ def complete() -> DiagnosedModel:
     return DiagnosedModel(trained, trained, ph.MaximumLikelihood(), say=print)
 
 
-def along_solutions(base: DiagnosedModel) -> DiagnosedModel:
-    """The same as if its fit had been found beside a sharp corner."""
-    outcome = replace(base.fit.outcome, status=FEASIBLE_PATH)
-    fit = replace(base.fit, outcome=outcome)
-    record = replace(base.record, fit=fit)
-    trained = replace(base.trained, record=record)
-    return replace(base, trained=trained, judged=trained)
-
-
-def at_rest(base: DiagnosedModel) -> DiagnosedModel:
-    """The same with a free run that does not move."""
-    still = tuple(np.zeros_like(x) for x in base.trained.shown)
-    runs = zip(base.record.data.trajectories, still, strict=True)
-    residuals = tuple(run.x - x for run, x in runs)
-    trained = replace(base.trained, shown=still, residuals=residuals)
-    return replace(base, trained=trained, judged=trained)
-
-
-def test_friction_that_may_as_well_be_zero_keeps_its_rounded_corner(
-    complete: DiagnosedModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    friction = effect_named(complete.fit.model, "coulomb friction", "p")
-    sharper = []
-    monkeypatch.setattr(
-        friction_sharpening.CornerSharpening,
-        "at_widths",
-        lambda *arguments: sharper.append(arguments),
-    )
-    done = refit(complete, RefitRequest([friction], {"coulomb_friction_p": 0.01}))
-    assert done is not None and done.before_sharpening is not None
-    assert not sharper
-
-
-def test_only_a_fit_with_a_corner_is_extended_along_solutions(
-    complete: DiagnosedModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What else was found along solutions says nothing about a corner."""
-    tried = []
-
-    def identified(model: ph.Model, *_: object, **__: object) -> ph.Fit:
-        tried.append(model)
-        raise SolveError("not here")
-
-    monkeypatch.setattr(friction_sharpening, "identify_aligned", identified)
-    fit = along_solutions(complete).fit
-    drag, dry = (
-        effect_named(fit.model, name, "p")
-        for name in ("cubic drag", "coulomb friction")
-    )
-    force = effect_named(fit.model, "constant force", "p")
-    for effect, n_tried in ((drag, 0), (dry, 1)):
-        model = fit.model.add(effect)
-        model = model.with_values(dict.fromkeys(model.entries, 0.1))
-        corners = friction_sharpening.CornerSharpening(
-            complete, complete.record.aligned, [effect, force]
-        )
-        known = [replace(fit, model=model)]
-        assert corners.extended(model.add(force), 1, known) is None
-        assert len(tried) == n_tried
-
-
 def test_corners_beside_a_memory_stay_as_they_are_where_the_states_are_many(
     complete: DiagnosedModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,30 +48,8 @@ def test_corners_beside_a_memory_stay_as_they_are_where_the_states_are_many(
     delay = effect_named(complete.fit.model, "sensor delay", "q")
     fit = replace(complete.fit, model=complete.fit.model.add(delay))
     monkeypatch.setattr(friction_sharpening, "MOST_SHARP_STATES", 100)
-    corners = friction_sharpening.CornerSharpening(complete, aligned, [delay])
+    corners = friction_sharpening.CornerSharpening(complete, aligned)
     assert fit.model.memory and corners.at_widths(fit, {}, 8) is None
-
-
-def test_what_no_look_settles_on_is_not_re_fitted_where_noise_is_all_that_is_left(
-    complete: DiagnosedModel,
-) -> None:
-    listed = [effect_named(complete.fit.model, "cubic drag", "p")]
-    test = ScoreTest(complete.record, complete.trained.simulated)
-    prospects = Prospects.of(test, listed, complete.trained)
-    unsettled = [replace(one, look=None) for one in prospects.singles]
-    assert not _worth_refitting(complete, replace(prospects, singles=tuple(unsettled)))
-    assert _worth_refitting(complete, prospects)
-    without_motion = at_rest(complete)
-    failed = replace(prospects, singles=tuple(unsettled))
-    assert _worth_refitting(without_motion, failed)
-    assert not _worth_refitting(along_solutions(without_motion), failed)
-
-
-def test_a_run_that_follows_the_record_has_not_lost_its_way(
-    complete: DiagnosedModel,
-) -> None:
-    assert not complete.is_far_off
-    assert at_rest(complete).is_far_off
 
 
 def test_beside_a_sharp_corner_the_exact_hessian_has_few_iterations(

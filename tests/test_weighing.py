@@ -1,0 +1,270 @@
+"""Models weighed beside a force that could have done the same."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import phsi_opt as ph
+from phsi_opt.criteria import DECISIVE_EVIDENCE
+from phsi_opt.diagnosis.candidate import Candidate, Grade
+from phsi_opt.model.catalogue import effect_named
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
+from phsi_opt.screening.linearized_record import LinearizedRecord
+from phsi_opt.screening.score_test import ScoreTest, Screened
+from phsi_opt.screening.sensitivities import Sensitivities
+from phsi_opt.screening.weighing import EvidenceRecord, Weighed
+
+T = np.linspace(0.0, 8.0, 81)
+STARTS = ([1.0, 0.0], [-0.6, 0.8], [0.8, -0.7])
+NOISE = 0.01
+LOSSES = {
+    "coulomb friction": "0.1 + 0.15*(dH_dp**4 + 0.02**4)**(-0.25)",
+    "quadratic drag": "0.1 + 0.25*abs(dH_dp)",
+}
+
+
+def spring(
+    loss: str | None = None, k: float | ph.Parameter = 2.3
+) -> ph.PseudoHamiltonian:
+    """A unit mass with a spring and a damper, or with a loss of another law."""
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=k),
+        R=ph.damping("p") if loss is None else {"p": ph.formula(loss)},
+    )
+
+
+@cache
+def measured(loss: str) -> ph.Measurements:
+    """Positions of three runs, with white noise."""
+    rng = np.random.default_rng(0)
+    runs = []
+    for start in STARTS:
+        x = ph.simulate(spring(loss), T, start)
+        x[:, 0] += NOISE * rng.normal(size=len(T))
+        x[:, 1] = np.nan
+        runs.append(x)
+    return ph.Measurements.from_arrays([T] * 3, runs, states=["q", "p"])
+
+
+@cache
+def record_of(loss: str, is_held_out: bool = False) -> EvidenceRecord:
+    """The model without the loss beside a force; perhaps the last run is held out."""
+    data = measured(loss)
+    train = data[:2] if is_held_out else data
+    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), train)
+    judged = ph.compare(fit, data[2:]).record if is_held_out else None
+    return EvidenceRecord.of(ph.compare(fit, train).record, judged)
+
+
+def screened(record: EvidenceRecord, name: str) -> Screened:
+    """What is expected of an effect on the momentum."""
+    test = ScoreTest(LinearizedRecord.beside_force(record))
+    found = test.screened(effect_named(record.base.model, name, "p"))
+    assert found is not None
+    return found
+
+
+def weighed(record: EvidenceRecord, name: str) -> Weighed:
+    """The model with an effect on the momentum."""
+    one = screened(record, name)
+    return record.weighed(one.model, one.values)
+
+
+# --- the evidence
+
+
+def oscillator(unit: float) -> ph.FirstOrder:
+    """Its velocity is told in a unit of its own."""
+    k = ph.Parameter(2.0, lower=0)
+    c = ph.Parameter(0.2, lower=0)
+    rates = {
+        "x": ph.formula(f"v/{unit}"),
+        "v": ph.formula(f"-{unit}*k*x - c*v", k=k, c=c),
+    }
+    return ph.FirstOrder(["x", "v"], rates)
+
+
+def evidence_of(unit_x: float = 1.0, unit_v: float = 1.0, begin: float = 0.0) -> float:
+    """Of the same runs, in other units of the states, at other times."""
+    runs = []
+    for run in measured(LOSSES["quadratic drag"]).trajectories:
+        runs.append(unit_x * run.x)
+    data = ph.Measurements.from_arrays([T + begin] * len(runs), runs, states=["x", "v"])
+    fit = ph.identify(oscillator(unit_v / unit_x), data)
+    record = EvidenceRecord.of(ph.compare(fit, data).record, None)
+    return record.base.log_evidence
+
+
+def test_the_evidence_depends_on_no_unit_and_not_on_when_the_clock_began() -> None:
+    expected = evidence_of()
+    assert evidence_of(unit_v=1e3) == pytest.approx(expected, abs=0.1)
+    assert evidence_of(begin=100.0) == pytest.approx(expected, abs=0.1)
+    # A density of measured values is per unit of each.
+    n = len(STARTS) * len(T)
+    in_other_unit = evidence_of(unit_x=10.0) + n * np.log(10.0)
+    assert in_other_unit == pytest.approx(expected, abs=0.1)
+
+
+def test_what_is_not_there_costs_half_the_logarithm_of_the_number_of_values() -> None:
+    record = record_of("0.1")
+    price = np.log(len(STARTS) * len(T)) / 2
+    for name in ("constant force", "cubic stiffness"):
+        gain = weighed(record, name).log_evidence - record.base.log_evidence
+        # What a parameter of no use explains is chi-square distributed: half of it is
+        # above 3.3 once in a hundred.
+        assert -price - 0.1 < gain < -price + 3.3
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_what_is_hidden_is_decisive_and_takes_over_the_force(name: str) -> None:
+    record = record_of(LOSSES[name])
+    found = weighed(record, name)
+    assert found.log_evidence - record.base.log_evidence > DECISIVE_EVIDENCE
+    assert found.force_share < 0.5 * record.base.force_share
+
+
+def test_the_evidence_is_that_of_the_training_and_what_the_data_held_out_add() -> None:
+    record = record_of(LOSSES["quadratic drag"], is_held_out=True)
+    found = weighed(record, "quadratic drag")
+    both = found.log_training + found.log_held_out
+    assert both == pytest.approx(found.log_evidence)
+    assert record.n_fitted_nodes == 2 * len(T)
+    alone = record_of(LOSSES["quadratic drag"])
+    # Three runs are the same ones whether the last is held out or not.
+    assert found.log_evidence == pytest.approx(
+        weighed(alone, "quadratic drag").log_evidence, abs=0.2
+    )
+    assert alone.base.log_training == alone.base.log_evidence
+
+
+def test_the_same_bits_come_out_twice() -> None:
+    found = []
+    for _ in range(2):
+        record = record_of.__wrapped__(LOSSES["quadratic drag"])
+        found.append(weighed(record, "quadratic drag"))
+    one, other = found
+    assert one.log_evidence == other.log_evidence
+    np.testing.assert_array_equal(one.theta, other.theta)
+    np.testing.assert_array_equal(one.states, other.states)
+
+
+def test_no_force_is_needed_where_nothing_is_missing() -> None:
+    data = measured("0.1")
+    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
+    record = record_of("0.1")
+    alone = record.without_force([ph.compare(fit, data)])
+    assert alone.force_share == 0
+    gain = record.base.log_evidence - alone.log_evidence
+    assert gain < DECISIVE_EVIDENCE
+    lossy = measured(LOSSES["quadratic drag"])
+    fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), lossy)
+    record = record_of(LOSSES["quadratic drag"])
+    alone = record.without_force([ph.compare(fit, lossy)])
+    assert record.base.log_evidence - alone.log_evidence > DECISIVE_EVIDENCE
+
+
+# --- an effect with a memory
+
+
+def pushed(shown: str = "u") -> ph.PseudoHamiltonian:
+    """A driven spring of which the stiffness is to be found."""
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        inputs=["u"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(2.0, lower=0)),
+        R={"p": ph.formula("0.3")},
+        F={"p": ph.formula(shown)},
+    )
+
+
+@pytest.mark.parametrize("name", ["input lag", "input delay"])
+def test_a_memory_is_weighed_and_begins_near_rest(name: str) -> None:
+    late = 0.25
+    t = np.linspace(0.0, 12.0, 121)
+    u = np.sin(0.9 * t) + 0.7 * np.sin(2.3 * t)
+    acts = np.interp(t - late, t, u)
+    x = ph.simulate(pushed().with_values({"k": 2.3}), t, [0.5, 0.0], acts[:, None])
+    x[:, 0] += NOISE * np.random.default_rng(1).normal(size=len(t))
+    x[:, 1] = np.nan
+    data = ph.Measurements.from_arrays(
+        t, x, u[:, None], states=["q", "p"], inputs=["u"]
+    )
+    fit = ph.identify(pushed(), data)
+    record = EvidenceRecord.of(ph.compare(fit, data).record, None)
+    found = weighed(record, name)
+    assert found.log_evidence - record.base.log_evidence > DECISIVE_EVIDENCE
+    n_states = len(found.model.states)
+    assert found.states.shape == (len(t), n_states) and n_states > 2
+    new = [n for n in found.names if n not in record.base.names]
+    (place,) = [found.names.index(n) for n in new]
+    assert found.theta[place] == pytest.approx(late, rel=0.15)
+
+
+# --- screening
+
+
+def test_screening_expects_the_coefficient_that_is_weighed() -> None:
+    record = record_of(LOSSES["quadratic drag"])
+    expected = screened(record, "quadratic drag")
+    found = record.weighed(expected.model, expected.values)
+    place = found.names.index("quadratic_drag_p")
+    error = np.sqrt(found.covariance[place, place])
+    assert abs(expected.coefficient - found.theta[place]) < 2 * error
+    # It is expected beside the whole force, and found beside what is left of it.
+    assert expected.std_error > error
+    assert expected.gain > DECISIVE_EVIDENCE
+
+
+@pytest.mark.parametrize(
+    ("name", "equation"),
+    [("constant force", "p"), ("cubic stiffness", "p"), ("sensor offset", "q")],
+)
+def test_traces_are_the_slopes_of_the_residuals(name: str, equation: str) -> None:
+    record = record_of(LOSSES["quadratic drag"])
+    base = LinearizedRecord.beside_force(record)
+    test = ScoreTest(base)
+    trial = test.trial(effect_named(base.model, name, equation))
+    change = Sensitivities(base, trial)({})
+    (trace,) = base.traces(change.of_defects, change.of_outputs).T
+    (coefficient,) = trial.linear
+    step = 1e-5
+    left = []
+    for value in (step, -step):
+        model = trial.model.with_fixed({coefficient: value})
+        moved = record.likelihood(replace(record.base, model=model)).problem
+        # The slopes of the record stay: it was linearised before the effect came.
+        problem = replace(
+            base.likelihood.problem, offset=moved.offset, residual=moved.residual
+        )
+        likelihood = MarginalLikelihood(
+            problem, base.disturbances.structure, base.likelihood.moving
+        )
+        left.append(replace(base, likelihood=likelihood).residual)
+    slopes = (left[1] - left[0]) / (2 * step)
+    np.testing.assert_allclose(slopes, trace, atol=1e-5 * np.abs(trace).max())
+
+
+# --- grades, and how far a study goes
+
+
+def test_a_grade_is_that_of_all_data_and_of_what_was_weighed_alone() -> None:
+    effect = effect_named(spring(), "constant force", "p")
+    one = Candidate(effect, 0.1, 0.01, log_bayes=3.5, was_weighed=True)
+    assert one.grade == Grade.STRONG
+    assert replace(one, log_predictive=2.0).grade == Grade.DECISIVE
+    assert replace(one, log_predictive=-3.0).grade == Grade.WEAK
+    assert replace(one, log_predictive=-4.0).grade == Grade.NONE
+    assert replace(one, log_bayes=np.nan).grade == Grade.NONE
+    assert replace(one, was_weighed=False).grade == Grade.NONE
+
+
+def test_a_study_refuses_a_reach_that_is_no_grade_of_its_own() -> None:
+    study = ph.Study(spring(), measured("0.1"))
+    with pytest.raises(ph.ModelError, match="reach='weak' is neither"):
+        study.auto(reach="weak")
+    assert study.added == ()
