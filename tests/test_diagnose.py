@@ -10,8 +10,9 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.comparison.compare import compare_record
 from phsi_opt.comparison.model_selection import is_like_noise
+from phsi_opt.criteria import DECISIVE_EVIDENCE
 from phsi_opt.diagnosis import friction_sharpening
-from phsi_opt.diagnosis.candidate import Candidate
+from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.refit import refit
 from phsi_opt.model.catalogue import effect_named
@@ -88,7 +89,8 @@ def test_screening_expects_what_the_re_fit_then_finds(
     # errors of this strong effect.
     assert abs(expected.coefficient - found.values["quadratic_drag_p"]) < 4 * error
     assert abs(found.values["quadratic_drag_p"] - 0.25) < 3 * error
-    assert expected.std_error == pytest.approx(error, rel=0.5)
+    # It is expected beside the force, and found without.
+    assert expected.std_error > error
 
 
 def test_the_adjoint_correlates_every_force_with_the_residuals_as_its_trace_does(
@@ -105,14 +107,14 @@ def test_the_adjoint_correlates_every_force_with_the_residuals_as_its_trace_does
     )
 
 
-def test_an_effect_that_the_record_does_not_excite_is_not_expected(
+def test_an_effect_that_the_record_does_not_excite_gains_nothing(
     drag: tuple[ph.Fit, ph.Measurements, ScoreTest],
 ) -> None:
-    fit, _, screen = drag
+    fit, data, screen = drag
     # A free linear oscillation looks the same through a sensor of another gain; p is
     # not measured at all.
-    gain = screen.screened(effect_named(fit.model, "sensor gain", "q"))
-    assert gain is None or gain.gain < 0
+    found = ph.diagnose(fit, data, effects=["sensor gain on q"])
+    assert all(one.grade == Grade.NONE for one in found.ranking)
     assert screen.screened(effect_named(fit.model, "sensor offset", "p")) is None
 
 
@@ -152,15 +154,13 @@ def pushed(extra: str, gain: str = "1") -> ph.Measurements:
 def test_what_the_base_parameters_can_do_themselves_is_no_candidate() -> None:
     data = pushed("0.5 + 0.6*(dH_dp**4 + 0.05**4)**(-0.25)")
     fit = ph.identify(driven(ph.Parameter(1.5, lower=0.1)), data)
-    screen = screening(fit, data)
     # Gain, mass and friction have a common factor: with the missing force beside them,
     # the gain would explain it all.
-    for name, equation in (("input gain", "p"), ("sensor gain", "q")):
-        one = screen.screened(effect_named(fit.model, name, equation))
-        assert one is None or one.gain < 0
-    found = [screen.screened(effect) for effect in ph.catalogue(fit.model)]
-    first = max((one for one in found if one is not None), key=lambda one: one.gain)
-    assert first.effect.name in ("coulomb friction", "stribeck friction")
+    alike = ["input gain on p", "sensor gain on q"]
+    found = ph.diagnose(fit, data, effects=[*alike, "coulomb friction on p"])
+    grades = {one.name: one.grade for one in found.ranking}
+    assert [str(effect) for effect in found.proposed] == ["coulomb friction on p"]
+    assert all(grades.get(name, Grade.NONE) == Grade.NONE for name in alike)
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0, 2.0])
@@ -383,7 +383,7 @@ def test_a_wave_is_found_at_the_frequency_where_an_undamped_model_resonates() ->
     assert one is not None
     span = case.train.trajectories[0].t[-1]
     assert abs(one.values["F_p.omega"] - 1.4626) < np.pi / span  # that of the case
-    assert one.gain > 100
+    assert one.gain > DECISIVE_EVIDENCE
 
 
 def test_what_a_sensor_remembers_at_the_start_keeps_the_free_run_beside_the_fit() -> (

@@ -404,14 +404,12 @@ def test_what_predicts_the_next_run_is_named() -> None:
     assert "viscous damping on p" in found
 
 
-def test_a_loss_that_predicts_better_is_in_the_class_where_model_error_shows() -> None:
+def test_losses_that_the_evidence_does_not_tell_apart_are_a_class() -> None:
     laws = ("coulomb friction", "viscous damping")
     diagnosis = diagnosed_with("short_run", 511, *laws)
-    first, second = diagnosis.ranking
-    assert first.name == "coulomb friction on p"
-    assert repr(first) == f"Candidate('coulomb friction on p', lost={first.lost!r})"
+    first, _ = diagnosis.ranking
+    assert repr(first) == f"Candidate('{first.name}', lost={first.lost!r})"
     assert repr(diagnosis.findings) == f"(Finding('{diagnosis.findings[0]}'),)"
-    assert second.held_out_rmse < first.held_out_rmse
     (found,) = findings_of(diagnosis)
     assert found == {f"{law} on p" for law in laws}
 
