@@ -95,6 +95,19 @@ def test_a_family_outlives_pickling_and_is_empty_for_an_effect_of_ones_own() -> 
     assert own.family == ""
 
 
+def test_only_effects_that_change_with_the_time_need_the_clock() -> None:
+    with_clock = {e.name for e in ph.catalogue(driven_spring()) if e.needs_clock}
+    assert with_clock == {
+        "drifting force",
+        "harmonic force",
+        "parametric stiffness",
+        "sensor drift",
+    }
+    rate = {"z": ph.formula("cos(w*t)", w=1.0)}
+    turning = ph.Effect("own", "F", "p", ph.formula("c*z", c=ph.Parameter()), rate)
+    assert turning.needs_clock
+
+
 # --- by kind
 
 

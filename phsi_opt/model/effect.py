@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType, UnionType
 
 from phsi_opt.errors import ModelError
+from phsi_opt.model.expressions import names_of
 from phsi_opt.model.parameters import Scan, Tried
 from phsi_opt.model.slots import SLOTS
 from phsi_opt.model.terms import Dictionary
@@ -60,6 +61,14 @@ class Effect:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self)!r})"
+
+    @property
+    def needs_clock(self) -> bool:
+        """Whether the time t stands in its terms, or in the rates of its memory."""
+        for terms in (self.term, *self.memory.values()):
+            if any("t" in names_of(term.body) for term in terms):
+                return True
+        return False
 
     @property
     def n_unknowns(self) -> int:
