@@ -61,13 +61,3 @@ def with_lasting_noise(
     return ph.Measurements.from_arrays(
         times, runs, states=data.states, u=inputs, inputs=data.inputs
     )
-
-
-def test_springs_that_are_not_told_apart_are_a_class() -> None:
-    found = stood_in(2129, "gravity torque on p", "cubic stiffness on p")
-    (finding,) = found.findings
-    assert finding.family == "a force that depends on the position"
-    assert {effect.name for effect in finding.effects} == {
-        "gravity torque",
-        "cubic stiffness",
-    }
