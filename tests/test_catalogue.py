@@ -11,7 +11,6 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.model.catalogue import effect_named, every_name
-from phsi_opt.model.catalogue_energies import is_spring
 from phsi_opt.model.choice import EffectChoice
 from phsi_opt.model.kinds import KINDS
 
@@ -463,7 +462,6 @@ def test_a_spring_without_an_energy_is_offered_what_one_with_it_is() -> None:
     assert {"linear stiffness on p", "gap on p", "hysteresis on p"} <= known.keys()
     random = np.random.default_rng(3)
     for name, effect in known.items():
-        assert is_spring(effect) == is_spring(offered[name])
         assert effect.family == offered[name].family
         first, second = energy.add(effect), plain.add(offered[name])
         values = dict.fromkeys(first.free, 0.7) | {"k": 3.0}

@@ -20,7 +20,6 @@ POSITION_FORCE = "a force that depends on the position"
 VOLUME_PRESSURE = "a pressure that depends on the volume"
 CHARGE_VOLTAGE = "a voltage that depends on the charge"
 SATURATION = "a storage that saturates"
-FORCES_OF_ENERGY = (POSITION_FORCE, VOLUME_PRESSURE, CHARGE_VOLTAGE)
 # Energies of a position q, and the forces that they make; the latter are what a model
 # without an energy has.
 POWERS_OF_POSITION = (
@@ -78,11 +77,6 @@ def coupling(model: BaseModel, q1: str, q2: str, p1: str) -> Effect:
     name, family = COUPLINGS[role_of(model, p1)]
     term = one_term(f"({q1} - {q2})**2/2", f"{underscored(name)}_{q1}_{q2}")
     return Effect(name, "H", p1, term, family=family)
-
-
-def is_spring(effect: Effect) -> bool:
-    """Whether it is a term of the energy, or the force that such a term makes."""
-    return effect.slot == "H" or effect.family in FORCES_OF_ENERGY
 
 
 def _springs_of_body(model: BaseModel, q: str, p: str, unit: str) -> list[Effect]:
