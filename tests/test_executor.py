@@ -118,8 +118,7 @@ def test_processes_and_threads_give_the_bits_of_one_process(
 ) -> None:
     expected, said = serial
     assert sum(line.startswith("weighing") for line in said) > 2
-    assert any(line.startswith("the model could not be weighed") for line in said)
-    assert [effect.name for effect in expected.proposed] == ["coulomb friction"]
+    assert "coulomb friction" in [effect.name for effect in expected.proposed]
     with ThreadPoolExecutor(2) as threads:
         for executor in (workers, threads):
             found, said_of_workers = diagnosed(fit, executor)

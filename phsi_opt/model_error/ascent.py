@@ -95,7 +95,6 @@ def updated(
     disturbances: Disturbances,
     channels: tuple[int, ...],
     least_noise: np.ndarray,
-    most_probes: int = MOST_OF_AN_UPDATE,
 ) -> Disturbances:
     """Sizes of noise and processes after one fixed-point update (MacKay 1992).
 
@@ -108,13 +107,11 @@ def updated(
         channels: states whose noise is estimated.
         least_noise: (n_states,) below which all noise of a channel does not fall, white
             and lasting.
-        most_probes: random vectors that traces are estimated from, at most.
 
     Raises:
         SolveError: the states do not follow from the data.
     """
-    derivatives = _Derivatives(likelihood, disturbances, channels)
-    return derivatives.updated(least_noise, most_probes)
+    return _Derivatives(likelihood, disturbances, channels).updated(least_noise)
 
 
 def _factor(squares: float, determined: float) -> float:
@@ -349,13 +346,13 @@ class _Derivatives:
             priors.append(_Prior.of(process, now[number], then[number], where))
         return priors
 
-    def updated(self, least_noise: np.ndarray, most_probes: int) -> Disturbances:
+    def updated(self, least_noise: np.ndarray) -> Disturbances:
         """Each variance as the sum of squares over the directions that are left to it.
 
         Of the noise those that the unknowns do not take, of a process those that the
         data determine.
         """
-        probes = self._probes(PROBED_BY_UPDATES, most_probes)
+        probes = self._probes(PROBED_BY_UPDATES, MOST_OF_AN_UPDATE)
         alone = self.parts.factors.solve(probes.inner)
         open_border = probes.border - self.parts.right[:, :-1].T @ alone
         of_border = solve_border(self.information, open_border)
