@@ -193,12 +193,7 @@ def test_what_is_not_established_is_not_said_to_be_what_was_lacking(
     named = study.record.diagnoses[0]
     nearest = replace(named, verdict=ph.Verdict.UNEXPLAINED, findings=())
     still = replace(nearest, proposed=(), reason="nothing else explains it")
-    record = replace(
-        study.record,
-        diagnoses={0: nearest, 1: still},
-        stopped="",
-        unestablished=study.added,
-    )
+    record = replace(study.record, diagnoses={0: nearest, 1: still}, stopped="")
     headline = report_content(record).headline
     assert re.match(
         r"Added, but not established: coulomb friction on p \(decisive, log evidence "
