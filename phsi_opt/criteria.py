@@ -89,7 +89,7 @@ MOST_REFITTED = 3
 LEAST_EXPLAINED = 0.5
 # Share of the squared error above the noise floor that does as well: of the force on a
 # measured machine most may be weather, people and gearing.
-LEAST_SHARE = 0.3
+LEAST_ERROR_EXPLAINED = 0.3
 
 # --- Which of them is named
 

@@ -8,6 +8,9 @@ the same. *Which law*: the effects that the evidence does not tell from it are a
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy.special import logsumexp
+
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.comparison.model_selection import (
     is_explained,
@@ -17,8 +20,8 @@ from phsi_opt.comparison.model_selection import (
 )
 from phsi_opt.criteria import (
     DECISIVE_EVIDENCE,
+    LEAST_ERROR_EXPLAINED,
     LEAST_EXPLAINED,
-    LEAST_SHARE,
     MOST_REFITTED,
     STRONG_EVIDENCE,
 )
@@ -119,15 +122,19 @@ class _Judge:
         return None
 
     def tied(self) -> list[Candidate]:
-        """Effects that the evidence does not tell from the likeliest, if that is clear.
+        """Effects that the evidence does not tell from the likeliest.
 
-        None where the likeliest is not decisive.
+        None where all of them together are not decisive: one of them is there if the
+        sum of their odds says so.
         """
         believed = [one for one in self.ranking if one.was_weighed and not one.lost]
-        highest = max((one.log_evidence for one in believed), default=0.0)
-        if highest < DECISIVE_EVIDENCE:
-            return []
-        return [one for one in believed if one.log_evidence > highest - STRONG_EVIDENCE]
+        highest = max((one.log_evidence for one in believed), default=-np.inf)
+        tied = []
+        for one in believed:
+            if one.log_evidence > highest - STRONG_EVIDENCE:
+                tied.append(one)
+        together = logsumexp([one.log_evidence for one in tied]) if tied else -np.inf
+        return tied if together >= DECISIVE_EVIDENCE else []
 
     def size(self, one: Candidate) -> tuple[int, int]:
         """Number of its unknowns, then its place in the catalogue."""
@@ -209,7 +216,7 @@ class _Judge:
         if is_wave(first.effect) and first.effect.needs_clock:
             return "a force remains, and any force in time has waves like it in it"
         of_force = 1 - first.force_left**2
-        if of_force < LEAST_EXPLAINED and not first.share > LEAST_SHARE:
+        if of_force < LEAST_EXPLAINED and not first.share > LEAST_ERROR_EXPLAINED:
             return (
                 f"it explains only {100 * of_force:.0f} % of the force (mean square) "
                 f"and {100 * first.share:.0f} % of the error"
