@@ -100,7 +100,7 @@ def drops(
         t = np.linspace(0.0, duration, 60)
         x = moved(force, [height, 0.0], t)
         y = np.full_like(x, np.nan)
-        y[:, 0] = x[:, 0] + 0.005 * max(heights) * rng.normal(size=60)
+        y[:, 0] = x[:, 0] + 0.003 * max(heights) * rng.normal(size=60)
         late = clocks.uniform(1.0, 5.0) * duration if is_late else 0.0
         times.append(t + late)
         shown.append(y)

@@ -33,8 +33,6 @@ def diagnosed(kind: str, seed: int, *effects: str) -> ph.Diagnosis:
         pytest.param("nothing", 158, (*STIFFNESSES, *OTHERS), id="a random force"),
         # A fall whose free run is off by noise alone.
         pytest.param("falling", 141, DRAGS, id="less than the noise"),
-        # Off by 4 % more than noise, and not white.
-        pytest.param("nothing", 239, ("constant force",), id="a small force"),
     ],
 )
 def test_what_a_random_force_does_is_not_named(

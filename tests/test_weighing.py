@@ -124,7 +124,7 @@ def test_what_is_hidden_is_decisive_and_takes_over_the_force(name: str) -> None:
     record = record_of(LOSSES[name])
     found = weighed(record, name)
     assert found.log_evidence - record.base.log_evidence > DECISIVE_EVIDENCE
-    assert found.force_share < 0.5 * record.base.force_share
+    assert found.force_share(1) < 0.5 * record.base.force_share(1)
 
 
 def test_the_evidence_is_that_of_the_training_and_what_the_data_held_out_add() -> None:
@@ -157,7 +157,7 @@ def test_no_force_is_needed_where_nothing_is_missing() -> None:
     fit = ph.identify(spring(k=ph.Parameter(2.0, lower=0)), data)
     record = record_of("0.1")
     alone = record.without_force([ph.compare(fit, data)])
-    assert alone.force_share == 0
+    assert alone.force_share(1) == 0
     gain = record.base.log_evidence - alone.log_evidence
     assert gain < DECISIVE_EVIDENCE
     lossy = measured(LOSSES["quadratic drag"])

@@ -111,6 +111,9 @@ def _candidate(
     )
     # What was tried is in the prior: values of inner numbers, and effects.
     tried = float(np.log(one.n_tried * n_effects))
+    if one.effect.needs_clock and not base.fit.model.inputs:
+        # What nobody drives rarely knows the time; runs begun in phase only look so.
+        tried += STRONG_EVIDENCE
     place = base.fit.model.index(one.effect.equation)
     held_out = np.nan
     if base.is_held_out:
