@@ -80,7 +80,7 @@ STRONG_EVIDENCE = 3.0
 FAR_BEHIND = 0.2
 # Effects that are weighed, at least and at most, and effects of one class that are
 # re-fitted. Beside a force that does nearly everything screening expects too little.
-FEWEST_WEIGHED = 3
+FEWEST_WEIGHED = 5
 MOST_WEIGHED = 12
 MOST_REFITTED = 3
 # Share of the missing force (mean square), and of what an unknown function of a state
