@@ -83,6 +83,8 @@ FAR_BEHIND = 0.2
 FEWEST_WEIGHED = 5
 MOST_WEIGHED = 12
 MOST_REFITTED = 3
+# Standard errors by which the size of an effect must differ from zero in its re-fit.
+PROPOSED_Z = 2.0
 # Share of the missing force (mean square), and of what an unknown function of a state
 # would gain of the evidence, that an effect must explain to be named although a force
 # remains: more than all else together.

@@ -23,6 +23,7 @@ from phsi_opt.criteria import (
     LEAST_ERROR_EXPLAINED,
     LEAST_EXPLAINED,
     MOST_REFITTED,
+    PROPOSED_Z,
     STRONG_EVIDENCE,
 )
 from phsi_opt.data.resolution import unresolved_channels
@@ -117,9 +118,35 @@ class _Judge:
             place = self.ranking.index(chosen)
             done = self.refit(place)
             if done is not None:
+                place, done = self.smaller(place, done)
                 self.ranking.insert(0, self.ranking.pop(place))
                 return done
         return None
+
+    def smaller(self, place: int, done: Refit) -> tuple[int, Refit]:
+        """A law that another one holds, where it does as well with sharp corners.
+
+        Effects are weighed with rounded corners, and a larger law bends to what a sharp
+        one would do. Re-fits are sharp, and have their log Z.
+        """
+        for other, one in enumerate(list(self.ranking)):
+            is_there = one.grade == Grade.DECISIVE and not one.lost
+            if not is_there or not self.is_part(one, self.ranking[place]):
+                continue
+            again = self.refit(other)
+            if again is None:
+                continue
+            if done.fit.log_evidence < again.fit.log_evidence + STRONG_EVIDENCE:
+                lost = f"{one.name} does as well, and is smaller"
+                self.ranking[place] = replace(self.ranking[place], lost=lost)
+                place, done = other, again
+        return place, done
+
+    def is_part(self, one: Candidate, larger: Candidate) -> bool:
+        """Whether a law has a part of another one's numbers."""
+        model = self.base.fit.model
+        own = set(model.add(one.effect).entries)
+        return own < set(model.add(larger.effect).entries)
 
     def tied(self) -> list[Candidate]:
         """Effects that the evidence does not tell from the likeliest.
@@ -185,6 +212,10 @@ class _Judge:
             self.ranking[place] = replace(one, lost=lost)
             return None
         size = fitted_size(base.fit, done.fit, one.effect)
+        if not size.z >= PROPOSED_Z:
+            lost = f"its size, {size}, may as well be zero"
+            self.ranking[place] = replace(one, lost=lost)
+            return None
         self.ranking[place] = replace(
             one,
             coefficient=size.value,
