@@ -103,9 +103,10 @@ class _Judge:
         if not doubt:
             return self.named(done)
         beside = self.beside(done)
-        if beside is not None:
-            return self.named(done, beside)
-        return self.not_named(done, doubt)
+        if beside is None:
+            return self.not_named(done, doubt)
+        alone = self.second_alone(beside)
+        return self.named(done, beside) if alone is None else self.named(alone)
 
     def first(self) -> Refit | None:
         """An effect that is decisive, re-fitted; it is put first.
@@ -177,6 +178,33 @@ class _Judge:
         for place in places[: MOST_REFITTED - 1]:
             self.refit(place)
         return [self.ranking[place] for place in places]
+
+    def second_alone(self, beside: "_Judge") -> Refit | None:
+        """The second effect without the first, where that may as well be zero."""
+        first, second = self.ranking[0], beside.ranking[0]
+        assert beside.done is not None
+        size = fitted_size(self.base.fit, beside.done.fit, first.effect)
+        if size.z >= PROPOSED_Z:
+            return None
+        place = [one.effect for one in self.ranking].index(second.effect)
+        done = self.refit(place)
+        if done is None or not self._leaves_nothing(done):
+            return None
+        self.nothing_left = True
+        known = self.ranking.pop(place)
+        if not known.was_weighed:
+            known = replace(
+                known,
+                log_bayes=second.log_bayes,
+                log_predictive=second.log_predictive,
+                was_weighed=True,
+                force_left=second.force_left,
+                lost="",
+            )
+        lost = f"beside {second.name} its size may as well be zero"
+        self.ranking[0] = replace(first, lost=lost)
+        self.ranking.insert(0, known)
+        return done
 
     def beside(self, done: Refit) -> "_Judge | None":
         """What is missing beside the first, where both together leave nothing."""

@@ -51,7 +51,7 @@ def weighed_round(
     highest = worth = 0.0
     try:
         for place, one in enumerate(chosen):
-            if worth > 0 and one.gain < worth:
+            if place >= FEWEST_WEIGHED and one.gain < worth:
                 break
             n_effects = len(screened)
             candidate = _candidate(base, record, one, ahead, str(place), n_effects)

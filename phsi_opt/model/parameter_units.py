@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from phsi_opt.model.base import BaseModel
 from phsi_opt.model.dimension_system import solved_dimensions
 from phsi_opt.model.formula_dimensions import Form, Likenesses, product
-from phsi_opt.model.parameters import Parameter, Scan
+from phsi_opt.model.parameters import Parameter, Scan, Tried
 from phsi_opt.model.slots import PlacedTerm, place_of
 from phsi_opt.presentation.units import (
     RADIAN,
@@ -42,8 +42,12 @@ def parameter_units(model: BaseModel, units: Mapping[str, str]) -> dict[str, str
     for name, entry in model.entries.items():
         parameter = entry.parameter
         told[name] = parameter.unit
-        if name in found and not _is_stated(parameter):
-            time = known.get("t", "")
+        if _is_stated(parameter):
+            continue
+        time = known.get("t", "")
+        if isinstance(parameter.guess, Tried) and parameter.guess.of in ("t", "dt"):
+            told[name] = time or parameter.unit
+        if name in found:
             if isinstance(parameter.guess, Scan) and parameter.guess.variable == "t":
                 told[name] = f"{RADIAN}/{time}" if time else parameter.unit
             else:
