@@ -213,10 +213,7 @@ class EvidenceRecord:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
-        unknown = Theta.of(self.first, self.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = self.parameters
-        start = _Start(self.first, theta, self.states, None, self.disturbances)
+        start = self._beginning(None)
         try:
             return self._weighed(start)
         except SolveError:
@@ -236,38 +233,75 @@ class EvidenceRecord:
         Raises:
             SolveError: no states and forces were found that obey the dynamics.
         """
-        inner = self._inner_names(model)
+        beside = self.base
         try:
-            return self._begun_beside(model, values)
+            return self._weighed_from(self._beginning(beside), model, values)
+        except SolveError:
+            # Beside a force that does nearly everything the base has lost its way.
+            return self._weighed_from(self._beginning(None), model, values)
+
+    def _beginning(self, beside: Weighed | None) -> "_Start":
+        """The base where it is most likely; None: where it was fitted."""
+        if beside is not None:
+            return _Start(
+                self.first,
+                beside.theta,
+                beside.states,
+                beside.processes,
+                beside.disturbances,
+            )
+        unknown = Theta.of(self.first, self.runs)
+        theta = np.zeros(len(unknown))
+        theta[unknown.table] = self.parameters
+        return _Start(self.first, theta, self.states, None, self.disturbances)
+
+    def _weighed_from(
+        self, begin: "_Start", model: Model, values: Mapping[str, float]
+    ) -> Weighed:
+        """A larger model, with its one inner number scanned where steps do not settle.
+
+        Raises:
+            SolveError: it cannot be weighed.
+        """
+        inner = self._inner_names(model)
+        if begin.processes is None:
+            values = {n: x for n, x in values.items() if n not in self.first.entries}
+        try:
+            return self._begun_beside(begin, model, values)
         except SolveError:
             if not inner:
                 raise
         held = frozenset(inner)
         if len(inner) > 1:
-            return self._begun_beside(model, values, held)
-        return self._scanned(model, values, held)
+            return self._begun_beside(begin, model, values, held)
+        return self._scanned(begin, model, values, held)
 
     def _begun_beside(
         self,
+        begin: "_Start",
         model: Model,
         values: Mapping[str, float],
         held: frozenset[str] = frozenset(),
     ) -> Weighed:
         """A larger model, begun beside the base; ``held``: parameters that stay."""
-        base = self.base
         unknown = Theta.of(model, self.runs)
-        known = {**dict(zip(base.names, base.theta.tolist(), strict=True)), **values}
+        names = Theta.of(self.first, self.runs).names
+        known = {**dict(zip(names, begin.theta.tolist(), strict=True)), **values}
         default = unknown.spread(np.array([model.values[n] for n in model.free]))
         theta = unknown.from_values(known, default)
         theta = np.clip(theta, unknown.lower, unknown.upper)
         by_run = theta[unknown.table]
         grid = self.aligned.for_model(model).grid
-        states = with_memory(model, grid, base.states, by_run)
-        start = _Start(model, theta, states, base.processes, base.disturbances, held)
-        return self._weighed(start, base.log_likelihood)
+        states = with_memory(model, grid, begin.states, by_run)
+        start = replace(begin, model=model, theta=theta, states=states, held=held)
+        return self._weighed(start, self.base.log_likelihood)
 
     def _scanned(
-        self, model: Model, values: Mapping[str, float], held: frozenset[str]
+        self,
+        begin: "_Start",
+        model: Model,
+        values: Mapping[str, float],
+        held: frozenset[str],
     ) -> Weighed:
         """A model whose one inner number is held at values, uphill from the first.
 
@@ -282,7 +316,7 @@ class EvidenceRecord:
 
         def at(place: float) -> Weighed:
             moved = {**values, name: first * SCAN_FACTOR**place}
-            return self._begun_beside(model, moved, held)
+            return self._begun_beside(begin, model, moved, held)
 
         found[0] = at(0)
         for step in (-1, 1):

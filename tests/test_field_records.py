@@ -1,0 +1,141 @@
+"""Records as people take them: what is hidden in them is told, and nothing else.
+
+A clip with a wrong zero, a coast-down, runs whose sensor was mounted anew each time,
+times in hours.
+"""
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import phsi_opt as ph
+
+
+def correlated(rng: np.random.Generator, n: int, size: float) -> np.ndarray:
+    """Noise whose neighbours have a correlation of 0.6."""
+    noise = np.zeros(n)
+    for k in range(1, n):
+        noise[k] = 0.6 * noise[k - 1] + size * rng.normal()
+    return noise
+
+
+def with_unmeasured(y: np.ndarray) -> np.ndarray:
+    """A measured state, and one that nobody measured, (n, 2)."""
+    return np.column_stack([y, np.full(len(y), np.nan)])
+
+
+def test_the_wrong_zero_of_a_clip_is_a_force_or_a_sensor_and_no_spring() -> None:
+    rng = np.random.default_rng(20)
+    t = np.arange(800) / 25
+
+    def rates(_: float, x: np.ndarray) -> list[float]:
+        drag = 0.02 * x[1] + 0.005 * x[1] * abs(x[1])
+        return [x[1], -24.0 * np.sin(x[0]) - drag]
+
+    solved = solve_ivp(
+        rates, (0, t[-1]), [0.9, 0.0], t_eval=t, rtol=1e-9, max_step=0.02
+    )
+    y = solved.y[0] + 0.009 + 0.014 * np.exp(-t / 4) + correlated(rng, len(t), 0.006)
+    data = ph.Measurements.from_arrays(
+        [t], [with_unmeasured(y)], states=["q", "w"], units={"t": "s", "q": "rad"}
+    )
+    train, test = data.split(0.6)
+    model = ph.PseudoHamiltonian(
+        states=["q", "w"],
+        S=ph.canonical(1),
+        H=ph.formula("w**2/2 - a*cos(q)", a=ph.Parameter(30.0, lower=0)),
+        R=ph.damping("w"),
+    )
+    found = ph.diagnose(ph.identify(model, train), train, held_out=test)
+    (finding,) = found.findings
+    assert {str(effect) for effect in finding.effects} == {
+        "constant force on w",
+        "sensor offset on q",
+    }
+
+
+def test_a_coast_down_lacks_rolling_resistance_and_no_step_makes_it_worse() -> None:
+    rng = np.random.default_rng(21)
+    times, speeds = [], []
+    for slope in (0.005, -0.005, 0.005, -0.005):
+        t = np.arange(0.0, 220.0)
+
+        def rate(s: float, v: np.ndarray, slope: float = slope) -> np.ndarray:
+            rolling = 0.03 * np.tanh(v / 0.02)
+            wind = 0.015 * np.cos(2 * np.pi * s / 35)
+            return -7e-4 * v * abs(v) - rolling - slope + wind
+
+        v = solve_ivp(rate, (0, t[-1]), [8.0], t_eval=t, rtol=1e-8, max_step=1.0).y[0]
+        end = int(np.argmax(v < 0.3)) if (v < 0.3).any() else len(v)
+        times.append(t[:end])
+        speeds.append((v + 0.25 * rng.normal(size=len(v)))[:end, None])
+    data = ph.Measurements.from_arrays(
+        times, speeds, states=["v"], units={"t": "s", "v": "m/s"}
+    )
+    rate_of_air = ph.formula("-k*v*abs(v)", k=ph.Parameter(5e-4, lower=0))
+    model = ph.FirstOrder(["v"], {"v": rate_of_air}, kind="mechanical")
+    study = ph.Study(model, data[:2], held_out=data[2:])
+    study.auto()
+    errors = study.history["held_out_rmse"].to_numpy()
+    assert np.all(errors[1:] < errors[:-1])
+    assert study.added[0].name in ("coulomb friction", "constant force")
+
+
+def test_a_sensor_mounted_anew_for_each_run_hides_no_friction() -> None:
+    rng = np.random.default_rng(22)
+    t = np.arange(0, 8, 0.02)
+
+    def rates(_: float, x: np.ndarray) -> list[float]:
+        return [x[1], -12.0 * x[0] - 0.4 * x[1] - 0.9 * np.tanh(x[1] / 0.01)]
+
+    shown = []
+    for zero, start in ((0.2, 1.2), (-0.4, 2.0), (0.1, -1.5), (0.7, 1.7)):
+        solved = solve_ivp(
+            rates, (0, t[-1]), [start, 0.0], t_eval=t, rtol=1e-8, max_step=0.01
+        )
+        shown.append(
+            with_unmeasured(solved.y[0] + zero + 0.04 * rng.normal(size=len(t)))
+        )
+    data = ph.Measurements.from_arrays([t] * 4, shown, states=["q", "p"])
+    model = ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("k*q**2/2 + p**2/2", k=ph.Parameter(6.0, lower=0)),
+        R=ph.damping("p"),
+        sensor={"q": ph.formula("b", b=ph.Parameter(0.0, per_trajectory=True))},
+    )
+    train, test = data[:3], data[3:]
+    found = ph.diagnose(ph.identify(model, train), train, held_out=test)
+    (finding,) = found.findings
+    assert str(finding.effects[0]) == "coulomb friction on p"
+    assert abs(finding.coefficient - 0.9) < 0.06
+    assert found.ranking[0].held_out_rmse < 1.1 * 0.04
+
+
+def test_a_delay_in_hours_is_told_in_hours() -> None:
+    rng = np.random.default_rng(23)
+    t = np.arange(0, 90, 0.5)
+    heating = np.where((t // 6) % 2 == 0, 1800.0, 0.0)
+
+    def rate(s: float, x: np.ndarray) -> np.ndarray:
+        return (5 - x) / 10 + np.interp(s - 1.5, t, heating) / 1000
+
+    solved = solve_ivp(rate, (0, t[-1]), [9.0], t_eval=t, rtol=1e-8, max_step=0.1)
+    y = solved.y[0] + 0.05 * rng.normal(size=len(t))
+    data = ph.Measurements.from_arrays(
+        [t],
+        [y[:, None]],
+        [np.column_stack([heating, 5 + 0 * t])],
+        states=["T"],
+        inputs=["P", "Te"],
+        units={"t": "h", "T": "degC", "P": "W", "Te": "degC"},
+    )
+    train, test = data.split(0.7)
+    resistance = ph.Parameter(0.01, lower=0, unit="K/W")
+    capacity = ph.Parameter(1100.0, lower=0, unit="J/degC")
+    law = ph.formula("(Te - T)/(R*C) + P/C", R=resistance, C=capacity)
+    model = ph.FirstOrder(["T"], {"T": law}, inputs=["P", "Te"], kind="thermal")
+    found = ph.diagnose(ph.identify(model, train), train, held_out=test)
+    (finding,) = found.findings
+    assert str(finding.effects[0]) == "input delay of P on T"
+    assert finding.unit == "h"
+    assert abs(finding.coefficient - 1.5) < 4 * finding.std_error
