@@ -25,9 +25,6 @@ from phsi_opt.optimization.passage import neighbours_first
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
-# Share of a direction of one parameter that others must leave of it, to be one more.
-SAME_DIRECTION = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
