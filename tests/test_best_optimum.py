@@ -1,5 +1,7 @@
 """Records of many periods from starts far off: the right optimum, and flat ones told."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -125,3 +127,38 @@ def test_flat_is_a_run_that_neither_moves_nor_explains() -> None:
     assert not is_flat(y, -y, 0.01)
     assert not is_flat(y, 0.2 * y, 0.01)
     assert not is_flat(y, still, 0.7)
+
+
+# ---- a fit that ended in the wrong optimum -------------------------------------------
+
+
+@pytest.mark.parametrize("stuck", [0.55, 7.7, 10.8])
+def test_a_diagnosis_finds_the_optimum_that_a_fit_has_missed(stuck: float) -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(0, 40, 0.1)
+
+    def pendulum(gravity: ph.Parameter | float, damping: float | None) -> ph.Model:
+        loss = ph.formula("c", c=damping if damping else ph.Parameter(0.1, lower=0))
+        return ph.PseudoHamiltonian(
+            states=["q", "p"],
+            S=ph.canonical(1),
+            H=ph.formula("p**2/2 - G*cos(q)", G=gravity),
+            R={"p": loss},
+        )
+
+    runs = []
+    for start in ([1.0, 0.0], [0.6, 0.5]):
+        x = ph.simulate(pendulum(9.0, 0.05), t, start)
+        y = x + 0.01 * rng.normal(size=x.shape)
+        y[:, 1] = np.nan
+        runs.append(y)
+    data = ph.Measurements.from_arrays([t, t], runs, states=["q", "p"])
+    held_there = pendulum(ph.Parameter(stuck, lower=stuck - 1e-6, upper=stuck), None)
+    fit = ph.identify(held_there, data[:1])
+    free = pendulum(ph.Parameter(stuck, lower=0), None).with_values(fit.values)
+    outcome = replace(fit.outcome, at_bounds=())
+    fit = replace(fit, model=free, outcome=outcome)
+    effects = ["constant force on p"]
+    found = ph.diagnose(fit, data[:1], held_out=data[1:], effects=effects)
+    assert found.verdict == ph.Verdict.NOTHING_MISSING
+    assert found.fit.values["G"] == pytest.approx(9.0, abs=0.01)

@@ -13,10 +13,12 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from phsi_opt.comparison.compare import Comparison, compare, compare_record
+from phsi_opt.comparison.model_selection import is_failing, is_like_noise
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
+from phsi_opt.diagnosis.better_base import better_base
 from phsi_opt.diagnosis.candidate import Candidate
-from phsi_opt.diagnosis.conclusion import conclusion, without_weighing
+from phsi_opt.diagnosis.conclusion import Conclusion, conclusion, without_weighing
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.record import Diagnosis
 from phsi_opt.diagnosis.refit import refit
@@ -146,13 +148,7 @@ def diagnose_comparison(
         listed = catalogue(base.fit.model, base.record.data.units)
     else:
         _check_effects(listed, base.fit.model)
-    base.say("the missing force beside the model")
-    try:
-        record = EvidenceRecord.of(base.record, base.judging_record)
-    except SolveError as error:
-        concluded = without_weighing(base, error)
-    else:
-        concluded = conclusion(base, record, listed)
+    base, concluded = _concluded(base, listed)
     return Diagnosis(
         record=base.record,
         base=base.judged,
@@ -163,6 +159,26 @@ def diagnose_comparison(
         proposed=concluded.effects,
         proposed_fit=concluded.fit,
     )
+
+
+def _concluded(
+    base: DiagnosedModel, effects: list[Effect]
+) -> tuple[DiagnosedModel, Conclusion]:
+    """The verdict, and the model that it is on: from a better optimum where one is."""
+    base.say("the missing force beside the model")
+    try:
+        record = EvidenceRecord.of(base.record, base.judging_record)
+    except SolveError as error:
+        return base, without_weighing(base, error)
+    concluded = conclusion(base, record, effects)
+    is_noise = is_like_noise(base.trained) and not is_failing(base.judged)
+    if concluded.findings or is_noise:
+        return base, concluded
+    better = better_base(base, record)
+    if better is None:
+        return base, concluded
+    record = EvidenceRecord.of(better.record, better.judging_record)
+    return better, conclusion(better, record, effects)
 
 
 def candidate_of(
