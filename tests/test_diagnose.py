@@ -16,10 +16,10 @@ from phsi_opt.diagnosis.candidate import Candidate, Grade
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
 from phsi_opt.diagnosis.refit import refit
 from phsi_opt.model.catalogue import effect_named
+from phsi_opt.screening.evidence_record import EvidenceRecord
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.score_test import ScoreTest
 from phsi_opt.screening.sensitivities import Sensitivities
-from phsi_opt.screening.weighing import EvidenceRecord
 from phsi_opt.transcription.alignment import aligned
 
 T = np.linspace(0.0, 14.0, 281)

@@ -14,35 +14,24 @@ of a Bayes factor: what a law gains is what it explains better than a force with
 law.
 """
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from phsi_opt.comparison.compare import Comparison
-from phsi_opt.data.measurements import Measurements
-from phsi_opt.data.noise import initial_noise
-from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import SolveError
-from phsi_opt.estimation.fit import Fit
-from phsi_opt.estimation.force_search import LEAST_NOISE_BESIDE_SCATTER
-from phsi_opt.estimation.missing_force import ROUNDER
-from phsi_opt.estimation.record import Record
-from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.ascent import climbed
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbance_search import MOST_SIZES
-from phsi_opt.model_error.disturbances import Disturbances, StateFunction
+from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
 from phsi_opt.model_error.linearization import linearized
 from phsi_opt.model_error.marginal_likelihood import Border, MarginalLikelihood
 from phsi_opt.statistics import TINY
 from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
@@ -61,11 +50,6 @@ SETTLED_EVIDENCE = 0.1
 # evidence is so far below that of the base.
 ROUNDS_TO_REST = 3
 HOPELESS = 10.0
-# Factor between values at which an inner number is held, and how many are tried to
-# either side of the first.
-SCAN_FACTOR = 1.15
-MOST_SCANNED = 4
-SMALLER = 0.01  # factor on the force of a second attempt
 # Size of a force, as a share of the rate in its equation, that is as good as none, and
 # one beyond which it is no disturbance of the motion but in its place.
 NO_FORCE = 1e-5
@@ -121,309 +105,65 @@ class Weighed:
 
 
 @dataclass(frozen=True, eq=False)
-class EvidenceRecord:
-    """Measurements beside which models are weighed: those of the fit, and held out.
+class Start:
+    """Where a model begins to be weighed.
 
     Attributes:
-        aligned: all of them, those of the fit first.
+        model: with its parameters.
+        theta: (n_theta,) their values.
+        states: (n_nodes, n_states).
+        processes: values of forces and errors of sensors; None: there are none.
+        disturbances: noise, forces and errors of sensors, with their sizes.
+        held: names of parameters that stay.
+    """
+
+    model: Model
+    theta: np.ndarray
+    states: np.ndarray
+    processes: np.ndarray | None
+    disturbances: Disturbances
+    held: frozenset[str] = frozenset()
+
+    def padded(self, n_old: int) -> "Start":
+        """With a size for the memory that a trajectory begins with."""
+        sigma = self.disturbances.sigma[:, :n_old]
+        n_more = self.states.shape[1] - n_old
+        spread = np.maximum(np.std(self.states[:, n_old:], axis=0), TINY)
+        if not n_more:
+            return self
+        of_memory = np.tile(spread, (len(sigma), 1))
+        sizes = replace(self.disturbances, sigma=np.hstack([sigma, of_memory]))
+        return replace(self, disturbances=sizes)
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """How models are weighed beside one record.
+
+    Attributes:
+        aligned: the measurements, those of the fit first.
         n_fitted: number of trajectories that the fit was made from.
-        first: the model of the fit, its corners rounded as the missing force asks.
-        parameters: its free parameters, (n_free, n_trajectories).
-        states: of the missing force, (n_nodes, n_states), where a search begins.
-        disturbances: of the missing force, with their sizes.
+        n_states: of the smallest model; further ones are the memory of an effect.
+        known: names of all numbers of the smallest model.
         channels: measured states whose noise is not known.
         least_noise: (n_states,) below which that does not fall.
+        longest: correlation time of a force, at most.
     """
 
     aligned: AlignedData
     n_fitted: int
-    first: Model
-    parameters: np.ndarray
-    states: np.ndarray = field(repr=False)
-    disturbances: Disturbances = field(repr=False)
+    n_states: int
+    known: frozenset[str]
     channels: tuple[int, ...]
     least_noise: np.ndarray
-
-    @classmethod
-    def of(cls, trained: Record, judged: Record | None) -> "EvidenceRecord":
-        """Of the records of one fit; ``judged`` where data were held out."""
-        records = [trained] if judged is None else [trained, judged]
-        data = _joined([record.data for record in records])
-        estimate = trained.estimate
-        n_more = trained.model.n_states - len(estimate.white)
-        white = np.r_[estimate.white, np.ones(n_more)]
-        sigma = np.tile(white, (data.n_trajectories, 1))
-        given = np.array([(data.noise or {}).get(name, np.nan) for name in data.states])
-        is_given = np.isfinite(given)
-        scatter = np.where(is_given, given, initial_noise(data))
-        least = np.maximum(
-            quantisation_noise(data), LEAST_NOISE_BESIDE_SCATTER * scatter
-        )
-        aligned = AlignedData.of(trained.model, data)
-        measured = aligned.grid.measured.any(axis=0)
-        record = cls(
-            aligned=aligned,
-            n_fitted=trained.data.n_trajectories,
-            first=trained.model.with_values(estimate.rounded),
-            parameters=_at_their_bounds(
-                trained.fit, np.hstack([record.theta for record in records])
-            ),
-            states=np.concatenate([_states_of(record) for record in records]),
-            disturbances=replace(estimate.disturbances, sigma=sigma),
-            channels=tuple(np.flatnonzero(measured & ~is_given).tolist()),
-            least_noise=least,
-        )
-        return record._rounded_enough()
-
-    def _rounded_enough(self) -> "EvidenceRecord":
-        """The same with corners of dry friction as round as the steps need them.
-
-        Raises:
-            SolveError: no states and forces were found that obey the dynamics.
-        """
-        model = self.first
-        widths = {name: model.values[name] for name in corner_widths(model)}
-        for factor in ROUNDER if widths else ROUNDER[:1]:
-            rounded = {name: factor * width for name, width in widths.items()}
-            record = replace(self, first=model.with_values(rounded))
-            try:
-                record.base  # noqa: B018
-            except SolveError as error:
-                failure = error
-                continue
-            return record
-        raise failure
+    longest: float
 
     @property
     def runs(self) -> tuple[str, ...]:
         """Names of the trajectories."""
         return tuple(run.name for run in self.aligned.data.trajectories)
 
-    @property
-    def n_fitted_nodes(self) -> int:
-        """Number of nodes of the measurements that the fit was made from."""
-        return int(np.sum(self.aligned.grid.trajectory < self.n_fitted))
-
-    @cached_property
-    def base(self) -> Weighed:
-        """The model of the fit, weighed.
-
-        From the missing force, or from one that is far smaller where that fails.
-
-        Raises:
-            SolveError: no states and forces were found that obey the dynamics.
-        """
-        start = self._beginning(None)
-        try:
-            return self._weighed(start)
-        except SolveError:
-            forces = []
-            for force in self.disturbances.forces:
-                forces.append(replace(force, size=SMALLER * force.size))
-            small = replace(self.disturbances, forces=tuple(forces))
-            return self._weighed(replace(start, disturbances=small))
-
-    def weighed(self, model: Model, values: Mapping[str, float]) -> Weighed:
-        """A model that is larger than the base, begun beside it.
-
-        Args:
-            model: the base with something more.
-            values: of its parameters, from which to start.
-
-        Raises:
-            SolveError: no states and forces were found that obey the dynamics.
-        """
-        beside = self.base
-        try:
-            return self._weighed_from(self._beginning(beside), model, values)
-        except SolveError:
-            # Beside a force that does nearly everything the base has lost its way.
-            return self._weighed_from(self._beginning(None), model, values)
-
-    def _beginning(self, beside: Weighed | None) -> "_Start":
-        """The base where it is most likely; None: where it was fitted."""
-        if beside is not None:
-            return _Start(
-                self.first,
-                beside.theta,
-                beside.states,
-                beside.processes,
-                beside.disturbances,
-            )
-        unknown = Theta.of(self.first, self.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = self.parameters
-        return _Start(self.first, theta, self.states, None, self.disturbances)
-
-    def _weighed_from(
-        self, begin: "_Start", model: Model, values: Mapping[str, float]
-    ) -> Weighed:
-        """A larger model, with its one inner number scanned where steps do not settle.
-
-        Raises:
-            SolveError: it cannot be weighed.
-        """
-        inner = self._inner_names(model)
-        if begin.processes is None:
-            values = {n: x for n, x in values.items() if n not in self.first.entries}
-        try:
-            return self._begun_beside(begin, model, values)
-        except SolveError:
-            if not inner:
-                raise
-        held = frozenset(inner)
-        if len(inner) > 1:
-            return self._begun_beside(begin, model, values, held)
-        return self._scanned(begin, model, values, held)
-
-    def _begun_beside(
-        self,
-        begin: "_Start",
-        model: Model,
-        values: Mapping[str, float],
-        held: frozenset[str] = frozenset(),
-    ) -> Weighed:
-        """A larger model, begun beside the base; ``held``: parameters that stay."""
-        unknown = Theta.of(model, self.runs)
-        names = Theta.of(self.first, self.runs).names
-        known = {**dict(zip(names, begin.theta.tolist(), strict=True)), **values}
-        default = unknown.spread(np.array([model.values[n] for n in model.free]))
-        theta = unknown.from_values(known, default)
-        theta = np.clip(theta, unknown.lower, unknown.upper)
-        by_run = theta[unknown.table]
-        grid = self.aligned.for_model(model).grid
-        states = with_memory(model, grid, begin.states, by_run)
-        start = replace(begin, model=model, theta=theta, states=states, held=held)
-        return self._weighed(start, self.base.log_likelihood)
-
-    def _scanned(
-        self,
-        begin: "_Start",
-        model: Model,
-        values: Mapping[str, float],
-        held: frozenset[str],
-    ) -> Weighed:
-        """A model whose one inner number is held at values, uphill from the first.
-
-        For one along which no steps settle, such as a delay below a sample.
-
-        Raises:
-            SolveError: it cannot be weighed with the first value.
-        """
-        (name,) = held
-        first = values.get(name, model.values[name])
-        found: dict[int, Weighed] = {}
-
-        def at(place: float) -> Weighed:
-            moved = {**values, name: first * SCAN_FACTOR**place}
-            return self._begun_beside(begin, model, moved, held)
-
-        found[0] = at(0)
-        for step in (-1, 1):
-            place = 0
-            while abs(place) < MOST_SCANNED:
-                try:
-                    found[place + step] = at(place + step)
-                except SolveError:
-                    break
-                place += step
-                if found[place].log_evidence < found[place - step].log_evidence:
-                    break
-        best = max(found, key=lambda place: found[place].log_evidence)
-        if {best - 1, best + 1} <= found.keys():
-            below, here, above = (
-                found[k].log_evidence for k in (best - 1, best, best + 1)
-            )
-            vertex = best + (below - above) / (2 * (below - 2 * here + above))
-            with suppress(SolveError):
-                top = at(vertex)
-                if top.log_evidence > here:
-                    return top
-        return found[best]
-
-    def without_force(self, comparisons: Sequence[Comparison]) -> Weighed:
-        """A fitted model without any force, begun at its free runs.
-
-        Args:
-            comparisons: of the fit with the measurements, those of the fit first.
-
-        Raises:
-            SolveError: no such states were found.
-        """
-        model = comparisons[0].model
-        unknown = Theta.of(model, self.runs)
-        theta = np.zeros(len(unknown))
-        theta[unknown.table] = np.hstack([one.record.theta for one in comparisons])
-        states = np.concatenate([run for one in comparisons for run in one.simulated])
-        noise = replace(self.base.disturbances, forces=())
-        return self._weighed(_Start(model, theta, states, None, noise))
-
-    def with_functions(self, equation: int) -> Weighed | None:
-        """The base with an unknown smooth function of one state in an equation.
-
-        The most likely of them; None where there is none.
-        """
-        base = self.base
-        best = None
-        rates = self.aligned.grid.rates(base.states)
-        size = float(np.sqrt(np.mean(rates[:, equation] ** 2)))
-        memory = self.first.memory
-        for state, name in enumerate(self.first.states):
-            if name in memory:
-                continue
-            function = StateFunction(equation, state, size)
-            start = _Start(
-                self.first,
-                base.theta,
-                base.states,
-                base.processes,
-                base.disturbances.with_functions((function,)),
-            )
-            try:
-                found = self._weighed(start)
-            except SolveError:
-                continue
-            if best is None or found.log_evidence > best.log_evidence:
-                best = found
-        return best
-
-    def likelihood(self, weighed: Weighed) -> MarginalLikelihood:
-        """The record linearised where a model is most likely."""
-        start = _Start(
-            weighed.model,
-            weighed.theta,
-            weighed.states,
-            weighed.processes,
-            weighed.disturbances,
-        )
-        problem = self._problem(start)
-        z = problem.values.point.scaled
-        linear = linearized(problem.values, z, problem.values.at(z))
-        return MarginalLikelihood(
-            linear, weighed.disturbances.structure, problem.moving
-        )
-
-    def _problem(self, start: "_Start") -> JointProblem:
-        model = start.model
-        grid = self.aligned.for_model(model).grid
-        unknown = Theta.of(model, self.runs)
-        is_held = (start.theta <= unknown.lower) | (start.theta >= unknown.upper)
-        held = {model.free[owner] for owner in unknown.owner[is_held]}
-        point = point_at(model, grid, unknown, start.theta, start.states, held)
-        grid = self._with_memory_at_rest(grid, start.states)
-        values = LikelihoodValues(model, grid, SCHEME, point, unknown)
-        return JointProblem(values, start.disturbances, np.arange(len(unknown)))
-
-    def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
-        """The memory of an effect is known to begin near rest, as if measured."""
-        n_old = self.states.shape[1]
-        if grid.y.shape[1] == n_old:
-            return grid
-        y = grid.y.copy()
-        y[grid.first, n_old:] = states[grid.first, n_old:]
-        return replace(grid, y=y)
-
-    def _weighed(self, start: "_Start", worth: float = -np.inf) -> Weighed:
+    def weighed(self, start: Start, worth: float = -np.inf) -> Weighed:
         """Steps with given sizes and better sizes by turns, until both stay.
 
         Inner numbers of what is new are held in the first of them.
@@ -435,15 +175,15 @@ class EvidenceRecord:
         with np.errstate(all="ignore"):
             return self._weighed_quietly(start, worth)
 
-    def _weighed_quietly(self, start: "_Start", worth: float) -> Weighed:
-        start = start.padded(self.states.shape[1])
-        problem = self._problem(start)
+    def _weighed_quietly(self, start: Start, worth: float) -> Weighed:
+        start = start.padded(self.n_states)
+        problem = self.problem(start)
         z = problem.values.point.scaled
         processes = start.processes
         best = None
         names = problem.values.unknown.names
         held = [names.index(name) for name in start.held]
-        inner = [names.index(one) for one in self._inner_names(start.model)]
+        inner = [names.index(one) for one in self.inner_names(start.model)]
         if held:
             problem = replace(problem, moving=np.delete(problem.moving, held))
         elif inner:
@@ -480,13 +220,33 @@ class EvidenceRecord:
             )
         return self._result(problem, best)
 
-    def _inner_names(self, model: Model) -> list[str]:
+    def inner_names(self, model: Model) -> list[str]:
         """New free parameters in which a model is not linear."""
         names = []
         for name in model.free:
-            if name not in self.first.entries and not model.entries[name].prunable:
+            if name not in self.known and not model.entries[name].prunable:
                 names.append(name)
         return names
+
+    def problem(self, start: Start) -> JointProblem:
+        model = start.model
+        grid = self.aligned.for_model(model).grid
+        unknown = Theta.of(model, self.runs)
+        is_held = (start.theta <= unknown.lower) | (start.theta >= unknown.upper)
+        held = {model.free[owner] for owner in unknown.owner[is_held]}
+        point = point_at(model, grid, unknown, start.theta, start.states, held)
+        grid = self._with_memory_at_rest(grid, start.states)
+        values = LikelihoodValues(model, grid, SCHEME, point, unknown)
+        return JointProblem(values, start.disturbances, np.arange(len(unknown)))
+
+    def _with_memory_at_rest(self, grid: Grid, states: np.ndarray) -> Grid:
+        """The memory of an effect is known to begin near rest, as if measured."""
+        n_old = self.n_states
+        if grid.y.shape[1] == n_old:
+            return grid
+        y = grid.y.copy()
+        y[grid.first, n_old:] = states[grid.first, n_old:]
+        return replace(grid, y=y)
 
     def _without_bounds_met(self, problem: JointProblem, z: np.ndarray) -> JointProblem:
         """Parameters that a step has left at a bound stay there."""
@@ -522,12 +282,6 @@ class EvidenceRecord:
             size = float(np.clip(force.size, NO_FORCE * rate, LARGEST_FORCE * rate))
             forces.append(replace(force, size=size))
         return replace(sizes, forces=tuple(forces))
-
-    @property
-    def longest(self) -> float:
-        """Correlation time of a force, at most: a share of a trajectory."""
-        times = [force.time for force in self.disturbances.processes]
-        return max(times, default=np.inf)
 
     def _result(self, problem: JointProblem, found: "_Found") -> Weighed:
         point = problem.values.point
@@ -577,36 +331,13 @@ class EvidenceRecord:
 
     def _price(self, problem: JointProblem, states: np.ndarray) -> float:
         """Of starting states, flat over the range of their motion."""
-        n_own = self.states.shape[1]
+        n_own = self.n_states
         spread = np.std(states[:, :n_own], axis=0) + TINY
         return len(self.runs) * float(np.sum(np.log(spread)))
 
     def _n_values(self, n_runs: int) -> int:
         grid = self.aligned.grid
         return int(grid.measured[grid.trajectory < n_runs].sum())
-
-
-@dataclass(frozen=True, eq=False)
-class _Start:
-    """Where a model begins to be weighed."""
-
-    model: Model
-    theta: np.ndarray
-    states: np.ndarray
-    processes: np.ndarray | None
-    disturbances: Disturbances
-    held: frozenset[str] = frozenset()
-
-    def padded(self, n_old: int) -> "_Start":
-        """With a size for the memory that a trajectory begins with."""
-        sigma = self.disturbances.sigma[:, :n_old]
-        n_more = self.states.shape[1] - n_old
-        spread = np.maximum(np.std(self.states[:, n_old:], axis=0), TINY)
-        if not n_more:
-            return self
-        of_memory = np.tile(spread, (len(sigma), 1))
-        sizes = replace(self.disturbances, sigma=np.hstack([sigma, of_memory]))
-        return replace(self, disturbances=sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -639,25 +370,6 @@ class _Found:
         if self.is_valid != other.is_valid:
             return self.is_valid
         return self.evidence > other.evidence
-
-
-def _states_of(record: Record) -> np.ndarray:
-    """Of a missing force, with the memory of the model, (n_nodes, n_states)."""
-    estimate = record.estimate
-    return with_memory(record.model, estimate.grid, estimate.x, record.theta)
-
-
-def _at_their_bounds(fit: Fit, parameters: np.ndarray) -> np.ndarray:
-    """Parameters of a fit, (n_free, n_trajectories), those at a bound exactly there.
-
-    A solver stops a hair beside it, and that hair says nothing of a parameter's size.
-    """
-    exact = parameters.copy()
-    for place, name in enumerate(fit.model.free):
-        if name in fit.outcome.at_bounds:
-            bound = fit.model.entries[name].parameter.nearest_bound
-            exact[place] = [bound(value) for value in parameters[place]]
-    return exact
 
 
 def _names_at_bounds(unknown: Theta, theta: np.ndarray) -> tuple[str, ...]:
@@ -696,18 +408,3 @@ def _largest_change(before: Disturbances, after: Disturbances) -> float:
     for old, new in zip(before.processes, after.processes, strict=True):
         changes.append(abs(float(np.log(new.size / old.size))))
     return max(changes)
-
-
-def _joined(parts: list[Measurements]) -> Measurements:
-    """Measurements one behind the other; a name that comes twice is told apart."""
-    first, *others = parts
-    trajectories = list(first.trajectories)
-    for part in others:
-        names = {run.name for run in trajectories}
-        for run in part.trajectories:
-            name = run.name
-            while name in names:
-                name += " (held out)"
-            names.add(name)
-            trajectories.append(replace(run, name=name))
-    return replace(first, trajectories=tuple(trajectories))
