@@ -68,6 +68,7 @@ nitpick_ignore_regex = [
         r"(abc|ast|collections|concurrent|datetime|enum|functools|os|pathlib|types|typing)(\..*)?",
     ),
     ("py:.*", r"(multiprocessing|nicegui|ui|events)(\..*)?"),
+    ("py:class", r"(.*\.)?Annotated"),  # an option of the command line
     (
         "py:class",
         r"Axes|Dtype|Figure|RenderableType|(dict|tuple)\[str",
