@@ -117,7 +117,8 @@ def test_the_hidden_effect_is_found_and_added_and_the_report_is_opened(
     assert "is off by" in said
     assert f"{CALLED}, " in said
     assert "missing: named" in said
-    assert "the error is 1.5 times the noise. ± is one standard error." in said
+    assert "the error is 1.5 times the noise." in said
+    assert "± is one standard error." in said
     expect(page.get_by_text("worst moment").first).to_be_visible()
     expect(page.get_by_text("Ready.")).to_be_hidden()
     nothing_is_solved(page)

@@ -19,6 +19,7 @@ from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
+from phsi_opt.model.effect import is_scanned
 from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.transcription.sensors import outputs_at_samples
 
@@ -98,7 +99,8 @@ class _Refitting:
         part of a short memory.
         """
         trained = self.compared(fit)
-        if not (fit.model.memory or corner_widths(fit.model)):
+        has_corner = is_scanned(self.candidate.effect) or corner_widths(fit.model)
+        if not (has_corner or fit.model.memory):
             return trained
         is_along_solutions = fit.outcome.way == FEASIBLE_PATH
         is_enough = is_along_solutions and self.base.is_left_with_noise(trained)

@@ -171,6 +171,9 @@ class Weighing:
         Args:
             start: where to begin.
             worth: log likelihood that the base has.
+
+        Raises:
+            SolveError: no states and forces were found that obey the dynamics.
         """
         with np.errstate(all="ignore"):
             return self._weighed_quietly(start, worth)
@@ -229,6 +232,7 @@ class Weighing:
         return names
 
     def problem(self, start: Start) -> JointProblem:
+        """Parameters, states and forces together, of the sizes that a start has."""
         model = start.model
         grid = self.aligned.for_model(model).grid
         unknown = Theta.of(model, self.runs)
