@@ -14,8 +14,6 @@ from scipy.special import logsumexp
 from phsi_opt.comparison.compare import Comparison
 from phsi_opt.comparison.model_selection import (
     is_explained,
-    is_failing,
-    is_like_noise,
     is_small_as_noise,
 )
 from phsi_opt.criteria import (
@@ -78,7 +76,7 @@ def conclusion(
 def without_weighing(base: DiagnosedModel, error: SolveError) -> Conclusion:
     """The verdict on a model that could not be weighed: by its free runs alone."""
     errors = _errors(base)
-    if is_like_noise(base.trained) and not is_failing(base.judged):
+    if base.is_noise:
         said = f"{errors}; residuals are noise"
         return Conclusion(Verdict.NOTHING_MISSING, said, ())
     return Conclusion(Verdict.UNEXPLAINED, f"{errors}; {error}", ())
@@ -390,9 +388,8 @@ class _Judge:
         self.tell_others(())
         errors = _errors(base)
         ranking = tuple(self.ranking)
-        is_noise = is_like_noise(base.trained) and not is_failing(base.judged)
-        runs = [base.trained, base.judged] if base.is_held_out else [base.trained]
-        if is_noise or not self.is_force_evident(self.record.base.log_evidence, runs):
+        log_evidence = self.record.base.log_evidence
+        if base.is_noise or not self.is_force_evident(log_evidence, base.comparisons):
             none = "no force is evident beside the model, and no effect is decisive"
             return Conclusion(Verdict.NOTHING_MISSING, f"{errors}; {none}", ranking)
         reason = f"{errors}: a force is evident, and no effect explains it"

@@ -13,7 +13,6 @@ from concurrent.futures import Executor
 from dataclasses import replace
 
 from phsi_opt.comparison.compare import Comparison, compare, compare_record
-from phsi_opt.comparison.model_selection import is_failing, is_like_noise
 from phsi_opt.data.copies import check_can_judge
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.better_base import better_base
@@ -171,8 +170,7 @@ def _concluded(
     except SolveError as error:
         return base, without_weighing(base, error)
     concluded = conclusion(base, record, effects)
-    is_noise = is_like_noise(base.trained) and not is_failing(base.judged)
-    if concluded.findings or is_noise:
+    if concluded.findings or base.is_noise:
         return base, concluded
     better = better_base(base, record)
     if better is None:

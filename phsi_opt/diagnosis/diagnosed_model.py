@@ -7,7 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from phsi_opt.comparison.compare import Comparison
-from phsi_opt.comparison.model_selection import leaves_noise
+from phsi_opt.comparison.model_selection import (
+    is_failing,
+    is_like_noise,
+    leaves_noise,
+)
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.optimization.settings import FEASIBLE_PATH
@@ -51,6 +55,16 @@ class DiagnosedModel:
     def judging_record(self) -> Record | None:
         """The base model along the data held out; None where there are none."""
         return self.judged.record if self.is_held_out else None
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether the free runs are off by no more than noise."""
+        return is_like_noise(self.trained) and not is_failing(self.judged)
+
+    @property
+    def comparisons(self) -> list[Comparison]:
+        """The free runs on the training record, and on the one held out if any."""
+        return [self.trained, self.judged] if self.is_held_out else [self.trained]
 
     def is_left_with_noise(self, trained: Comparison) -> bool:
         """Whether noise is all that a larger model leaves on the training record."""

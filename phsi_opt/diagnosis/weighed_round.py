@@ -81,7 +81,6 @@ def _expected(base: DiagnosedModel, one: Screened) -> Candidate:
         unit=size_unit(base.fit.model, one.effect, base.record.data.units),
         values=one.values,
         log_bayes=one.gain,
-        lost=FORCE_DOES,
     )
 
 
