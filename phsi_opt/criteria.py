@@ -132,13 +132,6 @@ REFIT_TOLERANCE = 1e-7  # of the scaled optimality conditions
 # experiments and five records of real machines, 1396 solves: those of re-fits that
 # succeeded had taken up to 30, 25 and 29, so that lower limits would change results.
 REFIT_ITERATIONS = 40
-# Iterations beside a sharp corner, where IPOPT converges at once or not at all: in 5 to
-# 11 iterations where it was measured.
-CORNER_ITERATIONS = 15
-# Iterations with the exact Hessian from where a path beside a sharp corner ended
-# without an optimum: of ten such re-fits of EMPS one converged, in 3; those of the
-# other nine took a third of the time of the diagnosis.
-AFTER_PATH_ITERATIONS = 8
 # Iterations for a thorough re-fit of what a study adds: from an optimum on a grid of
 # its own it converges soon, or hardly ever: in up to 43 where it was measured.
 THOROUGH_ITERATIONS = 100

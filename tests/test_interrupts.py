@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 import phsi_opt as ph
-from phsi_opt.estimation import direct_steps
 from phsi_opt.interrupts import interruptible, is_noted, solving
+from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.optimization import ipopt
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
-from phsi_opt.transcription.optimality_system import NewtonStep
 
 PATIENCE = 60.0  # s for what takes far less, on a busy machine too
 T = np.linspace(0, 10, 101)
@@ -70,17 +69,17 @@ def test_full_steps_end_where_ctrl_c_is_pressed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     expected = ph.identify(SPRING, record()).values
-    step = direct_steps._Stepper.step
+    lower = JointProblem._lower
     begun = []
 
-    def pressed(stepper: direct_steps._Stepper, *given: Any) -> NewtonStep | None:
+    def pressed(problem: JointProblem, *given: Any) -> object:
         begun.append(True)
         if len(begun) == 2:
             press()
-        return step(stepper, *given)
+        return lower(problem, *given)
 
     with monkeypatch.context() as patched:
-        patched.setattr(direct_steps._Stepper, "step", pressed)
+        patched.setattr(JointProblem, "_lower", pressed)
         with pytest.raises(KeyboardInterrupt):
             ph.identify(SPRING, record())
     assert len(begun) == 2

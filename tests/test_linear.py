@@ -1,40 +1,16 @@
 """Banded factors and the elimination of the states, against dense linear algebra."""
 
-import casadi as ca
 import numpy as np
 import pytest
-from scipy.sparse import csc_matrix, identity
+from scipy.sparse import csc_matrix
 
-from phsi_opt.data.measurements import Measurements
 from phsi_opt.errors import SolveError
 from phsi_opt.optimization.banded import Banded
-from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
 from phsi_opt.transcription.elimination import (
     HELD,
     RIDGE,
     regularized_inverse,
-    time_order,
 )
-from phsi_opt.transcription.grid import Grid, grid_of
-from phsi_opt.transcription.optimality_system import eliminated
-
-
-def two_runs(n: int) -> Measurements:
-    t = [np.arange(5.0), np.arange(4.0)]
-    return Measurements.from_arrays(
-        t, [np.zeros((len(s), n)) for s in t], states=[f"x{i}" for i in range(n)]
-    )
-
-
-def constraints(grid: Grid, n: int, p: int, rng: np.random.Generator) -> np.ndarray:
-    """A Jacobian that joins the n states of neighbouring nodes, and p parameters."""
-    n_x, n_c = grid.n_nodes * n, grid.n_intervals * n
-    A = np.zeros((n_c, n_x))
-    for i, begin in enumerate(grid.begin):
-        A[i * n : i * n + n, begin * n : begin * n + 2 * n] = rng.normal(
-            size=(n, 2 * n)
-        )
-    return np.hstack([rng.normal(size=(n_c, p)), A])
 
 
 def test_banded_factors_solve_what_dense_ones_solve() -> None:
@@ -94,47 +70,6 @@ def test_a_singular_system_is_refused() -> None:
         Banded(csc_matrix(np.array([[1.0, 1.0], [1.0, 1.0]])), np.arange(2))
 
 
-def test_states_are_eliminated_as_by_dense_algebra() -> None:
-    grid, n, p = grid_of(two_runs(2)), 2, 3
-    rng = np.random.default_rng(1)
-    n_x, n_c = grid.n_nodes * n, grid.n_intervals * n
-    J = constraints(grid, n, p, rng)
-    root = np.hstack([rng.normal(size=(n_x, p)), np.diag(rng.uniform(0.5, 2.0, n_x))])
-    H = root.T @ root
-    reduced = eliminated(grid, n, csc_matrix(H), csc_matrix(J), p)
-    kkt = np.block([[H, J.T], [J, np.zeros((n_c, n_c))]])
-    inverse = np.linalg.inv(kkt)
-    covariance = inverse[:p, :p]
-    np.testing.assert_allclose(
-        np.linalg.inv(reduced.information), covariance, rtol=1e-7
-    )
-    e = rng.normal(size=n_c)
-    response = reduced.respond(e, covariance)
-    whole = inverse @ np.r_[np.zeros(p + n_x), e]
-    np.testing.assert_allclose(response.joined, whole[: p + n_x], rtol=1e-7, atol=1e-9)
-    starts = grid.first[:, None] * n + np.arange(n)
-    following, left = (
-        reduced.following,
-        reduced.start_covariances(starts, grid.trajectory),
-    )
-    variances = np.einsum(
-        "aij,jk,aik->ai", following, covariance, following
-    ) + np.einsum("aii->ai", left)
-    np.testing.assert_allclose(
-        variances.ravel(), np.diag(inverse)[p : p + n_x], rtol=1e-6
-    )
-
-
-def test_unknowns_stand_in_the_order_of_their_time() -> None:
-    grid = grid_of(two_runs(1))
-    order = time_order(grid, ("node", 1), ("interval", 1))
-    # Five nodes with four intervals in between, then four nodes with three.
-    assert order[:9].tolist() == [0, 9, 1, 10, 2, 11, 3, 12, 4]
-    assert order[9:].tolist() == [5, 13, 6, 14, 7, 15, 8]
-    with pytest.raises(SolveError):
-        Banded(0 * identity(2, format="csc"), np.arange(2))
-
-
 def test_information_is_inverted_and_a_ridge_holds_what_has_none() -> None:
     rng = np.random.default_rng(2)
     root = 1e-2 * rng.normal(size=(3, 3))
@@ -171,47 +106,3 @@ def test_information_that_is_no_number_is_refused_with_what_to_do() -> None:
         r"to the truth\.$",
     ):
         regularized_inverse(np.array([[1.0, 0.0], [0.0, np.inf]]))
-
-
-def test_multipliers_are_what_the_objective_gains_per_offset() -> None:
-    grid, n, p = grid_of(two_runs(2)), 2, 3
-    rng = np.random.default_rng(4)
-    n_x, n_c = grid.n_nodes * n, grid.n_intervals * n
-    J = constraints(grid, n, p, rng)
-    H = np.diag(rng.uniform(0.5, 2.0, p + n_x))
-    H[:p, p] = H[p, :p] = 0.1
-    reduced = eliminated(grid, n, csc_matrix(H), csc_matrix(J), p)
-    covariance = np.linalg.inv(reduced.information)
-    gradient = rng.normal(size=p + n_x)
-    kkt = np.block([[H, J.T], [J, np.zeros((n_c, n_c))]])
-    whole = np.linalg.solve(kkt, np.r_[gradient, np.zeros(n_c)])
-    found = reduced.multipliers(gradient[p:], covariance, gradient[:p])
-    np.testing.assert_allclose(found, whole[p + n_x :], rtol=1e-7, atol=1e-10)
-    without = np.linalg.solve(kkt, np.r_[np.zeros(p), gradient[p:], np.zeros(n_c)])
-    np.testing.assert_allclose(
-        reduced.multipliers(gradient[p:], covariance),
-        without[p + n_x :],
-        rtol=1e-7,
-        atol=1e-10,
-    )
-    # Several right-hand sides are solved side by side.
-    e = rng.normal(size=(n_c, 2))
-    both = reduced.respond(e, covariance).joined
-    for k in range(2):
-        np.testing.assert_allclose(
-            both[:, k], reduced.respond(e[:, k], covariance).joined
-        )
-
-
-def test_entries_in_casadis_order_make_scipys_matrix_and_are_copied() -> None:
-    z = ca.SX.sym("z", 3)
-    sparse = ca.jacobian(ca.vertcat(z[0] * z[2], z[1] ** 2), z)
-    dense = ca.densify(sparse)
-    for matrix in (sparse, dense):
-        function = ca.Function("slopes", [z], [matrix])
-        evaluated = Evaluated(function)
-        pattern = SparsePattern(function.sparsity_out(0))
-        point = np.array([2.0, 3.0, 5.0])
-        found = pattern.matrix(evaluated(point)[0])
-        evaluated(2 * point)  # writes over the entries
-        np.testing.assert_array_equal(found.toarray(), np.array(function(point)))

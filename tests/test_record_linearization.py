@@ -11,9 +11,13 @@ from phsi_opt.data.measurements import Measurements
 from phsi_opt.model.catalogue import effect_named
 from phsi_opt.model.model import Model
 from phsi_opt.model.terms import Dictionary
+from phsi_opt.model_error.disturbances import Disturbances
+from phsi_opt.model_error.linearization import linearized
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood, reduced
+from phsi_opt.optimization.bounded_step import Room
 from phsi_opt.transcription.alignment import aligned
 from phsi_opt.transcription.defects import defects
-from phsi_opt.transcription.elimination import REGULAR
+from phsi_opt.transcription.elimination import REGULAR, RIDGE
 from phsi_opt.transcription.grid import Grid, grid_of
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.parameter_vector import Theta
@@ -119,29 +123,68 @@ def test_the_likelihood_linearised_is_that_of_dense_algebra(name: str) -> None:
     sigma = np.r_[0.1, 0.2, np.ones(model.n_states - 2)]
     z = point.scaled
     there = likelihood.at(z)
-    squares = likelihood.standardized(there, sigma)
+    linear = linearized(likelihood, z, there)
+    weights = 1 / sigma[linear.channel]
     dense = Dense(likelihood, sigma)
     np.testing.assert_allclose(there.g, dense.defects(z), atol=1e-10)
-    np.testing.assert_allclose(squares.residual, dense.residual(z), atol=1e-10)
-    C = likelihood.shown.filled(squares.slopes).toarray()
-    J = likelihood.jacobian.filled(there.jacobian).toarray()
+    np.testing.assert_allclose(weights * there.misfit, dense.residual(z), atol=1e-10)
+    n, n_z = len(theta), len(z)
+    C = np.hstack([linear.shown_in_theta, linear.shown_in_states.toarray()])
+    C = weights[:, None] * C
+    J = np.hstack([linear.dynamics_in_theta, linear.dynamics_in_states.toarray()])
     # Central differences: the steps cut off 1e-10, and round at 1e-16/1e-5.
     np.testing.assert_allclose(C, -dense.slopes("residual", z), atol=1e-7)
     np.testing.assert_allclose(J, dense.slopes("defects", z), atol=1e-7)
-    pull = C.T @ squares.residual
-    np.testing.assert_allclose(-squares.gradient, pull, atol=1e-10)
-    n, n_z = len(theta), len(z)
     H = C.T @ C
     H[range(n, n_z), range(n, n_z)] += REGULAR * np.max(np.diag(H)[n:])
     kkt = np.block([[H, J.T], [J, np.zeros((len(J), len(J)))]])
-    reduced = likelihood.reduced(there, squares)
     inverse = np.linalg.inv(kkt)
     covariance = inverse[:n, :n]
     close = partial(np.testing.assert_allclose, rtol=1e-7, atol=1e-8)
-    close(reduced.information @ covariance, np.eye(n))
-    step = reduced.solve(pull[n:], -there.g, covariance, pull[:n])
-    expected = np.linalg.solve(kkt, np.r_[pull, -there.g])
-    close(step.joined, expected[:n_z])
-    multipliers = reduced.multipliers(pull[n:], covariance, pull[:n])
-    alone = np.linalg.solve(kkt, np.r_[pull, np.zeros(len(J))])
-    close(multipliers, alone[n_z:])
+
+    def alike(found: np.ndarray, wanted: np.ndarray) -> None:
+        close(found, wanted, atol=1e-6 * np.max(np.abs(wanted)))
+
+    eliminated = reduced(linear, sigma)
+    close(eliminated.information @ covariance, np.eye(n))
+    e = rng.normal(size=len(J))
+    response = eliminated.respond(e, covariance)
+    close(np.r_[response.theta, response.x], (inverse @ np.r_[np.zeros(n_z), e])[:n_z])
+    # Its variances are those of the parameters, carried along, and of the starts.
+    starts = grid.first[:, None] * model.n_states + np.arange(model.n_states)
+    following = eliminated.following
+    variances = np.einsum("aij,jk,aik->ai", following, covariance, following)
+    left = eliminated.start_covariances(starts, grid.trajectory)
+    variances = variances + np.einsum("aii->ai", left)
+    np.testing.assert_allclose(
+        variances.ravel(), np.diag(inverse)[n:n_z], rtol=1e-5, atol=1e-9
+    )
+    # A step of the kernel goes to the optimum of what is linear.
+    pull = C.T @ (weights * there.misfit)
+    whole = np.linalg.solve(kkt, np.r_[pull, -there.g])
+    noise = Disturbances(np.tile(sigma, (len(RUNS), 1)))
+    kernel = MarginalLikelihood(linear, noise.structure, np.arange(n))
+    found = kernel.smoothed(noise)
+    close(np.r_[found.theta, found.x.ravel()], whole[:n_z])
+    alike(found.multipliers, whole[n_z:])
+    assert not found.is_silent
+    # So it does where a state, or a parameter, does not move.
+    held = n + 1
+    kkt[held, held] += 1e9 * np.max(np.diag(H)[n:])
+    room = Room(np.r_[0.0, np.full(n - 1, -1e3)], np.r_[0.0, np.full(n - 1, 1e3)])
+    kkt[0, :] = kkt[:, 0] = 0.0
+    kkt[0, 0] = 1.0
+    whole = np.linalg.solve(kkt, np.r_[0.0, pull[1:], -there.g])
+    found = kernel.smoothed(noise, room=room, held=np.array([1]))
+    close(np.r_[found.theta, found.x.ravel()], whole[:n_z])
+    alike(found.multipliers, whole[n_z:])
+    # And beside a white force, whose variance softens the dynamics.
+    softness = rng.uniform(0.1, 1.0, len(J))
+    soft = MarginalLikelihood(linear, noise.structure, np.arange(n), softness)
+    found = soft.smoothed(noise)
+    H[range(n), range(n)] += RIDGE
+    by_force = J.T / softness
+    direct = np.linalg.solve(H + by_force @ J, pull - by_force @ there.g)
+    close(np.r_[found.theta, found.x.ravel()], direct)
+    excess = there.g + J @ direct
+    alike(found.multipliers, excess / softness)

@@ -8,10 +8,8 @@ import pytest
 import phsi_opt as ph
 from phsi_opt.diagnosis import friction_sharpening
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.refit_effort import BESIDE_SHARP
 from phsi_opt.estimation import missing_force
 from phsi_opt.model.catalogue import effect_named
-from phsi_opt.optimization.settings import EXACT
 from phsi_opt.transcription.grid import grid_of
 
 T = np.linspace(0.0, 12.0, 161)
@@ -50,19 +48,6 @@ def test_corners_beside_a_memory_stay_as_they_are_where_the_states_are_many(
     monkeypatch.setattr(friction_sharpening, "MOST_SHARP_STATES", 100)
     corners = friction_sharpening.CornerSharpening(complete, aligned)
     assert fit.model.memory and corners.at_widths(fit, {}, 8) is None
-
-
-def test_beside_a_sharp_corner_the_exact_hessian_has_few_iterations(
-    complete: DiagnosedModel,
-) -> None:
-    settings = replace(BESIDE_SHARP, ways=(EXACT,), max_iterations=2)
-    far = spring(ph.Parameter(3.0, lower=0.0))
-    data = complete.record.data
-    start = replace(complete.fit, model=far)
-    stopped = ph.identify(
-        far, data, start=start, settings=settings, raise_on_failure=False
-    )
-    assert stopped.outcome.iterations <= 2
 
 
 @dataclass(frozen=True)

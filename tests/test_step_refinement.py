@@ -8,13 +8,8 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
-from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
-from phsi_opt.estimation.likelihood_start import crude_start
-from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
-from phsi_opt.estimation.step_refinement import finer_steps
-from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.elimination import ReducedSystem
 
 T = np.linspace(0.0, 12.0, 25)  # some six samples a period
@@ -73,9 +68,9 @@ def test_finer_steps_have_the_room_of_the_factors_before(
     made: list[weakref.ref[ReducedSystem]] = []
     n_finer = []
 
-    def remembered(self: ReducedSystem, *parts: object) -> None:
+    def remembered(self: ReducedSystem, **parts: object) -> None:
         made.append(weakref.ref(self))
-        eliminate(self, *parts)  # type: ignore[arg-type]
+        eliminate(self, **parts)  # type: ignore[arg-type]
 
     def with_room(
         self: LikelihoodSolver, start: StartingPoint, **options: object
@@ -89,25 +84,3 @@ def test_finer_steps_have_the_room_of_the_factors_before(
     monkeypatch.setattr(LikelihoodSolver, "solve", with_room)
     ph.identify(spring(3.0), coarse_record())
     assert n_finer
-
-
-def test_errors_of_integration_are_seen_by_the_factors_of_the_last_steps() -> None:
-    data = coarse_record()
-    aligned = AlignedData.of(spring(3.0), data)
-    task = Task(spring(3.0), aligned, {}, None, ph.SolverSettings())
-    loss = ph.MaximumLikelihood(steps=1)
-    solver = LikelihoodSolver(LikelihoodProblem.of(task, loss))
-    start = crude_start(solver.problem)
-    estimate = solver.solve_directly(start)
-    assert estimate is not None
-    nearby, unit = estimate.linearized
-    assert nearby is estimate.nearby
-    by_last_steps = finer_steps(estimate)
-    estimate.release()
-    exact, one = estimate.linearized
-    assert one == 1.0
-    np.testing.assert_allclose(nearby.information / unit, exact.information, rtol=0.01)
-    by_exact = finer_steps(estimate)
-    assert by_last_steps is not None
-    assert by_exact is not None
-    np.testing.assert_array_equal(by_last_steps, by_exact)

@@ -14,6 +14,8 @@ from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
 from phsi_opt.estimation.trajectory_parameters import parameter_matrix
 from phsi_opt.initialization.scaling import point_at
+from phsi_opt.model_error.linearization import linearized
+from phsi_opt.model_error.marginal_likelihood import reduced
 from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -112,10 +114,9 @@ def _linearized(
     point = point_at(model, grid, unknown, theta, nodes)
     scheme = MaximumLikelihood().integrator
     likelihood = LikelihoodValues(model, grid, scheme, point, unknown)
-    there = likelihood.at(point.scaled)
-    squares = likelihood.standardized(there, record.sigma)
-    reduced = likelihood.reduced(there, squares)
-    return _LinearizedRun(unknown, theta, point, reduced)
+    z = point.scaled
+    linear = linearized(likelihood, z, likelihood.at(z))
+    return _LinearizedRun(unknown, theta, point, reduced(linear, record.sigma))
 
 
 def _response_of_sensors(

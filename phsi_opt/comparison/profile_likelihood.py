@@ -203,7 +203,6 @@ class _Line:
         self.sigma = np.array([fit.noise.get(state, 1.0) for state in fit.model.states])
         self.loss = likelihood_of(fit)
         self.steps = steps_on(fit, aligned.data)
-        self.way = fit.outcome.way
         best = self._solved(fit.model, _states_of(fit, aligned))
         self._check_repeated(fit, best)
         assert best is not None
@@ -230,7 +229,7 @@ class _Line:
         self, model: Model, x: Sequence[np.ndarray]
     ) -> LikelihoodEstimate | None:
         record = RecordLikelihood(self.aligned, self.sigma, self.loss)
-        return record.maximum(model, x, self.steps, self.way)
+        return record.maximum(model, x, self.steps)
 
     def rise(self, held: float) -> float:
         """-2 log likelihood above the best fit with the parameter held at a value.

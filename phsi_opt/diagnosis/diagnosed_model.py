@@ -14,7 +14,6 @@ from phsi_opt.comparison.model_selection import (
 )
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.record import Record
-from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.transcription.losses import MaximumLikelihood
 
 
@@ -69,11 +68,6 @@ class DiagnosedModel:
     def is_left_with_noise(self, trained: Comparison) -> bool:
         """Whether noise is all that a larger model leaves on the training record."""
         return leaves_noise(self.trained, trained)
-
-    @property
-    def is_along_solutions(self) -> bool:
-        """Whether the base was found beside a sharp corner."""
-        return self.fit.outcome.way == FEASIBLE_PATH
 
     def share_explained(self, rmse: float) -> float:
         """Share of the judging squared error above the noise floor that is gone.

@@ -25,14 +25,13 @@ from phsi_opt.criteria import (
 )
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel
-from phsi_opt.diagnosis.refit_effort import ALONG_SOLUTIONS, AT_CORNER
+from phsi_opt.diagnosis.refit_effort import BRIEF
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.model.model import Model
 from phsi_opt.model.parameters import Share
-from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.transcription.alignment import AlignedData
 
 
@@ -116,13 +115,11 @@ class CornerSharpening:
         n_intervals = sum(int(of_run.sum()) for of_run in steps)
         if fit.model.memory and n_intervals * fit.model.n_states > MOST_SHARP_STATES:
             return None
-        is_along_solutions = fit.outcome.way == FEASIBLE_PATH
-        settings = ALONG_SOLUTIONS if is_along_solutions else AT_CORNER
         model = fit.model.with_values(widths)
         start = replace(fit, steps=steps)
         with suppress(PhsiOptError):
             return identify_aligned(
-                model, self.aligned, self.base.loss, start=start, settings=settings
+                model, self.aligned, self.base.loss, start=start, settings=BRIEF
             )
         return None
 
@@ -133,7 +130,7 @@ class CornerSharpening:
         for long. None where there is nothing to estimate, or it fails.
         """
         widths = self.corners(fit.model)
-        if not widths or fit.outcome.way != FEASIBLE_PATH:
+        if not widths:
             return None
         with suppress(PhsiOptError):
             free = identify_aligned(
@@ -141,11 +138,11 @@ class CornerSharpening:
                 self.aligned,
                 self.base.loss,
                 start=fit,
-                settings=ALONG_SOLUTIONS,
+                settings=BRIEF,
             )
             held = fit.model.with_values({name: free.values[name] for name in widths})
             return identify_aligned(
-                held, self.aligned, self.base.loss, start=free, settings=ALONG_SOLUTIONS
+                held, self.aligned, self.base.loss, start=free, settings=BRIEF
             )
         return None
 

@@ -14,13 +14,12 @@ from phsi_opt.criteria import (
 from phsi_opt.diagnosis.candidate import Candidate
 from phsi_opt.diagnosis.diagnosed_model import DiagnosedModel, n_intervals
 from phsi_opt.diagnosis.friction_sharpening import CornerSharpening
-from phsi_opt.diagnosis.refit_effort import BESIDE_SHARP, IN_EVERY_WAY, THOROUGH
+from phsi_opt.diagnosis.refit_effort import BRIEF, THOROUGH
 from phsi_opt.errors import PhsiOptError
 from phsi_opt.estimation.fit import Fit
 from phsi_opt.estimation.identify import identify_aligned
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.model.effect import is_scanned
-from phsi_opt.optimization.settings import FEASIBLE_PATH
 from phsi_opt.transcription.sensors import outputs_at_samples
 
 
@@ -102,9 +101,7 @@ class _Refitting:
         has_corner = is_scanned(self.candidate.effect) or corner_widths(fit.model)
         if not (has_corner or fit.model.memory):
             return trained
-        is_along_solutions = fit.outcome.way == FEASIBLE_PATH
-        is_enough = is_along_solutions and self.base.is_left_with_noise(trained)
-        if is_enough or n_intervals(fit) > ONE_ATTEMPT_INTERVALS:
+        if n_intervals(fit) > ONE_ATTEMPT_INTERVALS:
             return trained
         if distance_from_states(trained) < STRAYED_STATES:
             return trained
@@ -154,9 +151,8 @@ class _Refitting:
             noise=noise,
             steps=tuple(self.refinement * steps for steps in base.fit.steps),
         )
-        settings = BESIDE_SHARP if base.is_along_solutions else IN_EVERY_WAY
         return identify_aligned(
-            self.model, self.aligned, base.loss, start=start, settings=settings
+            self.model, self.aligned, base.loss, start=start, settings=BRIEF
         )
 
     def _base_values(self) -> dict[str, float]:

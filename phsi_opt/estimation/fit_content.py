@@ -205,5 +205,4 @@ def _outcome_from(content: Content) -> Outcome:
         objective=float(content["objective"]),
         infeasibility=float(content["infeasibility"]),
         at_bounds=_texts(content["at_bounds"]),
-        is_exact=bool(content.get("is_exact", False)),  # not in older files
     )

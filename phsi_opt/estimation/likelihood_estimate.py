@@ -16,13 +16,14 @@ from phsi_opt.estimation.linearized_estimate import SolvedLikelihood
 from phsi_opt.estimation.model_error_table import model_error_rows
 from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.estimation.uncertainty import Uncertainty
+from phsi_opt.model_error.linearization import linearized
+from phsi_opt.model_error.marginal_likelihood import reduced
 from phsi_opt.model_error.standard_errors import (
     PlainEstimate,
     Source,
     StandardErrors,
     standard_errors,
 )
-from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.grid import steps_per_gap
 from phsi_opt.transcription.losses import MaximumLikelihood
@@ -70,17 +71,12 @@ class LikelihoodEstimate(Estimate):
         transcription: what was solved.
         sigma: (n_states,) standard deviation of the noise per state.
         is_known: (n_states,) whether it was declared.
-        way: how it was solved, one of `WAYS`.
-        nearby: the program, not in units of the information, linearised beside the
-            optimum and its states eliminated; None: not known.
     """
 
     loss: MaximumLikelihood
     transcription: Transcription
     sigma: np.ndarray
     is_known: np.ndarray
-    way: str = GAUSS_NEWTON
-    nearby: ReducedSystem | None = None
 
     @property
     def n_values(self) -> int:
@@ -141,22 +137,13 @@ class LikelihoodEstimate(Estimate):
     @cached_property
     def reduced(self) -> ReducedSystem:
         """The likelihood at the solution, states eliminated."""
-        return uncertainty.reduced(self.point, self.solution, self.grid, self.n_values)
-
-    @property
-    def linearized(self) -> tuple[ReducedSystem, float]:
-        """The likelihood, states eliminated, at the optimum or, if known, beside it.
-
-        And the unit of its curvature, that of the information being one.
-        """
-        if self.nearby is not None:
-            return self.nearby, 2 / self.n_values
-        return self.reduced, 1.0
+        values = self.transcription.values
+        z = self.solution.z[: values.point.scaled.size]
+        return reduced(linearized(values, z, values.at(z)), self.sigma)
 
     def release(self) -> None:
         """Make room: factors of many states are large; they come again if asked for."""
         self.__dict__.pop("reduced", None)
-        object.__setattr__(self, "nearby", None)
 
     def uncertainty_at_optimum(self) -> Uncertainty:
         """Inverse of the information about theta when the states follow it.

@@ -1,9 +1,8 @@
 """The likelihood of a task, maximised from a starting point.
 
-Three nested policies, each with a file of its own: a missing force that shrinks where
-the start is not near (`continuation`), the noise re-estimated until it stays
-(`noise_estimation`), the next way to solve where one fails (`solver_chain`). Where to
-start is the business of `likelihood_start`.
+Full steps (`likelihood_steps`); where the start is not near, along a missing force that
+shrinks; where the steps do not settle, and where the program has slack variables, IPOPT
+(`likelihood_ipopt`). Where to start is the business of `likelihood_start`.
 """
 
 from collections.abc import Sequence
@@ -11,24 +10,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from phsi_opt.estimation.continuation import Continuation
-from phsi_opt.estimation.direct_steps import DirectSteps, Optimum
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
+from phsi_opt.estimation.likelihood_ipopt import by_ipopt
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
+from phsi_opt.estimation.likelihood_steps import Optimum, by_steps, continued
 from phsi_opt.estimation.noise_estimation import NoiseIteration
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.residual_scatter import is_at_scatter
-from phsi_opt.estimation.solver_chain import SolverChain, ways_after
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.estimation.transcription import Transcription
 from phsi_opt.initialization.scaling import point_at
-from phsi_opt.optimization.settings import FEASIBLE_PATH, GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import memory_start_bounds
 from phsi_opt.transcription.grid import interpolate_at_nodes
 from phsi_opt.transcription.losses import MaximumLikelihood
 from phsi_opt.transcription.parameter_vector import Theta
 
-MOST_NOISE_UPDATES = 6  # solves with a noise re-estimated, at most
+FIRST_STEPS = 12  # from a crude start: few are enough where it is near
 # The memory that a trajectory begins with is free; that of a short delay fades within a
 # few samples. With coarse steps there it could take values far off for the sake of the
 # first residuals, and a simulation from them would go astray.
@@ -59,8 +56,8 @@ class LikelihoodSolver:
         """The optimum of the whole record, however far off the start is."""
         start = replace(start, steps=self._steps(start))
         if self.task.settings.thorough and not start.is_optimum:
-            near = self.solve_directly(start)
-            if near is not None and is_at_scatter(near):
+            near = self.solve(start, most_steps=FIRST_STEPS)
+            if near.is_success and is_at_scatter(near):
                 return near
             there = self.continued(start)
             return self.solve(start if there is None else there)
@@ -75,8 +72,7 @@ class LikelihoodSolver:
         nothing.
         """
         transcription = self._transcribed(start, {})
-        values = transcription.values
-        z = Continuation(values).end(transcription.point.scaled, start.sigma)
+        z = continued(transcription.values, start.sigma)
         if z is None:
             return None
         unscaled = transcription.point.unscaled(z)
@@ -107,64 +103,33 @@ class LikelihoodSolver:
         start: StartingPoint,
         *,
         l1: dict[str, float] | None = None,
-        ways: tuple[str, ...] | None = None,
+        most_steps: int | None = None,
     ) -> LikelihoodEstimate:
         """Solve from a starting point that has its steps.
 
         Args:
             start: with ``steps``.
             l1: weights; None: those of the task.
-            ways: to solve it, the next where one fails; None: those that fit the start.
+            most_steps: full steps to try, and no IPOPT after them; None: as many as it
+                takes, then IPOPT.
         """
         l1 = self.task.l1 if l1 is None else l1
-        ways = ways_after(start.way) if ways is None else ways
         transcription = self._transcribed(start, l1)
         noise = self._noise_iteration(transcription, l1)
-        direct = self._direct_steps(transcription)
-        if direct is not None and self._may_be_near(start, ways[0]):
-            z = transcription.point.scaled
-            optimum = direct.optimum(z, start.sigma, noise)
-            if optimum is not None:
-                way = optimum.solution.outcome.way
-                return self._estimate(transcription, optimum, l1, way)
-        z = transcription.program.start
-        chain = SolverChain(transcription, self.task.settings, ways, self.task.say)
-        optimum = _maximum(chain, direct, noise, z, start.sigma)
-        return self._estimate(transcription, optimum, l1, chain.way)
-
-    def _may_be_near(self, start: StartingPoint, way: str) -> bool:
-        """Whether full steps may lead from a start to its optimum.
-
-        From another solution of the model; and in a brief solve, which begins where a
-        second look ended, but not where a path beside a sharp corner is to be followed.
-        """
-        if self.task.settings.thorough:
-            return start.is_optimum and way != FEASIBLE_PATH
-        return way != FEASIBLE_PATH
-
-    def solve_directly(self, start: StartingPoint) -> LikelihoodEstimate | None:
-        """The optimum that full steps lead to; None where they lead nowhere."""
-        start = replace(start, steps=self._steps(start))
-        transcription = self._transcribed(start, self.task.l1)
-        direct = self._direct_steps(transcription)
-        if direct is None:
-            return None
-        noise = self._noise_iteration(transcription, self.task.l1)
-        z = transcription.point.scaled
-        optimum = direct.optimum(z, start.sigma, noise)
-        if optimum is None:
-            return None
-        self.task.say(f"{transcription}: {optimum.solution.outcome}")
-        way = optimum.solution.outcome.way
-        return self._estimate(transcription, optimum, self.task.l1, way)
-
-    def _direct_steps(self, transcription: Transcription) -> DirectSteps | None:
-        """Full steps; None with slack variables, or where they may not be tried."""
+        z, sigma = transcription.point.scaled, start.sigma
         settings = self.task.settings
-        may_step = settings.has_own_steps and GAUSS_NEWTON in settings.ways
-        if not may_step or transcription.has_slacks:
-            return None
-        return DirectSteps(transcription.values, settings)
+        optimum = None
+        if settings.has_own_steps and not transcription.has_slacks:
+            if most_steps is not None:
+                most = min(most_steps, settings.max_iterations)
+                settings = replace(settings, max_iterations=most)
+            optimum = by_steps(transcription.values, settings, noise, z, sigma)
+            if optimum.solution.outcome.success or most_steps is not None:
+                self.task.say(f"{transcription}: {optimum.solution.outcome}")
+                return self._estimate(transcription, optimum, l1)
+        optimum = by_ipopt(transcription, settings, noise, sigma, optimum)
+        self.task.say(f"{transcription}: {optimum.solution.outcome}")
+        return self._estimate(transcription, optimum, l1)
 
     def _noise_iteration(
         self, transcription: Transcription, l1: dict[str, float]
@@ -183,7 +148,6 @@ class LikelihoodSolver:
         transcription: Transcription,
         optimum: Optimum,
         l1: dict[str, float],
-        way: str,
     ) -> LikelihoodEstimate:
         return LikelihoodEstimate(
             task=self.task,
@@ -197,8 +161,6 @@ class LikelihoodSolver:
             l1=l1,
             sigma=optimum.sigma,
             is_known=self.problem.noise.is_known,
-            way=way,
-            nearby=optimum.nearby,
         )
 
     def _transcribed(self, start: StartingPoint, l1: dict[str, float]) -> Transcription:
@@ -211,51 +173,6 @@ class LikelihoodSolver:
         bounds = memory_start_bounds(model, grid, nodes, parameters)
         point = replace(point, x_bounds=bounds)
         return Transcription(self.loss, model, grid, unknown, point, l1, start.sigma)
-
-
-def _maximum(
-    chain: SolverChain,
-    direct: DirectSteps | None,
-    noise: NoiseIteration,
-    z: np.ndarray,
-    sigma: np.ndarray,
-) -> Optimum:
-    """Solve, and where the noise is not given, again until its estimate stays.
-
-    Args:
-        chain: solvers of the program.
-        direct: full steps of it, tried from one solution to the next.
-        noise: re-estimates what is not given.
-        z: to start from (scaled).
-        sigma: (n_states,) noise to start from.
-    """
-    if not noise.is_estimated.any():
-        attempt = chain.attempt(z, sigma)
-        return Optimum(chain.completed(attempt, z, sigma), sigma)
-    previous = None
-    for _ in range(MOST_NOISE_UPDATES):
-        solution = chain.attempt(z, sigma)
-        is_path = chain.way == FEASIBLE_PATH
-        if previous is not None and is_path and not solution.outcome.success:
-            # The kink where it settled is still in the way; the noise alone is another,
-            # and with it what a step promises.
-            return Optimum(chain.solver.at(previous, sigma), sigma)
-        solution = chain.completed(solution, z, sigma)
-        if not solution.outcome.success:
-            break
-        updated = noise.updated(sigma, solution.residual)
-        has_settled = noise.has_settled(sigma, updated)
-        z = solution.z
-        sigma = updated
-        previous = solution
-        if has_settled:
-            return Optimum(chain.solver.at(solution, sigma), sigma)
-        if direct is not None and chain.way != FEASIBLE_PATH:
-            optimum = direct.optimum(z, sigma, noise)
-            if optimum is not None:
-                return optimum
-            direct = None
-    return Optimum(solution, sigma)
 
 
 def _at_nodes(states: Sequence[np.ndarray], steps: Sequence[np.ndarray]) -> np.ndarray:

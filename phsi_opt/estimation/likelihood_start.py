@@ -2,7 +2,7 @@
 
 At a fit, or at a crude start: states from the data and the model's own kinematics,
 parameters as they are given. It need not be near: a missing force that shrinks leads
-from there (`continuation`). Further points beside the first are those of `multi_start`.
+from there (`likelihood_steps`). Further points are those of `multi_start`.
 """
 
 from dataclasses import replace
@@ -19,7 +19,6 @@ from phsi_opt.initialization.kinematic_states import kinematic_states
 from phsi_opt.initialization.relative_guesses import corner_widths, resolve_guesses
 from phsi_opt.initialization.scaling import with_states
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.augmented_states import with_memory
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.losses import PHSILoss
@@ -112,7 +111,6 @@ def from_fit(problem: LikelihoodProblem, start: Fit) -> StartingPoint:
         states=states,
         sigma=problem.noise.sigma,
         steps=start.steps if keeps_steps else (),
-        way=start.outcome.way if is_related else GAUSS_NEWTON,
         held=start.outcome.at_bounds,
         is_optimum=is_related and has_same_names,
     )

@@ -4,8 +4,8 @@
 2. Full steps from there: where they leave no more than the scatter of neighbouring
    samples, 3 is not needed.
 3. A missing force that shrinks leads from the crude start near a solution of the model
-   (`continuation`); from there again full steps, with the noise re-estimated until it
-   stays; where these fail, IPOPT and at last steps along solutions of the model.
+   (`likelihood_steps`); from there again full steps, with the noise re-estimated until
+   it stays; where these do not settle, IPOPT.
 4. More intervals between samples, where the integration error is visible in the
    estimates.
 5. Pruning, where it is asked for.
@@ -50,8 +50,6 @@ def by_likelihood(
     estimate = best_optimum(solver, first)
     if loss.steps is None and task.settings.thorough:
         estimate = _with_fine_steps(solver, estimate)
-    if estimate.nearby is not None:
-        estimate.release()
     estimate = _with_few_terms(solver, estimate)
     warnings = scatter_warnings(estimate, problem.noise.is_known)
     warnings += resolution_notes(estimate, problem.noise)

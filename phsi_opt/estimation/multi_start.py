@@ -15,7 +15,6 @@ from phsi_opt.estimation.likelihood_start import states_at
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.scaling import theta_scale
-from phsi_opt.optimization.settings import GAUSS_NEWTON
 from phsi_opt.transcription.parameter_vector import Theta
 
 SEED = 0  # the same points every time
@@ -76,6 +75,4 @@ def with_values(
     # Far from the data there may be no states; then those of the first point.
     with suppress(SolveError):
         states = states_at(problem, first.model, theta)
-    return replace(
-        first, theta=theta, states=states, way=GAUSS_NEWTON, is_optimum=False
-    )
+    return replace(first, theta=theta, states=states, is_optimum=False)

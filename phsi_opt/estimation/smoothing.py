@@ -119,7 +119,7 @@ def _accurate(
     An accurate run from the first state would otherwise leave the others.
     """
     likelihood = RecordLikelihood(aligned, sigma, likelihood_of(fit))
-    state = likelihood.start_of_run(model, guess, steps, fit.outcome.way)
+    state = likelihood.maximum(model, guess, steps)
     for _ in range(STEP_REFINEMENTS):
         if state is None or FINER * state.nodes.size > MOST_REFINED_STATES:
             break
@@ -128,7 +128,7 @@ def _accurate(
         if finer_steps(replace(state, sigma=size * state.sigma)) is None:
             break
         steps = [FINER * n for n in steps]
-        refined = likelihood.start_of_run(model, state.states, steps, state.way)
+        refined = likelihood.maximum(model, state.states, steps)
         if refined is None:
             break
         state = refined

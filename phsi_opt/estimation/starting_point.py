@@ -10,7 +10,6 @@ import numpy as np
 
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.settings import GAUSS_NEWTON
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +24,6 @@ class StartingPoint:
         notes: sentences for the warnings of the fit.
         steps: intervals in every gap between samples, (n_samples - 1,) per trajectory;
             empty: one, or what the loss says.
-        way: how a solution like it was found, one of `WAYS`.
         held: parameters that a solve left at their bounds.
         is_optimum: whether it is one of this very model, with other steps or
             measurements; then its states need not be found anew.
@@ -37,7 +35,6 @@ class StartingPoint:
     sigma: np.ndarray
     notes: tuple[str, ...] = ()
     steps: tuple[np.ndarray, ...] = ()
-    way: str = GAUSS_NEWTON
     held: tuple[str, ...] = ()
     is_optimum: bool = False
 
@@ -52,6 +49,5 @@ class StartingPoint:
             states=estimate.states,
             sigma=estimate.sigma,
             steps=tuple(steps),
-            way=estimate.way,
             held=estimate.solution.outcome.at_bounds,
         )

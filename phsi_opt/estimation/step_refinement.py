@@ -66,13 +66,13 @@ def _visible_share(estimate: LikelihoodEstimate, error: np.ndarray) -> float:
     shifts of one sign add up); and of the noise, root mean square over the measured
     values.
     """
-    nearby, unit = estimate.linearized
-    information = nearby.information / unit
+    reduced = estimate.reduced
+    information = reduced.information
     at_bounds = estimate.solution.outcome.at_bounds
     names = estimate.unknown.names
     held = [i for i, name in enumerate(names) if name in at_bounds]
     covariance = regularized_inverse(information, held)
-    shift = nearby.respond(error.ravel(), covariance / unit)
+    shift = reduced.respond(error.ravel(), covariance)
     squared_shift = float(shift.theta @ information @ shift.theta)
     in_std_errors = np.sqrt(max(squared_shift, 0.0))
     x_shift = shift.x.reshape(estimate.grid.y.shape) * estimate.point.x_scale

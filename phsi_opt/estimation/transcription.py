@@ -70,11 +70,3 @@ class Transcription:
             f"maximum likelihood, {len(self.unknown)} parameters, "
             f"{self.point.x.size} states"
         )
-
-    @property
-    def has_path(self) -> bool:
-        """Whether it can be solved along solutions of the model.
-
-        Not with slack variables.
-        """
-        return not self.has_slacks

@@ -23,8 +23,6 @@ from phsi_opt.transcription.defect_derivatives import defect_slopes
 from phsi_opt.transcription.elimination import RIDGE, ReducedSystem, regularized_inverse
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.known_defects import ParameterSlopes
-from phsi_opt.transcription.optimality_system import eliminated
-from phsi_opt.transcription.point import Point
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,24 +55,6 @@ def unknown(n_theta: int, reason: str) -> Uncertainty:
     return Uncertainty(np.full((n_theta, n_theta), np.nan), (reason,))
 
 
-def reduced(
-    point: Point, solution: Solution, grid: Grid, n_residuals: int
-) -> ReducedSystem:
-    """The likelihood at the solution in scaled variables, with the states eliminated.
-
-    Args:
-        point: With the unknowns of the likelihood.
-        solution: An optimum of its program, whose objective is 2/n_residuals times
-            -log p.
-        grid: Nodes and intervals.
-        n_residuals: Number of measured values.
-    """
-    n_states = len(point.x_scale)
-    hessian = solution.kkt.hessian * (n_residuals / 2)
-    jacobian = solution.kkt.of_first(grid.n_intervals * n_states)
-    return eliminated(grid, n_states, hessian, jacobian, point.theta.size)
-
-
 def of_likelihood(
     names: Sequence[str],
     theta: np.ndarray,
@@ -89,7 +69,7 @@ def of_likelihood(
         theta: (n_theta,) estimates.
         scale: (n_theta,) size of each.
         solution: For the parameters at bounds.
-        likelihood: What `reduced` makes of the two.
+        likelihood: Linearised there, with the states eliminated.
     """
     at_bounds = solution.outcome.at_bounds
     scaled = regularized_inverse(likelihood.information, _places(names, at_bounds))

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix
 
-from phsi_opt.model_error.linearization import Linearization
+from phsi_opt.model_error.linearization import ForceEffects, Linearization
 from phsi_opt.optimization.passage import Passage, neighbours_first
 
 
@@ -37,13 +37,14 @@ def between_samples(problem: Linearization) -> Linearization:
     )
     passage = _passage(problem)
     offset = passage.over(problem.offset[:, None])
+    effects = csc_matrix(passage.over_blocks(_held(problem)))
     return replace(
         problem,
         grid=coarse,
         nodes=problem.nodes[samples],
         dynamics_in_states=csc_matrix(passage.slopes()),
         dynamics_in_theta=passage.over(problem.dynamics_in_theta),
-        force_effects=csc_matrix(passage.over_blocks(_held(problem))),
+        force_effects=ForceEffects(effects, problem.n_states),
         offset=offset.ravel(),
         shown_in_states=csr_matrix(problem.shown_in_states)[:, passage.samples],
         node=number[problem.node],
@@ -64,7 +65,7 @@ def _held(problem: Linearization) -> csr_matrix:
     grid = problem.grid
     n = problem.n_states
     gap = np.cumsum(grid.sample[grid.begin]) - 1
-    effects = coo_matrix(problem.force_effects)
+    effects = coo_matrix(problem.force_effects.matrix)
     interval, equation = np.divmod(effects.col, n)
     places = (effects.row, gap[interval] * n + equation)
     shape = (effects.shape[0], (gap[-1] + 1) * n)

@@ -22,12 +22,13 @@ import numpy as np
 
 from phsi_opt.interrupts import solving
 from phsi_opt.model_error.disturbances import Disturbances
-from phsi_opt.model_error.linearization import Linearization, linearized
+from phsi_opt.model_error.linearization import Linearization, Linearizer
 from phsi_opt.model_error.marginal_likelihood import (
     MarginalLikelihood,
     Smoothed,
     noise_weights,
 )
+from phsi_opt.optimization.bounded_step import SILENT, Room
 from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValues
 
 # Share of the parameters' information that is added to it where no part of a step leads
@@ -43,13 +44,12 @@ LEVEL_OBJECTIVE = 0.025
 NEARLY_HELD = 1e-2
 PRICE = 2.0  # of a unit of violation, over the largest multiplier
 MOST_SHORTENINGS = 8
-# Length of a step in standard deviations of what is unknown, and largest violation of
-# the scaled dynamics, at which the steps end.
-SETTLED_LENGTH = 1e-4
 # Length up to which a step is taken whole: what it gains is beyond the accuracy of
 # numbers.
 SHORT_STEP = 1e-2
-SETTLED_VIOLATION = 1e-7
+SETTLED_VIOLATION = 1e-7  # of the scaled dynamics, at which steps end
+# Information that defects of size 1 may bring about, as a share of the largest one.
+CURVED_BY_DEFECTS = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,21 +81,46 @@ class JointEstimate:
 
     Attributes:
         point: there.
-        linear: the record linearised there.
+        likelihood: of the record linearised there.
         residual: (n_values,) measured less shown, errors of sensors included.
-        violation: the largest of the scaled dynamics.
+        violation: the largest of the scaled dynamics that hold.
         n_steps: how many there were.
         has_converged: whether the last step was short.
+        is_silent: whether the data say nothing about a direction of the parameters.
         length: of the last step, in standard deviations of what is unknown.
     """
 
     point: JointPoint
-    linear: Linearization
+    likelihood: MarginalLikelihood
     residual: np.ndarray
     violation: float
     n_steps: int
     has_converged: bool
+    is_silent: bool
     length: float
+
+    @property
+    def linear(self) -> Linearization:
+        """The record linearised there."""
+        return self.likelihood.problem
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Where steps end.
+
+    Attributes:
+        length: of a step, in standard deviations of what is unknown, up to which the
+            next ones lead nowhere.
+        fall: share of the objective that a step lowers it by, up to which they need not
+            be taken.
+    """
+
+    length: float = 1e-4
+    fall: float = 0.0
+
+
+EXACTLY = Target()
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +131,45 @@ class JointProblem:
         values: the likelihood of parameters and states.
         disturbances: with their sizes and times.
         moving: (n_moving,) places of the parameters that are free to move.
+        softness: (n_constraints,) variance of what the scaled dynamics are violated by;
+            zero where they hold; None: they all hold.
     """
 
     values: LikelihoodValues
     disturbances: Disturbances
     moving: np.ndarray
+    softness: np.ndarray | None = None
+
+    @classmethod
+    def white(
+        cls,
+        values: LikelihoodValues,
+        sigma: np.ndarray,
+        softness: np.ndarray | None = None,
+    ) -> "JointProblem":
+        """All parameters, and white noise sigma (n_states,) of the sensors."""
+        n_runs = int(values.grid.trajectory[-1]) + 1
+        noise = Disturbances(np.tile(sigma, (n_runs, 1)))
+        return cls(values, noise, np.arange(len(values.unknown)), softness)
+
+    @cached_property
+    def linearizer(self) -> Linearizer:
+        """Of the likelihood."""
+        return Linearizer(self.values)
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """`softness`, (n_constraints,)."""
+        n_constraints = self.values.jacobian.shape[0]
+        return np.zeros(n_constraints) if self.softness is None else self.softness
 
     def optimum(
-        self, z: np.ndarray, most_steps: int, beside: JointPoint | None = None
+        self,
+        z: np.ndarray,
+        most_steps: int,
+        beside: JointPoint | None = None,
+        target: Target = EXACTLY,
+        before: MarginalLikelihood | None = None,
     ) -> JointEstimate:
         """The most likely point, as far as the steps lead there.
 
@@ -121,20 +177,24 @@ class JointProblem:
             z: (n_variables,) scaled parameters and states to start from.
             most_steps: at most.
             beside: disturbances to start from; None: there are none.
+            target: where they end.
+            before: of the same structure, at another point; None: there is none.
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        place = _Place.of(self, z, beside)
+        place = _Place.of(self, z, beside, before)
         n_steps = 0
         has_converged = False
         damping = 0.0
         length = np.inf
         objectives: list[float] = []
+        is_silent = False
         while not has_converged and n_steps < most_steps:
             n_steps += 1
             aim = place.aim(damping)
             length = aim.length
+            is_silent = aim.is_silent
             there = self._lower(place, aim)
             if there is None:
                 damping = max(STEP_DAMPING_GROWTH * damping, LEAST_STEP_DAMPING)
@@ -145,19 +205,23 @@ class JointProblem:
             damping = (
                 damping / STEP_DAMPING_GROWTH if damping > LEAST_STEP_DAMPING else 0.0
             )
-            place = there
-            is_short = is_whole and aim.length < SETTLED_LENGTH
-            has_converged = is_short and place.violation < SETTLED_VIOLATION
-            objectives.append(place.cost(0.0))
-            if _is_level(objectives) and place.violation < NEARLY_HELD:
+            objectives.append(there.cost(0.0))
+            fall = target.fall * objectives[-1]
+            is_short = is_whole and aim.length < target.length
+            has_converged = is_short and there.violation < SETTLED_VIOLATION
+            if place.cost(0.0) - objectives[-1] < fall and aim.length**2 / 2 < fall:
                 has_converged = True
+            if _is_level(objectives) and there.violation < NEARLY_HELD:
+                has_converged = True
+            place = there
         return JointEstimate(
             point=place.point,
-            linear=place.linear,
+            likelihood=place.likelihood,
             residual=place.residual,
             violation=place.violation,
             n_steps=n_steps,
             has_converged=has_converged,
+            is_silent=is_silent,
             length=length,
         )
 
@@ -196,6 +260,11 @@ class JointProblem:
     def _within(self, z: np.ndarray) -> np.ndarray:
         return np.clip(z, self.values.lower, self.values.upper)
 
+    def room(self, z: np.ndarray) -> Room:
+        """How far the parameters may move, (n_moving,)."""
+        own = self.moving
+        return Room.at(z[own], self.values.lower[own], self.values.upper[own])
+
 
 @dataclass(frozen=True, eq=False)
 class _Aim:
@@ -204,12 +273,14 @@ class _Aim:
     Attributes:
         point: there.
         length: of the way there, in standard deviations.
-        largest_multiplier: of the dynamics.
+        largest_multiplier: of the dynamics that hold.
+        is_silent: whether the data say nothing about a direction of the parameters.
     """
 
     point: JointPoint
     length: float
     largest_multiplier: float
+    is_silent: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,13 +301,24 @@ class _Place:
 
     @classmethod
     def of(
-        cls, problem: JointProblem, z: np.ndarray, beside: JointPoint | None
+        cls,
+        problem: JointProblem,
+        z: np.ndarray,
+        beside: JointPoint | None,
+        before: MarginalLikelihood | None,
     ) -> "_Place":
-        """Of a start."""
+        """Of a start; arguments as those of `JointProblem.optimum`."""
         known = problem._at(z)
-        likelihood = _likelihood_at(problem, z, known)
+        linear = replace(problem.linearizer.at(z, known), linear_share=0.0)
+        structure = problem.disturbances.structure
+        if before is not None:
+            likelihood = before.relinearized(linear)
+        else:
+            likelihood = MarginalLikelihood(
+                linear, structure, problem.moving, problem.softness
+            )
         if beside is None:
-            n_x = likelihood.problem.nodes.size
+            n_x = linear.nodes.size
             processes = np.zeros(likelihood.n_unknowns - n_x)
             beside = JointPoint(z, processes, np.zeros(likelihood.n_coefficients))
         return cls(problem, replace(beside, z=z), known, likelihood)
@@ -244,8 +326,9 @@ class _Place:
     def renewed(self) -> "_Place":
         """The same place, the record linearised here, functions of states as before."""
         along = self.linear.states_of_functions
-        likelihood = _likelihood_at(self.problem, self.point.z, self.known, along)
-        return replace(self, likelihood=likelihood)
+        linear = self.problem.linearizer.at(self.point.z, self.known)
+        linear = replace(linear, along=along, linear_share=0.0)
+        return replace(self, likelihood=self.likelihood.relinearized(linear))
 
     @property
     def linear(self) -> Linearization:
@@ -274,9 +357,14 @@ class _Place:
         return excess
 
     @property
+    def _holds(self) -> np.ndarray:
+        """Which of the dynamics hold, (n_constraints,)."""
+        return self.problem.variance == 0
+
+    @property
     def violation(self) -> float:
-        """The largest violation of the dynamics."""
-        return float(np.max(np.abs(self._excess), initial=0.0))
+        """The largest violation of the dynamics that hold."""
+        return float(np.max(np.abs(self._excess[self._holds]), initial=0.0))
 
     def cost(self, price: float) -> float:
         """The objective, and the violation of the dynamics at its price.
@@ -287,12 +375,19 @@ class _Place:
         if not np.isfinite(np.sum(known.jacobian) + np.sum(known.slopes)):
             return np.inf
         point = self.point
-        squares = self._squares(self.residual, point.processes, point.coefficients)
-        cost = squares / 2 + price * float(np.sum(np.abs(self._excess)))
+        squares = self._squares(
+            self.residual, point.processes, point.coefficients, self._excess
+        )
+        violation = float(np.sum(np.abs(self._excess[self._holds])))
+        cost = squares / 2 + price * violation
         return cost if np.isfinite(cost) else np.inf
 
     def _squares(
-        self, shown: np.ndarray, processes: np.ndarray, coefficients: np.ndarray
+        self,
+        shown: np.ndarray,
+        processes: np.ndarray,
+        coefficients: np.ndarray,
+        excess: np.ndarray,
     ) -> float:
         """Of values over their noise, and of disturbances in units of their priors."""
         likelihood = self.likelihood
@@ -307,6 +402,8 @@ class _Place:
             own = processes[first : first + len(whitener.diagonal)]
             total += np.sum((whitener.whitened(own) / process.size) ** 2)
             first += len(own)
+        gives = ~self._holds
+        total += np.sum(excess[gives] ** 2 / self.problem.variance[gives])
         return float(total)
 
     def aim(self, damping: float) -> _Aim:
@@ -315,9 +412,47 @@ class _Place:
         Raises:
             SolveError: the states do not follow from the data.
         """
-        found = self.likelihood.smoothed(self.problem.disturbances, damping)
+        found = self._within_bounds(self.likelihood, damping)
         point = self._stepped(found)
-        return _Aim(point, self._length(found, point), found.largest_multiplier)
+        multipliers = found.multipliers[self._holds]
+        return _Aim(
+            point=point,
+            length=self._length(found, point),
+            largest_multiplier=float(np.max(np.abs(multipliers), initial=0.0)),
+            is_silent=found.is_silent,
+        )
+
+    def _within_bounds(
+        self, likelihood: MarginalLikelihood, damping: float
+    ) -> Smoothed:
+        """The optimum within the bounds; states at one that lead out of it are held.
+
+        Defects that do not hold curve directions about which the data say nothing.
+        """
+        problem = self.problem
+        values = problem.values
+        silent_share = SILENT
+        if problem.softness is None:
+            curved = CURVED_BY_DEFECTS * min(self.violation, 1.0)
+            silent_share = max(SILENT, curved)
+        room = problem.room(self.point.z)
+        x = values.point.of_x
+        states = self.point.z[x]
+        is_low, is_high = states <= values.lower[x], states >= values.upper[x]
+        is_held = np.zeros(len(states), dtype=bool)
+        while True:
+            found = likelihood.smoothed(
+                problem.disturbances,
+                damping,
+                room,
+                silent_share,
+                np.flatnonzero(is_held),
+            )
+            step = found.x.ravel()
+            leads_out = (is_low & (step < 0)) | (is_high & (step > 0))
+            if not np.any(leads_out & ~is_held):
+                return found
+            is_held |= leads_out
 
     def corrected(self) -> JointPoint | None:
         """The optimum by the slopes of the place before: what curvature made is undone.
@@ -328,14 +463,14 @@ class _Place:
             return None
         known = self.known
         other = self.likelihood.at_values(known.misfit, known.g)
-        return self._stepped(other.smoothed(self.problem.disturbances))
+        return self._stepped(self._within_bounds(other, 0.0))
 
     def _stepped(self, found: Smoothed) -> JointPoint:
         step = np.concatenate([found.theta, found.x.ravel()])
         return JointPoint(
             z=self.point.z + step,
-            processes=_joined(found.processes),
-            coefficients=_joined(found.coefficients),
+            processes=found.processes,
+            coefficients=found.coefficients,
         )
 
     def _length(self, found: Smoothed, aim: JointPoint) -> float:
@@ -345,26 +480,11 @@ class _Place:
         likelihood = self.likelihood
         moved = likelihood.shown @ np.concatenate([found.x.ravel(), processes])
         moved = moved + self.linear.shown_in_theta @ found.theta
-        return float(np.sqrt(self._squares(moved, processes, coefficients)))
+        excess = self.problem.variance * found.multipliers - self._excess
+        return float(np.sqrt(self._squares(moved, processes, coefficients, excess)))
 
 
 def _is_level(objectives: list[float]) -> bool:
     """Whether the last steps went to and fro over a kink of the model."""
     last = objectives[-LAST_STEPS:]
     return len(last) == LAST_STEPS and float(np.ptp(last)) < LEVEL_OBJECTIVE
-
-
-def _likelihood_at(
-    problem: JointProblem,
-    z: np.ndarray,
-    known: PointValues,
-    along: np.ndarray | None = None,
-) -> MarginalLikelihood:
-    linear = linearized(problem.values, z, known)
-    linear = replace(linear, along=along, linear_share=0.0)
-    structure = problem.disturbances.structure
-    return MarginalLikelihood(linear, structure, problem.moving)
-
-
-def _joined(parts: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate(parts) if parts else np.zeros(0)

@@ -27,6 +27,30 @@ from phsi_opt.transcription.likelihood_values import LikelihoodValues, PointValu
 
 
 @dataclass(frozen=True, eq=False)
+class ForceEffects:
+    """What a force of one in each equation does to the dynamics of its interval.
+
+    Attributes:
+        matrix: sparse, a column per (interval, equation).
+        n_states: number of states, and equations.
+    """
+
+    matrix: csc_matrix
+    n_states: int
+
+    def of(self, equation: int) -> csc_matrix:
+        """B of one equation, (n_intervals * n_states, n_intervals)."""
+        if equation not in self._asked:
+            self._asked[equation] = self.matrix[:, equation :: self.n_states]
+        return self._asked[equation]
+
+    @cached_property
+    def _asked(self) -> dict[int, csc_matrix]:
+        """Those of the equations asked for: a search asks hundreds of times."""
+        return {}
+
+
+@dataclass(frozen=True, eq=False)
 class Linearization:
     """A likelihood linearised at a solution.
 
@@ -37,8 +61,7 @@ class Linearization:
         dynamics_in_theta: J_theta, (n_intervals * n_states, n_theta).
         shown_in_states: C, sparse, (n_values, n_nodes * n_states).
         shown_in_theta: C_theta, (n_values, n_theta).
-        force_effects: sparse, what a force of one in each equation does to the dynamics
-            of its interval: a column per (interval, equation).
+        force_effects: what a force in each equation does to the dynamics.
         offset: of the dynamics at the solution, (n_intervals * n_states,); zero where
             it obeys the model.
         residual: r, measured minus shown, (n_values,).
@@ -57,7 +80,7 @@ class Linearization:
     nodes: np.ndarray
     dynamics_in_states: Any
     dynamics_in_theta: np.ndarray
-    force_effects: Any
+    force_effects: ForceEffects
     offset: np.ndarray
     shown_in_states: Any
     shown_in_theta: np.ndarray
@@ -137,15 +160,7 @@ class Linearization:
 
     def dynamics_of_force(self, equation: int) -> csc_matrix:
         """B as a sparse matrix, (n_intervals * n_states, n_intervals)."""
-        if equation not in self._forces:
-            own = csc_matrix(self.force_effects)[:, equation :: self.n_states]
-            self._forces[equation] = own
-        return self._forces[equation]
-
-    @cached_property
-    def _forces(self) -> dict[int, csc_matrix]:
-        """Those of the equations asked for: a search asks hundreds of times."""
-        return {}
+        return self.force_effects.of(equation)
 
     def values_of(self, channel: int) -> np.ndarray:
         """Places of the measured values of one state."""
@@ -230,7 +245,9 @@ class Linearization:
             along=None if self.along is None else self.along[kept_nodes],
             dynamics_in_states=dynamics,
             dynamics_in_theta=self.dynamics_in_theta[rows],
-            force_effects=csc_matrix(self.force_effects[:, rows])[rows],
+            force_effects=ForceEffects(
+                self.force_effects.matrix[:, rows][rows], self.n_states
+            ),
             offset=self.offset[rows],
             shown_in_states=shown,
             shown_in_theta=self.shown_in_theta[values],
@@ -240,38 +257,66 @@ class Linearization:
         )
 
 
+class Linearizer:
+    """Linearises one likelihood at point after point, whose patterns stay.
+
+    Args:
+        values: of the likelihood.
+    """
+
+    def __init__(self, values: LikelihoodValues) -> None:
+        grid, model, point = values.grid, values.model, values.point
+        self._values = values
+        self._dynamics = values.jacobian.part(point.of_x)
+        self._dynamics_in_theta = values.jacobian.part(point.of_theta)
+        self._shown = values.shown.part(point.of_x)
+        self._shown_in_theta = values.shown.part(point.of_theta)
+        self._measured = np.flatnonzero(grid.measured.ravel())
+        memory = model.memory
+        states = enumerate(model.states)
+        self._observed = tuple(k for k, name in states if name not in memory)
+        self._forced = forced_rows(model)
+        # A force enters its own equation, times the length of the interval.
+        lengths = grid.h[:, None] / point.x_scale
+        self._effects = ForceEffects(csc_matrix(diags(lengths.ravel())), model.n_states)
+
+    def at(self, z: np.ndarray, known: PointValues) -> Linearization:
+        """The likelihood linearised at a point.
+
+        Args:
+            z: (n_variables,) scaled parameters and states.
+            known: what the values are there.
+        """
+        values = self._values
+        point = values.point
+        n_states = values.n_states
+        return Linearization(
+            grid=values.grid,
+            nodes=point.unscaled(z)["x"].reshape(-1, n_states),
+            dynamics_in_states=self._dynamics.sparse(known.jacobian),
+            dynamics_in_theta=self._dynamics_in_theta.dense(known.jacobian),
+            force_effects=self._effects,
+            offset=known.g,
+            shown_in_states=csr_matrix(self._shown.sparse(known.slopes)),
+            shown_in_theta=self._shown_in_theta.dense(known.slopes),
+            residual=known.misfit,
+            node=self._measured // n_states,
+            channel=self._measured % n_states,
+            x_scale=point.x_scale,
+            theta_scale=point.theta_scale,
+            forced=self._forced,
+            observed=self._observed,
+        )
+
+
 def linearized(
     values: LikelihoodValues, z: np.ndarray, known: PointValues
 ) -> Linearization:
-    """A likelihood linearised at a point.
+    """A likelihood linearised at one point.
 
     Args:
         values: of the likelihood.
         z: (n_variables,) scaled parameters and states.
         known: what the values are there.
     """
-    grid, model, point = values.grid, values.model, values.point
-    dynamics = values.jacobian.filled(known.jacobian)
-    shown = values.shown.filled(known.slopes)
-    measured = np.flatnonzero(grid.measured.ravel())
-    memory = model.memory
-    observed = [k for k, name in enumerate(model.states) if name not in memory]
-    # A force enters its own equation, times the length of the interval.
-    lengths = grid.h[:, None] / point.x_scale
-    return Linearization(
-        grid=grid,
-        nodes=point.unscaled(z)["x"].reshape(-1, model.n_states),
-        dynamics_in_states=dynamics[:, point.of_x],
-        dynamics_in_theta=dynamics[:, point.of_theta].toarray(),
-        force_effects=csc_matrix(diags(lengths.ravel())),
-        offset=known.g,
-        shown_in_states=csr_matrix(shown[:, point.of_x]),
-        shown_in_theta=shown[:, point.of_theta].toarray(),
-        residual=known.misfit,
-        node=measured // model.n_states,
-        channel=measured % model.n_states,
-        x_scale=point.x_scale,
-        theta_scale=point.theta_scale,
-        forced=forced_rows(model),
-        observed=tuple(observed),
-    )
+    return Linearizer(values).at(z, known)

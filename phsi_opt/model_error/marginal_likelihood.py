@@ -23,9 +23,17 @@ from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.processes import Process, Whitener
 from phsi_opt.optimization.along_time import TimeLayout
 from phsi_opt.optimization.banded import Banded
+from phsi_opt.optimization.bounded_step import ANY_ROOM, SILENT, Room, bounded_step
 from phsi_opt.optimization.chained import Chained
-from phsi_opt.transcription.elimination import REGULAR, RIDGE, chain_of
+from phsi_opt.transcription.elimination import (
+    REGULAR,
+    RIDGE,
+    ReducedSystem,
+    chain_of,
+)
 
+NOTHING_HELD = np.zeros(0, dtype=int)
+HELD_STATE = 1e9  # share of the largest curvature by which a state does not move
 LOST_TO_ROUNDING = (
     "the information about the parameters is lost to rounding: noise and model error "
     "are too far apart in size."
@@ -58,16 +66,18 @@ class Smoothed:
     Attributes:
         theta: (n_theta,) step of the scaled parameters; zero for those that are held.
         x: (n_nodes, n_states) step of the scaled states.
-        processes: values of every process, forces first.
-        coefficients: of the functions of states, one array per function.
-        largest_multiplier: of the dynamics.
+        processes: (n_inner,) values of all processes, forces first.
+        coefficients: (n_coefficients,) of the functions of states.
+        multipliers: (n_intervals * n_states,) of the dynamics.
+        is_silent: whether the data say nothing about a direction of the parameters.
     """
 
     theta: np.ndarray
     x: np.ndarray
-    processes: list[np.ndarray]
-    coefficients: list[np.ndarray]
-    largest_multiplier: float
+    processes: np.ndarray
+    coefficients: np.ndarray
+    multipliers: np.ndarray
+    is_silent: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,13 +153,12 @@ class Border:
         gains: np.ndarray = np.sum(pulls / (1 + told) - np.log1p(told), axis=0) / 2
         return gains
 
-    def marginal(self, sizes: np.ndarray, damping: float = 0.0) -> Marginal:
-        """With functions of these sizes, (n_functions,).
+    def step(
+        self, sizes: np.ndarray, damping: float, room: Room, silent_share: float
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
+        """The best step of parameters and coefficients, and whether data are silent.
 
-        Args:
-            sizes: (n_functions,).
-            damping: share of each parameter's information that is added to it, for a
-                shorter step.
+        Arguments as those of `MarginalLikelihood.smoothed`.
 
         Raises:
             SolveError: rounding has made the information indefinite.
@@ -157,8 +166,24 @@ class Border:
         information = self.with_priors(sizes)
         if not np.all(np.isfinite(information)):
             raise SolveError(LOST_TO_ROUNDING)
-        own = np.arange(self.n_theta)
-        information[own, own] *= 1 + damping
+        n = self.n_theta
+        mixed = information[:n, n:]
+        through = solve_border(information[n:, n:], np.c_[mixed.T, self.gradient[n:]])
+        left = information[:n, :n] - mixed @ through[:, :n]
+        left = left + damping * np.diag(np.abs(np.diag(left)))
+        pull = self.gradient[:n] - mixed @ through[:, n]
+        best = bounded_step(left, pull, room, silent_share)
+        return best.d, through[:, n] - through[:, :n] @ best.d, best.is_silent
+
+    def marginal(self, sizes: np.ndarray) -> Marginal:
+        """With functions of these sizes, (n_functions,).
+
+        Raises:
+            SolveError: rounding has made the information indefinite.
+        """
+        information = self.with_priors(sizes)
+        if not np.all(np.isfinite(information)):
+            raise SolveError(LOST_TO_ROUNDING)
         found = solve_border(information, self.gradient)
         misfit = self.constant - self.gradient @ found
         sign, log_det = np.linalg.slogdet(information)
@@ -199,6 +224,8 @@ class MarginalLikelihood:
         problem: the linearised record.
         structure: which disturbances there are.
         moving: (n_moving,) places of the parameters that are free to move.
+        softness: (n_intervals * n_states,) variance by which the scaled dynamics may
+            fail to hold, that of a white force; None: they hold.
 
     Attributes:
         n_unknowns: number of states at all nodes and of values of processes.
@@ -209,65 +236,87 @@ class MarginalLikelihood:
     """
 
     def __init__(
-        self, problem: Linearization, structure: Structure, moving: np.ndarray
+        self,
+        problem: Linearization,
+        structure: Structure,
+        moving: np.ndarray,
+        softness: np.ndarray | None = None,
     ) -> None:
         self.problem = problem
         self.structure = structure
         self.moving = moving
+        self._softness = np.zeros(0) if softness is None else softness
+        self._set_layout()
+        self._set_slopes()
+
+    def relinearized(self, problem: Linearization) -> "MarginalLikelihood":
+        """The same where slopes of the same pattern are others."""
+        other = copy(self)
+        other.problem = problem
+        other._set_slopes()
+        return other
+
+    def _set_slopes(self) -> None:
+        """What the slopes of the record fill."""
         self.shown = self._shown_in_unknowns()
         self.shown_transposed = self.shown.T
-        self.n_unknowns = self.shown.shape[1]
-        self._set_layout()
+        self._products = _products_of_rows(self.shown)
+        slopes = coo_matrix(self.problem.dynamics_in_states).data
+        dynamics = np.concatenate([slopes, self._slopes_of_forces])
+        self._dynamics_entries = np.concatenate([dynamics, dynamics])
         self._set_border()
 
     def _shown_in_unknowns(self) -> csr_matrix:
         """Slope of what is shown in states and processes."""
         problem = self.problem
+        structure = self.structure
+        if not structure.forces and not structure.sensors:
+            return problem.shown_in_states
         n_values = problem.n_values
-        n_intervals = problem.grid.n_intervals
         blocks = [problem.shown_in_states]
-        for _ in self.structure.forces:
-            blocks.append(csr_matrix((n_values, n_intervals)))
-        for channel in self.structure.sensors:
+        for _ in structure.forces:
+            blocks.append(csr_matrix((n_values, problem.grid.n_intervals)))
+        for channel in structure.sensors:
             values = problem.values_of(channel)
             column = np.arange(len(values))
             ones = np.ones(len(values))
             shape = (n_values, len(values))
             blocks.append(csr_matrix((ones, (values, column)), shape=shape))
-        return csr_matrix(hstack(blocks) if len(blocks) > 1 else blocks[0])
-
-    def _dynamics_in_unknowns(self) -> coo_matrix:
-        problem = self.problem
-        n_dynamics = problem.dynamics_in_states.shape[0]
-        blocks = [problem.dynamics_in_states]
-        for equation in self.structure.forces:
-            blocks.append(-problem.dynamics_of_force(equation))
-        for channel in self.structure.sensors:
-            n_values = len(problem.values_of(channel))
-            blocks.append(coo_matrix((n_dynamics, n_values)))
-        return (hstack(blocks) if len(blocks) > 1 else blocks[0]).tocoo()
+        return csr_matrix(hstack(blocks))
 
     def _set_layout(self) -> None:
         """Places of all entries: dynamics, products of slopes, priors of processes."""
-        dynamics = self._dynamics_in_unknowns()
-        below = dynamics.row + self.n_unknowns
-        rows = [below, dynamics.col]
-        columns = [dynamics.col, below]
-        self._dynamics_entries = np.concatenate([dynamics.data, dynamics.data])
-        self._products = _products_of_rows(self.shown)
-        rows.append(self._products.row)
-        columns.append(self._products.column)
-        every_state = np.arange(self.problem.nodes.size)
-        rows.append(every_state)
-        columns.append(every_state)
-        for first, n in self.places_of_processes():
+        problem = self.problem
+        places = self.places_of_processes()
+        slopes = coo_matrix(problem.dynamics_in_states)
+        self.n_unknowns = slopes.shape[1] + sum(n for _, n in places)
+        row, column = [slopes.row], [slopes.col]
+        of_forces = [np.zeros(0)]
+        for equation, (first, _) in zip(self.structure.forces, places, strict=False):
+            effect = problem.dynamics_of_force(equation).tocoo()
+            row.append(effect.row)
+            column.append(first + effect.col)
+            of_forces.append(-effect.data)
+        self._slopes_of_forces = np.concatenate(of_forces)
+        below = np.concatenate(row) + self.n_unknowns
+        unknown = np.concatenate(column)
+        products = _products_of_rows(self._shown_in_unknowns())
+        every_state = np.arange(problem.nodes.size)
+        rows = [below, unknown, products.row, every_state]
+        columns = [unknown, below, products.column, every_state]
+        for first, n in places:
             on_diagonal = first + np.arange(n)
             rows += [on_diagonal, on_diagonal[1:], on_diagonal[:-1]]
             columns += [on_diagonal, on_diagonal[:-1], on_diagonal[1:]]
+        every_multiplier = self.n_unknowns + np.arange(len(self._softness))
+        rows.append(every_multiplier)
+        columns.append(every_multiplier)
         order = np.argsort(self._times_of_unknowns(), kind="stable")
-        chain = chain_of(self.problem.grid, self.problem.n_states)
-        row, column = np.concatenate(rows), np.concatenate(columns)
-        self._layout = TimeLayout(row, column, order, chain)
+        is_soft = bool(len(self._softness))
+        chain = None if is_soft else chain_of(problem.grid, problem.n_states)
+        self._layout = TimeLayout(
+            np.concatenate(rows), np.concatenate(columns), order, chain
+        )
 
     def places_of_processes(self) -> list[tuple[int, int]]:
         """First place and length of every process among the unknowns."""
@@ -367,7 +416,10 @@ class MarginalLikelihood:
         return whiteners
 
     def eliminated(
-        self, disturbances: Disturbances, regular: float = 0.0
+        self,
+        disturbances: Disturbances,
+        regular: float = 0.0,
+        held: np.ndarray = NOTHING_HELD,
     ) -> "Eliminated":
         """States and processes solved for, in terms of the border.
 
@@ -375,6 +427,7 @@ class MarginalLikelihood:
             disturbances: with their sizes.
             regular: share of the largest curvature that is added to every state's, for
                 a point at which one has none.
+            held: places of states, (n_held,) among all, that do not move.
 
         Raises:
             SolveError: the states do not follow from the data.
@@ -385,7 +438,9 @@ class MarginalLikelihood:
         processes = disturbances.processes
         whiteners = self.whiteners(disturbances)
         curvature = self._products.entries(squared)
-        shift = np.full(problem.nodes.size, regular * np.max(curvature))
+        largest = np.max(curvature)
+        shift = np.full(problem.nodes.size, regular * largest)
+        shift[held] = HELD_STATE * largest
         entries = [self._dynamics_entries, curvature, shift]
         log_prior = 0.0
         for process, whitener in zip(processes, whiteners, strict=True):
@@ -394,6 +449,7 @@ class MarginalLikelihood:
             entries += [below, below]
             n = len(whitener.diagonal)
             log_prior += whitener.log_det - n * np.log(process.size)
+        entries.append(-self._softness)
         factors = self._layout.factors(np.concatenate(entries))
         n, n_border = self.n_unknowns, self.border_in_dynamics.shape[1]
         n_theta = len(self.moving)
@@ -411,10 +467,29 @@ class MarginalLikelihood:
             solved=factors.solve(right),
             factors=factors,
             whiteners=whiteners,
-            log_evidence=log_noise
-            + log_prior
-            + problem.log_volume
-            - factors.log_abs_det / 2,
+            log_evidence=log_noise + log_prior - factors.log_abs_det / 2,
+        )
+
+    def reduced(self, sigma: np.ndarray) -> ReducedSystem:
+        """The likelihood with white noise sigma alone, its states eliminated.
+
+        Args:
+            sigma: (n_states,) noise.
+
+        Raises:
+            SolveError: the states do not follow from the parameters and the data.
+        """
+        problem = self.problem
+        noise = Disturbances(np.tile(sigma, (problem.n_trajectories, 1)))
+        found = self.eliminated(noise, REGULAR)
+        shown = self.border_in_shown
+        return ReducedSystem(
+            grid=problem.grid,
+            n_states=problem.n_states,
+            factors=found.factors,
+            coupling=found.right[:, :-1],
+            curvature=shown.T @ (found.weights[:, None] * shown),
+            per_theta=found.solved[:, :-1],
         )
 
     def border(self, disturbances: Disturbances) -> Border:
@@ -428,7 +503,8 @@ class MarginalLikelihood:
     def border_of(self, eliminated: "Eliminated") -> Border:
         """What is left of states and processes that were solved for."""
         everything = slice(None)
-        return self._border_of(eliminated, everything, everything)
+        log_evidence = eliminated.log_evidence + self.problem.log_volume
+        return self._border_of(eliminated, everything, everything, log_evidence)
 
     def borders_by_run(self, disturbances: Disturbances) -> list[Border]:
         """The same, what every trajectory says by itself.
@@ -439,13 +515,15 @@ class MarginalLikelihood:
             SolveError: the states do not follow from the data.
         """
         eliminated = self.eliminated(disturbances)
+        log_evidence = eliminated.log_evidence + self.problem.log_volume
         run_of_value = self.problem.grid.trajectory[self.problem.node]
         run_of_unknown = self._runs_of_unknowns()
         borders = []
         for run in range(self.problem.n_trajectories):
             values = np.flatnonzero(run_of_value == run)
             unknowns = np.flatnonzero(run_of_unknown == run)
-            borders.append(self._border_of(eliminated, values, unknowns))
+            share = log_evidence * len(values) / self.problem.n_values
+            borders.append(self._border_of(eliminated, values, unknowns, share))
         return borders
 
     def at_values(
@@ -459,40 +537,48 @@ class MarginalLikelihood:
         other.problem = replace(self.problem, residual=residual, offset=offset)
         return other
 
-    def smoothed(self, disturbances: Disturbances, damping: float = 0.0) -> Smoothed:
+    def smoothed(
+        self,
+        disturbances: Disturbances,
+        damping: float = 0.0,
+        room: Room = ANY_ROOM,
+        silent_share: float = SILENT,
+        held: np.ndarray = NOTHING_HELD,
+    ) -> Smoothed:
         """The most likely parameters, states and disturbances.
 
         Args:
             disturbances: with their sizes.
-            damping: as in `Border.marginal`.
+            damping: share of each parameter's information that is added to it, for a
+                shorter step.
+            room: how far the parameters may move, (n_moving,).
+            silent_share: of the largest information, up to which parameters do not
+                move.
+            held: places of states that do not move, (n_held,).
 
         Raises:
             SolveError: the states do not follow from the data.
         """
-        eliminated = self.eliminated(disturbances, REGULAR)
+        eliminated = self.eliminated(disturbances, REGULAR, held)
         sizes = np.array([function.size for function in disturbances.functions])
-        border = self.border_of(eliminated).marginal(sizes, damping)
+        everything = slice(None)
+        border = self._border_of(eliminated, everything, everything, 0.0)
+        theta, of_functions, is_silent = border.step(sizes, damping, room, silent_share)
         solved = eliminated.solved
-        found = solved[:, -1] - solved[:, :-1] @ border.border
+        moved = np.concatenate([theta, of_functions])
+        found = solved[:, -1] - solved[:, :-1] @ moved
         unknowns = found[: self.n_unknowns]
-        multipliers = found[self.n_unknowns :]
         problem = self.problem
-        theta = np.zeros(problem.n_theta)
-        theta[self.moving] = border.theta
+        all_theta = np.zeros(problem.n_theta)
+        all_theta[self.moving] = theta
         n_x = problem.nodes.size
-        processes = []
-        for first, n in self.places_of_processes():
-            processes.append(unknowns[first : first + n])
-        of_functions = border.border[len(self.moving) :]
-        coefficients = []
-        for number in range(len(self.structure.functions)):
-            coefficients.append(of_functions[self._owner == number])
         return Smoothed(
-            theta=theta,
+            theta=all_theta,
             x=unknowns[:n_x].reshape(problem.nodes.shape),
-            processes=processes,
-            coefficients=coefficients,
-            largest_multiplier=float(np.max(np.abs(multipliers), initial=0.0)),
+            processes=unknowns[n_x:],
+            coefficients=of_functions,
+            multipliers=found[self.n_unknowns :],
+            is_silent=is_silent,
         )
 
     def response(self, disturbances: Disturbances) -> Response:
@@ -517,7 +603,7 @@ class MarginalLikelihood:
         return Response(to_dynamics, to_values)
 
     def _border_of(
-        self, eliminated: "Eliminated", values: Any, unknowns: Any
+        self, eliminated: "Eliminated", values: Any, unknowns: Any, log_evidence: float
     ) -> Border:
         """From some of the values, and the unknowns that belong to them."""
         weights = eliminated.weights[values]
@@ -533,9 +619,7 @@ class MarginalLikelihood:
             information=(information + information.T) / 2,
             gradient=weighted.T @ residual - products[:n, n],
             constant=squares - float(products[n, n]),
-            log_evidence=eliminated.log_evidence
-            * len(weights)
-            / len(eliminated.weights),
+            log_evidence=log_evidence,
             n_theta=len(self.moving),
             owner=self._owner,
         )
@@ -604,7 +688,8 @@ class Eliminated:
         solved: in the same shape.
         factors: of the matrix of unknowns and multipliers.
         whiteners: of the processes, forces first, of size one.
-        log_evidence: all that does not depend on the border.
+        log_evidence: all that depends neither on the border nor on the volume of the
+            states.
     """
 
     weights: np.ndarray
@@ -653,6 +738,16 @@ def _products_of_rows(slopes: csr_matrix) -> _Products:
         value=value[one],
         factor=slopes.data[one] * slopes.data[other],
     )
+
+
+def reduced(linear: Linearization, sigma: np.ndarray) -> ReducedSystem:
+    """A linearised likelihood with white noise sigma (n_states,), states eliminated.
+
+    Raises:
+        SolveError: the states do not follow from the parameters and the data.
+    """
+    everything = np.arange(linear.n_theta)
+    return MarginalLikelihood(linear, Structure(), everything).reduced(sigma)
 
 
 def noise_weights(problem: Linearization, sigma: np.ndarray) -> np.ndarray:

@@ -32,13 +32,13 @@ class TimeLayout:
         rows: (n_entries,) row of every entry; entries at one place are added.
         columns: (n_entries,) its column.
         order: (n,), the unknowns in the order in which they make a band.
-        chain: nodes and intervals that the unknowns belong to.
+        chain: nodes and intervals that the unknowns belong to; None: a band is all.
     """
 
     rows: np.ndarray
     columns: np.ndarray
     order: np.ndarray
-    chain: Chain
+    chain: Chain | None
 
     @cached_property
     def _banded(self) -> BandLayout:
@@ -47,6 +47,8 @@ class TimeLayout:
     @cached_property
     def _chained(self) -> ChainLayout | None:
         chain = self.chain
+        if chain is None:
+            return None
         return ChainLayout.of(
             self.rows, self.columns, chain.begin, chain.n_nodes, chain.n_states
         )

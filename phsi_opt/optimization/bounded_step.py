@@ -49,6 +49,9 @@ class Room:
         return shares
 
 
+ANY_ROOM = Room(np.array(-np.inf), np.array(np.inf))
+
+
 @dataclass(frozen=True, eq=False)
 class BoundedStep:
     """What minimises a quadratic within bounds.

@@ -1,21 +1,14 @@
 """The ways in which a solve can end: what each status means, and what to do.
 
-IPOPT's return statuses and those of the steps along solutions of the model. What was
-reached is not said here (`Outcome`).
+IPOPT's return statuses and those of full steps. What was reached is not said here
+(`Outcome`).
 """
 
 from dataclasses import dataclass
 
-from phsi_opt.optimization.settings import FEASIBLE_PATH
-
-# What ends the steps along solutions of the model before an optimum, beside IPOPT's own
-# statuses for the same.
-PATH_ITERATIONS = "Feasible_Path_Iterations_Exceeded"
-PATH_TIME = "Feasible_Path_WallTime_Exceeded"
-PATH_STATUSES = (FEASIBLE_PATH, PATH_ITERATIONS, PATH_TIME)
 DIRECT_STEPS = "Direct_Steps"  # of full Gauss-Newton steps that found an optimum
-ITERATION_LIMITS = ("Maximum_Iterations_Exceeded", PATH_ITERATIONS)
-TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded", PATH_TIME)
+ITERATION_LIMITS = ("Maximum_Iterations_Exceeded",)
+TIME_LIMITS = ("Maximum_CpuTime_Exceeded", "Maximum_WallTime_Exceeded")
 
 
 @dataclass(frozen=True)
@@ -96,27 +89,6 @@ OTHERWISE = "Start from other values, or use more steps per sample."
 STEPS_STALLED = Ending(
     DIRECT_STEPS, False, "the steps stalled before an optimum", OTHERWISE
 )
-PATH = "along solutions of the model"
-PATH_OPTIMUM = Ending(FEASIBLE_PATH, True, f"a local optimum was found {PATH}")
-PATH_SETTLED = Ending(FEASIBLE_PATH, True, f"the likelihood settled {PATH}")
-PATH_AT_KINK = Ending(
-    FEASIBLE_PATH,
-    True,
-    "the likelihood settled at a kink of the model, where no slope vanishes",
-)
-PATH_FAILED = Ending(FEASIBLE_PATH, False, f"no optimum was found {PATH}", OTHERWISE)
-PATH_NO_SLOPES = Ending(
-    FEASIBLE_PATH,
-    False,
-    "the slopes of the model are not finite along its solution",
-    OTHERWISE,
-)
-PATH_OUT_OF_ITERATIONS = Ending(
-    PATH_ITERATIONS,
-    False,
-    f"the iteration limit was reached before an optimum {PATH}",
-    OTHERWISE,
-)
 
 
 def ending_of_ipopt(status: str, max_seconds: float) -> Ending:
@@ -133,11 +105,6 @@ def ending_of_ipopt(status: str, max_seconds: float) -> Ending:
             return ending
     sentence = f"the solver stopped: {status}"
     return Ending(status, False, sentence, "Try other starting values.")
-
-
-def path_ending_by_time(max_seconds: float) -> Ending:
-    """The ending of steps along solutions that the user's limit of time cut off."""
-    return _ending_by_time(PATH_TIME, max_seconds, f"the steps {PATH}")
 
 
 def _ending_by_time(status: str, max_seconds: float, what: str) -> Ending:

@@ -7,7 +7,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
 
 
 class Evaluated:
@@ -54,17 +53,3 @@ def _shape(function: ca.Function, i: int) -> tuple[int, ...]:
     if function.sparsity_out(i).is_dense():
         return function.size2_out(i), function.size1_out(i)
     return (function.nnz_out(i),)
-
-
-class SparsePattern:
-    """CasADi's sparsity, of which entries make a matrix of SciPy's."""
-
-    def __init__(self, sparsity: ca.Sparsity) -> None:
-        self._row = np.array(sparsity.row(), dtype=np.int32)
-        self._colind = np.array(sparsity.colind(), dtype=np.int32)
-        self._shape = sparsity.shape
-
-    def matrix(self, entries: np.ndarray) -> csc_matrix:
-        """The matrix of the entries, (n_entries,) in CasADi's order; a copy."""
-        places = (entries.ravel().copy(), self._row.copy(), self._colind.copy())
-        return csc_matrix(places, shape=self._shape)

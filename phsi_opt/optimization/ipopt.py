@@ -10,8 +10,7 @@ its linear systems.
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -19,9 +18,7 @@ import numpy as np
 
 from phsi_opt.errors import SolveError
 from phsi_opt.interrupts import is_noted, solving
-from phsi_opt.later import Later
 from phsi_opt.optimization.endings import Ending, ending_of_ipopt
-from phsi_opt.optimization.evaluated import Evaluated, SparsePattern
 from phsi_opt.optimization.outcome import Outcome
 from phsi_opt.optimization.program import Program
 from phsi_opt.optimization.settings import SolverSettings
@@ -39,24 +36,6 @@ AT_BOUND = 1e-6  # scaled distance up to which a parameter is at its bound
 
 
 @dataclass(frozen=True)
-class KKT:
-    """Second-order information at a point, in scaled variables.
-
-    Args:
-        hessian: the Gauss-Newton Hessian, (n_variables, n_variables), SciPy CSC.
-        jacobian: of the constraints, (n_constraints, n_variables), SciPy CSC.
-    """
-
-    hessian: Any
-    jacobian: Any
-
-    def of_first(self, n: int) -> Any:
-        """Jacobian of the first n constraints."""
-        is_all = n == self.jacobian.shape[0]
-        return self.jacobian if is_all else self.jacobian[:n]
-
-
-@dataclass(frozen=True)
 class Solution:
     """The optimal point.
 
@@ -65,20 +44,12 @@ class Solution:
         z: scaled vector, (n_variables,).
         residual: (n_residuals,).
         outcome: how the solve ended.
-        later_kkt: what `kkt` is, for those who ask; None: it is not known.
     """
 
     values: dict[str, np.ndarray]
     z: np.ndarray
     residual: np.ndarray
     outcome: Outcome
-    later_kkt: Later[KKT] | None = field(repr=False, default=None)
-
-    @property
-    def kkt(self) -> KKT:
-        """Second-order information at z, where the solver knows it."""
-        assert self.later_kkt is not None
-        return self.later_kkt.value
 
 
 def solve(
@@ -184,48 +155,11 @@ class Solver:
         """
         values = self.program.values(z)
         residual = np.array(self._residual(z, set_to)).ravel()
-        kkt = Later(partial(self.kkt, z, set_to))
-        return Solution(values, z, residual, outcome, kkt)
+        return Solution(values, z, residual, outcome)
 
     def at(self, solution: Solution, set_to: np.ndarray) -> Solution:
         """The same point with other settings (n_settings,), which leave it optimal."""
         return self.solution(solution.z, set_to, solution.outcome)
-
-    def kkt(self, z: np.ndarray, set_to: np.ndarray) -> KKT:
-        """Gauss-Newton Hessian and constraint Jacobian at z.
-
-        Args:
-            z: scaled variables, (n_variables,).
-            set_to: values of the settings, (n_settings,).
-        """
-        program = self.program
-        no_multipliers = np.zeros(program.g.numel())
-        with solving():
-            (entries,) = self._hessian(z, set_to, 1.0, no_multipliers)
-        upper = self._of_hessian.matrix(entries)
-        full = upper + upper.T
-        full.setdiag(upper.diagonal())
-        hessian = full.tocsc()
-        if not program.g.numel():
-            return KKT(hessian, np.zeros((0, len(z))))
-        _, slopes = self._jacobian(z, set_to)
-        return KKT(hessian, self._of_jacobian.matrix(slopes))
-
-    @cached_property
-    def _hessian(self) -> Evaluated:
-        return Evaluated(self.program.hessian)
-
-    @cached_property
-    def _jacobian(self) -> Evaluated:
-        return Evaluated(self.program.jacobian)
-
-    @cached_property
-    def _of_hessian(self) -> SparsePattern:
-        return SparsePattern(self.program.hessian.sparsity_out(0))
-
-    @cached_property
-    def _of_jacobian(self) -> SparsePattern:
-        return SparsePattern(self.program.jacobian.sparsity_out(1))
 
     def _outcome(
         self, stats: Mapping[str, Any], result: Mapping[str, ca.DM], seconds: float
@@ -249,7 +183,6 @@ class Solver:
             objective=float(result["f"]),
             infeasibility=violation.size,
             at_bounds=at_bounds(self.program, z),
-            is_exact=self.is_exact,
         )
 
     def _ending(self, status: str, stats: Mapping[str, Any]) -> Ending:

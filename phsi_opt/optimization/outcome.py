@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from phsi_opt.optimization.endings import (
     DIRECT_STEPS,
     ITERATION_LIMITS,
-    PATH_STATUSES,
     TIME_LIMITS,
 )
-from phsi_opt.optimization.settings import EXACT, FEASIBLE_PATH, GAUSS_NEWTON
 
 
 @dataclass(frozen=True)
@@ -21,7 +19,7 @@ class Outcome:
 
     Args:
         success: whether the point may be used as an optimum.
-        status: IPOPT's return status, or that of the steps along solutions.
+        status: IPOPT's return status, or that of full steps.
         sentence: what happened.
         advice: what to do about it; empty where nothing needs to be done.
         iterations: number of them.
@@ -29,8 +27,6 @@ class Outcome:
         objective: its value at the point.
         infeasibility: largest violation of a scaled constraint.
         at_bounds: names of the parameters that ended at one of their bounds.
-        is_exact: whether the exact Hessian led there, or Gauss and Newton's would only
-            have crept there.
     """
 
     success: bool
@@ -42,22 +38,12 @@ class Outcome:
     objective: float
     infeasibility: float
     at_bounds: tuple[str, ...] = ()
-    is_exact: bool = False
-
-    @property
-    def way(self) -> str:
-        """How a solution like it is to be sought first, one of `WAYS`."""
-        if self.success and self.status in PATH_STATUSES:
-            return FEASIBLE_PATH
-        return EXACT if self.success and self.is_exact else GAUSS_NEWTON
 
     @property
     def solver(self) -> str:
         """Which method it was that ended there."""
         if self.status == DIRECT_STEPS:
             return "Gauss-Newton steps"
-        if self.status in PATH_STATUSES:
-            return "Gauss-Newton steps along solutions"
         return "IPOPT"
 
     @property

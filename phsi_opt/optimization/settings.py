@@ -1,4 +1,4 @@
-"""How hard a solver tries: tolerance, limits, and the methods that it may use.
+"""How hard a solver tries: tolerance, limits, and who solves.
 
 The limits that decide a result are numbers of iterations, which are the same on every
 machine and under every load. A limit of time is the user's own, and off by default.
@@ -10,13 +10,6 @@ import numpy as np
 
 from phsi_opt.errors import ModelError
 
-# The methods for a likelihood: IPOPT with either Hessian, or steps along solutions of
-# the model (`phsi_opt.estimation.feasible_path`). `FEASIBLE_PATH` is also the status of
-# what was solved in that way.
-GAUSS_NEWTON = "gauss-newton"
-EXACT = "exact"
-FEASIBLE_PATH = "Feasible_Path"
-WAYS = (GAUSS_NEWTON, EXACT, FEASIBLE_PATH)
 # Who solves a likelihood: full Gauss-Newton steps where they lead to an optimum and
 # IPOPT where not, or IPOPT alone.
 AUTO = "auto"
@@ -36,14 +29,12 @@ class SolverSettings:
         show: whether IPOPT prints its iterations.
         thorough: False: no windows where the whole record fails, and no finer steps
             than those of the start.
-        ways: those of `WAYS` that are tried for a likelihood, one where another failed.
         solver: "auto" takes the faster Gauss-Newton steps for a likelihood where they
             lead to an optimum; "ipopt" solves the same nonlinear program by IPOPT
             alone, as a reference. The PHSI loss is IPOPT's in any case.
 
     Raises:
-        ModelError: a limit that is no number above zero, or an unknown way or
-            solver.
+        ModelError: a limit that is no number above zero, or an unknown solver.
     """
 
     tolerance: float = 1e-8
@@ -51,7 +42,6 @@ class SolverSettings:
     max_seconds: float = np.inf
     show: bool = False
     thorough: bool = True
-    ways: tuple[str, ...] = WAYS
     solver: str = AUTO
 
     def __post_init__(self) -> None:
@@ -65,11 +55,6 @@ class SolverSettings:
             raise ModelError(
                 f"SolverSettings: max_iterations={self.max_iterations!r} must be a "
                 "whole number."
-            )
-        unknown = [way for way in self.ways if way not in WAYS]
-        if unknown or not self.ways:
-            raise ModelError(
-                f"SolverSettings: ways={self.ways!r} must be some of {WAYS!r}."
             )
         if self.solver not in SOLVERS:
             raise ModelError(

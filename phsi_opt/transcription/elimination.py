@@ -54,21 +54,6 @@ def regularized_inverse(
         return np.linalg.pinv(regular, rcond=1e-15, hermitian=True)
 
 
-def time_order(grid: Grid, *per_block: tuple[str, int]) -> np.ndarray:
-    """Order of unknowns that stand in blocks, sorted by their time, (n_unknowns,).
-
-    Args:
-        grid: nodes and intervals.
-        *per_block: where the rows of a block live, "node" or "interval", and how many
-            unknowns each row has.
-    """
-    times = []
-    for kind, n_unknowns in per_block:
-        time = np.arange(grid.n_nodes) if kind == "node" else grid.begin + 0.5
-        times.append(np.repeat(time, n_unknowns))
-    return np.argsort(np.concatenate(times), kind="stable")
-
-
 def chain_of(grid: Grid, n_states: int) -> Chain:
     """Nodes and intervals of a grid for a system of its states."""
     return Chain(grid.begin, grid.n_nodes, n_states)
@@ -76,20 +61,15 @@ def chain_of(grid: Grid, n_states: int) -> Chain:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A change of the unknowns, one column or several side by side.
+    """A change of the unknowns.
 
     Attributes:
-        theta: (n_theta, ...) change of the scaled parameters.
-        x: (n_nodes * n_states, ...) change of the scaled states.
+        theta: (n_theta,) change of the scaled parameters.
+        x: (n_nodes * n_states,) change of the scaled states.
     """
 
     theta: np.ndarray
     x: np.ndarray
-
-    @property
-    def joined(self) -> np.ndarray:
-        """Parameters, then states, (n_theta + n_nodes * n_states, ...)."""
-        return np.concatenate([self.theta, self.x])
 
 
 class ReducedSystem:
@@ -97,7 +77,7 @@ class ReducedSystem:
 
     ::
 
-        min over z = (theta, x) of  1/2 z'Hz - g'z   subject to  Jz = e
+        min over z = (theta, x) of  1/2 z'Hz   subject to  Jz = e
 
     Args:
         grid: nodes and intervals.
@@ -105,7 +85,7 @@ class ReducedSystem:
         factors: of states and multipliers, parameters held.
         coupling: (n_x + n_constraints, n_theta) how theta acts on both.
         curvature: (n_theta, n_theta) of theta alone.
-        per_theta: what the factors make of the coupling, where it is known.
+        per_theta: (n_x + n_constraints, n_theta) what the factors make of the coupling.
 
     Attributes:
         information: (n_theta, n_theta), the curvature that is left for theta when the
@@ -119,14 +99,12 @@ class ReducedSystem:
         factors: Banded | Chained,
         coupling: np.ndarray,
         curvature: np.ndarray,
-        per_theta: np.ndarray | None = None,
+        per_theta: np.ndarray,
     ) -> None:
         self._n_states = n_states
         self._n_x = grid.n_nodes * n_states
         self._factors = factors
         self._coupling = coupling
-        if per_theta is None:
-            per_theta = factors.solve(coupling) if coupling.shape[1] else coupling
         self._per_theta = per_theta
         information = curvature - coupling.T @ self._per_theta
         self.information = (information + information.T) / 2
@@ -135,44 +113,13 @@ class ReducedSystem:
         """Change of theta and x when the constraints are offset by ``e``.
 
         Args:
-            e: (n_constraints,), or several columns.
+            e: (n_constraints,).
             covariance: (n_theta, n_theta) inverse of the information.
         """
-        no_gradient = np.zeros((self._n_x, *e.shape[1:]))
-        return self.solve(no_gradient, e, covariance)
-
-    def solve(
-        self,
-        g: np.ndarray,
-        e: np.ndarray,
-        covariance: np.ndarray,
-        g_theta: np.ndarray | float = 0.0,
-    ) -> Step:
-        """Theta and x of the problem, each one column or several side by side.
-
-        Args:
-            g: (n_x, ...) gradient in the states.
-            e: (n_constraints, ...) offset of the constraints.
-            covariance: (n_theta, n_theta) inverse of the information.
-            g_theta: (n_theta, ...) gradient in the parameters.
-        """
-        alone = self._factors.solve(np.concatenate([g, e]))  # theta does not move
-        theta = covariance @ (g_theta - self._coupling.T @ alone)
+        alone = self._factors.solve(np.concatenate([np.zeros(self._n_x), e]))
+        theta = covariance @ (-self._coupling.T @ alone)
         states = alone - self._per_theta @ theta
         return Step(theta, states[: self._n_x])
-
-    def multipliers(
-        self, g: np.ndarray, covariance: np.ndarray, g_theta: np.ndarray | float = 0.0
-    ) -> np.ndarray:
-        """What the objective gains per unit of an offset of each constraint.
-
-        Arguments as those of `solve`; (n_constraints,).
-        """
-        no_offset = np.zeros(self._factors.n - self._n_x)
-        alone = self._factors.solve(np.concatenate([g, no_offset]))
-        theta = covariance @ (g_theta - self._coupling.T @ alone)
-        states = alone - self._per_theta @ theta
-        return states[self._n_x :]
 
     @property
     def following(self) -> np.ndarray:

@@ -16,10 +16,8 @@ from phsi_opt.model.model import Model
 from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.transcription.defect_derivatives import linear_function
 from phsi_opt.transcription.defects import defect
-from phsi_opt.transcription.elimination import ReducedSystem
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.interval_map import known_arguments, node_arguments
-from phsi_opt.transcription.optimality_system import OptimalitySystem
 from phsi_opt.transcription.parameter_vector import Theta
 from phsi_opt.transcription.pattern import Pattern
 from phsi_opt.transcription.point import Point
@@ -40,25 +38,6 @@ class PointValues:
     jacobian: np.ndarray
     misfit: np.ndarray
     slopes: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class WeighedValues:
-    """The objective with some noise, and its derivatives.
-
-    Attributes:
-        objective: half the sum of squared residuals.
-        residual: (n_values,).
-        slopes: entries of what is shown, in z, over the noise as the residual.
-        gradient: in z, (n_variables,).
-        hessian: entries of the upper triangle of the Gauss-Newton Hessian.
-    """
-
-    objective: float
-    residual: np.ndarray
-    slopes: np.ndarray
-    gradient: np.ndarray
-    hessian: np.ndarray
 
 
 class LikelihoodValues:
@@ -86,7 +65,6 @@ class LikelihoodValues:
         self._y = grid.y.ravel()[self._measured]
         self._set_defects(scheme)
         self._set_shown()
-        self._set_products()
 
     def _function(self, function: ca.Function) -> ColumnFunction:
         """Parameters of all trajectories are one column where they are shared."""
@@ -171,17 +149,6 @@ class LikelihoodValues:
         self.shown = Pattern(rows[is_shown], columns[is_shown], shape)
         self._sensor = self._function(one.entries)
 
-    def _set_products(self) -> None:
-        """Which pairs of slopes of one value make the entries of the Hessian."""
-        rows, columns = self.shown.rows, self.shown.columns
-        n = len(self._scale)
-        one = other = np.arange(len(rows))
-        if self._sensor is not None:
-            one, other = _pairs(rows, columns)
-        self._one = one
-        self._other = other
-        self.hessian = Pattern(columns[one], columns[other], (n, n))
-
     def at(self, z: np.ndarray) -> PointValues:
         """Defects and what is shown, with their slopes, at z (n_variables,)."""
         grid = self.grid
@@ -210,46 +177,6 @@ class LikelihoodValues:
         shown, entries = self._sensor(*node_arguments(self.grid, x.T), of_nodes)
         return self._y - shown.T.ravel()[self._measured], entries.T[self._is_shown]
 
-    def weighed(self, values: PointValues, sigma: np.ndarray) -> WeighedValues:
-        """The objective with noise sigma (n_states,), and its derivatives.
-
-        It is a mean: two over the number of values, times -log p.
-        """
-        return self._squares(values, np.sqrt(2 / len(self._y)) / sigma)
-
-    def standardized(self, values: PointValues, sigma: np.ndarray) -> WeighedValues:
-        """The same of -log p: residuals in units of the noise sigma (n_states,)."""
-        return self._squares(values, 1 / sigma)
-
-    def _squares(self, values: PointValues, weight: np.ndarray) -> WeighedValues:
-        """Half the squares of the misfit times the weight (n_states,)."""
-        weights = weight[self._channel]
-        residual = values.misfit * weights
-        slopes = values.slopes * weights[self.shown.rows]
-        pulls = -slopes * residual[self.shown.rows]
-        n = len(self._scale)
-        return WeighedValues(
-            objective=float(residual @ residual) / 2,
-            residual=residual,
-            slopes=slopes,
-            gradient=np.bincount(self.shown.columns, pulls, minlength=n),
-            hessian=slopes[self._one] * slopes[self._other],
-        )
-
-    @cached_property
-    def system(self) -> OptimalitySystem:
-        """The optimality conditions, to be filled with numbers."""
-        return OptimalitySystem(self.grid, self.n_states, self.hessian, self.jacobian)
-
-    def reduced(self, values: PointValues, weighed: WeighedValues) -> ReducedSystem:
-        """The likelihood linearised at a point, states eliminated.
-
-        Raises:
-            SolveError: the states do not follow from the parameters and the data.
-        """
-        factored = self.system.factored(weighed.hessian, values.jacobian)
-        return factored.reduced(self.grid, self.n_states)
-
     @cached_property
     def lower(self) -> np.ndarray:
         """Lower bounds of z, (n_variables,)."""
@@ -267,19 +194,3 @@ class LikelihoodValues:
         if bounds is not None:
             of_states = bounds.upper.ravel()
         return np.concatenate([self.unknown.upper, of_states]) / self._scale
-
-
-def _pairs(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every two entries of one row of which the first is not right of the second."""
-    order = np.argsort(rows, kind="stable")
-    n_in_row = np.bincount(rows)
-    first = np.cumsum(n_in_row) - n_in_row
-    of_row = rows[order]
-    n_partners = n_in_row[of_row]
-    one = np.repeat(np.arange(len(order)), n_partners)
-    begin = np.cumsum(n_partners) - n_partners
-    number = np.arange(len(one)) - np.repeat(begin, n_partners)
-    other = first[of_row[one]] + number
-    one, other = order[one], order[other]
-    is_upper = columns[one] <= columns[other]
-    return one[is_upper], other[is_upper]

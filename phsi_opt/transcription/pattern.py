@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import csc_matrix
+from scipy.sparse import coo_matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,17 +21,45 @@ class Pattern:
     columns: np.ndarray
     shape: tuple[int, int]
 
-    def filled(self, entries: np.ndarray) -> csc_matrix:
-        """The matrix with these entries, (n_entries,)."""
-        return csc_matrix((entries, (self.rows, self.columns)), shape=self.shape)
+    def part(self, columns: slice) -> "PatternPart":
+        """The same of a range of columns."""
+        own = (self.columns >= columns.start) & (self.columns < columns.stop)
+        places = np.flatnonzero(own)
+        return PatternPart(
+            places=places,
+            rows=self.rows[places],
+            columns=self.columns[places] - columns.start,
+            shape=(self.shape[0], columns.stop - columns.start),
+        )
 
-    def symmetric(self, upper: np.ndarray) -> csc_matrix:
-        """The symmetric matrix whose upper triangle has these entries."""
-        above = self.rows != self.columns
-        entries = np.concatenate([upper, upper[above]])
-        rows = np.concatenate([self.rows, self.columns[above]])
-        columns = np.concatenate([self.columns, self.rows[above]])
-        return csc_matrix((entries, (rows, columns)), shape=self.shape)
+
+@dataclass(frozen=True, eq=False)
+class PatternPart:
+    """Some columns of a pattern.
+
+    Attributes:
+        places: (n_part,) of its entries among those of the whole pattern.
+        rows: (n_part,).
+        columns: (n_part,) among those of the part.
+        shape: of the part.
+    """
+
+    places: np.ndarray
+    rows: np.ndarray
+    columns: np.ndarray
+    shape: tuple[int, int]
+
+    def sparse(self, entries: np.ndarray) -> coo_matrix:
+        """With the entries of the whole pattern, (n_entries,)."""
+        own = (entries[self.places], (self.rows, self.columns))
+        return coo_matrix(own, shape=self.shape)
+
+    def dense(self, entries: np.ndarray) -> np.ndarray:
+        """The same as an array."""
+        n_rows, n_columns = self.shape
+        places = self.rows * n_columns + self.columns
+        filled = np.bincount(places, entries[self.places], n_rows * n_columns)
+        return filled.reshape(self.shape)
 
 
 def entry_places(matrix: ca.SX) -> np.ndarray:

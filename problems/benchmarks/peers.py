@@ -22,9 +22,10 @@ from phsi_opt.errors import SolveError
 from phsi_opt.estimation.identify import estimate_by
 from phsi_opt.estimation.likelihood_estimate import LikelihoodEstimate
 from phsi_opt.estimation.problem import Task
-from phsi_opt.optimization.bounded_step import Room
+from phsi_opt.model_error.joint_estimate import JointProblem
+from phsi_opt.model_error.linearization import Linearizer
+from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.transcription.alignment import AlignedData
-from phsi_opt.transcription.optimality_system import OptimalitySystem
 from problems.benchmarks.peer_cases import PROBLEMS, Drawn, Problem, drawn
 from problems.benchmarks.peer_methods import (
     DIFFERENCE,
@@ -124,22 +125,17 @@ def floor(problem: Problem, model: ph.Model, case: Drawn) -> float:
 
 def _iteration(estimate: LikelihoodEstimate) -> float:
     """Processor seconds of one iteration, at least."""
-    likelihood = estimate.transcription.values
-    system = OptimalitySystem(
-        likelihood.grid,
-        likelihood.n_states,
-        likelihood.hessian,
-        likelihood.jacobian,
-    )
-    own = estimate.solution.z[: system.n_theta], likelihood.lower, likelihood.upper
-    room = Room.at(*(part[: system.n_theta] for part in own))
+    values = estimate.transcription.values
+    problem = JointProblem.white(values, estimate.sigma)
+    z = estimate.solution.z
+    linearizer = Linearizer(values)
+    linear = linearizer.at(z, values.at(z))
+    noise = problem.disturbances
+    kernel = MarginalLikelihood(linear, noise.structure, problem.moving)
 
     def work() -> None:
-        there = likelihood.at(estimate.solution.z)
-        weighed = likelihood.weighed(there, estimate.sigma)
-        slopes = there.jacobian
-        factored = system.factored(weighed.hessian, slopes)
-        factored.step(weighed.gradient, there.g, room)
+        there = linearizer.at(z, values.at(z))
+        kernel.relinearized(there).smoothed(noise, room=problem.room(z))
 
     seconds = []
     for _ in range(N_TIMED):

@@ -1,6 +1,5 @@
-"""Full steps from a simple start: the optimum that IPOPT finds, or no answer."""
+"""A likelihood by full steps: the optimum that IPOPT finds, from any start."""
 
-import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -8,26 +7,24 @@ import pytest
 
 import phsi_opt as ph
 from phsi_opt.diagnosis.refit_effort import BRIEF
-from phsi_opt.estimation import direct_steps
-from phsi_opt.estimation.direct_steps import DirectSteps
 from phsi_opt.estimation.likelihood_problem import LikelihoodProblem
 from phsi_opt.estimation.likelihood_solve import LikelihoodSolver
 from phsi_opt.estimation.likelihood_start import crude_start
 from phsi_opt.estimation.problem import Task
 from phsi_opt.estimation.starting_point import StartingPoint
 from phsi_opt.initialization.kinematic_states import kinematic_states
+from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.built_functions import built_of
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.bounded_step import Room
+from phsi_opt.model_error.joint_estimate import JointProblem
 from phsi_opt.optimization.chained import FEWEST_STATES
 from phsi_opt.optimization.endings import DIRECT_STEPS
-from phsi_opt.optimization.mixed_steps import MixedSteps
-from phsi_opt.optimization.settings import EXACT, GAUSS_NEWTON
 from phsi_opt.transcription.alignment import AlignedData
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.interval_map import mapped
-from phsi_opt.transcription.optimality_system import Factored, OptimalitySystem
-from phsi_opt.transcription.pattern import Pattern
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
+from phsi_opt.transcription.parameter_vector import Theta
+from phsi_opt.transcription.point import StateBounds
 from problems.benchmarks import state_growth
 from problems.benchmarks.peer_cases import PROBLEMS, drawn
 
@@ -122,9 +119,7 @@ def test_what_the_data_are_silent_about_stays_where_it_was(
 
 
 @pytest.mark.parametrize("side", ["lower", "upper"])
-def test_an_optimum_at_a_bound_is_that_of_ipopt(
-    monkeypatch: pytest.MonkeyPatch, side: str
-) -> None:
+def test_an_optimum_at_a_bound_is_that_of_ipopt(side: str) -> None:
     c = ph.Parameter(0.4, lower=0.155)
     if side == "upper":
         c = ph.Parameter(0.05, lower=0, upper=0.145)
@@ -134,9 +129,8 @@ def test_an_optimum_at_a_bound_is_that_of_ipopt(
     assert fit.outcome.status == DIRECT_STEPS
     assert fit.outcome.at_bounds == ("c",)
     assert fit.values["c"] in (0.155, 0.145)
-    monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
-    by_ipopt = ph.identify(model, data)
-    assert by_ipopt.outcome.status != DIRECT_STEPS
+    by_ipopt = ph.identify(model, data, settings=ph.SolverSettings(solver="ipopt"))
+    assert by_ipopt.outcome.solver == "IPOPT"
     assert by_ipopt.outcome.at_bounds == ("c",)
     limit = 1e-4 * fit.std_errors["k"]
     assert fit.values["k"] == pytest.approx(by_ipopt.values["k"], abs=limit)
@@ -157,26 +151,6 @@ def test_a_parameter_that_begins_at_its_bound_leaves_it() -> None:
     assert fit.values["c"] == pytest.approx(best.values["c"], abs=limit)
 
 
-def test_an_optimum_at_a_bound_beside_which_nothing_is_told_is_left_to_ipopt() -> None:
-    """Without the force its frequency is anything: another one may lead inside."""
-
-    def wave(size: ph.Parameter | float, omega: ph.Parameter | float) -> ph.Effect:
-        term = ph.formula("size*sin(omega*t)**2", size=size, omega=omega)
-        return ph.Effect("a wave", "F", "p", term)
-
-    size, omega = ph.Parameter(0.0, lower=0), ph.Parameter(3.0, lower=0)
-    data = swinging(spring(1.7, 0.15).add(wave(-0.3, 3.0)))
-    model = spring(1.7, 0.15).add(wave(size, omega))
-    solver, start = solver_and_start(model, data)
-    assert solver.solve_directly(start) is None
-    # With a frequency that is known nothing is silent.
-    model = spring(1.7, 0.15).add(wave(size, 3.0))
-    solver, start = solver_and_start(model, data)
-    found = solver.solve_directly(start)
-    assert found is not None
-    assert found.solution.outcome.at_bounds == ("size",)
-
-
 def solver_and_start(
     model: ph.Model, data: ph.Measurements
 ) -> tuple[LikelihoodSolver, StartingPoint]:
@@ -184,7 +158,9 @@ def solver_and_start(
     task = Task(model, AlignedData.of(model, data), {}, None, ph.SolverSettings())
     problem = LikelihoodProblem.of(task, ph.MaximumLikelihood())
     start = crude_start(problem)
-    return LikelihoodSolver(problem), replace(start, theta=model.theta)
+    steps = (np.ones(len(start.states[0]) - 1, dtype=int),)
+    start = replace(start, theta=model.theta, steps=steps)
+    return LikelihoodSolver(problem), start
 
 
 def test_a_bound_at_which_the_model_has_no_values_is_not_stepped_on() -> None:
@@ -204,8 +180,7 @@ def test_a_bound_at_which_the_model_has_no_values_is_not_stepped_on() -> None:
     assert fit.values["tau"] == pytest.approx(1.0, abs=4 * fit.std_errors["tau"])
 
 
-def large_residuals() -> tuple[ph.Model, ph.Measurements, ph.Fit]:
-    """A model that lacks much, and a start from which full steps go to and fro."""
+def test_large_residuals_of_a_model_that_lacks_much_end_where_ipopt_ends() -> None:
     truth = ph.PseudoHamiltonian(
         states=["q", "p"],
         S=ph.canonical(1),
@@ -214,22 +189,10 @@ def large_residuals() -> tuple[ph.Model, ph.Measurements, ph.Fit]:
     )
     data = swinging(truth)
     smaller = ph.identify(spring(ph.Parameter(1.0, lower=0), 0.2), data)
-    return unknown(), data, smaller
-
-
-def test_steps_that_leave_a_share_of_the_error_each_are_mixed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    model, data, start = large_residuals()
-    fit = ph.identify(model, data, start=start, settings=BRIEF)
+    fit = ph.identify(unknown(), data, start=smaller, settings=BRIEF)
     assert fit.outcome.status == DIRECT_STEPS
-    with monkeypatch.context() as patched:
-        patched.setattr(MixedSteps, "end", lambda _, step, end, times: end)
-        unmixed = ph.identify(model, data, start=start, settings=BRIEF)
-    is_slower = unmixed.outcome.iterations > fit.outcome.iterations + 2
-    assert unmixed.outcome.status != DIRECT_STEPS or is_slower
-    monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
-    by_ipopt = ph.identify(model, data, start=start, settings=BRIEF)
+    only = ph.SolverSettings(solver="ipopt")
+    by_ipopt = ph.identify(unknown(), data, start=smaller, settings=only)
     for name in ("k", "c"):
         limit = 1e-2 * fit.std_errors[name]
         assert fit.values[name] == pytest.approx(by_ipopt.values[name], abs=limit)
@@ -249,136 +212,146 @@ def test_a_step_that_brings_the_defects_down_does_not_count_as_slow(seed: int) -
     assert fit.outcome.status == DIRECT_STEPS
 
 
-def test_where_full_steps_creep_the_exact_hessian_comes_first_on_a_problem_like_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    model, data, start = large_residuals()
-    fit = ph.identify(model, data, start=start, settings=BRIEF)
-    assert fit.outcome.way == GAUSS_NEWTON
-    monkeypatch.setattr(direct_steps, "CONTRACTION", 0.05)
-    monkeypatch.setattr(direct_steps, "FREE_STEPS", 20)
-    fit = ph.identify(model, data, start=start, settings=BRIEF)
-    assert fit.outcome.status == DIRECT_STEPS and fit.outcome.way == EXACT
-    monkeypatch.setattr(DirectSteps, "optimum", lambda *_: None)
-    assert ph.identify(model, data, start=fit, settings=BRIEF).outcome.is_exact
-
-
-def test_steps_that_lead_nowhere_give_no_answer() -> None:
+def test_steps_that_lead_nowhere_say_so() -> None:
     solver, start = solver_and_start(unknown(), swinging())
-    assert solver.solve_directly(start) is not None
+    assert solver.solve(start, most_steps=20).is_success
     for wrong in (np.full(2, 1e200), np.array([np.inf, 1.0])):
         lost = replace(start, states=(start.states[0] * wrong,))
         with np.errstate(all="ignore"):
             try:
-                assert solver.solve_directly(lost) is None
+                assert not solver.solve(lost, most_steps=20).is_success
             except ph.ModelError as error:  # a start that is no number
                 assert "not finite" in str(error)
-    brief = replace(solver.task, settings=ph.SolverSettings(max_iterations=1))
-    solver = LikelihoodSolver(replace(solver.problem, task=brief))
-    assert solver.solve_directly(start) is None
+    brief = solver.solve(start, most_steps=1)
+    assert not brief.is_success
+    assert "stalled" in str(brief.solution.outcome)
 
 
-def pattern_of(matrix: np.ndarray) -> Pattern:
-    rows, columns = np.nonzero(matrix)
-    return Pattern(rows, columns, (matrix.shape[0], matrix.shape[1]))
-
-
-def test_a_step_is_that_of_dense_algebra() -> None:
-    rng = np.random.default_rng(0)
-    t = [np.arange(5.0), np.arange(4.0)]
-    data = ph.Measurements.from_arrays(
-        t, [rng.normal(size=(len(s), 2)) for s in t], states=["a", "b"]
-    )
-    grid = grid_of(data)
-    n_theta, n_x, n_g = 2, 2 * grid.n_nodes, 2 * grid.n_intervals
-    H = np.diag(rng.uniform(1.0, 2.0, n_theta + n_x))
-    H[0, n_theta + 3] = 0.1  # as a sensor's gain would have it
-    J = np.zeros((n_g, n_theta + n_x))
-    J[:, :n_theta] = rng.normal(size=(n_g, n_theta))
-    for interval, begin in enumerate(grid.begin):
-        rows = slice(2 * interval, 2 * interval + 2)
-        columns = slice(n_theta + 2 * begin, n_theta + 2 * begin + 4)
-        J[rows, columns] = rng.normal(size=(2, 4))
-    gradient, g = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
-    system = OptimalitySystem(grid, 2, pattern_of(H), pattern_of(J))
-    entries = H[np.nonzero(H)], J[np.nonzero(J)]
-    free = Room(np.full(2, -1e9), np.full(2, 1e9))
-    factored = system.factored(*entries)
-    step = factored.step(gradient, g, free)
-    whole = H + np.triu(H, 1).T
-    matrix = np.block([[whole, J.T], [J, np.zeros((n_g, n_g))]])
-    expected = np.linalg.solve(matrix, -np.r_[gradient, g])
-    np.testing.assert_allclose(np.r_[step.z, step.multipliers], expected, rtol=1e-8)
-    np.testing.assert_allclose(system.times(entries[0], step.z), whole @ step.z)
-    left = system.lagrangian_gradient(gradient, entries[1], step.multipliers)
-    np.testing.assert_allclose(left, gradient + J.T @ step.multipliers)
-    # From another point, whose gradient and offset are those of the same quadratic.
-    moved, multipliers = rng.normal(size=n_theta + n_x), rng.normal(size=n_g)
-    there = gradient + whole @ moved
-    lagrangian = system.lagrangian_gradient(there, entries[1], multipliers)
-    again = factored.step(lagrangian, g + J @ moved, free)
-    found = np.r_[moved + again.z, multipliers + again.multipliers]
-    np.testing.assert_allclose(found, expected, rtol=1e-8)
-    # Held at zero, the first parameter has no row.
-    one_held = Room(np.array([0.0, -1e9]), np.array([0.0, 1e9]))
-    held = system.factored(*entries).step(gradient, g, one_held)
-    matrix[0] = 0.0
-    matrix[0, 0] = 1.0
-    right = -np.r_[0.0, gradient[1:], g]
-    found = np.r_[held.z, held.multipliers]
-    np.testing.assert_allclose(found, np.linalg.solve(matrix, right), 1e-7, 1e-12)
-
-
-def test_dear_factors_serve_several_steps_to_the_same_optimum(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_many_states_are_solved_as_few_are() -> None:
     chain = state_growth.model(MANY_MASSES)
     data = state_growth.data(MANY_MASSES, 100)
     assert 2 * MANY_MASSES >= FEWEST_STATES
-    factored = OptimalitySystem.factored
-    points: list[weakref.ref[Factored]] = []
-
-    def counted(system: OptimalitySystem, *entries: np.ndarray) -> Factored:
-        assert all(of_earlier() is None for of_earlier in points)  # to make room
-        found = factored(system, *entries)
-        points.append(weakref.ref(found))
-        return found
-
-    monkeypatch.setattr(OptimalitySystem, "factored", counted)
     loss = ph.MaximumLikelihood(steps=1)
-    kept = ph.identify(chain, data, loss)
-    n_kept = len(points)
-    assert kept.outcome.iterations > n_kept
-    points.clear()
-    monkeypatch.setattr(direct_steps, "AGAIN_IF_DEAR", 0.0)
-    anew = ph.identify(chain, data, loss)
-    assert anew.outcome.iterations == len(points)
-    for name, value in anew.values.items():
-        close = pytest.approx(value, abs=1e-4 * anew.std_errors[name])
-        assert kept.values[name] == close
-    assert kept.std_errors == pytest.approx(anew.std_errors, rel=1e-5)
+    fit = ph.identify(chain, data, loss)
+    assert fit.outcome.status == DIRECT_STEPS
+    only = ph.SolverSettings(solver="ipopt")
+    by_ipopt = ph.identify(chain, data, loss, start=fit, settings=only)
+    for name, value in by_ipopt.values.items():
+        close = pytest.approx(value, abs=1e-2 * by_ipopt.std_errors[name])
+        assert fit.values[name] == close
 
 
-def test_the_last_steps_take_the_factors_of_one_before(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    expected = ph.identify(unknown(), swinging())
-    full: list[object] = []
-    factored = OptimalitySystem.factored
+# --- Dry friction: a body that sticks
 
-    def counted(system: OptimalitySystem, *entries: np.ndarray) -> Factored:
-        full.append(system)
-        return factored(system, *entries)
+STUCK_TIMES = np.linspace(0.0, 12.0, 161)
+STARTS = ([1.0, 0.0], [-0.7, 0.9])
+FINE_NOISE = 0.01
+FRICTION, DAMPING = 0.25, 0.05
 
-    monkeypatch.setattr(OptimalitySystem, "factored", counted)
-    fit = ph.identify(unknown(), swinging())
-    assert 1 < len(full) <= fit.outcome.iterations - 2
-    monkeypatch.setattr(direct_steps, "AGAIN", 0.0)
-    full.clear()
-    anew = ph.identify(unknown(), swinging())
-    assert len(full) == anew.outcome.iterations
-    for name, value in expected.values.items():
-        assert anew.values[name] == pytest.approx(value, rel=1e-8)
+
+def rubbing(
+    corner: float, friction: ph.Parameter | float, damping: ph.Parameter | float
+) -> ph.PseudoHamiltonian:
+    """A spring and a mass with dry friction, whose sign turns over within the velocity
+    ``corner``.
+    """
+    return ph.PseudoHamiltonian(
+        states=["q", "p"],
+        S=ph.canonical(1),
+        H=ph.formula("1.7*q**2/2 + p**2/2"),
+        R={
+            "p": ph.formula(
+                "c + f*(dH_dp**4 + v0**4)**(-1/4)", c=damping, f=friction, v0=corner
+            )
+        },
+    )
+
+
+def rubbed(corner: float) -> ph.Measurements:
+    """Positions of two runs that come to rest away from the middle."""
+    rng = np.random.default_rng(0)
+    runs = []
+    for x0 in STARTS:
+        x = ph.simulate(rubbing(corner, FRICTION, DAMPING), STUCK_TIMES, x0)
+        runs.append(x + FINE_NOISE * rng.normal(size=x.shape))
+        runs[-1][:, 1] = np.nan
+    return ph.Measurements.from_arrays([STUCK_TIMES] * 2, runs, states=["q", "p"])
+
+
+def friction_and_damping_free(corner: float) -> ph.PseudoHamiltonian:
+    return rubbing(corner, ph.Parameter(0.2, lower=0.0), ph.Parameter(0.1, lower=0.0))
+
+
+def test_a_body_that_sticks_is_fitted_beside_a_sharp_corner() -> None:
+    data, loss = rubbed(0.002), ph.MaximumLikelihood(steps=6)
+    model = friction_and_damping_free(0.002)
+    wide = ph.identify(model.with_values({"v0": 0.02}), data, loss)
+    start = replace(wide, model=wide.model.with_values({"v0": 0.002}))
+    fit = ph.identify(model, data, loss, start=start, settings=BRIEF)
+    for name, value in (("f", FRICTION), ("c", DAMPING)):
+        assert abs(fit.estimates[name] - value) < 4 * fit.std_errors[name]
+    assert fit.noise["q"] == pytest.approx(FINE_NOISE, rel=0.15)
+
+
+def test_friction_that_begins_at_its_bound_leaves_it_and_ends_at_another() -> None:
+    # Both begin at zero: friction is there and leaves it.
+    data = rubbed(0.3)
+    zero = ph.Parameter(0.0, lower=0.0)
+    fit = ph.identify(rubbing(0.3, zero, zero), data)
+    assert fit.estimates["f"] == pytest.approx(FRICTION, rel=0.2)
+    capped = rubbing(0.3, ph.Parameter(0.2, lower=0.0, upper=0.22), zero)
+    fit = ph.identify(capped, data)
+    assert fit.outcome.at_bounds == ("f",)
+    assert fit.values["f"] == 0.22
+
+
+def test_starting_states_stay_within_their_bounds() -> None:
+    data = rubbed(0.3)
+    model = friction_and_damping_free(0.3)
+    grid = grid_of(data)
+    theta = Theta.of(model, ("run 1", "run 2"))
+    runs = [ph.simulate(model, STUCK_TIMES, x0) for x0 in STARTS]
+    nodes = np.concatenate(runs)
+    lower, upper = np.full(nodes.shape, -np.inf), np.full(nodes.shape, np.inf)
+    upper[0, 0] = 0.9  # the position at which the first run begins
+    nodes[0, 0] = 0.8
+    point = point_at(model, grid, theta, model.theta, nodes)
+    point = replace(point, x_bounds=StateBounds(lower, upper))
+    values = LikelihoodValues(model, grid, "srk4", point, theta)
+    problem = JointProblem.white(values, np.array([FINE_NOISE, 1.0]))
+    found = problem.optimum(point.scaled, 100)
+    assert found.has_converged and found.violation < 1e-7
+    began = point.unscaled(found.point.z)["x"][0]
+    assert began == pytest.approx(0.9, abs=1e-9)
+
+
+def test_the_limit_of_time_is_told() -> None:
+    with pytest.raises(
+        ph.SolveError,
+        match=r"the time limit of 1e-06 s ended the solve.*Maximum_WallTime"
+        r".*allow more time",
+    ):
+        ph.identify(
+            friction_and_damping_free(0.3),
+            rubbed(0.3),
+            settings=ph.SolverSettings(max_seconds=1e-6, thorough=False),
+        )
+
+
+# --- Along a white force that shrinks
+
+
+def test_a_white_force_as_large_as_the_rates_leaves_nearly_a_linear_problem() -> None:
+    """Whatever the start; its optimum beside a small force is that of the likelihood."""
+    data = swinging(only_q=False)
+    solver, start = solver_and_start(unknown(k=300.0, c=40.0), data)
+    there = solver.continued(start)
+    assert there is not None
+    best = ph.identify(unknown(), data, ph.MaximumLikelihood(steps=1))
+    for name, value in zip(("k", "c"), there.theta, strict=True):
+        assert value == pytest.approx(
+            best.values[name], abs=0.1 * best.std_errors[name]
+        )
 
 
 # --- States by kinematics

@@ -1,0 +1,103 @@
+"""A likelihood's program solved by IPOPT, its noise re-estimated until it stays.
+
+Where the program has slack variables (Huber's function, L1), where it is asked for, and
+where full steps do not settle: then with the exact Hessian, as a term is sharp or the
+residuals are large.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from phsi_opt.estimation.likelihood_steps import Optimum
+from phsi_opt.estimation.noise_estimation import NoiseIteration
+from phsi_opt.estimation.transcription import Transcription
+from phsi_opt.optimization.ipopt import Solution, Solver
+from phsi_opt.optimization.settings import SolverSettings
+
+MOST_IPOPT_SOLVES = 6  # with a noise re-estimated
+# Iterations after which the exact Hessian takes over from Gauss-Newton's: that
+# converges in a few, or not at all.
+GAUSS_NEWTON_ITERATIONS = 30
+# Iterations with the exact Hessian where a solve need not be thorough.
+BRIEF_ITERATIONS = 25
+# Root mean square residual, over the noise assumed, of data without noise.
+NOISE_FREE_RMS = 0.01
+# Scaled defect up to which a stalled iterate satisfies the model: the solver's own
+# tolerance.
+NOISE_FREE_DEFECT = 1e-8
+NEARLY_HOLDING = 1e-2  # scaled defect up to which IPOPT begins where full steps ended
+
+
+def by_ipopt(
+    transcription: Transcription,
+    settings: SolverSettings,
+    noise: NoiseIteration,
+    sigma: np.ndarray,
+    by_steps: Optimum | None,
+) -> Optimum:
+    """The optimum and its noise, or how far IPOPT went.
+
+    Args:
+        transcription: of the likelihood.
+        settings: tolerance and limits.
+        noise: re-estimates what is not given.
+        sigma: (n_states,) noise to start from.
+        by_steps: where full steps ended that did not settle; None: there were none.
+    """
+    program = transcription.program
+    z = program.start
+    hessians: tuple[bool, ...] = (False, True)
+    if by_steps is not None:
+        hessians = (True,)
+        if by_steps.solution.outcome.infeasibility < NEARLY_HOLDING:
+            z = by_steps.solution.z
+    for is_exact in hessians:
+        limits = _limits(settings, is_exact)
+        solver = Solver(program, limits, exact=is_exact)
+        optimum = _settled(solver, noise, z, sigma)
+        if optimum.solution.outcome.success:
+            break
+    return optimum
+
+
+def _settled(
+    solver: Solver, noise: NoiseIteration, z: np.ndarray, sigma: np.ndarray
+) -> Optimum:
+    """Solved again and again with better noise."""
+    for _ in range(MOST_IPOPT_SOLVES):
+        solution = solver.solve(z, sigma, raise_on_failure=False)
+        solution = noise_free_is_success(solution)
+        if not solution.outcome.success or not noise.is_estimated.any():
+            break
+        updated = noise.updated(sigma, solution.residual)
+        has_settled = noise.has_settled(sigma, updated)
+        z, sigma = solution.z, updated
+        if has_settled:
+            return Optimum(solver.at(solution, sigma), sigma)
+    return Optimum(solution, sigma)
+
+
+def _limits(settings: SolverSettings, is_exact: bool) -> SolverSettings:
+    if is_exact and settings.thorough:
+        return settings
+    most = BRIEF_ITERATIONS if is_exact else GAUSS_NEWTON_ITERATIONS
+    return replace(settings, max_iterations=min(most, settings.max_iterations))
+
+
+def noise_free_is_success(solution: Solution) -> Solution:
+    """A stall where the residuals are far below the least noise is no failure.
+
+    The data are explained; there is nothing left that could be made smaller.
+    """
+    outcome = solution.outcome
+    mean_square = float(np.sum(solution.residual**2)) / 2
+    is_noise_free = mean_square < NOISE_FREE_RMS**2
+    holds = outcome.infeasibility <= NOISE_FREE_DEFECT
+    if outcome.success or not is_noise_free or not holds:
+        return solution
+    sentence = (
+        "the data are explained beyond the accuracy of numbers: they have no noise"
+    )
+    explained = replace(outcome, success=True, sentence=sentence, advice="")
+    return replace(solution, outcome=explained)

@@ -1,0 +1,155 @@
+"""A likelihood by full steps, its noise re-estimated, or along a force that shrinks.
+
+Both are one loop of steps (`model_error.joint_estimate`), which lower an objective::
+
+    1/2 |(y - h(x, theta)) / sigma|^2 + 1/2 d' Q^-1 d   over theta and x
+
+with d the defects and Q the variance of a white force that the model lacks. For the
+likelihood Q is zero, and the defects hold. From a crude start Q begins as large as the
+rates of the states: these follow the data, and the parameters the regression of their
+rates, nearly a linear problem whatever the start. As Q falls the states become a
+solution of the model, and each optimum is the start of the next: a homotopy, whose end
+is the likelihood. Only measured states have a force: one in the equations of the others
+could shrink with them, as from a position alone the scale of the momentum is open.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from phsi_opt.errors import SolveError
+from phsi_opt.estimation.noise_estimation import NoiseIteration
+from phsi_opt.model_error.joint_estimate import (
+    EXACTLY,
+    SETTLED_VIOLATION,
+    JointProblem,
+    Target,
+)
+from phsi_opt.optimization.endings import STEPS_OPTIMUM, STEPS_STALLED
+from phsi_opt.optimization.ipopt import Solution, names_at_bounds
+from phsi_opt.optimization.outcome import Outcome
+from phsi_opt.optimization.settings import SolverSettings
+from phsi_opt.transcription.likelihood_values import LikelihoodValues
+
+MOST_NOISE_UPDATES = 10
+STEPS_WITH_ONE_NOISE = 60  # with one noise
+# Length of a step, in standard deviations of what is unknown, that is short enough for
+# the noise to be re-estimated.
+FOR_THE_NOISE = Target(length=0.1)
+# Sizes of the force, as a share of each state's own rate, and where its steps end.
+FORCE_SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5)
+MOST_STEPS_OF_A_SIZE = 30
+NEXT_SIZE = Target(fall=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A solution, and the noise (n_states,) that its residuals show."""
+
+    solution: Solution
+    sigma: np.ndarray
+
+
+def by_steps(
+    values: LikelihoodValues,
+    settings: SolverSettings,
+    noise: NoiseIteration,
+    z: np.ndarray,
+    sigma: np.ndarray,
+) -> Optimum:
+    """The optimum and its noise, or how far the steps went.
+
+    Args:
+        values: of the likelihood.
+        settings: limits.
+        noise: re-estimates what is not given.
+        z: (n_variables,) scaled variables to start from.
+        sigma: (n_states,) noise to start from.
+    """
+    began = time.perf_counter()
+    most = min(STEPS_WITH_ONE_NOISE, settings.max_iterations)
+    target = FOR_THE_NOISE if noise.is_estimated.any() else EXACTLY
+    joint = None
+    n_steps = 0
+    is_found = False
+    for _ in range(MOST_NOISE_UPDATES):
+        problem = JointProblem.white(values, sigma)
+        before = None if joint is None else joint.likelihood
+        try:
+            joint = problem.optimum(z, most, target=target, before=before)
+        except (SolveError, np.linalg.LinAlgError):
+            break
+        z = joint.point.z
+        n_steps += joint.n_steps
+        is_late = time.perf_counter() - began > settings.max_seconds
+        if not joint.has_converged or is_late:
+            break
+        updated = noise.updated(sigma, _mean_residual(joint.residual, sigma, values))
+        has_settled = noise.has_settled(sigma, updated)
+        sigma = updated
+        is_found = has_settled and target is EXACTLY
+        if is_found:
+            break
+        if has_settled:
+            target = EXACTLY
+    is_found = is_found and joint is not None and joint.violation < SETTLED_VIOLATION
+    ending = STEPS_OPTIMUM if is_found else STEPS_STALLED
+    known = values.at(z)
+    residual = _mean_residual(known.misfit, sigma, values)
+    outcome = Outcome(
+        success=ending.is_usable,
+        status=ending.status,
+        sentence=ending.sentence,
+        advice=ending.advice,
+        iterations=n_steps,
+        seconds=time.perf_counter() - began,
+        objective=float(residual @ residual) / 2,
+        infeasibility=float(np.max(np.abs(known.g), initial=0.0)),
+        at_bounds=names_at_bounds(
+            values.unknown.names, z, (values.lower, values.upper)
+        ),
+    )
+    solution = Solution(values.point.unscaled(z), z, residual, outcome)
+    return Optimum(solution, sigma)
+
+
+def continued(values: LikelihoodValues, sigma: np.ndarray) -> np.ndarray | None:
+    """Scaled variables that nearly solve the model; None: no steps lead there.
+
+    Args:
+        values: of the likelihood, whose point is the start.
+        sigma: (n_states,) noise.
+    """
+    rates = _sizes_of_rates(values)
+    z = values.point.scaled
+    for size in FORCE_SIZES:
+        problem = JointProblem.white(values, sigma, (size * rates) ** 2)
+        try:
+            found = problem.optimum(z, MOST_STEPS_OF_A_SIZE, target=NEXT_SIZE)
+        except (SolveError, np.linalg.LinAlgError):
+            return None
+        z = found.point.z
+    return z
+
+
+def _sizes_of_rates(values: LikelihoodValues) -> np.ndarray:
+    """Size of each scaled defect if a measured state's own rate were missing."""
+    grid, point = values.grid, values.point
+    rate = np.sqrt(np.mean(grid.rates(point.x) ** 2, axis=0))
+    relative = rate / point.x_scale
+    moving = relative[relative > 0]
+    typical = np.median(moving) if len(moving) else 1 / np.ptp(grid.t)
+    # A state that stands still in the start is as fast as the others.
+    rate = np.where(rate > 0, rate, typical * point.x_scale)
+    rate = np.where(grid.measured.any(axis=0), rate, 0.0)
+    return np.asarray((rate * grid.h[:, None] / point.x_scale).ravel())
+
+
+def _mean_residual(
+    misfit: np.ndarray, sigma: np.ndarray, values: LikelihoodValues
+) -> np.ndarray:
+    """Over the noise, so that half its squares are the mean square, (n_values,)."""
+    weights = np.sqrt(2 / len(misfit)) / sigma[values.grid.channel]
+    residual: np.ndarray = misfit * weights
+    return residual
