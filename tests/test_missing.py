@@ -15,8 +15,6 @@ from phsi_opt.estimation.missing_force import ForceEstimate, estimate_force
 from phsi_opt.model.model import PseudoHamiltonian
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula
-from phsi_opt.model_error.ascent import climbed
-from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.transcription.grid import grid_of
 from phsi_opt.transcription.point import Point
 from problems.examples.friction_spring import CSV
@@ -119,25 +117,6 @@ def test_the_evidence_is_larger_for_the_right_size_of_the_force_than_for_far_one
         ).log_evidence
 
     assert evidence(1.0) > max(evidence(0.2), evidence(5.0))
-
-
-def test_updates_lead_to_the_sizes_that_a_search_by_slopes_finds(
-    case: tuple[ForceEstimate, np.ndarray],
-) -> None:
-    estimate, _ = case
-    likelihood = estimate.posterior.likelihood
-    coordinates = Coordinates(
-        origin=estimate.disturbances,
-        channels=(0,),
-        least_noise=np.full(2, 1e-6),
-        shortest=1e-6,
-        longest=1e6,
-        fixed_times=True,
-    )
-    found = coordinates.at(climbed(likelihood, coordinates, (0,), 30).vector)
-    # Both estimate traces by random signs, of which the search has fewer.
-    assert found.sigma[0, 0] == pytest.approx(estimate.sigma[0], rel=0.02)
-    assert found.forces[0].size == pytest.approx(estimate.size[0], rel=0.1)
 
 
 def test_nothing_is_missing_on_data_held_out_beside_a_sharp_corner() -> None:

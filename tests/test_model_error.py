@@ -32,7 +32,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import Dictionary, damping, formula
 from phsi_opt.model_error import marginal_likelihood, score_test
-from phsi_opt.model_error.ascent import slopes, updated
+from phsi_opt.model_error.ascent import slopes
 from phsi_opt.model_error.clusters import Clusters
 from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbance_search import DisturbanceSearch, Evidence
@@ -552,16 +552,6 @@ def test_the_steps_end_where_the_marginal_likelihood_says(
     found = estimate.joint.point.processes
     np.testing.assert_allclose(found, step.processes, atol=limit * largest)
     assert estimate.misfit == pytest.approx(0.9, abs=0.15)
-
-
-def test_some_noise_stays_white_beside_errors_that_last() -> None:
-    problem = search_of(0).problem
-    d = Disturbances(np.array([[1e-9, 1.0]]), sensors=(Process(0, 1.0, TIME),))
-    likelihood = MarginalLikelihood(problem, d.structure, np.zeros(0, dtype=int))
-    least = np.array([NOISE, 1.0])
-    found = updated(likelihood, d, (0,), least)
-    assert found.sensors[0].size > NOISE
-    assert found.sigma[0, 0] == pytest.approx(0.1 * NOISE)
 
 
 # --- The search for disturbances

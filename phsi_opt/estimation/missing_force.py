@@ -18,11 +18,11 @@ from phsi_opt.initialization.relative_guesses import corner_widths
 from phsi_opt.initialization.scaling import first_point
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import forced_rows
-from phsi_opt.model_error.ascent import updated
+from phsi_opt.model_error.ascent import climbed
+from phsi_opt.model_error.coordinates import Coordinates
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.force_posterior import ForcePosterior
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
-from phsi_opt.model_error.marginal_likelihood import MarginalLikelihood
 from phsi_opt.model_error.processes import Process
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.likelihood_values import LikelihoodValues
@@ -35,8 +35,8 @@ Forces = tuple[Process, ...]
 # Steps while the force's size is still sought, and where few are not enough.
 ROUGHLY = 30
 THOROUGHLY = 200
-MOST_UPDATES = 8  # of the sizes between two solves
-SETTLED_SIZE = 0.02  # change of the logarithm of a size at which its updates end
+SIZE_STEPS = 8  # uphill between two solves, at most
+SETTLED_SIZE = 0.02  # change of the logarithm of a size at which the rounds end
 # Violation of the (scaled) dynamics beyond which a search that did not end well is of
 # no use.
 LOST = 1e-2
@@ -165,7 +165,7 @@ def estimate_force(
         found = search.solve(is_last=n_left == 0)
         before = search.disturbances
         posterior = search.update_sizes(found)
-        change = _change(before, search.disturbances)
+        change = search.disturbances.distance(before)
         if change < SETTLED_SIZE and found.has_converged:
             break
     x = search.values.point.unscaled(found.point.z)["x"]
@@ -198,14 +198,6 @@ def _unknown_channels(grid: Grid, known: Known) -> tuple[int, ...]:
     is_known = np.broadcast_to(known, grid.y.shape[1])
     unknown = grid.measured.any(axis=0) & ~is_known
     return tuple(np.flatnonzero(unknown).tolist())
-
-
-def _change(before: Disturbances, after: Disturbances) -> float:
-    """Largest change of the logarithm of a size."""
-    changes = [float(np.max(np.abs(np.log(after.sigma / before.sigma))))]
-    for old, new in zip(before.processes, after.processes, strict=True):
-        changes.append(abs(float(np.log(new.size / old.size))))
-    return max(changes)
 
 
 @dataclass(eq=False)
@@ -264,16 +256,15 @@ class _Search:
         Returns:
             The linearised record, for the sizes before the last update.
         """
-        structure = self.disturbances.structure
-        likelihood = MarginalLikelihood(found.linear, structure, NO_PARAMETERS)
-        for _ in range(MOST_UPDATES):
-            before = self.disturbances
-            self.disturbances = updated(
-                likelihood, before, self.channels, self.least_noise
-            )
-            if _change(before, self.disturbances) < SETTLED_SIZE:
-                break
-        return ForcePosterior(likelihood, self.disturbances)
+        coordinates = Coordinates(
+            origin=self.disturbances,
+            channels=self.channels,
+            least_noise=self.least_noise,
+            fixed_times=True,
+        )
+        sized = climbed(found.likelihood, coordinates, self.channels, SIZE_STEPS)
+        self.disturbances = coordinates.at(sized.vector)
+        return ForcePosterior(found.likelihood, self.disturbances)
 
 
 def _scaled(forces: Forces, factor: float) -> Forces:

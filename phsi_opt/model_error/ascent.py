@@ -7,7 +7,7 @@ average information, of which only solutions for further right-hand sides are ne
 evaluations of the evidence, however many sizes there are.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,9 +26,6 @@ from phsi_opt.statistics import TINY
 PROBED_VALUES = 8_000  # values that all random vectors together look at, at least
 LEAST_PROBES = 6
 MOST_PROBES = 24
-# The same of an update, which no curvature makes smooth.
-PROBED_BY_UPDATES = 200_000
-MOST_OF_AN_UPDATE = 64
 # Share of the information that is added to it (Levenberg 1944, Marquardt 1963), and the
 # factor on it after a step that led down.
 FIRST_DAMPING = 0.1
@@ -44,11 +41,6 @@ LEAST_GAIN = 0.03
 # An ascent may gain so many times what the quadratic at a place promises: the evidence
 # is steeper in logarithms of sizes that are far too small or too large.
 HOPE = 3.0
-LARGEST_CHANGE = 10.0  # factor by which a variance may move in one update
-LEAST_DETERMINED = 1e-3  # directions: keeps the update of a force without effect finite
-# Share of a channel's least variance that stays white beside errors that last: the
-# weight of its values is one over the white noise, and would be infinite.
-LEAST_WHITE = 1e-2
 PRIOR_STEP = 1e-4  # of the logarithm of a size or time, for slopes of priors
 
 
@@ -88,36 +80,6 @@ def slopes(
         SolveError: the states do not follow from the data.
     """
     return _Derivatives(likelihood, disturbances, channels).slopes(sums)
-
-
-def updated(
-    likelihood: MarginalLikelihood,
-    disturbances: Disturbances,
-    channels: tuple[int, ...],
-    least_noise: np.ndarray,
-) -> Disturbances:
-    """Sizes of noise and processes after one fixed-point update (MacKay 1992).
-
-    For many sizes, whose curvature would cost a solution each. Times and functions of
-    states stay.
-
-    Args:
-        likelihood: of the structure of the disturbances.
-        disturbances: with their sizes.
-        channels: states whose noise is estimated.
-        least_noise: (n_states,) below which all noise of a channel does not fall, white
-            and lasting.
-
-    Raises:
-        SolveError: the states do not follow from the data.
-    """
-    return _Derivatives(likelihood, disturbances, channels).updated(least_noise)
-
-
-def _factor(squares: float, determined: float) -> float:
-    """On a standard deviation whose square has so many terms that are told."""
-    largest = LARGEST_CHANGE
-    return float(np.sqrt(np.clip(squares / determined, 1 / largest, largest)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -346,49 +308,11 @@ class _Derivatives:
             priors.append(_Prior.of(process, now[number], then[number], where))
         return priors
 
-    def updated(self, least_noise: np.ndarray) -> Disturbances:
-        """Each variance as the sum of squares over the directions that are left to it.
-
-        Of the noise those that the unknowns do not take, of a process those that the
-        data determine.
-        """
-        probes = self._probes(PROBED_BY_UPDATES, MOST_OF_AN_UPDATE)
-        alone = self.parts.factors.solve(probes.inner)
-        open_border = probes.border - self.parts.right[:, :-1].T @ alone
-        of_border = solve_border(self.information, open_border)
-        answer = alone - self.parts.solved[:, :-1] @ of_border
-        n = self.n_probes
-        squares, leverage = self._of_values(answer[:, :n], of_border[:, :n])
-        processes = []
-        for prior, signs in zip(self.priors, self.process_signs, strict=True):
-            innovations, left = self._of_process(prior, signs, answer[:, n:])
-            factor = _factor(innovations, max(prior.n - left, LEAST_DETERMINED))
-            processes.append(replace(prior.process, size=factor * prior.process.size))
-        n_forces = len(self.disturbances.forces)
-        least = least_noise**2
-        for error in processes[n_forces:]:
-            least[error.place] -= error.size**2
-        sigma = self.disturbances.sigma.copy()
-        for channel in self.channels:
-            own = self.problem.channel == channel
-            left = max(float(np.sum(1 - leverage[own])), 1.0)
-            factor = _factor(float(np.sum(squares[own])), left)
-            lowest = np.sqrt(
-                max(least[channel], LEAST_WHITE * least_noise[channel] ** 2)
-            )
-            sigma[:, channel] = np.maximum(factor * sigma[:, channel], lowest)
-        return replace(
-            self.disturbances,
-            sigma=sigma,
-            forces=tuple(processes[:n_forces]),
-            sensors=tuple(processes[n_forces:]),
-        )
-
     def slopes(self, sums: np.ndarray | None = None) -> Slopes:
         """Gradient and average information."""
         n_slopes = len(self.channels) + 2 * len(self.priors) + len(self.sizes)
         changes = self._changes(np.eye(n_slopes) if sums is None else sums)
-        probes = self._probes(PROBED_VALUES, MOST_PROBES)
+        probes = self._probes()
         inner = np.hstack([changes.inner, probes.inner])
         border = np.hstack([changes.border, probes.border])
         k = changes.inner.shape[1]
@@ -463,11 +387,11 @@ class _Derivatives:
             moved[places, number] = 2 * self.step[places]
         return moved
 
-    def _probes(self, probed: int, most: int) -> _Columns:
+    def _probes(self) -> _Columns:
         """Random signs: first of the measured values, then of the processes."""
         likelihood = self.likelihood
         n_values = self.problem.n_values
-        n_probes = int(np.clip(probed // n_values, LEAST_PROBES, most))
+        n_probes = int(np.clip(PROBED_VALUES // n_values, LEAST_PROBES, MOST_PROBES))
         self.n_probes = n_probes
         lengths = (n_values, *(prior.n for prior in self.priors))
         self.value_signs, *self.process_signs = random_signs(lengths, n_probes)

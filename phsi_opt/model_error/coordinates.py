@@ -6,11 +6,15 @@ import numpy as np
 
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.processes import Process
+from phsi_opt.statistics import TINY
 
 # Logarithm of the factor on a size down to which a search goes: what is smaller than a
 # millionth of where it began is not there.
 SMALLEST_LOG = -14.0
 LARGEST_LOG = 7.0  # and up to which it goes
+# Sizes of noises and processes that are estimated one by one, at most: beyond, those of
+# one kind keep their ratios.
+MOST_SIZES = 27
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,18 +32,21 @@ class Coordinates:
         shortest: correlation time, at least.
         longest: at most.
         largest_functions: sizes of the functions, at most.
-        fixed_times: whether the times of the forces stay as they are.
-        is_tied: whether sizes of one kind share a factor.
+        fixed_times: whether times stay as they are.
     """
 
     origin: Disturbances
     channels: tuple[int, ...]
     least_noise: np.ndarray
-    shortest: float
-    longest: float
+    shortest: float = 0.0
+    longest: float = np.inf
     largest_functions: tuple[float, ...] = ()
     fixed_times: bool = False
-    is_tied: bool = False
+
+    @property
+    def is_tied(self) -> bool:
+        """Whether sizes of one kind share a factor: where there are many."""
+        return len(self.channels) + len(self.origin.processes) > MOST_SIZES
 
     def _groups(self, n: int) -> list[list[int]]:
         """Which of ``n`` sizes of one kind share a factor."""
@@ -55,12 +62,13 @@ class Coordinates:
         lowest = []
         for channel in self.channels:
             noise = float(np.mean(origin.sigma[:, channel]))
-            lowest.append(float(np.log(self.least_noise[channel] / noise)))
+            least = self.least_noise[channel] / noise
+            lowest.append(max(float(np.log(max(least, TINY))), SMALLEST_LOG))
         for group in self._groups(len(self.channels)):
             highest = max(lowest[place] for place in group)
             bounds.append((min(highest, 0.0), LARGEST_LOG))
-        bounds += self._bounds_of(origin.forces, self.fixed_times)
-        bounds += self._bounds_of(origin.sensors, False)
+        bounds += self._bounds_of(origin.forces)
+        bounds += self._bounds_of(origin.sensors)
         limits = zip(origin.functions, self.largest_functions, strict=True)
         for function, largest in limits:
             bounds.append(
@@ -86,14 +94,11 @@ class Coordinates:
         units = np.eye(n_channels + 2 * n_processes + n_functions)
         rows = self._sums(units[:n_channels])
         first = n_channels
-        for processes, fixed in (
-            (origin.forces, self.fixed_times),
-            (origin.sensors, False),
-        ):
+        for processes in (origin.forces, origin.sensors):
             last = first + len(processes)
             rows += self._sums(units[first:last])
             lasting = np.array([self._lasts(process) for process in processes])
-            if lasting.any() and not fixed:
+            if lasting.any() and not self.fixed_times:
                 times = units[first + n_processes : last + n_processes]
                 rows.append(times[lasting].sum(axis=0))
             first = last
@@ -104,12 +109,10 @@ class Coordinates:
         """A row per group, (n_slopes,), of a row per size."""
         return [units[group].sum(axis=0) for group in self._groups(len(units))]
 
-    def _bounds_of(
-        self, processes: tuple[Process, ...], fixed: bool
-    ) -> list[tuple[float, float]]:
+    def _bounds_of(self, processes: tuple[Process, ...]) -> list[tuple[float, float]]:
         bounds = [(SMALLEST_LOG, LARGEST_LOG)] * len(self._groups(len(processes)))
         times = [p.time for p in processes if self._lasts(p)]
-        if times and not fixed:
+        if times and not self.fixed_times:
             lower = np.log(self.shortest / times[0])
             bounds.append((lower, np.log(self.longest / times[0])))
         return bounds
@@ -124,8 +127,8 @@ class Coordinates:
         for group in self._groups(len(self.channels)):
             channels = [self.channels[place] for place in group]
             sigma[:, channels] *= np.exp(left.pop(0))
-        forces = self._moved(self.origin.forces, left, self.fixed_times)
-        sensors = self._moved(self.origin.sensors, left, False)
+        forces = self._moved(self.origin.forces, left)
+        sensors = self._moved(self.origin.sensors, left)
         functions: list[StateFunction] = []
         for function in self.origin.functions:
             size = function.size * float(np.exp(left.pop(0)))
@@ -139,14 +142,15 @@ class Coordinates:
         )
 
     def _moved(
-        self, processes: tuple[Process, ...], left: list[float], fixed: bool
+        self, processes: tuple[Process, ...], left: list[float]
     ) -> tuple[Process, ...]:
         """Take the coordinates of these processes off the list."""
         sizes: list[float] = []
         for group in self._groups(len(processes)):
             factor = float(np.exp(left.pop(0)))
             sizes += [processes[place].size * factor for place in group]
-        is_free = not fixed and any(self._lasts(process) for process in processes)
+        is_lasting = any(self._lasts(process) for process in processes)
+        is_free = is_lasting and not self.fixed_times
         factor = float(np.exp(left.pop(0))) if is_free else 1.0
         moved = []
         for process, size in zip(processes, sizes, strict=True):

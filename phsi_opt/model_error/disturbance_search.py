@@ -14,7 +14,7 @@ import numpy as np
 from phsi_opt.criteria import MODEL_ERROR_EVIDENCE
 from phsi_opt.errors import SolveError
 from phsi_opt.model_error.ascent import LEAST_GAIN, MOST_STEPS, climbed
-from phsi_opt.model_error.coordinates import Coordinates
+from phsi_opt.model_error.coordinates import MOST_SIZES, Coordinates
 from phsi_opt.model_error.disturbances import Disturbances, StateFunction
 from phsi_opt.model_error.linearization import Linearization
 from phsi_opt.model_error.marginal_likelihood import (
@@ -51,9 +51,6 @@ STEPS_ON_WHOLE = 4  # uphill, from what was found in pieces
 # Gain of the log evidence by a step at which the ascent of a re-fit ends: it moves its
 # standard errors by a few percent.
 BRIEF_GAIN = 0.2
-# Sizes of noises and processes that are estimated one by one, at most: beyond, those of
-# one kind keep their ratios.
-MOST_SIZES = 27
 # Share of the evidence that is asked for, from which the first step of a search makes
 # the others worth while: of 37 records in which a search found something all promised
 # more; of 27 in which it found nothing, and no error was put in, four did.
@@ -318,7 +315,6 @@ class DisturbanceSearch:
     def best_of(
         self,
         starts: Sequence[Disturbances],
-        fixed_times: bool = False,
         most_steps: int = MOST_STEPS,
         worth: float = -np.inf,
     ) -> Evidence:
@@ -339,8 +335,6 @@ class DisturbanceSearch:
             shortest=self.shortest,
             longest=self._longest,
             largest_functions=self._largest_functions(origin.functions),
-            fixed_times=fixed_times,
-            is_tied=self._n_sizes(origin) > MOST_SIZES,
         )
 
         least_gain = BRIEF_GAIN if self.is_brief else LEAST_GAIN
@@ -350,10 +344,6 @@ class DisturbanceSearch:
         disturbances = coordinates.at(found.vector)
         moved = replace(coordinates, origin=disturbances)
         return Evidence(disturbances, found.log_evidence, moved, found.information)
-
-    def _n_sizes(self, disturbances: Disturbances) -> int:
-        processes = len(disturbances.forces) + len(disturbances.sensors)
-        return len(self.channels) + processes
 
     def likelihood(self, disturbances: Disturbances) -> MarginalLikelihood:
         """The marginal likelihood for disturbances of this structure."""

@@ -256,6 +256,15 @@ class MarginalLikelihood:
         other._set_slopes()
         return other
 
+    def with_moving(self, moving: np.ndarray) -> "MarginalLikelihood":
+        """The same where other parameters are free to move."""
+        if np.array_equal(moving, self.moving):
+            return self
+        other = copy(self)
+        other.moving = moving
+        other._set_border()
+        return other
+
     def _set_slopes(self) -> None:
         """What the slopes of the record fill."""
         self.shown = self._shown_in_unknowns()

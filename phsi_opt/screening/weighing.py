@@ -25,7 +25,6 @@ from phsi_opt.initialization.scaling import point_at
 from phsi_opt.model.model import Model
 from phsi_opt.model_error.ascent import climbed
 from phsi_opt.model_error.coordinates import Coordinates
-from phsi_opt.model_error.disturbance_search import MOST_SIZES
 from phsi_opt.model_error.disturbances import Disturbances
 from phsi_opt.model_error.joint_estimate import JointEstimate, JointPoint, JointProblem
 from phsi_opt.model_error.linearization import linearized
@@ -197,11 +196,9 @@ class Weighing:
             joint = problem.optimum(z, STEPS_OF_A_ROUND, _beside(problem, z, processes))
             z, processes = joint.point.z, joint.point.processes
             problem = self._without_bounds_met(problem, z)
-            likelihood = MarginalLikelihood(
-                joint.linear, problem.disturbances.structure, problem.moving
-            )
+            likelihood = joint.likelihood.with_moving(problem.moving)
             sizes = self._better_sizes(likelihood, problem.disturbances)
-            change = _largest_change(problem.disturbances, sizes)
+            change = sizes.distance(problem.disturbances)
             problem = replace(problem, disturbances=sizes)
             found = _Found(joint, likelihood, sizes)
             gain = np.inf if best is None else found.evidence - best.evidence
@@ -276,7 +273,6 @@ class Weighing:
             shortest=SHORTEST_FORCE * float(np.median(grid.h)),
             longest=self.longest,
             largest_functions=tuple(functions),
-            is_tied=len(self.channels) + len(sizes.processes) > MOST_SIZES,
         )
         found = climbed(likelihood, coordinates, self.channels, CLIMBS_OF_A_ROUND)
         sizes = coordinates.at(found.vector)
@@ -404,11 +400,3 @@ def _beside(
         for function in problem.disturbances.functions:
             n += linear.function_values[function.state].shape[1]
     return JointPoint(z, processes, np.zeros(n))
-
-
-def _largest_change(before: Disturbances, after: Disturbances) -> float:
-    """Of the logarithm of a size."""
-    changes = [float(np.max(np.abs(np.log(after.sigma / before.sigma))))]
-    for old, new in zip(before.processes, after.processes, strict=True):
-        changes.append(abs(float(np.log(new.size / old.size))))
-    return max(changes)
