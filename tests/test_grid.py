@@ -14,7 +14,7 @@ from phsi_opt.model.parameters import Parameter
 from phsi_opt.model.structure import canonical
 from phsi_opt.model.terms import damping, formula, trigonometric
 from phsi_opt.optimization.column_function import AT_ONCE
-from phsi_opt.transcription.defects import defect, defect_jacobian, defects
+from phsi_opt.transcription.defects import defect, defects
 from phsi_opt.transcription.grid import grid_of, steps_per_gap
 from phsi_opt.transcription.integrators import INTEGRATORS
 from phsi_opt.transcription.known_defects import KnownDefects
@@ -141,7 +141,7 @@ def complete() -> tuple[Any, np.ndarray]:
 def test_the_jacobian_of_the_defects_is_that_of_finite_differences(scheme: str) -> None:
     made, (grid, x) = model(), complete()
     theta, step = made.theta, 1e-6
-    jacobian = np.array(defect_jacobian(made, grid, scheme)(x.T, theta))
+    jacobian = KnownDefects(made, grid, scheme, x).at(theta).slopes
 
     def flat(at: np.ndarray) -> np.ndarray:
         return np.array(defects(made, grid, scheme, x.T, at)).T.ravel()
@@ -170,8 +170,8 @@ def test_all_defects_are_those_of_the_intervals_one_by_one(scheme: str) -> None:
 
 def test_chosen_columns_are_those_of_the_whole_jacobian() -> None:
     made, (grid, x) = model(), complete()
-    whole = np.array(defect_jacobian(made, grid, "srk4")(x.T, made.theta))
-    some = np.array(defect_jacobian(made, grid, "srk4", only=[4, 1])(x.T, made.theta))
+    whole = KnownDefects(made, grid, "srk4", x).at(made.theta).slopes
+    some = KnownDefects(made, grid, "srk4", x, only=[4, 1]).at(made.theta).slopes
     np.testing.assert_allclose(
         some, whole[:, [4, 1]], rtol=1e-13
     )  # the same derivatives, perhaps reordered sums
@@ -199,6 +199,9 @@ def test_defects_of_known_states_are_those_of_the_symbols(
     theta = np.array([0.4, 0.3])
     found = KnownDefects(model, grid, "srk4", only=only).at(theta)
     d = defects(model, grid, "srk4", ca.DM(grid.y.T), theta)
-    slopes = defect_jacobian(model, grid, "srk4", only)(grid.y.T, theta)
+    symbol = ca.SX.sym("theta", 2)
+    in_symbols = ca.vec(defects(model, grid, "srk4", ca.DM(grid.y.T), symbol))
+    slopes = ca.Function("J", [symbol], [ca.jacobian(in_symbols, symbol)])(theta)
+    slopes = np.array(slopes)[:, [0, 1] if only is None else only]
     np.testing.assert_allclose(found.d, np.array(d).T, rtol=1e-13)
     np.testing.assert_allclose(found.slopes, np.array(slopes), rtol=1e-12)

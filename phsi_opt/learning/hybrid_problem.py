@@ -17,8 +17,8 @@ from phsi_opt.learning.hybrid_network import TrainedForce
 from phsi_opt.learning.hybrid_training import TrainingSet
 from phsi_opt.learning.ridge import cross_validated
 from phsi_opt.model.model import Model
-from phsi_opt.transcription.defects import defect_jacobian, defects
 from phsi_opt.transcription.grid import Grid, grid_of
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.losses import complete_intervals
 from phsi_opt.transcription.stages import StageRule, stage_rule
 
@@ -109,8 +109,8 @@ class HybridProblem:
         theta = forced.theta
         n_theta = len(theta)
         n = grid.n_intervals
-        slopes = np.array(defect_jacobian(forced, grid, self.scheme)(grid.y.T, theta))
-        d = np.array(defects(forced, grid, self.scheme, grid.y.T, theta)).T
+        known = KnownDefects(forced, grid, self.scheme).at(theta)
+        d, slopes = known.d.copy(), known.slopes
         d[:, self.rows] = data.target  # without the force
         units = data.mean(trained.network.features(trained.values_in(data.stages)))
         features = np.hstack([units, np.ones((n, 1))])
@@ -151,7 +151,7 @@ class HybridProblem:
         """
         forced = self.forced(after)
         grid = self.with_force(new_force)
-        d = np.array(defects(forced, grid, self.scheme, grid.y.T, forced.theta))
+        d = KnownDefects(forced, grid, self.scheme).at(forced.theta).d.T
         size = max(rms(new_force), LEAST_SIZE)
         return {
             "loss": float(np.mean(np.sum(d**2, axis=0))),

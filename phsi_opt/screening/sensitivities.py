@@ -14,11 +14,10 @@ from phsi_opt.initialization.relative_guesses import corner_widths, intervals_at
 from phsi_opt.model.effect import Effect
 from phsi_opt.model.model import Model
 from phsi_opt.model.structure import position_of_momentum
-from phsi_opt.optimization.evaluated import Evaluated
 from phsi_opt.screening.linearized_record import LinearizedRecord
 from phsi_opt.screening.weighing import SCHEME
 from phsi_opt.transcription.augmented_states import MemoryIntegration
-from phsi_opt.transcription.defects import defect_function, defect_jacobian
+from phsi_opt.transcription.known_defects import KnownDefects
 from phsi_opt.transcription.sensors import output_slopes, outputs
 
 
@@ -70,19 +69,7 @@ class Sensitivities:
             self.memory = MemoryIntegration(trial.model, grid, self.states)
             grid = grid.apart()
         self.places = [trial.model.free.index(name) for name in trial.linear]
-        self._defect_slopes = self._defects = None
-        if not self.is_sensor:
-            n_trajectories = linearized.parameters.shape[1]
-            n_base_states = linearized.model.n_states
-            layout = (trial.model, grid, SCHEME)
-            if self.places:
-                self._defect_slopes = Evaluated(
-                    defect_jacobian(*layout, self.places, n_trajectories, n_base_states)
-                )
-            else:
-                self._defects = Evaluated(
-                    defect_function(*layout, n_trajectories, n_base_states)
-                )
+        self._grid = grid  # the two ends of every interval, apart beside a memory
         self.at_rest = self._defects_at_rest()
 
     def __call__(self, values: dict[str, float]) -> Change:
@@ -114,14 +101,14 @@ class Sensitivities:
         linearized = self.linearized
         n_intervals = linearized.grid.n_intervals
         n_states = linearized.model.n_states
-        if self._defect_slopes is not None:
-            (slopes,) = self._defect_slopes(x.T, theta)
-            shape = (len(self.places), n_intervals, self.trial.model.n_states)
-            return slopes.reshape(shape)[:, :, :n_states].transpose(1, 2, 0)
-        assert self._defects is not None
-        (with_effect,) = self._defects(x.T, theta)
+        known = KnownDefects(
+            self.trial.model, self._grid, SCHEME, x, self.places, n_states
+        ).at(theta)
+        if self.places:
+            slopes = known.slopes.reshape(n_intervals, -1, len(self.places))
+            return slopes[:, :n_states]
         without = linearized.defects.reshape(n_intervals, n_states)
-        return (with_effect[:, :n_states] - without)[..., None]
+        return (known.d[:, :n_states] - without)[..., None]
 
     def _output_change(self, x: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """(n_nodes, n_states, k)"""

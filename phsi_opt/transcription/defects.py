@@ -15,7 +15,6 @@ from phsi_opt.model.model import Model
 from phsi_opt.transcription.grid import Grid
 from phsi_opt.transcription.integrators import integrator
 from phsi_opt.transcription.interval_map import (
-    argument_symbols,
     in_intervals,
     interval_arguments,
     known_arguments,
@@ -103,7 +102,6 @@ def defects(
     scheme: str,
     x: Any,
     theta: Any,
-    n_moving: int | None = None,
 ) -> Any:
     """Defects of all intervals, (n_states, n_intervals).
 
@@ -114,68 +112,9 @@ def defects(
         x: (n_states, n_nodes) states, symbols or numbers.
         theta: (n_free,) parameters, or (n_free, n_trajectories) where trajectories
             have parameters of their own.
-        n_moving: as that of `defect`.
     """
-    function = defect(model, scheme, n_moving)
+    function = defect(model, scheme)
     return map_intervals(function, grid, interval_arguments(grid, x), theta)
-
-
-def defect_function(
-    model: Model,
-    grid: Grid,
-    scheme: str,
-    n_columns: int = 1,
-    n_moving: int | None = None,
-) -> ca.Function:
-    """Function (x, theta) -> `defects`, for many evaluations.
-
-    ``n_columns`` are those of theta: one, or as many as there are trajectories.
-    """
-    x = ca.MX.sym("x", model.n_states, grid.n_nodes)
-    theta = ca.MX.sym("theta", len(model.free), n_columns)
-    value = defects(model, grid, scheme, x, theta, n_moving)
-    return ca.Function("defects", [x, theta], [value])
-
-
-def defect_jacobian(
-    model: Model,
-    grid: Grid,
-    scheme: str,
-    only: list[int] | None = None,
-    n_columns: int = 1,
-    n_moving: int | None = None,
-) -> ca.Function:
-    """Function (x, theta) -> dd/dtheta: a row per (interval, equation).
-
-    Args:
-        model: the model.
-        grid: nodes and intervals.
-        scheme: name of the integrator.
-        only: places of the parameters in ``model.free`` that get a column, in this
-            order; None: all.
-        n_columns: those of theta: one, or as many as there are trajectories.
-        n_moving: as that of `defect`.
-    """
-    chosen = list(range(len(model.free))) if only is None else only
-    key = ("row", scheme, n_moving, tuple(chosen))
-    per_interval = model.built(key, lambda: _row(model, scheme, n_moving, chosen))
-    x = ca.MX.sym("x", model.n_states, grid.n_nodes)
-    theta = ca.MX.sym("theta", len(model.free), n_columns)
-    rows = map_intervals(per_interval, grid, interval_arguments(grid, x), theta)
-    n_rows = model.n_states * grid.n_intervals
-    jacobian = ca.reshape(rows, len(chosen), n_rows).T
-    return ca.Function("jacobian", [x, theta], [jacobian])
-
-
-def _row(
-    model: Model, scheme: str, n_moving: int | None, chosen: list[int]
-) -> ca.Function:
-    """Slopes of one interval's defect in the chosen parameters, row by row."""
-    function = defect(model, scheme, n_moving)
-    arguments = argument_symbols(function)
-    slopes = ca.jacobian(function(*arguments), arguments[-1])
-    transposed = ca.densify(slopes[:, chosen]).T
-    return ca.Function("row", arguments, [ca.vec(transposed)])
 
 
 def local_errors(

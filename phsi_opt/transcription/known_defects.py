@@ -10,11 +10,14 @@ import casadi as ca
 import numpy as np
 
 from phsi_opt.model.model import Model
-from phsi_opt.optimization.column_function import ColumnFunction
 from phsi_opt.optimization.column_symbols import in_columns, stacked
 from phsi_opt.transcription.defects import defect
 from phsi_opt.transcription.grid import Grid
-from phsi_opt.transcription.interval_map import argument_symbols, interval_arguments
+from phsi_opt.transcription.interval_map import (
+    argument_symbols,
+    in_intervals,
+    interval_arguments,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +79,7 @@ class KnownDefects:
         x: (n_nodes, n_states) states at the nodes; None: ``grid.y``.
         only: places of the parameters in ``model.free`` that get a column, in this
             order; None: all.
+        n_moving: as that of `defect`.
     """
 
     def __init__(
@@ -85,28 +89,32 @@ class KnownDefects:
         scheme: str,
         x: np.ndarray | None = None,
         only: list[int] | None = None,
+        n_moving: int | None = None,
     ) -> None:
         chosen = list(range(len(model.free))) if only is None else only
-        together = _with_slopes(model, scheme, chosen)
+        self._function = _with_slopes(model, scheme, chosen, n_moving)
         self._n_chosen = len(chosen)
-        self._function = ColumnFunction(together, (together.n_in() - 1,))
+        self._grid = grid
         states = grid.y if x is None else x
         self._arguments = interval_arguments(grid, states.T)
 
     def at(self, theta: np.ndarray) -> ParameterSlopes:
-        """Defects and slopes for parameters theta (n_free,)."""
-        d, slopes = self._function(*self._arguments, np.asarray(theta))
+        """Defects and slopes for parameters theta (n_free,), or (n_free, n_runs)."""
+        theta = np.asarray(theta)
+        d, slopes = in_intervals(self._function, self._grid, self._arguments, theta)
         return ParameterSlopes(d.T, slopes.T.reshape(d.size, self._n_chosen))
 
 
-def _with_slopes(model: Model, scheme: str, chosen: list[int]) -> ca.Function:
+def _with_slopes(
+    model: Model, scheme: str, chosen: list[int], n_moving: int | None = None
+) -> ca.Function:
     """A function of one interval: its defect, and the slopes of each equation."""
 
     def made() -> ca.Function:
-        function = defect(model, scheme)
+        function = defect(model, scheme, n_moving)
         arguments = argument_symbols(function)
         d = function(*arguments)
         slopes = ca.densify(ca.jacobian(d, arguments[-1])[:, chosen]).T
         return ca.Function("with_slopes", arguments, ca.cse([d, ca.vec(slopes)]))
 
-    return model.built(("with slopes", scheme, tuple(chosen)), made)
+    return model.built(("with slopes", scheme, tuple(chosen), n_moving), made)
