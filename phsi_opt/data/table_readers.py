@@ -20,7 +20,6 @@ from phsi_opt.data.layout import (
     Layout,
     table_layout,
     trajectories_in,
-    with_unit_of_dates,
 )
 from phsi_opt.data.matlab_tables import table_of_mat
 from phsi_opt.data.tables import Table, table_of_csv, table_of_frame
@@ -91,10 +90,9 @@ class TableReaders:
             time, states, inputs, trajectory, step, start, date_format
         )
         text_format = TextFormat(columns, separator, decimal)
-        wanted = layout.columns()
         tables = []
         for file in text_files(source):
-            tables.append(table_of_csv(file, wanted, text_format))
+            tables.append(table_of_csv(file, layout.columns, text_format))
         return cls._from_tables(tables, layout, units, hold, noise)
 
     @classmethod
@@ -135,10 +133,9 @@ class TableReaders:
             time, states, inputs, trajectory, step, start, date_format
         )
         text_format = TextFormat(columns, None, decimal)
-        wanted = layout.columns()
         tables = []
         for file in binary_files(source):
-            tables.append(table_of_excel(file, wanted, sheet, text_format))
+            tables.append(table_of_excel(file, layout.columns, sheet, text_format))
         return cls._from_tables(tables, layout, units, hold, noise)
 
     @classmethod
@@ -182,8 +179,7 @@ class TableReaders:
         layout = table_layout(
             time, states, inputs, trajectory, step, start, date_format
         )
-        wanted = layout.columns()
-        tables = [table_of_mat(file, wanted) for file in binary_files(source)]
+        tables = [table_of_mat(file, layout.columns) for file in binary_files(source)]
         return cls._from_tables(tables, layout, units, hold, noise)
 
     @classmethod
@@ -229,12 +225,12 @@ class TableReaders:
         noise: Mapping[str, float] | None,
     ) -> Self:
         make: Any = cls  # a `Measurements`, which names its fields
-        trajectories = trajectories_in(tables, layout)
+        trajectories, all_units = trajectories_in(tables, layout, units)
         made: Self = make(
             trajectories,
             states=tuple(layout.states),
             inputs=tuple(layout.inputs),
-            units=with_unit_of_dates(units, tables, layout),
+            units=all_units,
             hold=hold,
             noise=noise,
         )
