@@ -36,17 +36,17 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
     Args:
         values: Real numbers, (n_samples,) or (n_samples, n_channels). Masked entries
             become NaN, which says that they were not measured.
-        n_axes: The number of axes that the array must have, 1 or 2.
+        n_axes: The number of axes that the copy has, 1 or 2; (n_samples,) may stand
+            for (n_samples, 1).
         title: What messages call the array.
-
-    Returns:
-        The copy, in the same shape.
 
     Raises:
         DataError: The values are no regular array, not real, or in another shape.
     """
     try:
-        array = _as_array(values)
+        # As it is where it is an array: masked ones cost more, and few are.
+        is_plain = type(values) is np.ndarray
+        array: np.ndarray = values if is_plain else np.ma.asanyarray(values)
     except ValueError as error:
         raise DataError(
             f"{title} is not a regular array ({error}); "
@@ -57,6 +57,8 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
             f"{title} has the type {array.dtype}; "
             "expected real numbers, NaN where nothing was measured."
         )
+    if n_axes == 2 and array.ndim == 1:  # a single channel
+        array = array[:, np.newaxis]
     if array.ndim != n_axes:
         expected = "(n_samples,)" if n_axes == 1 else "(n_samples, n_channels)"
         raise DataError(
@@ -68,13 +70,6 @@ def read_only_floats(values: Any, n_axes: int, title: str) -> np.ndarray:
         floats = floats.filled(np.nan)
     floats.flags.writeable = False
     return floats
-
-
-def _as_array(values: Any) -> np.ndarray:
-    """As it is where it is an array; masked ones cost more, and few are."""
-    is_plain = type(values) is np.ndarray
-    array: np.ndarray = values if is_plain else np.ma.asanyarray(values)
-    return array
 
 
 def from_first(values: Any, first: Any = None) -> Any:
@@ -96,50 +91,25 @@ def from_first(values: Any, first: Any = None) -> Any:
     return (whole.astype(object) - begin).astype(np.int64)
 
 
-def with_channel_axis(values: Any) -> Any:
-    """(n_samples,) as (n_samples, 1); everything else as it is.
-
-    What is no array passes: `read_only_floats` refuses it, where its name is known.
-    """
-    try:
-        array = _as_array(values)
-    except ValueError:
-        return values
-    return array[:, np.newaxis] if array.ndim == 1 else array
-
-
-def is_bad(values: np.ndarray, may_be_missing: bool) -> np.ndarray:
-    """Which values are infinite or huge, or NaN where none may be missing.
-
-    Args:
-        values: (n_samples,) or (n_samples, n_channels).
-        may_be_missing: Whether NaN is allowed.
-
-    Returns:
-        In the shape of the values.
-    """
-    bad = np.abs(values) > LARGEST_VALUE
-    return bad if may_be_missing else bad | np.isnan(values)
-
-
 def check_values(
-    values: np.ndarray, place_of: Callable[[int], str], may_be_missing: bool
+    values: np.ndarray, place_of: Callable[..., str], may_be_missing: bool
 ) -> None:
     """Refuse infinite and huge values, and NaN where no sample may be missing.
 
     Args:
-        values: One channel, (n_samples,).
-        place_of: The words for the place of the i-th value.
+        values: (n_samples,) or (n_samples, n_channels).
+        place_of: The words for the place of the value with these indices.
         may_be_missing: Whether NaN is allowed.
 
     Raises:
         DataError: A value cannot be used; the first one is named.
     """
-    bad = is_bad(values, may_be_missing)
-    if not bad.any():
-        return
-    i = int(np.argmax(bad))
-    raise DataError(f"{place_of(i)} {_what_is_wrong(values[i])}")
+    bad = np.abs(values) > LARGEST_VALUE
+    if not may_be_missing:
+        bad |= np.isnan(values)
+    if bad.any():
+        place = np.unravel_index(np.argmax(bad), bad.shape)
+        raise DataError(f"{place_of(*place)} {_what_is_wrong(values[place])}")
 
 
 def _what_is_wrong(value: float) -> str:

@@ -4,7 +4,7 @@ Every later step relies on what is checked here: times increase, inputs are know
 every sample, states are finite or NaN (not measured), names can be used in formulas.
 Values are reported when they are wrong, never repaired, interpolated, scaled or
 filtered. How tables are read is told in `table_readers`, which column is what in
-`layout`, how integration steps join in `step_pairs`.
+`layout`, how integration steps join in `arrays`.
 """
 
 import hashlib
@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from phsi_opt.data.arrays import trajectories_in_arrays
-from phsi_opt.data.channel_table import channel_table
+from phsi_opt.data.arrays import Ends, joined_pairs, trajectories_in_arrays
 from phsi_opt.data.checks import (
     check_unique,
     checked_hold,
@@ -26,32 +25,38 @@ from phsi_opt.data.checks import (
     checked_units,
 )
 from phsi_opt.data.selection import (
-    checked_fraction,
+    check_fraction,
+    check_interval,
+    check_slice,
     number_of_trajectory,
-    size_of_first_part,
-    slice_of_trajectories,
-)
-from phsi_opt.data.step_pairs import check_pairs, input_ends, pair_ends, runs_of_pairs
-from phsi_opt.data.table_readers import TableReaders
-from phsi_opt.data.thinning import (
-    checked_group_size,
-    checked_interval,
-    every_nth,
-    mean_of_groups,
     part_between,
+    size_of_first_part,
 )
+from phsi_opt.data.table_readers import TableReaders
+from phsi_opt.data.thinning import checked_group_size, thinned_run
 from phsi_opt.data.trajectory import (
     Trajectory,
     check_channels,
     checked_trajectories,
     part_of,
 )
-from phsi_opt.data.wording import extent_of, in_brackets, number_of, numbered_names
+from phsi_opt.data.wording import number_of, numbered_names
 from phsi_opt.errors import DataError
 from phsi_opt.presentation.summary import Part, Summarised, Summary
+from phsi_opt.presentation.table_making import printed_table
 
 if TYPE_CHECKING:
     import pandas as pd
+
+COLUMNS_OF_CHANNELS = (
+    "channel",
+    "part",
+    "unit",
+    "measured",
+    "lowest",
+    "highest",
+    "noise",
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -181,18 +186,14 @@ class Measurements(TableReaders, Summarised):
         Raises:
             DataError: Something cannot be used.
         """
-        x = pair_ends(x_start, x_end, "x", n_axes=2)
-        t = pair_ends(t_start, t_end, "t", n_axes=1)
-        u = input_ends(u_start, u_end, len(t.start), hold)
-        check_pairs(t, x, u)
-        runs = runs_of_pairs(t, x, u, hold)
-        if states is None:
-            states = numbered_names("x", x.start.shape[1])
+        t, x, u = joined_pairs(
+            Ends(t_start, t_end), Ends(x_start, x_end), Ends(u_start, u_end), hold
+        )
         return cls.from_arrays(
-            t.joined(runs),
-            x.joined(runs),
-            u.joined(runs),
-            states=states,
+            t,
+            x,
+            u,
+            states=numbered_names("x", x[0].shape[1]) if states is None else states,
             inputs=inputs,
             hold=hold,
             units=units,
@@ -226,6 +227,14 @@ class Measurements(TableReaders, Summarised):
         for run in self.trajectories:
             is_measured |= np.isfinite(run.x).any(axis=0)
         return tuple(itertools.compress(self.states, is_measured))
+
+    def stacked(self, what: str) -> np.ndarray:
+        """One array of all trajectories, one after the other, (n_samples, ...).
+
+        Args:
+            what: "t" for the times, "x" for the states, "u" for the inputs.
+        """
+        return np.concatenate([getattr(run, what) for run in self.trajectories])
 
     @cached_property
     def _derived(self) -> dict[str, np.ndarray]:
@@ -271,8 +280,8 @@ class Measurements(TableReaders, Summarised):
         """
         names = [run.name for run in self.trajectories]
         if isinstance(key, slice):
-            rows = slice_of_trajectories(names, key)
-            return replace(self, trajectories=self.trajectories[rows])
+            check_slice(names, key)
+            return replace(self, trajectories=self.trajectories[key])
         number = number_of_trajectory(names, key)
         return replace(self, trajectories=(self.trajectories[number],))
 
@@ -311,20 +320,17 @@ class Measurements(TableReaders, Summarised):
             DataError: The fraction is not between 0 and 1, or a single trajectory has
                 fewer than 4 samples.
         """
-        share = checked_fraction(fraction)
-        if self.n_trajectories == 1:
-            return self._split_in_time(share)
-        n_train = size_of_first_part(self.n_trajectories, share, at_least=1)
-        return self[:n_train], self[n_train:]
-
-    def _split_in_time(self, share: float) -> tuple[Self, Self]:
+        check_fraction(fraction)
+        if self.n_trajectories > 1:
+            n_train = size_of_first_part(self.n_trajectories, fraction, at_least=1)
+            return self[:n_train], self[n_train:]
         (run,) = self.trajectories
         if run.n_samples < 4:
             raise DataError(
                 f"trajectory {run.name!r} has {run.n_samples} samples; "
                 "a split in time needs at least 4."
             )
-        n_train = size_of_first_part(run.n_samples, share, at_least=2)
+        n_train = size_of_first_part(run.n_samples, fraction, at_least=2)
         train = part_of(run, slice(n_train))
         test = part_of(run, slice(n_train, None))
         return replace(self, trajectories=(train,)), replace(self, trajectories=(test,))
@@ -345,8 +351,8 @@ class Measurements(TableReaders, Summarised):
             DataError: The times are not in order, or a trajectory has fewer than 2
                 samples between them.
         """
-        interval = checked_interval(begin, end)
-        parts = [part_between(run, interval) for run in self.trajectories]
+        check_interval(begin, end)
+        parts = [part_between(run, begin, end) for run in self.trajectories]
         return replace(self, trajectories=tuple(parts))
 
     def thinned(self, n: int, by: str = "mean") -> Self:
@@ -374,8 +380,7 @@ class Measurements(TableReaders, Summarised):
                 samples.
         """
         size = checked_group_size(n, by)
-        thin = mean_of_groups if by == "mean" else every_nth
-        runs = [thin(run, size, self.hold) for run in self.trajectories]
+        runs = [thinned_run(run, size, by, self.hold) for run in self.trajectories]
         noise = self.noise
         if noise is not None and by == "mean":
             noise = {name: sigma / np.sqrt(size) for name, sigma in noise.items()}
@@ -401,44 +406,50 @@ class Measurements(TableReaders, Summarised):
         """
         import pandas as pd
 
-        names: list[str] = []
-        rows = []
-        for run in self.trajectories:
-            names.extend([run.name] * run.n_samples)
-            rows.append(np.column_stack([run.t, run.x, run.u]))
-        columns = ["t", *self.states, *self.inputs]
-        frame = pd.DataFrame(np.concatenate(rows), columns=columns)
-        frame.insert(0, "trajectory", names)
+        values = np.column_stack([self.stacked(what) for what in ("t", "x", "u")])
+        frame = pd.DataFrame(values, columns=["t", *self.states, *self.inputs])
+        names = [run.name for run in self.trajectories]
+        n_samples = [run.n_samples for run in self.trajectories]
+        frame.insert(0, "trajectory", np.repeat(np.array(names, object), n_samples))
         return frame
 
+    def _channels(self) -> Iterator[tuple[Any, ...]]:
+        """A row per channel, in `COLUMNS_OF_CHANNELS`; NaN for what is not known."""
+        values_of = [*self.stacked("x").T, *self.stacked("u").T]
+        parts = ["state"] * self.n_states + ["input"] * self.n_inputs
+        channels = (*self.states, *self.inputs)
+        noise = self.noise or {}
+        for part, name, values in zip(parts, channels, values_of, strict=True):
+            known = values[np.isfinite(values)]
+            lowest = known.min() if known.size else np.nan
+            highest = known.max() if known.size else np.nan
+            measured = f"{known.size} of {values.size}"
+            sigma = noise.get(name, np.nan)
+            yield name, part, self.units[name], measured, lowest, highest, sigma
+
     def _summary(self) -> Summary:
-        return Summary(self._title(), (Part(table=channel_table(self)),))
+        table = printed_table(self._channels(), columns=list(COLUMNS_OF_CHANNELS))
+        return Summary(self._title(), (Part(table=table),))
 
     def _title(self) -> str:
         runs = number_of(self.n_trajectories, "trajectory", "trajectories")
         begin = min(run.t[0] for run in self.trajectories)
         end = max(run.t[-1] for run in self.trajectories)
-        unit = in_brackets(self.units["t"])
+        unit = f" [{self.units['t']}]" if self.units["t"] else ""
         span = f"t = {begin:g} to {end:g}{unit}"
         return f"Measurements: {runs}, {self.n_samples} samples, {span}"
 
     def __repr__(self) -> str:
         """Number of trajectories and samples, span of time, and a line per channel."""
-        samples = self.to_dataframe()
         lines = [self._title()]
-        for name in self.states:
-            lines.append(f"  state {self._channel_line(name, samples)}")
-        for name in self.inputs:
-            lines.append(f"  input {self._channel_line(name, samples)}")
+        for name, part, unit, measured, lowest, highest, sigma in self._channels():
+            channel = f"  {part} {name} [{unit}]" if unit else f"  {part} {name}"
+            said = f"{measured} samples measured, {lowest:g} to {highest:g}"
+            noise = "" if np.isnan(sigma) else f", noise {sigma:g}"
+            lines.append(
+                f"{channel}: {'not measured' if np.isnan(lowest) else said}{noise}"
+            )
         return "\n".join(lines)
-
-    def _channel_line(self, name: str, samples: "pd.DataFrame") -> str:
-        unit = in_brackets(self.units[name])
-        extent = extent_of(samples[name].to_numpy())
-        line = f"{name}{unit}: {extent}"
-        if self.noise and name in self.noise:
-            line += f", noise {self.noise[name]:g}"
-        return line
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Through the constructor, because a mappingproxy cannot be pickled."""

@@ -4,6 +4,10 @@ Each sample is predicted by the cubic through its four neighbours; what is left 
 (and curvature that the sampling does not resolve, which is why this is only a first
 guess: `missing_force` estimates the noise with a model). What quantisation alone makes
 (`resolution`) counts as noise at least, unless the noise is declared.
+
+What neighbouring samples scatter is known to about 2 over the root of the number of
+samples, as a share of itself. Trajectories whose scatter differs by more than that have
+noises of their own.
 """
 
 from collections.abc import Mapping
@@ -11,9 +15,11 @@ from functools import partial
 
 import numpy as np
 
+from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
 from phsi_opt.data.measurements import Measurements
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
+from phsi_opt.statistics import chi_square_tail
 
 NEIGHBOURS = (-2, -1, 1, 2)  # samples through which the cubic goes, from the middle
 N_STENCIL = 5  # samples of a channel and a trajectory below which it tells no noise
@@ -29,6 +35,12 @@ UNKNOWN_NOISE_SHARE = 0.1
 ROUNDING_SHARE = 1e-12
 LEAST_SIZE = 1e-12  # taken for the size of a channel that is zero throughout, its unit
 UNMEASURED_NOISE = 1.0  # stands for the noise of a state that nobody measured
+# Standard deviation of the logarithm of a scatter, times the root of the number of
+# samples: that of a median of absolute values of normal residuals is 1.17, and these
+# residuals, whose stencils overlap, are worth about a third as many independent ones.
+MEDIAN_SPREAD = 2.0
+# Samples of a trajectory from which its scatter is asked for.
+FEWEST_SAMPLES = 30
 
 
 def difference_noise(data: Measurements) -> np.ndarray:
@@ -73,13 +85,12 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
 
 
 def _scatter_residuals(data: Measurements, state: int) -> np.ndarray:
-    runs = data.trajectories
-    values = np.concatenate([of_run.x[:, state] for of_run in runs])
+    values = data.stacked("x")[:, state]
     is_measured = np.isfinite(values)
-    lengths = [of_run.n_samples for of_run in runs]
-    t = np.concatenate([of_run.t for of_run in runs])[is_measured]
+    t = data.stacked("t")[is_measured]
     y = values[is_measured]
-    run = np.repeat(np.arange(len(runs)), lengths)[is_measured]
+    lengths = [run.n_samples for run in data.trajectories]
+    run = np.repeat(np.arange(len(lengths)), lengths)[is_measured]
     reach = N_STENCIL // 2
     middle = np.arange(reach, len(t) - reach)
     middle = middle[run[middle - reach] == run[middle + reach]]
@@ -140,7 +151,7 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     Raises:
         DataError: No measured value ever changes.
     """
-    y = np.concatenate([run.x for run in data.trajectories])
+    y = data.stacked("x")
     _check_that_something_moves(data, y)
     is_measured = np.isfinite(y).any(axis=0)
     spread = channel_spread(data)
@@ -189,11 +200,7 @@ def channel_spread(data: Measurements) -> np.ndarray:
 
     1 where nothing was measured.
     """
-
-    def make(data: Measurements) -> np.ndarray:
-        return _spread(np.concatenate([run.x for run in data.trajectories]))
-
-    return data.derived("spread", make)
+    return data.derived("spread", lambda data: _spread(data.stacked("x")))
 
 
 def _spread(y: np.ndarray) -> np.ndarray:
@@ -208,3 +215,47 @@ def _spread(y: np.ndarray) -> np.ndarray:
 def _size(y: np.ndarray) -> np.ndarray:
     """Largest absolute value per channel, (n_states,), not zero."""
     return np.fmax(np.fmax.reduce(np.abs(y), axis=0), LEAST_SIZE)
+
+
+def scatter_by_run(data: Measurements) -> np.ndarray:
+    """Noise that neighbouring samples show, (n_trajectories, n_states).
+
+    One for all trajectories of a state unless they differ by more than chance.
+
+    Raises:
+        DataError: no measured value ever changes.
+    """
+    together = initial_noise(data)
+    scatter = np.tile(together, (data.n_trajectories, 1))
+    if data.n_trajectories == 1:
+        return scatter
+    n_samples = np.array([run.n_samples for run in data.trajectories])
+    if n_samples.min() < FEWEST_SAMPLES:
+        return scatter
+    quantised = quantisation_noise(data)
+    for state in range(data.n_states):
+        of_state = _of_runs(data, state)
+        of_state = np.maximum(of_state, quantised[state])
+        is_known = np.all(np.isfinite(of_state)) and np.all(of_state > 0)
+        if is_known and _differ(np.log(of_state), MEDIAN_SPREAD**2 / n_samples):
+            scatter[:, state] = np.maximum(of_state, together[state] / 100)
+    return scatter
+
+
+def _of_runs(data: Measurements, state: int) -> np.ndarray:
+    """What neighbouring samples of each trajectory scatter, (n_trajectories,)."""
+    run, residuals = scatter_residuals(data, state)
+    scatter = np.full(data.n_trajectories, np.nan)
+    ends = np.searchsorted(run, np.arange(1, data.n_trajectories))
+    for k, own in enumerate(np.split(residuals, ends)):
+        if len(own):
+            scatter[k] = robust_deviation(own)
+    return scatter
+
+
+def _differ(values: np.ndarray, variances: np.ndarray) -> bool:
+    """Whether values (n,) of known variances scatter more than they should."""
+    weights = 1 / variances
+    mean = np.sum(weights * values) / np.sum(weights)
+    statistic = np.sum(weights * (values - mean) ** 2)
+    return chi_square_tail(statistic, len(values) - 1) < DIFFERENT_RUNS_LEVEL
