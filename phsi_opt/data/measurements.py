@@ -9,10 +9,10 @@ filtered. How tables are read is told in `table_readers`, which column is what i
 
 import hashlib
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from functools import cached_property, wraps
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
 
 import numpy as np
 
@@ -57,6 +57,25 @@ COLUMNS_OF_CHANNELS = (
     "highest",
     "noise",
 )
+
+
+Arguments = ParamSpec("Arguments")
+Derived = Callable[Concatenate["Measurements", Arguments], np.ndarray]
+
+
+def worked_out_once(make: Derived[Arguments]) -> Derived[Arguments]:
+    """A function of measurements whose values, (n,) or more, are kept with them."""
+
+    @wraps(make)
+    def kept(
+        data: "Measurements", *args: Arguments.args, **kwargs: Arguments.kwargs
+    ) -> np.ndarray:
+        key = (make.__name__, args)
+        if key not in data._derived:
+            data._derived[key] = make(data, *args, **kwargs)
+        return data._derived[key].copy()
+
+    return kept
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -237,19 +256,9 @@ class Measurements(TableReaders, Summarised):
         return np.concatenate([getattr(run, what) for run in self.trajectories])
 
     @cached_property
-    def _derived(self) -> dict[str, np.ndarray]:
+    def _derived(self) -> dict[Hashable, np.ndarray]:
+        """What `worked_out_once` keeps."""
         return {}
-
-    def derived(self, name: str, make: Callable[[Self], np.ndarray]) -> np.ndarray:
-        """What follows from the values, worked out once.
-
-        Args:
-            name: under which it is kept.
-            make: works it out, an array such as (n_states,).
-        """
-        if name not in self._derived:
-            self._derived[name] = make(self)
-        return self._derived[name].copy()
 
     @cached_property
     def digest(self) -> str:

@@ -10,13 +10,10 @@ samples, as a share of itself. Trajectories whose scatter differs by more than t
 noises of their own.
 """
 
-from collections.abc import Mapping
-from functools import partial
-
 import numpy as np
 
 from phsi_opt.criteria import DIFFERENT_RUNS_LEVEL
-from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.measurements import Measurements, worked_out_once
 from phsi_opt.data.resolution import quantisation_noise
 from phsi_opt.errors import DataError
 from phsi_opt.statistics import chi_square_tail
@@ -43,6 +40,7 @@ MEDIAN_SPREAD = 2.0
 FEWEST_SAMPLES = 30
 
 
+@worked_out_once
 def difference_noise(data: Measurements) -> np.ndarray:
     """Standard deviation of the noise per state, from differences of neighbours.
 
@@ -59,10 +57,6 @@ def difference_noise(data: Measurements) -> np.ndarray:
         (n_states,) in the states' units; NaN where every trajectory has fewer than 5
         samples of a state.
     """
-    return data.derived("difference noise", _difference_noise)
-
-
-def _difference_noise(data: Measurements) -> np.ndarray:
     noise = np.full(data.n_states, np.nan)
     for k in range(data.n_states):
         _, residuals = scatter_residuals(data, k)
@@ -71,6 +65,7 @@ def _difference_noise(data: Measurements) -> np.ndarray:
     return np.maximum(noise, quantisation_noise(data))
 
 
+@worked_out_once
 def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
     """Residuals of samples against the cubic through their neighbours, as `r_i` above.
 
@@ -80,11 +75,6 @@ def scatter_residuals(data: Measurements, state: int) -> np.ndarray:
         (2, n_residuals): the number of the trajectory of each, and the residuals;
         n_measured - 4 per trajectory, none where it has too few.
     """
-    make = partial(_scatter_residuals, state=state)
-    return data.derived(f"scatter of state {state}", make)
-
-
-def _scatter_residuals(data: Measurements, state: int) -> np.ndarray:
     values = data.stacked("x")[:, state]
     is_measured = np.isfinite(values)
     t = data.stacked("t")[is_measured]
@@ -117,24 +107,13 @@ def _cubic_residuals(t: np.ndarray, y: np.ndarray, middle: np.ndarray) -> np.nda
     predicted = np.zeros(len(middle))
     variance = np.zeros(len(middle))  # of the prediction, for noise of unit size
     for offset in NEIGHBOURS:
-        weight = _lagrange_weight(at, offset)
+        weight = np.ones(len(middle))  # in the cubic's value in the middle
+        for other in NEIGHBOURS:
+            if other != offset:
+                weight *= (at[0] - at[other]) / (at[offset] - at[other])
         predicted += weight * y[middle + offset]
         variance += weight**2
     return (y[middle] - predicted) / np.sqrt(1 + variance)
-
-
-def _lagrange_weight(at: Mapping[int, np.ndarray], offset: int) -> np.ndarray:
-    """Weight of one neighbour in the cubic's value at each sample in the middle.
-
-    Args:
-        at: (n_middle,) times of the samples in the middle, 0, and of their neighbours.
-        offset: of the neighbour.
-    """
-    weight = np.ones(len(at[0]))
-    for other in NEIGHBOURS:
-        if other != offset:
-            weight *= (at[0] - at[other]) / (at[offset] - at[other])
-    return weight
 
 
 def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.ndarray:
@@ -195,16 +174,16 @@ def _least_noise(spread: np.ndarray, size: np.ndarray) -> np.ndarray:
     return LEAST_NOISE_SHARE * np.where(moves, spread, size)
 
 
+@worked_out_once
 def channel_spread(data: Measurements) -> np.ndarray:
     """Standard deviation of the measured values per state, (n_states,).
 
     1 where nothing was measured.
     """
-    return data.derived("spread", lambda data: _spread(data.stacked("x")))
+    return _spread(data.stacked("x"))
 
 
 def _spread(y: np.ndarray) -> np.ndarray:
-    """Standard deviation per channel, (n_states,); 1 where nothing was measured."""
     spread = np.ones(y.shape[1])
     is_measured = np.isfinite(y)
     for k in np.flatnonzero(is_measured.any(axis=0)):

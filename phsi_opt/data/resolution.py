@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from phsi_opt.criteria import RESOLVED_STEPS
-from phsi_opt.data.measurements import Measurements
+from phsi_opt.data.measurements import Measurements, worked_out_once
 
 # Values of a channel below which its resolution is not asked for: among a few, repeats
 # are chance.
@@ -50,16 +50,13 @@ DEVIATION_PER_STEP = 1 / np.sqrt(12)  # of an error that is uniform over one ste
 MOST_CANDIDATES = 60  # steps of Euclid's algorithm
 
 
+@worked_out_once
 def quantisation_noise(data: Measurements) -> np.ndarray:
     """Standard deviation that quantisation alone gives the values of each state.
 
     Returns:
         (n_states,) in the states' units; zero where nothing is quantised.
     """
-    return data.derived("quantisation noise", _quantisation_noise)
-
-
-def _quantisation_noise(data: Measurements) -> np.ndarray:
     runs = [run.x for run in data.trajectories]
     steps = [resolution([x[:, k] for x in runs]) for k in range(data.n_states)]
     return DEVIATION_PER_STEP * np.array(steps)

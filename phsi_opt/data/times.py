@@ -15,6 +15,7 @@ or begin with no such year.
 import datetime as dt
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,7 @@ from phsi_opt.errors import DataError
 SECOND = dt.timedelta(seconds=1)
 TIME_OF_DAY = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
 NAMED_ZONE = re.compile(r".*\d ?[A-Z][A-Za-z/_]{2,}")
-INFINITE = re.compile(r"[+-]?inf(inity)?", re.IGNORECASE)
+NUMBERS = (NUMBER, DECIMAL_COMMA, re.compile(r"[+-]?inf(inity)?", re.IGNORECASE))
 EXAMPLE = "'2021-11-22 09:15:00'"
 # The signs of strptime after the year, with the numbers that each may stand for.
 DATE_PARTS = (
@@ -125,38 +126,24 @@ def clock_of(table: Table, times: Times, runs: Sequence[np.ndarray]) -> Clock:
             f"start={times.start!r} is for dates, and the column {times.column!r} of "
             f"{table.title} holds numbers; leave start out."
         )
-    t = _numbers(table, times.column)
-    if times.date_format is None:
-        _check_no_dates(table, times.column, t)
+    t = numbers_in(table, times.column, may_be_missing=False)
+    form = format_of_dates(t)
+    if form and times.date_format is None:
+        first = table.frame[times.column].iloc[0]
+        moment = _date_in(first, form) or "a date"  # of a 31st of February
+        raise DataError(
+            f"{table.place(times.column, 0)} {first} looks like {moment} written as "
+            "one number, and so do all others; expected times as numbers of one unit, "
+            f'or dates. Say date_format = "{form}" where they are dates, and '
+            'date_format = "" where they are numbers.'
+        )
+    if np.max(np.abs(t), initial=0.0) > LARGEST_EXACT:
+        with suppress(ValueError, OverflowError):  # not whole, or beyond all bounds
+            whole = [int(str(cell)) for cell in table.frame[times.column]]
+            t = np.asarray(from_first(whole), float)
     for rows in runs:
         _check_increasing(table, times.column, t, rows)
     return Clock(t)
-
-
-def _numbers(table: Table, column: Any) -> np.ndarray:
-    """Times that are numbers, (n_rows,); see `checks.from_first`."""
-    t = numbers_in(table, column, may_be_missing=False)
-    if np.max(np.abs(t), initial=0.0) <= LARGEST_EXACT:
-        return t
-    try:
-        whole = np.array([int(str(cell)) for cell in table.frame[column]])
-    except (ValueError, OverflowError):  # not whole, or beyond all bounds
-        return t
-    return np.asarray(from_first(whole), dtype=float)
-
-
-def _check_no_dates(table: Table, column: Any, t: np.ndarray) -> None:
-    """Refuse numbers such as 20210131: their differences are no times."""
-    form = format_of_dates(t)
-    if form:
-        first = table.frame[column].iloc[0]
-        moment = _date_in(first, form) or "a date"  # of a 31st of February
-        raise DataError(
-            f"{table.place(column, 0)} {first} looks like {moment} written as one "
-            "number, and so do all others; expected times as numbers of one unit, or "
-            f'dates. Say date_format = "{form}" where they are dates, and '
-            'date_format = "" where they are numbers.'
-        )
 
 
 def format_of_dates(values: np.ndarray) -> str:
@@ -193,30 +180,26 @@ def _are_moments(table: Table, times: Times) -> bool:
     cells = table.frame[times.column]
     if holds_real_numbers(cells):
         return False
-    for i, cell in enumerate(cells):
-        if is_missing(cell):
-            continue
-        if not isinstance(cell, str):
-            return isinstance(cell, dt.datetime | dt.time | dt.timedelta)
-        text = cell.strip()
-        if any(form.fullmatch(text) for form in (NUMBER, DECIMAL_COMMA, INFINITE)):
-            return False
-        _moment_at(table, times, cell, i)
-        return True
-    return False
+    first = next((cell for cell in cells if not is_missing(cell)), None)
+    if not isinstance(first, str):
+        return isinstance(first, dt.datetime | dt.time | dt.timedelta)
+    is_number = any(form.fullmatch(first.strip()) for form in NUMBERS)
+    return not is_number
 
 
 def _clock_of_moments(table: Table, times: Times, runs: Sequence[np.ndarray]) -> Clock:
     moments: list[Moment] = []
     for i, cell in enumerate(table.frame[times.column]):
-        moment = _moment_at(table, times, cell, i)
-        if moments and _kind(moment) != _kind(moments[0]):
+        moment = _moment(cell, times.date_format)
+        if moment is None:
+            raise DataError(f"{table.place(times.column, i)} {_refused(cell, times)}")
+        moments.append(moment)
+        if _kind(moment) != _kind(moments[0]):
             raise DataError(
                 f"{table.place(times.column, i)} {cell!r} is {_kind(moment)}, and the "
                 f"first of the column is {_kind(moments[0])}; expected one kind. "
                 "Write all in one way."
             )
-        moments.append(moment)
     start = _start(times, moments[0])
     t = np.empty(len(moments))
     origins = []
@@ -228,20 +211,10 @@ def _clock_of_moments(table: Table, times: Times, runs: Sequence[np.ndarray]) ->
     return Clock(t, origins)
 
 
-def _moment_at(table: Table, times: Times, cell: Any, i: int) -> Moment:
-    if is_missing(cell):
-        raise DataError(
-            f"{table.place(times.column, i)} the time is missing; "
-            "times must be known at every sample. Drop the sample."
-        )
-    moment = _moment(cell, times.date_format)
-    if moment is None:
-        raise DataError(f"{table.place(times.column, i)} {_refused(cell, times)}")
-    return moment
-
-
 def _moment(cell: Any, date_format: str | None) -> Moment | None:
     """What a cell says; None where it is no moment."""
+    if is_missing(cell):  # NaT is a datetime
+        return None
     if isinstance(cell, dt.datetime | dt.timedelta):
         return cell
     if isinstance(cell, dt.time) and cell.tzinfo is None:
@@ -278,6 +251,10 @@ def _date_in(cell: Any, form: str) -> dt.datetime | None:
 
 
 def _refused(cell: Any, times: Times) -> str:
+    if is_missing(cell):
+        return (
+            "the time is missing; times must be known at every sample. Drop the sample."
+        )
     if times.date_format is not None:
         return (
             f"{cell!r} is no moment as date_format={times.date_format!r} says. "
