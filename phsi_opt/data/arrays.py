@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from phsi_opt.data.checks import (
+    Hold,
     check_same_length,
     check_values,
     from_first,
+    hold_of_each,
     read_only_floats,
 )
 from phsi_opt.data.trajectory import Trajectory
@@ -69,40 +71,45 @@ class JoinedPairs(NamedTuple):
     u: list[np.ndarray]
 
 
-def joined_pairs(t: Ends, x: Ends, u: Ends, hold: str) -> JoinedPairs:
+def joined_pairs(
+    t: Ends, x: Ends, u: Ends, inputs: Sequence[str] | None, hold: Hold
+) -> JoinedPairs:
     """The samples of the trajectories that pairs make, in the order of the pairs.
 
     A pair continues the pair before it if it starts at the same time, state and input;
-    two values that were not measured are the same. With hold="zero" the input at the
-    end of a pair acts on nothing: it is not compared, and may be None.
+    two values that were not measured are the same. A held input ("zero") acts on
+    nothing at the end of a pair: it is not compared, and may be None if all are held.
 
     Args:
         t: Times.
         x: States; a single one may be (n_pairs,).
         u: Inputs; None at both ends: there are none.
-        hold: What inputs do between samples.
+        inputs: Their names; None: "u1", "u2", ...
+        hold: What they do between samples.
 
     Raises:
         DataError: There are no pairs, the shapes differ, an array cannot be used, or a
             pair does not go forward in time.
     """
-    is_held = hold == "zero"
     x = _checked_ends(x, "x", 2)
     first = np.asarray(t.start).flat[0] if np.size(t.start) else None
     t = Ends(from_first(t.start, first), from_first(t.end, first))
     t = _checked_ends(t, "t", 1)
-    if u == (None, None):
-        u = Ends(np.empty((len(t.start), 0)), np.empty((len(t.start), 0)))
-    elif u.start is None or (u.end is None and not is_held):
+    if u.start is None and u.end is None:
+        u = Ends(np.empty((len(t.start), 0)), None)
+    n_inputs = np.shape(u.start)[1] if np.ndim(u.start) == 2 else 1
+    names = numbered_names("u", n_inputs) if inputs is None else inputs
+    is_held = np.array(hold_of_each(hold, names), dtype=str) == "zero"
+    if u.start is None or (u.end is None and not is_held.all()):
         raise DataError(
             "only one of u_start and u_end is given; expected both. "
             "If u keeps its value: hold='zero'."
         )
     u = _checked_ends(Ends(u.start, u.start if u.end is None else u.end), "u", 2)
     _check_pairs(t, x, u)
-    continues = (t.start[1:] == t.end[:-1]) & _meet(x)
-    if not is_held:
-        continues &= _meet(u)
+    continues = (t.start[1:] == t.end[:-1]) & np.all(_meet(x), axis=1)
+    if n_inputs == len(names):  # else refused with the names
+        continues &= np.all(_meet(u) | is_held, axis=1)
     runs = np.split(np.arange(len(t.start)), np.flatnonzero(~continues) + 1)
     return JoinedPairs(_joined(t, runs), _joined(x, runs), _joined(u, runs))
 
@@ -139,12 +146,11 @@ def _check_pairs(t: Ends, x: Ends, u: Ends) -> None:
 
 
 def _meet(ends: Ends) -> np.ndarray:
-    """Whether each pair but the first starts where the one before ended, (n - 1,)."""
+    """Whether pairs start where those before them ended, (n_pairs - 1, n_channels)."""
     start = ends.start[1:]
     end = ends.end[:-1]
-    is_same = (start == end) | (np.isnan(start) & np.isnan(end))
-    every_channel: np.ndarray = is_same.all(axis=1)
-    return every_channel
+    is_same: np.ndarray = (start == end) | (np.isnan(start) & np.isnan(end))
+    return is_same
 
 
 def _joined(ends: Ends, runs: list[np.ndarray]) -> list[np.ndarray]:

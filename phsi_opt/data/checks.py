@@ -21,6 +21,7 @@ from phsi_opt.errors import DataError, did_you_mean
 # what inputs do between samples: a straight line to the next, the sample's value until
 # the next, or a cubic spline through all of them
 HOLDS = ("linear", "zero", "cubic")
+Hold = str | Mapping[str, str]  # one of them for all inputs, or by the input's name
 # the time in formulas; the first column of `Measurements.to_dataframe`
 LARGEST_EXACT = 2**53  # up to which every whole number is a float
 RESERVED_NAMES = ("t", "trajectory")
@@ -257,15 +258,41 @@ def _check_keys(mapping: Any, names: tuple[str, ...], what: str) -> None:
             )
 
 
-def checked_hold(hold: Any) -> str:
-    """What inputs do between samples, one of `HOLDS`.
+def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
+    """What inputs do between samples: one of `HOLDS`, or one by input if they differ.
 
     Raises:
-        DataError: It is none of them.
+        DataError: It is none of them, or an input is unknown.
     """
-    if hold not in HOLDS:
-        hint = did_you_mean(hold, HOLDS)
+    by_input = dict(zip(inputs, hold_of_each(hold, inputs), strict=True))
+    if isinstance(hold, str):
+        return hold
+    words = list(dict.fromkeys(by_input.values())) or ["linear"]
+    return by_input if len(words) > 1 else words[0]
+
+
+def hold_of_each(hold: Any, inputs: Sequence[str]) -> tuple[str, ...]:
+    """What each input does between samples; "linear" where a mapping leaves it out.
+
+    Args:
+        hold: One of `HOLDS` for all inputs, or a mapping from their names.
+        inputs: The names of the inputs.
+
+    Raises:
+        DataError: It is none of them, or an input is unknown.
+    """
+    if not isinstance(hold, Mapping):
+        _check_word(hold, f"hold={hold!r}")
+        return (hold,) * len(inputs)
+    _check_keys(hold, tuple(inputs), "hold")
+    for name, word in hold.items():
+        _check_word(word, f"hold: {word!r} of the input {name!r}")
+    return tuple(hold.get(name, "linear") for name in inputs)
+
+
+def _check_word(word: Any, said: str) -> None:
+    if word not in HOLDS:
+        hint = did_you_mean(word, HOLDS)
         raise DataError(
-            f"hold={hold!r} is unknown; expected 'linear', 'zero' or 'cubic'.{hint}"
+            f"{said} is unknown; expected 'linear', 'zero' or 'cubic'.{hint}"
         )
-    return str(hold)

@@ -12,17 +12,20 @@ import itertools
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self
 
 import numpy as np
 
 from phsi_opt.data.arrays import Ends, joined_pairs, trajectories_in_arrays
 from phsi_opt.data.checks import (
+    Hold,
     check_unique,
     checked_hold,
     checked_names,
     checked_noise,
     checked_units,
+    hold_of_each,
 )
 from phsi_opt.data.selection import (
     check_fraction,
@@ -92,7 +95,8 @@ class Measurements(TableReaders, Summarised):
         units: The unit of every state and input and of the time "t", "" when unknown.
         hold: What inputs do between samples: "linear" interpolation, "zero" (the
             sample's value is kept until the next sample), or "cubic" (a smooth input:
-            the spline through the samples).
+            the spline through the samples); where they differ a mapping such as
+            {"u": "zero"}, whose others are "linear".
         noise: Standard deviations of the measurement noise by state, in the state's
             unit; None, or a state left out: unknown.
 
@@ -104,7 +108,7 @@ class Measurements(TableReaders, Summarised):
     states: tuple[str, ...]
     inputs: tuple[str, ...] = ()
     units: Mapping[str, str] = field(default_factory=dict)
-    hold: str = "linear"
+    hold: Hold = "linear"
     noise: Mapping[str, float] | None = None
 
     def __post_init__(self) -> None:
@@ -112,11 +116,12 @@ class Measurements(TableReaders, Summarised):
         states = checked_names(self.states, "states")
         inputs = checked_names(self.inputs, "inputs")
         check_unique(states + inputs, "name")
+        hold = checked_hold(self.hold, inputs)
         checked = {
             "trajectories": trajectories,
             "states": states,
             "inputs": inputs,
-            "hold": checked_hold(self.hold),
+            "hold": hold if isinstance(hold, str) else MappingProxyType(hold),
             "units": checked_units(self.units, ("t", *states, *inputs)),
             "noise": checked_noise(self.noise, states),
         }
@@ -135,7 +140,7 @@ class Measurements(TableReaders, Summarised):
         states: Sequence[str],
         inputs: Sequence[str] | None = None,
         names: Sequence[str] | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
@@ -179,7 +184,7 @@ class Measurements(TableReaders, Summarised):
         u_start: Any = None,
         u_end: Any = None,
         inputs: Sequence[str] | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
     ) -> Self:
@@ -206,7 +211,11 @@ class Measurements(TableReaders, Summarised):
             DataError: Something cannot be used.
         """
         t, x, u = joined_pairs(
-            Ends(t_start, t_end), Ends(x_start, x_end), Ends(u_start, u_end), hold
+            Ends(t_start, t_end),
+            Ends(x_start, x_end),
+            Ends(u_start, u_end),
+            inputs,
+            hold,
         )
         return cls.from_arrays(
             t,
@@ -389,7 +398,8 @@ class Measurements(TableReaders, Summarised):
                 samples.
         """
         size = checked_group_size(n, by)
-        runs = [thinned_run(run, size, by, self.hold) for run in self.trajectories]
+        hold = hold_of_each(self.hold, self.inputs)
+        runs = [thinned_run(run, size, by, hold) for run in self.trajectories]
         noise = self.noise
         if noise is not None and by == "mean":
             noise = {name: sigma / np.sqrt(size) for name, sigma in noise.items()}
@@ -467,7 +477,7 @@ class Measurements(TableReaders, Summarised):
             self.states,
             self.inputs,
             dict(self.units),
-            self.hold,
+            checked_hold(self.hold, self.inputs),
             None if self.noise is None else dict(self.noise),
         )
         return type(self), arguments

@@ -8,6 +8,7 @@ file is its header, or an integer, its position counted from 0.
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
+from phsi_opt.data.checks import Hold
 from phsi_opt.data.excel_tables import table_of_excel
 from phsi_opt.data.file_opening import (
     BinarySource,
@@ -40,7 +41,7 @@ class TableReaders:
         time: str | int | None = None,
         states: ColumnMap,
         inputs: ColumnMap | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -104,7 +105,7 @@ class TableReaders:
         states: ColumnMap,
         inputs: ColumnMap | None = None,
         sheet: str | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -146,7 +147,7 @@ class TableReaders:
         time: str | None = None,
         states: ColumnMap,
         inputs: ColumnMap | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -190,7 +191,7 @@ class TableReaders:
         time: Any = None,
         states: ColumnMap,
         inputs: ColumnMap | None = None,
-        hold: str = "linear",
+        hold: Hold = "linear",
         trajectory: str | None = None,
         units: Mapping[str, str] | None = None,
         noise: Mapping[str, float] | None = None,
@@ -221,7 +222,7 @@ class TableReaders:
         tables: Sequence[Table],
         layout: Layout,
         units: Mapping[str, str] | None,
-        hold: str,
+        hold: Hold,
         noise: Mapping[str, float] | None,
     ) -> Self:
         make: Any = cls  # a `Measurements`, which names its fields

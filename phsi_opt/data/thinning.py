@@ -1,6 +1,7 @@
 """A trajectory with fewer samples: one for every n."""
 
 import operator
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,14 +30,14 @@ def checked_group_size(n: Any, by: Any) -> int:
     return operator.index(n)
 
 
-def thinned_run(run: Trajectory, n: int, by: str, hold: str) -> Trajectory:
+def thinned_run(run: Trajectory, n: int, by: str, hold: Sequence[str]) -> Trajectory:
     """A trajectory with one sample for every n: see `Measurements.thinned`.
 
     Args:
         run: The trajectory.
         n: The number of samples that make one.
         by: "picking" keeps every n-th, from the first, "mean" the means of n.
-        hold: What inputs do between samples.
+        hold: What each input does between samples.
 
     Raises:
         DataError: Fewer than 2 samples would be left.
@@ -57,7 +58,8 @@ def thinned_run(run: Trajectory, n: int, by: str, hold: str) -> Trajectory:
         return mean
 
     t = means(run.t)
-    u = _held_means(run, t) if hold == "zero" else means(run.u)
+    is_held = np.array(hold, dtype=str) == "zero"
+    u = np.where(is_held, _held_means(run, t), means(run.u))
     return replace(run, t=t, x=means(run.x), u=u)
 
 
