@@ -158,7 +158,7 @@ def check_unique(names: Sequence[str], what: str) -> None:
         what: What messages call one of them, such as "trajectory name".
 
     Raises:
-        DataError: A name is used twice or more; the first one is named.
+        DataError: A name is used twice or more.
     """
     for name, n_uses in Counter(names).items():
         if n_uses > 1:
@@ -174,9 +174,6 @@ def checked_names(names: Any, what: str) -> tuple[str, ...]:
     Args:
         names: A list or tuple of names.
         what: "states" or "inputs"; there must be at least one state.
-
-    Returns:
-        The names as a tuple.
 
     Raises:
         DataError: This is no list of names, or a name is no identifier or is reserved.

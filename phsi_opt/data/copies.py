@@ -52,10 +52,6 @@ def sentence_about(copies: Mapping[str, str]) -> str:
 def check_can_judge(train: Measurements, held_out: Measurements) -> None:
     """Refuse runs held out that are fitted too.
 
-    Args:
-        train: measurements that are fitted.
-        held_out: those that judge, with the same channels.
-
     Raises:
         DataError: there are such runs.
     """

@@ -58,9 +58,6 @@ def table_of_excel(
 def filled_sheets(file: BinaryFile) -> list[str]:
     """The names of the sheets with content, in the order of the workbook.
 
-    Args:
-        file: The workbook.
-
     Raises:
         DataError: This is no workbook.
     """

@@ -166,8 +166,6 @@ def _check_columns(table: Table, layout: Layout) -> None:
 
 def _rows_by_name(table: Table, layout: Layout) -> dict[str, np.ndarray]:
     """Row numbers of each trajectory, in the order in which the trajectories begin."""
-    import pandas as pd
-
     column = layout.trajectory
     if column is None:
         return {table.run: np.arange(len(table.frame))}
@@ -180,8 +178,6 @@ def _rows_by_name(table: Table, layout: Layout) -> dict[str, np.ndarray]:
             f"{place} the trajectory's name is missing; "
             "every sample must name its trajectory."
         )
-    numbers, labels = pd.factorize(names)
-    order = np.argsort(numbers, kind="stable")
-    ends = np.cumsum(np.bincount(numbers))
-    rows = np.split(order, ends[:-1])
-    return dict(zip(map(str, labels), rows, strict=True))
+    names = names.reset_index(drop=True)
+    rows = names.groupby(names, sort=False).indices
+    return {name: rows[name] for name in names.unique()}

@@ -59,9 +59,6 @@ def table_of_vectors(file: BinaryFile) -> Table:
 
     Of a matrix these are its columns, or its rows where it is wider than high.
 
-    Args:
-        file: A MATLAB file of version 4 to 7.
-
     Raises:
         DataError: This is no such file, or no vector in it has two numbers; with the
             names and sizes of what it holds.

@@ -296,23 +296,16 @@ class Measurements(TableReaders, Summarised):
         Raises:
             DataError: There is no such trajectory, or samples seem to be meant.
         """
-        names = [run.name for run in self.trajectories]
         if isinstance(key, slice):
-            check_slice(names, key)
+            check_slice([run.name for run in self.trajectories], key)
             return replace(self, trajectories=self.trajectories[key])
-        number = number_of_trajectory(names, key)
-        return replace(self, trajectories=(self.trajectories[number],))
+        run = self.trajectories[self.trajectory_number(key)]
+        return replace(self, trajectories=(run,))
 
     def trajectory_number(self, trajectory: str | int) -> int:
         """The number of a trajectory, counted from 0, by its name or its number.
 
         Negative numbers count from the end, as in a list.
-
-        Args:
-            trajectory: The trajectory's name, or its number.
-
-        Returns:
-            A number from 0 to ``n_trajectories - 1``.
 
         Raises:
             DataError: There is no such trajectory.
@@ -330,9 +323,6 @@ class Measurements(TableReaders, Summarised):
 
         Args:
             fraction: The share of the training data, between 0 and 1.
-
-        Returns:
-            The training data and the test data.
 
         Raises:
             DataError: The fraction is not between 0 and 1, or a single trajectory has
@@ -361,9 +351,6 @@ class Measurements(TableReaders, Summarised):
         Args:
             begin: The first time, in the unit of the times; None: from the start.
             end: The last time; None: to the end.
-
-        Returns:
-            The same trajectories with fewer samples.
 
         Raises:
             DataError: The times are not in order, or a trajectory has fewer than 2

@@ -134,11 +134,10 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     _check_that_something_moves(data, y)
     is_measured = np.isfinite(y).any(axis=0)
     spread = channel_spread(data)
-    size = _size(y)
     noise = difference_noise(data) if given is None else given
-    unknown = UNKNOWN_NOISE_SHARE * np.where(spread > 0, spread, size)
+    unknown = UNKNOWN_NOISE_SHARE * np.where(spread > 0, spread, _size(y))
     noise = np.where(np.isfinite(noise), noise, unknown)
-    noise = np.maximum(noise, _least_noise(spread, size))
+    noise = np.maximum(noise, least_noise(y))
     is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
     noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
     return np.where(is_measured, noise, UNMEASURED_NOISE)
@@ -166,10 +165,8 @@ def least_noise(y: np.ndarray) -> np.ndarray:
         (n_states,): `LEAST_NOISE_SHARE` of the spread, or of the size where a channel
         does not move.
     """
-    return _least_noise(_spread(y), _size(y))
-
-
-def _least_noise(spread: np.ndarray, size: np.ndarray) -> np.ndarray:
+    spread = _spread(y)
+    size = _size(y)
     moves = spread > ROUNDING_SHARE * size
     return LEAST_NOISE_SHARE * np.where(moves, spread, size)
 

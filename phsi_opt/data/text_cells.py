@@ -84,10 +84,6 @@ def _check_columns(columns: Any) -> None:
 def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
     """The lines with at least one cell that is not empty, without blanks around cells.
 
-    Args:
-        file: Its text.
-        separator: The sign between cells.
-
     Raises:
         DataError: A cell is too long to be one.
     """

@@ -28,9 +28,7 @@ from phsi_opt.errors import DataError
 
 SECOND = dt.timedelta(seconds=1)
 TIME_OF_DAY = re.compile(r"(\d+):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
-NAMED_ZONE = re.compile(r".*\d ?[A-Z][A-Za-z/_]{2,}")
 NUMBERS = (NUMBER, DECIMAL_COMMA, re.compile(r"[+-]?inf(inity)?", re.IGNORECASE))
-EXAMPLE = "'2021-11-22 09:15:00'"
 # The signs of strptime after the year, with the numbers that each may stand for.
 DATE_PARTS = (
     ("%m", 1, 12),
@@ -260,14 +258,10 @@ def _refused(cell: Any, times: Times) -> str:
             f"{cell!r} is no moment as date_format={times.date_format!r} says. "
             "Correct the cell or the format."
         )
-    if isinstance(cell, str) and NAMED_ZONE.fullmatch(cell.strip()):
-        return (
-            f"{cell!r} has the name of a time zone, which is not read; expected an "
-            f"offset from UTC, such as {EXAMPLE[:-1]}+01:00', or none in all rows."
-        )
     return (
-        f"{cell!r} is neither a number nor a date; expected such as {EXAMPLE}. "
-        'Dates in another order: say date_format = "%d.%m.%Y %H:%M:%S".'
+        f"{cell!r} is neither a number nor a date; expected such as '2021-11-22 "
+        "09:15:00' or '2021-11-22 09:15:00+01:00' (the name of a time zone is not "
+        'read). Dates in another order: say date_format = "%d.%m.%Y %H:%M:%S".'
     )
 
 
