@@ -58,10 +58,10 @@ def test_inputs_that_are_left_out_are_linear_and_one_word_stays_a_word() -> None
         ({"q": "zero"}, "hold names the unknown 'q'"),
         (
             {"valve": "zeros"},
-            "hold: 'zeros' of the input 'valve' is unknown; expected 'linear', 'zero' "
-            r"or 'cubic'. Did you mean 'zero'\?",
+            "hold: 'valve' has the hold 'zeros'; expected 'linear', 'zero' or 'cubic'. "
+            r"Did you mean 'zero'\?",
         ),
-        ({"valve": None}, "hold: None of the input 'valve' is unknown"),
+        ({"valve": None}, "hold: 'valve' has the hold None"),
         (["zero", "linear"], r"hold=\['zero', 'linear'\] is unknown"),
     ],
 )

@@ -11,8 +11,7 @@ import keyword
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,9 +20,10 @@ from phsi_opt.errors import DataError, did_you_mean
 # what inputs do between samples: a straight line to the next, the sample's value until
 # the next, or a cubic spline through all of them
 HOLDS = ("linear", "zero", "cubic")
+EXPECTED_HOLD = "'linear', 'zero' or 'cubic'"
 Hold = str | Mapping[str, str]  # one of them for all inputs, or by the input's name
-# the time in formulas; the first column of `Measurements.to_dataframe`
 LARGEST_EXACT = 2**53  # up to which every whole number is a float
+# the time in formulas; the first column of `Measurements.to_dataframe`
 RESERVED_NAMES = ("t", "trajectory")
 # Formulas write dH_dp for the effort dH/dp, and dF_du for the slope dF/du.
 RESERVED_PREFIXES = ("dH_d", "dF_d")
@@ -185,74 +185,98 @@ def checked_names(names: Any, what: str) -> tuple[str, ...]:
     if what == "states" and not names:
         raise DataError("states=[] names no state; expected at least one.")
     for name in names:
-        _check_name(name, what)
+        is_identifier = isinstance(name, str) and name.isidentifier()
+        if not is_identifier or keyword.iskeyword(name):
+            raise DataError(
+                f"{what}: {name!r} cannot be used in a formula; "
+                "expected letters, digits, _ as in 'q_1'."
+            )
+        if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
+            raise DataError(
+                f"{what}: the name {name!r} is reserved (the time 't', "
+                "the column 'trajectory', the derivatives "
+                f"'{RESERVED_PREFIXES[0]}...' and '{RESERVED_PREFIXES[1]}...'); "
+                "choose another name and map it to the column."
+            )
     return tuple(names)
 
 
-def _check_name(name: Any, what: str) -> None:
-    is_identifier = isinstance(name, str) and name.isidentifier()
-    if not is_identifier or keyword.iskeyword(name):
-        raise DataError(
-            f"{what}: {name!r} cannot be used in a formula; "
-            "expected letters, digits, _ as in 'q_1'."
-        )
-    if name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
-        raise DataError(
-            f"{what}: the name {name!r} is reserved (the time 't', "
-            "the column 'trajectory', the derivatives "
-            f"'{RESERVED_PREFIXES[0]}...' and '{RESERVED_PREFIXES[1]}...'); "
-            "choose another name and map it to the column."
-        )
+class _Entry(NamedTuple):
+    """What is told of a channel by its name: what it is, and what it may be."""
+
+    noun: str
+    kept_as: type
+    fits: Callable[[Any], bool]
+    expected: str
 
 
-def checked_units(units: Any, names: tuple[str, ...]) -> Mapping[str, str]:
-    """The unit of every name, "" where none is given, as a read-only mapping.
+BY_NAME = {
+    "units": _Entry(
+        "unit",
+        str,
+        lambda unit: isinstance(unit, str) and unit.isprintable(),
+        "text such as 'm' in one line, or '' when unknown",
+    ),
+    "noise": _Entry(
+        "standard deviation",
+        float,
+        lambda sigma: isinstance(sigma, Real) and 0 < float(sigma) < np.inf,
+        "a positive number in the state's unit; leave it out when it is unknown",
+    ),
+    "hold": _Entry("hold", str, lambda word: word in HOLDS, EXPECTED_HOLD),
+}
+
+
+def checked_by_name(told: Any, names: Sequence[str], what: str) -> dict[str, Any]:
+    """What is told of channels by their names, in the order in which it is told.
+
+    Args:
+        told: A mapping from names.
+        names: Those that there are.
+        what: A name in `BY_NAME`.
 
     Raises:
-        DataError: ``units`` is no mapping from these names to texts of one line.
+        DataError: This is no mapping, or an entry cannot be used.
     """
-    _check_keys(units, names, "units")
-    for name, unit in units.items():
-        if not isinstance(unit, str) or not unit.isprintable():
-            raise DataError(
-                f"units: {name!r} has the unit {unit!r}; "
-                "expected text such as 'm' in one line, or '' when unknown."
-            )
-    return MappingProxyType({name: units.get(name, "") for name in names})
-
-
-def checked_noise(noise: Any, states: tuple[str, ...]) -> Mapping[str, float] | None:
-    """Standard deviations of the noise by state, as a read-only mapping; None stays.
-
-    Raises:
-        DataError: ``noise`` is no mapping from these states to positive numbers.
-    """
-    if noise is None:
-        return None
-    _check_keys(noise, states, "noise")
-    for name, sigma in noise.items():
-        if not isinstance(sigma, Real) or not 0 < float(sigma) < np.inf:
-            raise DataError(
-                f"noise: {name!r} has the standard deviation {sigma!r}; "
-                "expected a positive number in the state's unit. "
-                "Leave it out when it is unknown."
-            )
-    return MappingProxyType({name: float(sigma) for name, sigma in noise.items()})
-
-
-def _check_keys(mapping: Any, names: tuple[str, ...], what: str) -> None:
-    if not isinstance(mapping, Mapping):
+    if not isinstance(told, Mapping):
+        example = names[-1] if names else "u"
         raise DataError(
-            f"{what}={mapping!r} is not a mapping; "
-            f"expected e.g. {{{names[-1]!r}: ...}}."
+            f"{what}={told!r} is not a mapping; expected e.g. {{{example!r}: ...}}."
         )
-    for name in mapping:
+    entry = BY_NAME[what]
+    for name, value in told.items():
         if name not in names:
             hint = did_you_mean(name, names)
             raise DataError(
                 f"{what} names the unknown {name!r}; "
                 f"expected names of {list(names)}.{hint}"
             )
+        if not entry.fits(value):
+            hint = did_you_mean(value, HOLDS) if what == "hold" else ""
+            raise DataError(
+                f"{what}: {name!r} has the {entry.noun} {value!r}; "
+                f"expected {entry.expected}.{hint}"
+            )
+    return {name: entry.kept_as(value) for name, value in told.items()}
+
+
+def hold_of_each(hold: Any, inputs: Sequence[str]) -> tuple[str, ...]:
+    """What each input does between samples; "linear" where a mapping leaves it out.
+
+    Args:
+        hold: One of `HOLDS` for all inputs, or a mapping from their names.
+        inputs: The names of the inputs.
+
+    Raises:
+        DataError: It is none of them, or an input is unknown.
+    """
+    if isinstance(hold, Mapping):
+        told = checked_by_name(hold, inputs, "hold")
+        return tuple(told.get(name, "linear") for name in inputs)
+    if hold not in HOLDS:
+        hint = did_you_mean(hold, HOLDS)
+        raise DataError(f"hold={hold!r} is unknown; expected {EXPECTED_HOLD}.{hint}")
+    return (hold,) * len(inputs)
 
 
 def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
@@ -266,30 +290,3 @@ def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
         return hold
     words = list(dict.fromkeys(by_input.values())) or ["linear"]
     return by_input if len(words) > 1 else words[0]
-
-
-def hold_of_each(hold: Any, inputs: Sequence[str]) -> tuple[str, ...]:
-    """What each input does between samples; "linear" where a mapping leaves it out.
-
-    Args:
-        hold: One of `HOLDS` for all inputs, or a mapping from their names.
-        inputs: The names of the inputs.
-
-    Raises:
-        DataError: It is none of them, or an input is unknown.
-    """
-    if not isinstance(hold, Mapping):
-        _check_word(hold, f"hold={hold!r}")
-        return (hold,) * len(inputs)
-    _check_keys(hold, tuple(inputs), "hold")
-    for name, word in hold.items():
-        _check_word(word, f"hold: {word!r} of the input {name!r}")
-    return tuple(hold.get(name, "linear") for name in inputs)
-
-
-def _check_word(word: Any, said: str) -> None:
-    if word not in HOLDS:
-        hint = did_you_mean(word, HOLDS)
-        raise DataError(
-            f"{said} is unknown; expected 'linear', 'zero' or 'cubic'.{hint}"
-        )

@@ -126,7 +126,7 @@ def _with_seconds(units: Any, are_dates: bool) -> Mapping[str, str]:
     """The units, with seconds as that of the time where times are dates."""
     given = {} if units is None else units
     if not are_dates or not isinstance(given, Mapping):
-        return given  # what is no mapping is refused by `checked_units`
+        return given  # what is no mapping is refused by `checked_by_name`
     unit = given.get("t", "s")
     if unit != "s":
         raise DataError(
@@ -180,4 +180,4 @@ def _rows_by_name(table: Table, layout: Layout) -> dict[str, np.ndarray]:
         )
     names = names.reset_index(drop=True)
     rows = names.groupby(names, sort=False).indices
-    return {name: rows[name] for name in names.unique()}
+    return {name: np.asarray(rows[name]) for name in names.unique()}

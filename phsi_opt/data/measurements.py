@@ -21,10 +21,9 @@ from phsi_opt.data.arrays import Ends, joined_pairs, trajectories_in_arrays
 from phsi_opt.data.checks import (
     Hold,
     check_unique,
+    checked_by_name,
     checked_hold,
     checked_names,
-    checked_noise,
-    checked_units,
     hold_of_each,
 )
 from phsi_opt.data.selection import (
@@ -116,17 +115,22 @@ class Measurements(TableReaders, Summarised):
         states = checked_names(self.states, "states")
         inputs = checked_names(self.inputs, "inputs")
         check_unique(states + inputs, "name")
-        hold = checked_hold(self.hold, inputs)
+        names = ("t", *states, *inputs)
+        units = checked_by_name(self.units, names, "units")
+        noise = self.noise
+        if noise is not None:
+            noise = checked_by_name(noise, states, "noise")
         checked = {
             "trajectories": trajectories,
             "states": states,
             "inputs": inputs,
-            "hold": hold if isinstance(hold, str) else MappingProxyType(hold),
-            "units": checked_units(self.units, ("t", *states, *inputs)),
-            "noise": checked_noise(self.noise, states),
+            "hold": checked_hold(self.hold, inputs),
+            "units": dict.fromkeys(names, "") | units,
+            "noise": noise,
         }
         for name, value in checked.items():
-            object.__setattr__(self, name, value)
+            frozen = MappingProxyType(value) if isinstance(value, dict) else value
+            object.__setattr__(self, name, frozen)
         for run in trajectories:
             check_channels(run, states, inputs)
 
