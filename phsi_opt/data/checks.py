@@ -108,24 +108,23 @@ def check_values(
     bad = np.abs(values) > LARGEST_VALUE
     if not may_be_missing:
         bad |= np.isnan(values)
-    if bad.any():
-        place = np.unravel_index(np.argmax(bad), bad.shape)
-        raise DataError(f"{place_of(*place)} {_what_is_wrong(values[place])}")
-
-
-def _what_is_wrong(value: float) -> str:
+    if not bad.any():
+        return
+    place = np.unravel_index(np.argmax(bad), bad.shape)
+    value = values[place]
+    said = f"{place_of(*place)} is {value};"
     if np.isnan(value):
-        return (
-            "is nan; times and inputs must be known at every sample. "
+        raise DataError(
+            f"{said} times and inputs must be known at every sample. "
             "Drop the sample or fill the gap."
         )
     if np.isinf(value):
-        return (
-            f"is {value}; expected a finite value. "
+        raise DataError(
+            f"{said} expected a finite value. "
             "Correct it; a state that was not measured is NaN."
         )
-    return (
-        f"is {value}; expected at most {LARGEST_VALUE:g} in size. "
+    raise DataError(
+        f"{said} expected at most {LARGEST_VALUE:g} in size. "
         "Correct it or choose a larger unit."
     )
 

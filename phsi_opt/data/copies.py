@@ -74,8 +74,9 @@ def _copies(
     copies = {}
     for run in runs:
         alike = seen.setdefault(_key(run), [])
-        found = [other for other in alike if _is_equal(run, other) and _is_telling(run)]
-        if found:
+        found = [other for other in alike if _is_equal(run, other)]
+        measured = run.x[np.isfinite(run.x)]
+        if found and len(np.unique(measured)) >= TELLING_VALUES:
             copies[run.name] = found[0].name
         elif not originals:
             alike.append(run)
@@ -97,12 +98,6 @@ def _is_equal(run: Trajectory, other: Trajectory) -> bool:
     has_same_states = np.array_equal(run.x, other.x, equal_nan=True)
     has_same_inputs = np.array_equal(run.u, other.u)
     return has_same_states and has_same_inputs and bool(np.all(apart <= allowed))
-
-
-def _is_telling(run: Trajectory) -> bool:
-    """Whether chance cannot have made another run equal to this one."""
-    measured = run.x[np.isfinite(run.x)]
-    return len(np.unique(measured)) >= TELLING_VALUES
 
 
 def _told(copies: Mapping[str, str]) -> str:

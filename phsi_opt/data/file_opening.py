@@ -98,10 +98,10 @@ def text_files(source: Source | Iterable[Source]) -> Iterator[TextFile]:
             raise DataError(f"{title} is no text table; {instead}.")
         remark = ""
         if hasattr(one, "read"):
-            text = _content(one, title, str, "text mode: open(path)")
+            text = _content(one, title, str)
             text = text.removeprefix("\ufeff")  # spreadsheets write a byte order mark
         else:
-            text, remark = _decoded(_bytes(one, title), title)
+            text, remark = _decoded(_content(one, title, bytes), title)
         text = text.replace("\r\n", "\n").replace("\r", "\n")
         yield TextFile(title, run, text, remark)
 
@@ -116,7 +116,7 @@ def binary_files(source: BinarySource | Iterable[BinarySource]) -> Iterator[Bina
         DataError: This is no source, or a file cannot be read.
     """
     for one, title, run in _titled(source, "an open binary file"):
-        yield BinaryFile(title, run, _bytes(one, title))
+        yield BinaryFile(title, run, _content(one, title, bytes))
 
 
 def _titled(source: Any, open_file: str) -> Iterator[tuple[Any, str, str]]:
@@ -201,12 +201,7 @@ def _decoded(content: bytes, title: str) -> tuple[str, str]:
     )
 
 
-def _bytes(source: Any, title: str) -> bytes:
-    content: bytes = _content(source, title, bytes, "binary mode: open(path, 'rb')")
-    return content
-
-
-def _content(source: Any, title: str, kind: type, how: str) -> Any:
+def _content(source: Any, title: str, kind: type[Content]) -> Content:
     """All of a file: bytes of a path, bytes or text of an open file."""
     try:
         if hasattr(source, "read"):
@@ -225,9 +220,11 @@ def _content(source: Any, title: str, kind: type, how: str) -> Any:
     except ValueError as error:  # it is closed
         raise DataError(f"{title} cannot be read: {error}.") from error
     if not isinstance(content, kind):
-        expected = "text" if kind is str else "bytes"
+        expected = {
+            str: "text. Open it in text mode: open(path)",
+            bytes: "bytes. Open it in binary mode: open(path, 'rb')",
+        }
         raise DataError(
-            f"{title} gives {type(content).__name__}; expected {expected}. "
-            f"Open it in {how}."
+            f"{title} gives {type(content).__name__}; expected {expected[kind]}."
         )
     return content

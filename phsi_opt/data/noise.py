@@ -131,8 +131,15 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
         DataError: No measured value ever changes.
     """
     y = data.stacked("x")
-    _check_that_something_moves(data, y)
     is_measured = np.isfinite(y).any(axis=0)
+    highest = np.fmax.reduce(y[:, is_measured], axis=0)  # NaN is not measured
+    lowest = np.fmin.reduce(y[:, is_measured], axis=0)
+    if not (highest > lowest).any():
+        raise DataError(
+            f"every measured value of {', '.join(data.measured)} is the same "
+            f"({highest.max():g}): nothing moves, so nothing can be identified. "
+            "Check the columns, or measure while the system moves."
+        )
     spread = channel_spread(data)
     noise = difference_noise(data) if given is None else given
     unknown = UNKNOWN_NOISE_SHARE * np.where(spread > 0, spread, _size(y))
@@ -141,18 +148,6 @@ def initial_noise(data: Measurements, given: np.ndarray | None = None) -> np.nda
     is_given = np.zeros(data.n_states, bool) if given is None else np.isfinite(given)
     noise = np.where(is_given, noise, np.maximum(noise, quantisation_noise(data)))
     return np.where(is_measured, noise, UNMEASURED_NOISE)
-
-
-def _check_that_something_moves(data: Measurements, y: np.ndarray) -> None:
-    measured = y[:, np.isfinite(y).any(axis=0)]
-    highest = np.fmax.reduce(measured, axis=0)  # NaN is not measured
-    lowest = np.fmin.reduce(measured, axis=0)
-    if not (highest > lowest).any():
-        raise DataError(
-            f"every measured value of {', '.join(data.measured)} is the same "
-            f"({highest.max():g}): nothing moves, so nothing can be identified. "
-            "Check the columns, or measure while the system moves."
-        )
 
 
 def least_noise(y: np.ndarray) -> np.ndarray:

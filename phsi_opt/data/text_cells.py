@@ -9,6 +9,7 @@ import io
 import itertools
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +48,16 @@ class TextFormat:
     decimal: str | None = None
 
     def __post_init__(self) -> None:
-        _check_columns(self.columns)
+        columns: Any = self.columns
+        is_list = isinstance(columns, Sequence) and not isinstance(columns, str)
+        if columns is not None and (not is_list or not columns):
+            raise DataError(
+                f"columns={columns!r} is not a list of names; expected the name of "
+                'each column, such as columns = ["t", "q"].'
+            )
+        for name in columns or ():
+            if not isinstance(name, str) or not name:
+                raise DataError(f"columns holds {name!r}; expected names as text.")
         separator = self.separator
         is_sign = isinstance(separator, str) and len(separator) == 1
         if separator is not None and (not is_sign or separator in '"\r\n'):
@@ -65,20 +75,6 @@ class TextFormat:
                 "a comma as separator and as sign of decimals leaves no way to tell "
                 "them apart; expected two signs."
             )
-
-
-def _check_columns(columns: Any) -> None:
-    if columns is None:
-        return
-    is_list = isinstance(columns, Sequence) and not isinstance(columns, str)
-    if not is_list or not columns:
-        raise DataError(
-            f"columns={columns!r} is not a list of names; expected the name of each "
-            'column, such as columns = ["t", "q"].'
-        )
-    for name in columns:
-        if not isinstance(name, str) or not name:
-            raise DataError(f"columns holds {name!r}; expected names as text.")
 
 
 def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
@@ -116,7 +112,12 @@ def separator_of(file: TextFile, wanted_names: set[str]) -> str:
     """
 
     def score(separator: str) -> tuple[int, float, int]:
-        lines = _first_lines(file, separator)
+        lines = []
+        with suppress(DataError):  # told when the table is read with what is chosen
+            for _, cells in itertools.islice(
+                filled_lines(file, separator), LINES_TRIED
+            ):
+                lines.append(cells)
         if not lines:
             return 0, 0.0, 0
         first = lines[0][: n_filled(lines[0])]
@@ -126,17 +127,6 @@ def separator_of(file: TextFile, wanted_names: set[str]) -> str:
         return n_wanted, _readable_share(lines[1:], len(first)), len(first)
 
     return max(SEPARATORS, key=score)
-
-
-def _first_lines(file: TextFile, separator: str) -> list[list[str]]:
-    """The cells of some lines from the first; fewer where one cannot be read."""
-    lines = []
-    try:
-        for _, cells in itertools.islice(filled_lines(file, separator), LINES_TRIED):
-            lines.append(cells)
-    except DataError:
-        pass  # told when the table is read with the separator that is chosen
-    return lines
 
 
 def _readable_share(lines: list[list[str]], width: int) -> float:
