@@ -83,10 +83,10 @@ def filled_lines(file: TextFile, separator: str) -> Iterator[Line]:
     Raises:
         DataError: A cell is too long to be one.
     """
-    text = file.content
+    lines: Iterable[str] = io.StringIO(file.content)
     if separator == BLANKS:
-        text = text.replace("\t", BLANKS)
-    reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
+        lines = (line.strip().replace("\t", BLANKS) for line in lines)
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
     try:
         for cells in reader:
             stripped = [cell.strip() for cell in cells]
