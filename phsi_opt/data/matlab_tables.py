@@ -132,12 +132,17 @@ class _Content:
         self.others: dict[str, str] = {}
         listed = []
         for name, value in _variables(file).items():
-            why_not = _why_not_read(value)
-            if why_not:
-                self.others[name] = why_not
+            if value.dtype.kind == "U":
+                self.others[name] = str(value)
+            elif value.ndim != 2:
+                self.others[name] = (
+                    f"an array with {value.ndim} axes, which is not read"
+                )
+            elif not value.size:
+                self.others[name] = "empty"
             else:
                 self.matrices[name] = value
-            listed.append(f"{name!r} ({why_not or _size(value)})")
+            listed.append(f"{name!r} ({self.others.get(name) or _size(value)})")
         self.listing = f"The file holds: {', '.join(listed) or 'nothing'}."
 
     def column(self, name: Any) -> np.ndarray:
@@ -188,15 +193,6 @@ class _Content:
             said = f"{self.title}: {name!r} is {self.others[name]}"
         hint = did_you_mean(name, list(self.matrices))
         raise DataError(f"{said}. {self.listing}{hint}")
-
-
-def _why_not_read(value: np.ndarray) -> str:
-    """What a value is, where it is no matrix of numbers; "" for such."""
-    if value.dtype.kind == "U":
-        return str(value)
-    if value.ndim != 2:
-        return f"an array with {value.ndim} axes, which is not read"
-    return "" if value.size else "empty"
 
 
 def _size(matrix: np.ndarray) -> str:

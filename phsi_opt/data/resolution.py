@@ -144,8 +144,8 @@ def lattice_step(values: np.ndarray, error: float) -> float:
     for _ in range(MOST_CANDIDATES):
         if step <= FINEST_STEP * error:
             break
-        fitted = _fitted_step(values, step, error)
-        if _distance(values, fitted) <= FARTHEST * error:
+        fitted, distance = _fitted_lattice(values, step, error)
+        if distance <= FARTHEST * error:
             return fitted if _is_no_chance(len(values), error / fitted) else 0.0
         remainders = np.abs(gaps - np.round(gaps / step) * step)
         is_left = remainders > SAME_VALUE * error
@@ -155,29 +155,31 @@ def lattice_step(values: np.ndarray, error: float) -> float:
     return 0.0
 
 
-def _fitted_step(values: np.ndarray, step: float, error: float) -> float:
-    """The step by least squares, from one that is good enough to count with.
+def _fitted_lattice(
+    values: np.ndarray, step: float, error: float
+) -> tuple[float, float]:
+    """The step by least squares, and the largest distance of a value from its lattice.
 
     Gaps of one step are averaged first, so that long gaps are counted right.
+
+    Args:
+        values: (n_values,) sorted.
+        step: Good enough to count with.
+        error: Of a value, at most.
     """
+
+    def counted(step: float) -> np.ndarray:  # steps from the first value to each
+        return np.concatenate([[0.0], np.cumsum(np.round(gaps / step))])
+
     gaps = np.diff(values)
     single = gaps[gaps <= step + SAME_VALUE * error]
     if len(single):
         step = float(np.mean(single))
-    k = _counted(values, step)
+    k = counted(step)
     k = k - k.mean()
-    return float(k @ (values - values.mean()) / (k @ k))
-
-
-def _counted(values: np.ndarray, step: float) -> np.ndarray:
-    """Number of steps from the first value to each, (n_values,)."""
-    return np.concatenate([[0.0], np.cumsum(np.round(np.diff(values) / step))])
-
-
-def _distance(values: np.ndarray, step: float) -> float:
-    """The largest distance of a value from the lattice fitted to all of them."""
-    away = values - step * _counted(values, step)
-    return float(np.max(np.abs(away - away.mean())))
+    fitted = float(k @ (values - values.mean()) / (k @ k))
+    away = values - fitted * counted(fitted)
+    return fitted, float(np.max(np.abs(away - away.mean())))
 
 
 def _is_no_chance(n_values: int, error: float) -> bool:
