@@ -99,7 +99,7 @@ def joined_pairs(
         u = Ends(np.empty((len(t.start), 0)), None)
     n_inputs = np.shape(u.start)[1] if np.ndim(u.start) == 2 else 1
     names = numbered_names("u", n_inputs) if inputs is None else inputs
-    is_held = np.array(hold_of_each(hold, names), dtype=str) == "zero"
+    is_held = hold_of_each(hold, names) == "zero"
     if u.start is None or (u.end is None and not is_held.all()):
         raise DataError(
             "only one of u_start and u_end is given; expected both. "

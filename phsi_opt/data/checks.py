@@ -259,8 +259,10 @@ def checked_by_name(told: Any, names: Sequence[str], what: str) -> dict[str, Any
     return {name: entry.kept_as(value) for name, value in told.items()}
 
 
-def hold_of_each(hold: Any, inputs: Sequence[str]) -> tuple[str, ...]:
-    """What each input does between samples; "linear" where a mapping leaves it out.
+def hold_of_each(hold: Any, inputs: Sequence[str]) -> np.ndarray:
+    """What each input does between samples: words of `HOLDS`, (n_inputs,).
+
+    An input that a mapping leaves out is "linear".
 
     Args:
         hold: One of `HOLDS` for all inputs, or a mapping from their names.
@@ -270,12 +272,12 @@ def hold_of_each(hold: Any, inputs: Sequence[str]) -> tuple[str, ...]:
         DataError: It is none of them, or an input is unknown.
     """
     if isinstance(hold, Mapping):
-        told = checked_by_name(hold, inputs, "hold")
-        return tuple(told.get(name, "linear") for name in inputs)
+        told = dict.fromkeys(inputs, "linear") | checked_by_name(hold, inputs, "hold")
+        return np.array(list(told.values()), dtype=str)
     if hold not in HOLDS:
         hint = did_you_mean(hold, HOLDS)
         raise DataError(f"hold={hold!r} is unknown; expected {EXPECTED_HOLD}.{hint}")
-    return (hold,) * len(inputs)
+    return np.array([hold] * len(inputs), dtype=str)
 
 
 def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
@@ -284,7 +286,7 @@ def checked_hold(hold: Any, inputs: Sequence[str]) -> str | dict[str, str]:
     Raises:
         DataError: It is none of them, or an input is unknown.
     """
-    by_input = dict(zip(inputs, hold_of_each(hold, inputs), strict=True))
+    by_input = dict(zip(inputs, hold_of_each(hold, inputs).tolist(), strict=True))
     if isinstance(hold, str):
         return hold
     words = list(dict.fromkeys(by_input.values())) or ["linear"]

@@ -1,7 +1,6 @@
 """A trajectory with fewer samples: one for every n."""
 
 import operator
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,14 +29,14 @@ def checked_group_size(n: Any, by: Any) -> int:
     return operator.index(n)
 
 
-def thinned_run(run: Trajectory, n: int, by: str, hold: Sequence[str]) -> Trajectory:
+def thinned_run(run: Trajectory, n: int, by: str, hold: np.ndarray) -> Trajectory:
     """A trajectory with one sample for every n: see `Measurements.thinned`.
 
     Args:
         run: The trajectory.
         n: The number of samples that make one.
         by: "picking" keeps every n-th, from the first, "mean" the means of n.
-        hold: What each input does between samples.
+        hold: (n_inputs,) what each input does between samples.
 
     Raises:
         DataError: Fewer than 2 samples would be left.
@@ -58,8 +57,7 @@ def thinned_run(run: Trajectory, n: int, by: str, hold: Sequence[str]) -> Trajec
         return mean
 
     t = means(run.t)
-    is_held = np.array(hold, dtype=str) == "zero"
-    u = np.where(is_held, _held_means(run, t), means(run.u))
+    u = np.where(hold == "zero", _held_means(run, t), means(run.u))
     return replace(run, t=t, x=means(run.x), u=u)
 
 

@@ -77,8 +77,7 @@ class ExperimentSimulator:
         self.theta = self.model.theta
         self.bounds = _bounds(self.model)
         self._inputs = [data.inputs.index(name) for name in self.model.inputs]
-        hold = hold_of_each(data.hold, data.inputs)
-        self.hold = [hold[number] for number in self._inputs]
+        self.hold = hold_of_each(data.hold, data.inputs)[self._inputs]
 
     @property
     def z(self) -> np.ndarray:

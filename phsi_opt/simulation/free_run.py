@@ -10,7 +10,6 @@ chaotic run) is left to SciPy (`simulate`), which is also the independent check 
 file.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
@@ -137,7 +136,7 @@ class Runs:
         t: np.ndarray,
         x0: np.ndarray,
         u: np.ndarray,
-        hold: Sequence[str],
+        hold: np.ndarray,
         tolerance: float = TOLERANCE,
     ) -> np.ndarray | None:
         """The states from x0; None where explicit steps cannot make them accurate.
@@ -146,7 +145,7 @@ class Runs:
             t: (n_samples,) strictly increasing times.
             x0: (n_states,) starting state.
             u: (n_samples, n_inputs).
-            hold: of each input, between its samples, one of `HOLDS`.
+            hold: (n_inputs,) what each input does between its samples.
             tolerance: as `TOLERANCE`.
 
         Returns:
@@ -223,12 +222,11 @@ class _Record:
     smooth: SmoothInputs | None
 
     @classmethod
-    def of(cls, t: np.ndarray, u: np.ndarray, hold: Sequence[str]) -> "_Record":
+    def of(cls, t: np.ndarray, u: np.ndarray, hold: np.ndarray) -> "_Record":
         """The record with its slopes, which are zero where inputs are held."""
-        words = np.array(hold, dtype=str)
         slope = np.diff(u, axis=0) / np.diff(t)[:, None]
-        slope[:, words == "zero"] = 0.0
-        is_smooth = words == "cubic"
+        slope[:, hold == "zero"] = 0.0
+        is_smooth = hold == "cubic"
         smooth = SmoothInputs(t, u) if is_smooth.any() else None
         return cls(t, u, slope, is_smooth, smooth)
 

@@ -6,7 +6,7 @@ but a given state.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -256,13 +256,13 @@ def _inputs(model: Model, t: np.ndarray, u: Any) -> Any:
     return values
 
 
-def _pieces(t: np.ndarray, u: Any, hold: Sequence[str]) -> Iterator[_Piece]:
+def _pieces(t: np.ndarray, u: Any, hold: np.ndarray) -> Iterator[_Piece]:
     """The stretches over which the inputs are smooth.
 
     Args:
         t: (n_samples,) times.
         u: (n_samples, n_inputs), or a function of the time.
-        hold: of each input, between its samples.
+        hold: (n_inputs,) what each input does between its samples.
     """
     end = len(t) - 1
     sample = float(np.max(np.diff(t)))
@@ -271,10 +271,10 @@ def _pieces(t: np.ndarray, u: Any, hold: Sequence[str]) -> Iterator[_Piece]:
     elif not u.shape[1]:
         yield _Piece(0, end, partial(_constant, u[0]), np.inf)
     else:
-        is_held = np.array(hold) == "zero"
+        is_held = hold == "zero"
         held = u[:, is_held]
         changes = np.flatnonzero(np.any(np.diff(held[:-1], axis=0) != 0, axis=1)) + 1
-        moving = _moving(t, u, np.array(hold) == "cubic")
+        moving = _moving(t, u, hold == "cubic")
         for first, last in pairwise([0, *changes.tolist(), end]):
             constant = partial(_constant, u[first])
             value = _by_input(is_held, constant, moving)

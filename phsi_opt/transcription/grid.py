@@ -177,7 +177,7 @@ def grid_of(data: Measurements, steps: int | Sequence[np.ndarray] = 1) -> Grid:
     y[is_sample] = x
     trajectory = np.repeat(np.arange(len(runs)), lengths)[places.left]
     begin = np.flatnonzero(np.diff(trajectory) == 0)
-    hold = np.array(hold_of_each(data.hold, data.inputs), dtype=str)
+    hold = hold_of_each(data.hold, data.inputs)
     is_held = hold == "zero"
     u = data.stacked("u")
     u = np.where(is_held, u[places.left], places.interpolated(u))
