@@ -259,10 +259,10 @@ def holds_real_numbers(cells: "pd.Series") -> bool:
 
 def is_missing(cell: Any) -> bool:
     """Whether a cell says that nothing was measured."""
-    import pandas as pd
-
     if isinstance(cell, str):
         return cell.strip().lower() in MISSING_CELLS
+    import pandas as pd
+
     return cell is None or bool(pd.isna(cell))
 
 
